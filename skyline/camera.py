@@ -1,0 +1,93 @@
+"""The rendering camera of the paper's section 4.1: four ideal 90 degree pin-hole views.
+
+World axes are X = east, Y = up, Z = north; camera axes are x = right, y = up, z = forward.
+Both are left-handed, so every rotation here has determinant +1.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+
+HEADINGS = (0, 1, 2, 3)
+"""North, east, south, west; ``heading_deg = 90 * heading``."""
+
+DEFAULT_WIDTH = 640
+MAX_WIDTH = 16384
+
+Float64Array = NDArray[np.float64]
+
+
+def check_width(width: int) -> int:
+    """Return ``width`` if it is a usable number of columns, else raise `InputError`."""
+    if not 2 <= width <= MAX_WIDTH:
+        raise InputError(
+            f"width is {width} columns; expected 2 to {MAX_WIDTH} (the paper uses {DEFAULT_WIDTH})"
+        )
+    return width
+
+
+def columns_u(width: int) -> Float64Array:
+    """Return the image-plane abscissa u of each column centre, shape (width,), in (-1, 1)."""
+    return (2.0 * np.arange(width) + 1.0) / width - 1.0
+
+
+def pixel_size(width: int) -> float:
+    """Return the size of one pixel in units of u or v: 1 px = 2 / width."""
+    return 2.0 / width
+
+
+def intrinsic_matrix(width: int) -> Float64Array:
+    """Return K (3, 3), ideal: square pixels, 90 degrees, centre at the image centre, y up."""
+    focal_px = width / 2.0
+    return np.diag([focal_px, focal_px, 1.0])
+
+
+def rotation(heading: int) -> Float64Array:
+    """Return R_heading (3, 3): world (east, up, north) to camera (right, up, forward)."""
+    # Quarter turns have exact sines; np.sin(pi) would leave 1e-16 behind.
+    sine = (0.0, 1.0, 0.0, -1.0)[heading]
+    cosine = (1.0, 0.0, -1.0, 0.0)[heading]
+    return np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
+
+
+def ground_directions(heading: int, width: int) -> Float64Array:
+    """Return (width, 2): east and north covered per metre of forward depth in each column."""
+    turn = rotation(heading)
+    u = columns_u(width)
+    right, forward = turn[0, [0, 2]], turn[2, [0, 2]]
+    return forward[np.newaxis, :] + u[:, np.newaxis] * right[np.newaxis, :]
+
+
+def column_azimuths_deg(heading: int, width: int) -> Float64Array:
+    """Return the grid azimuth of each column, degrees clockwise from north, shape (width,)."""
+    return 90.0 * heading + np.degrees(np.arctan(columns_u(width)))
+
+
+def elevation_deg(elevation_tan: NDArray[np.floating], u: Float64Array) -> Float64Array:
+    """Return elevation angles in degrees of image-plane ordinates v at abscissas u."""
+    return np.degrees(np.arctan(elevation_tan * np.cos(np.arctan(u))))
+
+
+def project(offsets_m: Float64Array, heading: int) -> tuple[Float64Array, Float64Array]:
+    """Project points given relative to the eye: the paper's I = K [R | t] X without K.
+
+    Parameters
+    ----------
+    offsets_m : (..., 3) float64
+        East, up, north of each point minus the eye, metres.
+    heading : int
+
+    Returns
+    -------
+    uv : (..., 2) float64
+        Image-plane abscissa and ordinate, NaN for points not in front.
+    depth_m : (...) float64
+        Forward distance; may be negative.
+    """
+    camera = offsets_m @ rotation(heading).T
+    depth_m = camera[..., 2]
+    in_front = depth_m > 0.0
+    safe = np.where(in_front, depth_m, 1.0)
+    uv = np.where(in_front[..., np.newaxis], camera[..., :2] / safe[..., np.newaxis], np.nan)
+    return uv, depth_m

@@ -1,0 +1,41 @@
+"""Errors that speak to a user: what, the value, what was expected, what to do next.
+
+Every error is also the builtin error a Python caller would expect, and carries the exit
+code of the command line: 2 for bad input, 1 for a failure.
+"""
+
+
+class SkylineError(Exception):
+    """Anything Skyline reports on purpose; ``str`` of it is one line for the user."""
+
+    exit_code = 1
+
+
+class InputError(SkylineError, ValueError):
+    """A value, file or option that cannot be used as given."""
+
+    exit_code = 2
+
+
+class MissingFileError(SkylineError, FileNotFoundError):
+    """A file that was named does not exist."""
+
+    exit_code = 2
+
+
+class OffMapError(InputError):
+    """A location outside the data, on a hole, or an eye below the ground."""
+
+
+class StoreError(SkylineError, OSError):
+    """A store that cannot be read or written: truncated, damaged or not a store."""
+
+    exit_code = 2
+
+
+class StoreMismatchError(InputError):
+    """A store whose frame, DEM digest or configuration differs from the request."""
+
+
+class ContextError(SkylineError, RuntimeError):
+    """No OpenGL context could be made, or the one at hand cannot do what is needed."""

@@ -1,0 +1,144 @@
+"""Map frames: which way is north, where is this in degrees, how far does the Earth drop.
+
+Inside the program a location is (easting, northing) in one metric frame and azimuths are from
+grid north. Whatever a person reads is in degrees of WGS 84 and from true north.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS, Proj, Transformer
+from pyproj.exceptions import CRSError
+
+from skyline.errors import InputError
+
+EARTH_RADIUS_M = 6371008.8
+DEFAULT_REFRACTION_K = 0.13
+
+Float64Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Curvature:
+    """How far the surface drops below the eye's tangent plane, refraction included.
+
+    Attributes
+    ----------
+    radius_m : float
+        Radius of the planet.
+    refraction_k : float
+        Fraction of the curvature that refraction takes back; 0.13 is usual by day.
+    enabled : bool
+        False leaves the plane flat.
+    """
+
+    radius_m: float = EARTH_RADIUS_M
+    refraction_k: float = DEFAULT_REFRACTION_K
+    enabled: bool = True
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.radius_m) and self.radius_m > 0.0):
+            raise InputError(
+                f"planet radius is {self.radius_m} m; expected a positive number of metres"
+            )
+        if not (np.isfinite(self.refraction_k) and -1.0 <= self.refraction_k < 1.0):
+            raise InputError(
+                f"refraction k is {self.refraction_k}; expected -1 <= k < 1 (0.13 is usual)"
+            )
+
+    @property
+    def drop_per_m2(self) -> float:
+        """The drop is ``drop_per_m2 * d**2``, d the horizontal distance: (1 - k) / (2 R)."""
+        return (1.0 - self.refraction_k) / (2.0 * self.radius_m) if self.enabled else 0.0
+
+    def drop_m(self, distance_m: ArrayLike) -> Float64Array:
+        """Return the drop in metres at horizontal distances in metres, same shape."""
+        return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A metric map frame: the DEM's own CRS, or a local conformal one centred on the area."""
+
+    wkt: str
+
+    @classmethod
+    def from_crs(cls, crs: object) -> "Frame":
+        """Make a frame of anything pyproj understands; raises `InputError` unless metric."""
+        try:
+            parsed = CRS.from_user_input(crs)
+        except CRSError as error:
+            raise InputError(
+                f"coordinate reference system {crs!r} is not understood ({error}); "
+                "give an EPSG code such as EPSG:32632 or a WKT string"
+            ) from error
+        if not parsed.is_projected or not np.allclose(
+            [axis.unit_conversion_factor for axis in parsed.axis_info[:2]], 1.0
+        ):
+            raise InputError(
+                f"frame {parsed.name!r} is not metric; a projected CRS in metres is needed"
+            )
+        return cls(parsed.to_wkt())
+
+    @classmethod
+    def local(cls, lon_deg: float, lat_deg: float) -> "Frame":
+        """Make the local conformal frame: transverse Mercator on WGS 84 through a point."""
+        return cls(
+            CRS.from_proj4(
+                f"+proj=tmerc +lat_0={lat_deg:.9f} +lon_0={lon_deg:.9f} +k=1 +x_0=0 +y_0=0 "
+                "+ellps=WGS84 +datum=WGS84 +units=m +no_defs"
+            ).to_wkt()
+        )
+
+    @cached_property
+    def crs(self) -> CRS:
+        """The frame as a pyproj CRS."""
+        return CRS.from_wkt(self.wkt)
+
+    @property
+    def name(self) -> str:
+        """The name a person knows the frame by."""
+        authority = self.crs.to_authority()
+        return ":".join(authority) if authority else str(self.crs.name)
+
+    @cached_property
+    def _to_lonlat(self) -> Transformer:
+        return Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True)
+
+    @cached_property
+    def _projection(self) -> Proj:
+        return Proj(self.crs)
+
+    def to_lonlat(
+        self, easting_m: ArrayLike, northing_m: ArrayLike
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return longitude and latitude in degrees (WGS 84) of map coordinates in metres."""
+        lon, lat = self._to_lonlat.transform(easting_m, northing_m)
+        return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
+
+    def from_lonlat(
+        self, lon_deg: ArrayLike, lat_deg: ArrayLike
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return easting and northing in metres of longitudes and latitudes (WGS 84)."""
+        easting, northing = self._to_lonlat.transform(lon_deg, lat_deg, direction="INVERSE")
+        return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
+
+    def convergence_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+        """Return grid convergence: true azimuth = grid azimuth + convergence, degrees."""
+        lon, lat = self._geographic(easting_m, northing_m)
+        factors = self._projection.get_factors(lon, lat)
+        return np.asarray(factors.meridian_convergence, dtype=np.float64)
+
+    def angular_distortion_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+        """Return the greatest distortion of an angle at each location; 0 where conformal."""
+        lon, lat = self._geographic(easting_m, northing_m)
+        factors = self._projection.get_factors(lon, lat)
+        return np.asarray(factors.angular_distortion, dtype=np.float64)
+
+    def _geographic(
+        self, easting_m: ArrayLike, northing_m: ArrayLike
+    ) -> tuple[Float64Array, Float64Array]:
+        lon, lat = self._projection(easting_m, northing_m, inverse=True)
+        return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)

@@ -1,0 +1,185 @@
+"""The surface every renderer shares: samples on a metric grid, two triangles a cell.
+
+Each cell between four samples is split along the diagonal that joins its north-west and
+south-east samples. A triangle with a hole (NaN) among its samples is not part of the surface.
+"""
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skyline.errors import InputError
+from skyline.geodesy import Frame
+
+Float64Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where the samples came from and what was done to them on the way.
+
+    Attributes
+    ----------
+    files : tuple of str
+        Absolute paths of the DEM files, empty for a field made in memory.
+    resampling : str
+        ``"none"`` where the file's own grid is used, else the method and the source CRS.
+    filled, hollow, despiked : int
+        Void samples filled by interpolation, left as holes, and spikes removed.
+    """
+
+    files: tuple[str, ...] = ()
+    resampling: str = "none"
+    filled: int = 0
+    hollow: int = 0
+    despiked: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class HeightField:
+    """A metric grid of terrain heights.
+
+    Attributes
+    ----------
+    heights_m : (rows, cols) float32 or float64, read-only
+        Metres above the DEM's datum at the samples; row 0 is the northernmost, column 0 the
+        westernmost; NaN marks a hole.
+    west_m, north_m : float
+        Easting of column 0 and northing of row 0, at the samples (pixel centres).
+    spacing_east_m, spacing_north_m : float
+        Distance between neighbouring samples.
+    frame : Frame
+    provenance : Provenance
+    """
+
+    heights_m: NDArray[np.floating]
+    west_m: float
+    north_m: float
+    spacing_east_m: float
+    spacing_north_m: float
+    frame: Frame
+    provenance: Provenance = field(default_factory=Provenance)
+
+    def __post_init__(self) -> None:
+        heights = self.heights_m
+        if heights.ndim != 2 or heights.size == 0:
+            raise InputError(
+                f"heights have shape {heights.shape}; expected a non-empty (rows, cols) grid"
+            )
+        if heights.dtype not in (np.float32, np.float64):
+            heights = heights.astype(np.float32)
+        if np.isinf(heights).any():
+            raise InputError("heights hold infinite values; mark holes with NaN")
+        if not (0.0 < self.spacing_east_m < np.inf and 0.0 < self.spacing_north_m < np.inf):
+            raise InputError(
+                f"sample spacing is {self.spacing_east_m} x {self.spacing_north_m} m; "
+                "expected positive metres"
+            )
+        # A private copy, so that the field stays what its digest says.
+        frozen = np.array(heights, order="C")
+        frozen.setflags(write=False)
+        object.__setattr__(self, "heights_m", frozen)
+
+    @property
+    def rows(self) -> int:
+        """Number of samples from north to south."""
+        return int(self.heights_m.shape[0])
+
+    @property
+    def cols(self) -> int:
+        """Number of samples from west to east."""
+        return int(self.heights_m.shape[1])
+
+    @property
+    def spacing_m(self) -> float:
+        """The finer of the two sample spacings."""
+        return min(self.spacing_east_m, self.spacing_north_m)
+
+    @property
+    def bounds_m(self) -> tuple[float, float, float, float]:
+        """West, south, east, north of the outermost samples, metres."""
+        return (
+            self.west_m,
+            self.north_m - (self.rows - 1) * self.spacing_north_m,
+            self.west_m + (self.cols - 1) * self.spacing_east_m,
+            self.north_m,
+        )
+
+    @cached_property
+    def has_holes(self) -> bool:
+        """Whether any sample is a hole."""
+        return bool(np.isnan(self.heights_m).any())
+
+    @cached_property
+    def height_range_m(self) -> tuple[float, float]:
+        """Lowest and highest sample; raises `InputError` where every sample is a hole."""
+        if np.isnan(self.heights_m).all():
+            raise InputError("the DEM holds no heights at all: every sample is a hole")
+        return float(np.nanmin(self.heights_m)), float(np.nanmax(self.heights_m))
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 over the samples, their grid and their frame, hexadecimal."""
+        sha = hashlib.sha256(self.frame.wkt.encode())
+        grid = (self.west_m, self.north_m, self.spacing_east_m, self.spacing_north_m)
+        sha.update(np.array(grid, dtype="<f8").tobytes())
+        sha.update(np.array(self.heights_m.shape, dtype="<i8").tobytes())
+        sha.update(str(self.heights_m.dtype).encode())
+        sha.update(self.heights_m)
+        return sha.hexdigest()
+
+    def to_grid(
+        self, easting_m: ArrayLike, northing_m: ArrayLike
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return fractional (row, column) of map coordinates; samples are at whole numbers."""
+        row = (self.north_m - np.asarray(northing_m, dtype=np.float64)) / self.spacing_north_m
+        col = (np.asarray(easting_m, dtype=np.float64) - self.west_m) / self.spacing_east_m
+        return row, col
+
+    def to_map(self, row: ArrayLike, col: ArrayLike) -> tuple[Float64Array, Float64Array]:
+        """Return easting and northing in metres of fractional rows and columns."""
+        easting = self.west_m + np.asarray(col, dtype=np.float64) * self.spacing_east_m
+        northing = self.north_m - np.asarray(row, dtype=np.float64) * self.spacing_north_m
+        return easting, northing
+
+    def height_at(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+        """Return the height of the surface; NaN off the map and over holes.
+
+        Parameters
+        ----------
+        easting_m, northing_m : array_like, metres, broadcast together
+
+        Returns
+        -------
+        float64 array of the broadcast shape, metres above the datum
+        """
+        row, col = np.broadcast_arrays(*self.to_grid(easting_m, northing_m))
+        inside = (row >= 0.0) & (row <= self.rows - 1) & (col >= 0.0) & (col <= self.cols - 1)
+        row, col = np.where(inside, row, 0.0), np.where(inside, col, 0.0)
+        top = np.minimum(row.astype(np.int64), max(self.rows - 2, 0))
+        left = np.minimum(col.astype(np.int64), max(self.cols - 2, 0))
+        south, east = row - top, col - left
+        north_east_half = east >= south
+        corner_row = np.where(north_east_half, top, np.minimum(top + 1, self.rows - 1))
+        corner_col = np.where(north_east_half, np.minimum(left + 1, self.cols - 1), left)
+        corner_weight = np.abs(east - south)
+        far_weight = np.minimum(east, south)
+        near_weight = 1.0 - np.maximum(east, south)
+        height = (
+            self._weighted(top, left, near_weight)
+            + self._weighted(corner_row, corner_col, corner_weight)
+            + self._weighted(
+                np.minimum(top + 1, self.rows - 1), np.minimum(left + 1, self.cols - 1), far_weight
+            )
+        )
+        return np.where(inside, height, np.nan)
+
+    def _weighted(
+        self, row: NDArray[np.int64], col: NDArray[np.int64], weight: Float64Array
+    ) -> Float64Array:
+        """Return weight * height, 0 where the weight is 0 even if the sample is a hole."""
+        heights = self.heights_m[row, col].astype(np.float64)
+        return np.where(weight > 0.0, weight * heights, 0.0)

@@ -1,0 +1,105 @@
+"""Viewpoints: where eyes are, as arrays."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skyline.errors import InputError, OffMapError
+from skyline.terrain.heightfield import HeightField
+
+DEFAULT_EYE_HEIGHT_M = 2.0
+
+Float64Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Viewpoints:
+    """N eyes in a DEM's frame.
+
+    Attributes
+    ----------
+    easting_m, northing_m : (N,) float64
+    eye_elevation_m : (N,) float64
+        Metres above the DEM's datum (not above ground).
+    """
+
+    easting_m: Float64Array
+    northing_m: Float64Array
+    eye_elevation_m: Float64Array
+
+    def __len__(self) -> int:
+        return len(self.easting_m)
+
+    def __getitem__(self, index: slice | NDArray[np.integer] | NDArray[np.bool_]) -> "Viewpoints":
+        return Viewpoints(
+            self.easting_m[index], self.northing_m[index], self.eye_elevation_m[index]
+        )
+
+
+def stand_on(
+    field: HeightField,
+    easting_m: ArrayLike,
+    northing_m: ArrayLike,
+    eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
+) -> Viewpoints:
+    """Place eyes on the surface plus an eye height.
+
+    Parameters
+    ----------
+    field : HeightField
+    easting_m, northing_m : array_like, broadcast to (N,), metres
+    eye_height_m : array_like, metres above ground, at least 0
+
+    Raises
+    ------
+    OffMapError
+        A location off the map or on a hole, or an eye height below 0.
+    """
+    easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
+    ground = _ground_m(field, easting, northing)
+    return Viewpoints(easting, northing, _above_ground(ground, ground + eye_height))
+
+
+def at_elevation(
+    field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike, eye_elevation_m: ArrayLike
+) -> Viewpoints:
+    """Place eyes at elevations above the datum; as `stand_on` otherwise."""
+    easting, northing, eye_elevation = _flat(easting_m, northing_m, eye_elevation_m)
+    ground = _ground_m(field, easting, northing)
+    return Viewpoints(easting, northing, _above_ground(ground, eye_elevation))
+
+
+def _flat(*values: ArrayLike) -> list[Float64Array]:
+    arrays = np.broadcast_arrays(*[np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values])
+    flat = [np.ascontiguousarray(array).reshape(-1) for array in arrays]
+    if not all(np.isfinite(array).all() for array in flat):
+        raise InputError("a viewpoint has a coordinate that is not a finite number")
+    return flat
+
+
+def _ground_m(field: HeightField, easting: Float64Array, northing: Float64Array) -> Float64Array:
+    ground = field.height_at(easting, northing)
+    missing = np.flatnonzero(np.isnan(ground))
+    if missing.size:
+        first = missing[0]
+        west, south, east, north = field.bounds_m
+        inside = west <= easting[first] <= east and south <= northing[first] <= north
+        place = "on a hole of the DEM" if inside else "off the map"
+        raise OffMapError(
+            f"viewpoint {first} (easting {easting[first]:.2f}, northing {northing[first]:.2f}) is "
+            f"{place}; the DEM covers easting {west:.1f} to {east:.1f}, northing {south:.1f} to "
+            f"{north:.1f}: move it or remove it ({missing.size} such)"
+        )
+    return ground
+
+
+def _above_ground(ground: Float64Array, eye: Float64Array) -> Float64Array:
+    below = np.flatnonzero(eye < ground)
+    if below.size:
+        first = below[0]
+        raise OffMapError(
+            f"viewpoint {first} has its eye at {eye[first]:.2f} m, below the ground at "
+            f"{ground[first]:.2f} m; raise the eye to the ground or above ({below.size} such)"
+        )
+    return eye
