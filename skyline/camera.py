@@ -64,7 +64,7 @@ def column_azimuths_deg(heading: int, width: int) -> Float64Array:
     return 90.0 * heading + np.degrees(np.arctan(columns_u(width)))
 
 
-def elevation_deg(elevation_tan: NDArray[np.floating], u: Float64Array) -> Float64Array:
+def elevation_deg(elevation_tan: Float64Array, u: Float64Array) -> Float64Array:
     """Return elevation angles in degrees of image-plane ordinates v at abscissas u."""
     return np.degrees(np.arctan(elevation_tan * np.cos(np.arctan(u))))
 
