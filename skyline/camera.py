@@ -56,7 +56,7 @@ def ground_directions(heading: int, width: int) -> Float64Array:
     turn = rotation(heading)
     u = columns_u(width)
     right, forward = turn[0, [0, 2]], turn[2, [0, 2]]
-    return forward[np.newaxis, :] + u[:, np.newaxis] * right[np.newaxis, :]
+    return np.asarray(forward + u[:, np.newaxis] * right, dtype=np.float64)
 
 
 def column_azimuths_deg(heading: int, width: int) -> Float64Array:

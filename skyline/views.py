@@ -83,7 +83,8 @@ class Views:
     def azimuth_deg(self) -> Float64Array:
         """Return grid azimuths of the columns, shape (N, W), degrees in [0, 360)."""
         u = columns_u(self.width)
-        return (90.0 * self.heading[:, np.newaxis] + np.degrees(np.arctan(u))) % 360.0
+        turn_deg = 90.0 * self.heading[:, np.newaxis].astype(np.float64)
+        return np.asarray((turn_deg + np.degrees(np.arctan(u))) % 360.0, dtype=np.float64)
 
     def elevation_deg(self) -> Float64Array:
         """Return elevation angles of the skyline, shape (N, W), degrees."""
@@ -96,4 +97,4 @@ class Views:
             [columns_u(self.width) * depth, self.elevation_tan * depth, depth], axis=-1
         )
         turns = np.stack([rotation(heading) for heading in range(4)])[self.heading]
-        return np.einsum("nwc,nck->nwk", camera, turns)
+        return np.asarray(np.einsum("nwc,nck->nwk", camera, turns), dtype=np.float64)
