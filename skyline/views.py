@@ -24,7 +24,7 @@ FLAG_NAMES = {
     FLAG_OUT_OF_IMAGE: "out of image",
 }
 
-Float32Array = NDArray[np.float32]
+FloatArray = NDArray[np.floating]
 Float64Array = NDArray[np.float64]
 
 
@@ -38,9 +38,9 @@ class Views:
         The eye, in the DEM's frame and above its datum.
     heading : (N,) uint8
         0, 1, 2, 3 = north, east, south, west.
-    elevation_tan : (N, W) float32
+    elevation_tan : (N, W) float32 (float64 from the oracle)
         Image-plane ordinate v of the skyline; NaN where a column meets no data.
-    depth_m : (N, W) float32
+    depth_m : (N, W) float32 (float64 from the oracle)
         Forward distance of the skyline; NaN where a column meets no data.
     flags : (N, W) uint8
         Bits `FLAG_TRUNCATED`, `FLAG_HOLE`, `FLAG_NO_DATA`, `FLAG_OUT_OF_IMAGE`.
@@ -50,8 +50,8 @@ class Views:
     northing_m: Float64Array
     eye_elevation_m: Float64Array
     heading: NDArray[np.uint8]
-    elevation_tan: Float32Array
-    depth_m: Float32Array
+    elevation_tan: FloatArray
+    depth_m: FloatArray
     flags: NDArray[np.uint8]
 
     def __len__(self) -> int:

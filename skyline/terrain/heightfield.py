@@ -128,7 +128,7 @@ class HeightField:
         sha.update(np.array(grid, dtype="<f8").tobytes())
         sha.update(np.array(self.heights_m.shape, dtype="<i8").tobytes())
         sha.update(str(self.heights_m.dtype).encode())
-        sha.update(memoryview(self.heights_m))
+        sha.update(self.heights_m.data)
         return sha.hexdigest()
 
     def to_grid(

@@ -1,0 +1,262 @@
+"""The float64 skyline of the exact surface (DESIGN 4): slow, plain, the truth for all else.
+
+The vertical half-plane of a column meets the surface's edges where its ground ray crosses the
+three families of grid lines: the columns of samples, the rows, and the north-west to south-east
+diagonals. Between two samples of an edge the height is linear, and v is monotonic along the
+half-plane inside a triangle, so the greatest v over all crossings is the skyline. Every edge in
+front of the eye is looked at; nothing is culled.
+"""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, ground_directions
+from skyline.geodesy import Curvature
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED, Views
+
+Float64Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+_CROSSINGS_AT_ONCE = 400_000
+"""Crossings evaluated together: small enough to stay in the processor's cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class Triangles:
+    """Which triangles belong to the surface, padded by one cell that does not.
+
+    Attributes
+    ----------
+    north_east, south_west : (rows + 1, cols + 1) bool
+        Cell (row, col) has its north-west sample at [row, col] of the heights and its two
+        triangles at [row + 1, col + 1] here; the padding answers for cells off the map.
+    """
+
+    north_east: BoolArray
+    south_west: BoolArray
+
+    @classmethod
+    def of(cls, heights_m: NDArray[np.floating]) -> "Triangles":
+        """Find the triangles whose three samples are all there."""
+        present = ~np.isnan(heights_m)
+        diagonal = present[:-1, :-1] & present[1:, 1:]
+        return cls(np.pad(diagonal & present[:-1, 1:], 1), np.pad(diagonal & present[1:, :-1], 1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Crossings:
+    """Where R ground rays cross L lines of one family; arrays are (R, L).
+
+    The edge crossed joins sample (row, col) to (row + row_step, col + col_step), and
+    ``fraction`` says how far along it. ``near`` and ``far`` tell whether the triangle on the
+    eye's side of the edge, and the one beyond, belong to the surface; both are False off the map.
+    """
+
+    depth_m: Float64Array
+    row: IntArray
+    col: IntArray
+    fraction: Float64Array
+    row_step: int
+    col_step: int
+    near: BoolArray
+    far: BoolArray
+
+
+def skyline(
+    field: HeightField,
+    viewpoints: Viewpoints,
+    width: int = DEFAULT_WIDTH,
+    curvature: Curvature | None = None,
+) -> Views:
+    """Compute exact skylines in all four headings.
+
+    Parameters
+    ----------
+    field : HeightField
+    viewpoints : Viewpoints
+        N eyes, at or above the surface.
+    width : int
+        Columns W per view.
+    curvature : Curvature, optional
+        Defaults to the Earth's with k = 0.13.
+
+    Returns
+    -------
+    Views
+        4 N views; the four headings of a viewpoint follow one another.
+    """
+    check_width(width)
+    curvature = curvature or Curvature()
+    triangles = Triangles.of(field.heights_m)
+    shape = (len(viewpoints), len(HEADINGS), width)
+    tan, depth = np.full(shape, -np.inf), np.full(shape, np.nan)
+    flags = np.zeros(shape, dtype=np.uint8)
+    for index in range(len(viewpoints)):
+        scene = _Scene(field, triangles, viewpoints, index, curvature)
+        for heading in HEADINGS:
+            directions = ground_directions(heading, width)
+            tan[index, heading], depth[index, heading], flags[index, heading] = scene.skyline(
+                directions
+            )
+    rows = (-1, width)
+    return Views(
+        np.repeat(viewpoints.easting_m, 4),
+        np.repeat(viewpoints.northing_m, 4),
+        np.repeat(viewpoints.eye_elevation_m, 4),
+        np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints)),
+        tan.reshape(rows),
+        depth.reshape(rows),
+        flags.reshape(rows),
+    )
+
+
+class _Scene:
+    """The surface as one eye sees it: heights relative to the eye, curvature dropped."""
+
+    def __init__(
+        self,
+        field: HeightField,
+        triangles: Triangles,
+        viewpoints: Viewpoints,
+        index: int,
+        curvature: Curvature,
+    ) -> None:
+        self.field = field
+        self.triangles = triangles
+        self.has_holes = field.has_holes
+        row, col = field.to_grid(viewpoints.easting_m[index], viewpoints.northing_m[index])
+        self.eye_row, self.eye_col = float(row), float(col)
+        north = (self.eye_row - np.arange(field.rows)) * field.spacing_north_m
+        east = (np.arange(field.cols) - self.eye_col) * field.spacing_east_m
+        distance_squared = north[:, np.newaxis] ** 2 + east**2
+        self.up_m = (
+            field.heights_m.astype(np.float64)
+            - viewpoints.eye_elevation_m[index]
+            - curvature.drop_per_m2 * distance_squared
+        )
+
+    def skyline(
+        self, directions: Float64Array
+    ) -> tuple[Float64Array, Float64Array, NDArray[np.uint8]]:
+        """Return elevation_tan, depth and flags of the columns with these ground directions.
+
+        ``directions`` is (W, 2), east and north per metre of forward depth.
+        """
+        width = len(directions)
+        tan, depth = np.full(width, -np.inf), np.full(width, np.nan)
+        truncated, hole = np.zeros(width, dtype=bool), np.zeros(width, dtype=bool)
+        # Grid steps per metre of depth; columns head east, rows south, diagonals col - row.
+        col_rate = directions[:, 0] / self.field.spacing_east_m
+        row_rate = -directions[:, 1] / self.field.spacing_north_m
+        for start, stop in _runs(col_rate, row_rate, self.field.rows + self.field.cols):
+            part = slice(start, stop)
+            for crossings in self._families(col_rate[part], row_rate[part]):
+                best, v = self._greatest(crossings)
+                raised = v > tan[part]
+                tan[part] = np.where(raised, v, tan[part])
+                rays = np.arange(stop - start)
+                depth[part] = np.where(raised, crossings.depth_m[rays, best], depth[part])
+                truncated[part] = np.where(raised, ~crossings.far[rays, best], truncated[part])
+                if self.has_holes:
+                    entered = (~crossings.near & crossings.far).any(axis=1)
+                    hole[part] |= entered
+        missing = np.isnan(depth)
+        tan[missing] = np.nan
+        flags = (
+            np.where(truncated & ~missing, FLAG_TRUNCATED, 0)
+            + np.where(hole, FLAG_HOLE, 0)
+            + np.where(missing, FLAG_NO_DATA, 0)
+        )
+        return tan, depth, flags.astype(np.uint8)
+
+    def _families(self, col_rate: Float64Array, row_rate: Float64Array) -> Iterator[_Crossings]:
+        """Yield the crossings with each family; the rays' rates must not differ in sign."""
+        rows, cols = self.field.rows, self.field.cols
+        north_east, south_west = self.triangles.north_east, self.triangles.south_west
+
+        lines = _lines_ahead(self.eye_col, col_rate, 0, cols)
+        if lines.size:
+            depth = (lines - self.eye_col) / col_rate[:, np.newaxis]
+            row, fraction = _split(self.eye_row + depth * row_rate[:, np.newaxis], rows)
+            col = np.broadcast_to(lines, row.shape)
+            west, east = north_east[row + 1, col], south_west[row + 1, col + 1]
+            near, far = (west, east) if col_rate[0] > 0.0 else (east, west)
+            yield _Crossings(depth, row, col, fraction, 1, 0, near, far)
+
+        lines = _lines_ahead(self.eye_row, row_rate, 0, rows)
+        if lines.size:
+            depth = (lines - self.eye_row) / row_rate[:, np.newaxis]
+            col, fraction = _split(self.eye_col + depth * col_rate[:, np.newaxis], cols)
+            row = np.broadcast_to(lines, col.shape)
+            north, south = south_west[row, col + 1], north_east[row + 1, col + 1]
+            near, far = (north, south) if row_rate[0] > 0.0 else (south, north)
+            yield _Crossings(depth, row, col, fraction, 0, 1, near, far)
+
+        across = col_rate - row_rate
+        lines = _lines_ahead(self.eye_col - self.eye_row, across, 1 - rows, cols)
+        if lines.size:
+            depth = (lines - (self.eye_col - self.eye_row)) / across[:, np.newaxis]
+            row, fraction = _split(self.eye_row + depth * row_rate[:, np.newaxis], rows)
+            col = np.clip(row + lines, -1, cols - 1)
+            north_eastern, south_western = (
+                north_east[row + 1, col + 1],
+                south_west[row + 1, col + 1],
+            )
+            near, far = (
+                (south_western, north_eastern)
+                if across[0] > 0.0
+                else (north_eastern, south_western)
+            )
+            yield _Crossings(depth, row, col, fraction, 1, 1, near, far)
+
+    def _greatest(self, crossings: _Crossings) -> tuple[IntArray, Float64Array]:
+        """Return, for each ray, the index of its highest crossing and that crossing's v."""
+        row, col = np.maximum(crossings.row, 0), np.maximum(crossings.col, 0)
+        first = self.up_m[row, col]
+        second = self.up_m[
+            np.minimum(row + crossings.row_step, self.field.rows - 1),
+            np.minimum(col + crossings.col_step, self.field.cols - 1),
+        ]
+        # A dangling edge, whose triangles both miss a sample, is not part of the surface.
+        exists = crossings.near | crossings.far
+        up = first + crossings.fraction * (second - first)
+        v = np.where(exists, up / crossings.depth_m, -np.inf)
+        best = v.argmax(axis=1)
+        return best, v[np.arange(len(v)), best]
+
+
+def _split(position: Float64Array, samples: int) -> tuple[IntArray, Float64Array]:
+    """Split positions along a grid line into the edge's first sample and the fraction along it.
+
+    The first sample is -1 where the position is off the map.
+    """
+    first = np.minimum(np.floor(position), max(samples - 2, 0))
+    on_map = (position >= 0.0) & (position <= samples - 1)
+    return np.where(on_map, first, -1.0).astype(np.int64), position - first
+
+
+def _lines_ahead(eye: float, rate: Float64Array, first: int, stop: int) -> IntArray:
+    """Return the lines first..stop-1 of a family that lie strictly ahead of the eye."""
+    if rate[0] > 0.0:
+        return np.arange(max(first, int(np.floor(eye)) + 1), stop)
+    if rate[0] < 0.0:
+        return np.arange(first, min(stop, int(np.ceil(eye))))
+    return np.arange(0)
+
+
+def _runs(col_rate: Float64Array, row_rate: Float64Array, lines: int) -> Iterator[tuple[int, int]]:
+    """Yield spans of columns whose rays head the same way, short enough for one evaluation."""
+    way = np.sign(np.stack([col_rate, row_rate, col_rate - row_rate]))
+    turns = np.flatnonzero((np.diff(way, axis=1) != 0.0).any(axis=0)) + 1
+    bounds = [0, *turns.tolist(), len(col_rate)]
+    longest = max(1, _CROSSINGS_AT_ONCE // lines)
+    for start, end in itertools.pairwise(bounds):
+        for begin in range(start, end, longest):
+            yield begin, min(begin + longest, end)
