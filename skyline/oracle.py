@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, ground_directions
 from skyline.geodesy import Curvature
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED, Views
 
@@ -26,28 +27,6 @@ IntArray = NDArray[np.int64]
 
 _CROSSINGS_AT_ONCE = 400_000
 """Crossings evaluated together: small enough to stay in the processor's cache."""
-
-
-@dataclass(frozen=True, slots=True)
-class Triangles:
-    """Which triangles belong to the surface, padded by one cell that does not.
-
-    Attributes
-    ----------
-    north_east, south_west : (rows + 1, cols + 1) bool
-        Cell (row, col) has its north-west sample at [row, col] of the heights and its two
-        triangles at [row + 1, col + 1] here; the padding answers for cells off the map.
-    """
-
-    north_east: BoolArray
-    south_west: BoolArray
-
-    @classmethod
-    def of(cls, heights_m: NDArray[np.floating]) -> "Triangles":
-        """Find the triangles whose three samples are all there."""
-        present = ~np.isnan(heights_m)
-        diagonal = present[:-1, :-1] & present[1:, 1:]
-        return cls(np.pad(diagonal & present[:-1, 1:], 1), np.pad(diagonal & present[1:, :-1], 1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,72 @@
+"""Which triangles make up the surface, and its rims: the edges where it ends."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Triangles:
+    """Which triangles belong to the surface, padded by one cell that does not.
+
+    Attributes
+    ----------
+    north_east, south_west : (rows + 1, cols + 1) bool
+        Cell (row, col) has its north-west sample at [row, col] of the heights and its two
+        triangles at [row + 1, col + 1] here; the padding answers for cells off the map.
+    """
+
+    north_east: BoolArray
+    south_west: BoolArray
+
+    @classmethod
+    def of(cls, heights_m: NDArray[np.floating]) -> "Triangles":
+        """Find the triangles whose three samples are all there."""
+        present = ~np.isnan(heights_m)
+        diagonal = present[:-1, :-1] & present[1:, 1:]
+        return cls(np.pad(diagonal & present[:-1, 1:], 1), np.pad(diagonal & present[1:, :-1], 1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rims:
+    """E rim edges: those that belong to one triangle only.
+
+    They are the border of the map, of an irregular outline and of holes. From its first sample
+    to its second, an edge has the surface on its right (seen from above, north up) and nothing
+    on its left.
+
+    Attributes
+    ----------
+    row, col : (E, 2) int64
+        The first and the second sample of each edge.
+    """
+
+    row: IntArray
+    col: IntArray
+
+    @classmethod
+    def of(cls, triangles: Triangles) -> "Rims":
+        """Find the rims of a surface."""
+        north_east, south_west = triangles.north_east, triangles.south_west
+        south_of_row, north_of_row = north_east[1:, 1:-1], south_west[:-1, 1:-1]
+        east_of_col, west_of_col = south_west[1:-1, 1:], north_east[1:-1, :-1]
+        east_of_diagonal, west_of_diagonal = north_east[1:-1, 1:-1], south_west[1:-1, 1:-1]
+        steps = [
+            (south_of_row & ~north_of_row, (0, 1), False),
+            (north_of_row & ~south_of_row, (0, 1), True),
+            (west_of_col & ~east_of_col, (1, 0), False),
+            (east_of_col & ~west_of_col, (1, 0), True),
+            (west_of_diagonal & ~east_of_diagonal, (1, 1), False),
+            (east_of_diagonal & ~west_of_diagonal, (1, 1), True),
+        ]
+        rows, cols = [], []
+        for present, (row_step, col_step), backwards in steps:
+            row, col = np.nonzero(present)
+            way = slice(None, None, -1) if backwards else slice(None)
+            rows.append(np.stack([row, row + row_step], axis=1)[:, way])
+            cols.append(np.stack([col, col + col_step], axis=1)[:, way])
+        return cls(np.concatenate(rows), np.concatenate(cols))
