@@ -15,7 +15,7 @@ from pyrr import matrix44
 from skyline.render.context import acquire_context
 from skyline.render.shaders import compile_program
 
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, rotation
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, pixel_size, rotation
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.rims import RimColumns, RimFinder
@@ -38,6 +38,9 @@ _HOLE_HEIGHT_M = -1e30
 """Stands for NaN in the texture: not every driver lets a shader see a NaN."""
 
 _VIEWPOINTS_A_READ = 64
+
+QUANTIZATION_PX = 0.5 + 2.0 / 256.0
+"""Bound on the skyline's error: half a pixel, and the 1/256 px grid that vertices snap to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +138,8 @@ class DepthRenderer:
 
     def release(self) -> None:
         """Free what this renderer holds on the GPU; the context stays for others."""
+        # A framebuffer must not be bound after its release.
+        self._context.ctx.detect_framebuffer(0).use()
         for held in (
             self._scan,
             self._mesh,
@@ -223,13 +228,11 @@ class DepthRenderer:
         program["eye_elevation_m"] = eye.elevation_m
         program["drop_per_m2"] = self.curvature.drop_per_m2
         program["camera"].write(_camera_matrix(heading, eye).astype(np.float32).tobytes())
-        self._heights.use(0)
         program["heights_m"] = 0
+        self._tile_buffer.write(tiles.tobytes())
+        self._heights.use(0)
         self._depth_target.use()
         self._depth_target.clear()
-        if len(tiles) == 0:
-            return
-        self._tile_buffer.write(tiles.tobytes())
         ctx.enable_only(moderngl.BLEND)
         ctx.blend_func = moderngl.ONE, moderngl.ONE
         ctx.blend_equation = moderngl.MAX
@@ -239,11 +242,11 @@ class DepthRenderer:
 
     def _scan_columns(self, row: int) -> None:
         """Extract the skyline of the image just drawn into one row of the result."""
-        self._rows_target.use()
-        self._context.ctx.viewport = (0, row, self.width, 1)
-        self._depth.use(0)
         self._skyline["inverse_depth"] = 0
         self._skyline["size"] = self.width
+        self._depth.use(0)
+        self._rows_target.use()
+        self._context.ctx.viewport = (0, row, self.width, 1)
         self._scan.render(moderngl.TRIANGLES, vertices=3)
 
 
@@ -253,8 +256,8 @@ def _flags(row: Float32Array, tan: Float32Array, rims: list[RimColumns]) -> NDAr
     border = np.stack([rim.border_tan for rim in rims])
     meets_data = np.stack([rim.meets_data for rim in rims])
     over_hole = np.stack([rim.over_hole for rim in rims])
-    # The skyline lies up to half a pixel below tan; a border in that pixel may be what it shows.
-    truncated = border >= np.nan_to_num(tan, nan=np.inf) - 1.0 / width
+    # A border as high as the skyline may be, given its quantization, may be what it shows.
+    truncated = border >= np.nan_to_num(tan, nan=np.inf) - QUANTIZATION_PX * pixel_size(width)
     out_of_image = (row == width - 1) | ((row < 0.0) & meets_data)
     return (
         truncated * np.uint8(FLAG_TRUNCATED)
@@ -297,7 +300,7 @@ def _near_m(field: HeightField, viewpoints: Viewpoints, index: int) -> float:
     steepest = np.hypot(*(2 * [np.nanmax(np.abs(steps), initial=0.0) / field.spacing_m]))
     clearance = float(viewpoints.eye_elevation_m[index] - field.height_at(easting, northing))
     nearest = min(clearance / np.hypot(1.0, steepest), field.spacing_m)
-    return float(max(nearest / 2.0, 1e-4 * field.spacing_m))
+    return float(max(nearest / 2.0, 1e-6 * field.spacing_m))
 
 
 def _tile_origins(field: HeightField) -> NDArray[np.int32]:

@@ -1,0 +1,1 @@
+"""Experiments: made-up queries with known answers, and what is measured with them."""

@@ -1,0 +1,1 @@
+"""Planning: which viewpoints are worth a rendering."""

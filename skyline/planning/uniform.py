@@ -1,0 +1,98 @@
+"""The uniform grid: what the paper's adaptive planner starts from and is compared with."""
+
+import numpy as np
+
+from skyline.errors import InputError
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+
+MapBounds = tuple[float, float, float, float]
+"""West, south, east, north in metres of the DEM's frame."""
+
+
+def map_bounds(
+    field: HeightField, bounds_deg: tuple[float, float, float, float] | None
+) -> MapBounds:
+    """Return the part of a field inside bounds in degrees (W, S, E, N; WGS 84), or all of it.
+
+    The box in degrees is a curved quadrangle on the map; its bounding rectangle is returned,
+    clipped to the field. West above east means a box across the antimeridian.
+
+    Raises
+    ------
+    InputError
+        Bounds that are not numbers in order, or that do not meet the field.
+    """
+    if bounds_deg is None:
+        return field.bounds_m
+    west, south, east, north = bounds_deg
+    if not (
+        np.isfinite(bounds_deg).all()
+        and -90.0 <= south < north <= 90.0
+        and -180.0 <= west <= 180.0
+        and -180.0 <= east <= 180.0
+        and west != east
+    ):
+        raise InputError(
+            f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees with S < N"
+        )
+    width = (east - west) % 360.0
+    share = np.linspace(0.0, 1.0, 33)
+    lon = np.concatenate([west + width * share, west + width * share, 0 * share, 0 * share])
+    lon[66:99], lon[99:] = west, west + width
+    lat_span = south + (north - south) * share
+    lat = np.concatenate([np.full(33, south), np.full(33, north), lat_span, lat_span])
+    easting, northing = field.frame.from_lonlat(lon, lat)
+    box = (easting.min(), northing.min(), easting.max(), northing.max())
+    data = field.bounds_m
+    clipped = (
+        max(box[0], data[0]),
+        max(box[1], data[1]),
+        min(box[2], data[2]),
+        min(box[3], data[3]),
+    )
+    if not (clipped[0] < clipped[2] and clipped[1] < clipped[3]):
+        data_lon, data_lat = field.frame.to_lonlat(
+            [data[0], data[2], data[0], data[2]], [data[1], data[1], data[3], data[3]]
+        )
+        raise InputError(
+            f"bounds {west},{south},{east},{north} do not meet the DEM, which covers about "
+            f"{data_lon.min():.4f},{data_lat.min():.4f},{data_lon.max():.4f},{data_lat.max():.4f}"
+        )
+    return (float(clipped[0]), float(clipped[1]), float(clipped[2]), float(clipped[3]))
+
+
+def uniform_grid(
+    field: HeightField,
+    spacing_m: float,
+    bounds_m: MapBounds | None = None,
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
+) -> Viewpoints:
+    """Place viewpoints at whole multiples of a spacing in the field's frame.
+
+    Locations on holes or off the surface are left out, so that areas that overlap share their
+    viewpoints. The order is row by row from the north-west.
+
+    Raises
+    ------
+    InputError
+        A spacing that is not positive, or so large that no viewpoint falls on the surface.
+    """
+    if not (np.isfinite(spacing_m) and spacing_m > 0.0):
+        raise InputError(f"spacing is {spacing_m} m; expected a positive number of metres")
+    west, south, east, north = bounds_m or field.bounds_m
+    cols = np.arange(np.ceil(west / spacing_m), np.floor(east / spacing_m) + 1.0)
+    rows = np.arange(np.floor(north / spacing_m), np.ceil(south / spacing_m) - 1.0, -1.0)
+    if len(cols) * len(rows) > 50_000_000:
+        raise InputError(
+            f"a spacing of {spacing_m} m asks for {len(cols) * len(rows)} viewpoints; "
+            "choose a larger spacing or smaller bounds"
+        )
+    easting, northing = (grid.ravel() for grid in np.meshgrid(cols * spacing_m, rows * spacing_m))
+    on_surface = ~np.isnan(field.height_at(easting, northing))
+    if not on_surface.any():
+        raise InputError(
+            f"no viewpoint of a {spacing_m} m grid falls on the surface in easting {west:.0f} to "
+            f"{east:.0f}, northing {south:.0f} to {north:.0f}; choose a smaller spacing"
+        )
+    return stand_on(field, easting[on_surface], northing[on_surface], eye_height_m)

@@ -1,0 +1,181 @@
+"""The paper's rasterizer against the oracle: within half a pixel wherever it can see."""
+
+import numpy as np
+import pytest
+from scenes import field_from, field_of, fractal
+
+from skyline import oracle
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED
+
+FLAT = Curvature(enabled=False)
+
+
+def error_px(views, truth):
+    # Behind a hole the surface has no foot: a sliver of it may fall between pixel centres.
+    seen = (views.flags & (FLAG_OUT_OF_IMAGE | FLAG_NO_DATA | FLAG_HOLE)) == 0
+    error = (views.elevation_tan - truth.elevation_tan) * views.width / 2.0
+    return error[seen]
+
+
+def scattered(field, count, seed, eye_height_m=2.0):
+    generator = np.random.default_rng(seed)
+    west, south, east, north = field.bounds_m
+    easting = generator.uniform(west, east, 4 * count)
+    northing = generator.uniform(south, north, 4 * count)
+    standing = ~np.isnan(field.height_at(easting, northing))
+    return stand_on(field, easting[standing][:count], northing[standing][:count], eye_height_m)
+
+
+@pytest.mark.parametrize("width", [64, 161, 640])
+@pytest.mark.parametrize("holes", [False, True])
+def test_skylines_lie_within_half_a_pixel_of_the_oracle(width, holes):
+    heights = fractal(150, 170, seed=width)
+    if holes:
+        heights[40:55, 60:90] = np.nan
+        heights[:30, :40] = np.nan
+    field = field_of(heights, 30.0, 25.0, west_m=5e5, north_m=5.2e6)
+    viewpoints = scattered(field, 6, seed=1)
+    truth = oracle.skyline(field, viewpoints, width)
+    with DepthRenderer(field, width) as renderer:
+        views = renderer.render(viewpoints)
+    error = error_px(views, truth)
+    assert np.abs(error).max() <= QUANTIZATION_PX
+    assert error.size > 0.4 * views.flags.size
+    # Uniform in half a pixel either way: 1 / sqrt(12), give or take what few views allow.
+    assert np.sqrt(np.mean(error**2)) < 0.33
+    for flag in (FLAG_HOLE, FLAG_NO_DATA):
+        np.testing.assert_array_equal(views.flags & flag, truth.flags & flag)
+    # A border within the same pixel cannot be told from the skyline, so it is flagged too.
+    in_image = (views.flags & FLAG_OUT_OF_IMAGE) == 0
+    assert not ((truth.flags & ~views.flags) & FLAG_TRUNCATED)[in_image].any()
+
+
+def test_out_of_image_exactly_where_the_oracle_leaves_it():
+    heights = np.zeros((81, 81), dtype=np.float32)
+    heights[:30] = 900.0
+    field = field_of(heights, 10.0, north_m=400.0, west_m=-400.0)
+    viewpoints = stand_on(field, [1.0, 3.0], [-40.0, 60.0], 2.0)
+    truth = oracle.skyline(field, viewpoints, 64, FLAT)
+    with DepthRenderer(field, 64, FLAT) as renderer:
+        views = renderer.render(viewpoints)
+    steep = truth.elevation_tan >= 1.0 - 1.0 / 64.0
+    np.testing.assert_array_equal((views.flags & FLAG_OUT_OF_IMAGE) != 0, steep)
+    assert steep.any()
+    assert not steep.all()
+
+
+@pytest.mark.parametrize("eye_height_m", [0.01, 0.5, 2.0, 1500.0])
+def test_depth_of_a_plane_is_good_to_a_ten_thousandth(eye_height_m):
+    """Inverse depth in 32-bit floats keeps its digits from the feet to the horizon."""
+    field = field_from(lambda e, n: 0.0 * e + 0.0 * n, 401, 250.0)
+    viewpoints = stand_on(field, [17.0], [-35.0], eye_height_m)
+    with DepthRenderer(field, 320, FLAT) as renderer:
+        images = renderer.depth_images(viewpoints, 0)
+    v = (319.0 - 2.0 * np.arange(320)) / 320.0
+    with np.errstate(divide="ignore"):
+        expected = np.where(v < 0.0, -eye_height_m / v, np.inf)
+    expected = np.broadcast_to(expected[:, np.newaxis], images[0].shape)
+    for image in images:
+        seen = np.isfinite(image)
+        assert seen.any()
+        assert np.abs(image[seen] / expected[seen] - 1.0).max() < 1e-4
+        # What is missing is beyond the border, or the sky.
+        assert (expected[~seen] > 49_000.0).all()
+
+
+def test_depth_of_a_slope_far_away():
+    field = field_from(lambda e, n: np.maximum(n - 30_000.0, 0.0) * 0.5 + 0.0 * e, 401, 250.0)
+    viewpoints = stand_on(field, [17.0], [-35.0], 2.0)
+    with DepthRenderer(field, 640, FLAT) as renderer:
+        north = renderer.depth_images(viewpoints, 0)[0]
+    v = (639.0 - 2.0 * np.arange(640)) / 640.0
+    on_slope = (v > 0.001) & (v < 0.19)
+    # y = 0.5 (z - 35 - 30000) - 2 = v z
+    expected = (0.5 * 30_035.0 + 2.0) / (0.5 - v[on_slope])
+    assert np.abs(north[on_slope, 300] / expected - 1.0).max() < 1e-4
+
+
+def test_heights_that_encode_position_come_out_where_they_are():
+    """One spike a quadrant, each of its own height: catches flips and half-cell slips."""
+    heights = np.zeros((101, 101), dtype=np.float32)
+    spikes = {(20, 50): 100.0, (50, 85): 140.0, (90, 50): 180.0, (50, 5): 220.0}
+    for place, height in spikes.items():
+        heights[place] = height
+    field = field_of(heights, 30.0, west_m=-1500.0, north_m=1500.0)
+    viewpoints = stand_on(field, [0.0], [0.0], 2.0)
+    with DepthRenderer(field, 641, FLAT) as renderer:
+        views = renderer.render(viewpoints)
+    distance = [900.0, 1050.0, 1200.0, 1350.0]
+    for heading, (height, away) in enumerate(zip(spikes.values(), distance, strict=True)):
+        top = int(np.argmax(views.elevation_tan[heading]))
+        assert abs(top - 320) <= 1
+        assert views.elevation_tan[heading, 320] == pytest.approx(
+            (height - 2.0) / away, abs=1.0 / 641.0
+        )
+
+
+def test_batches_and_their_parts_give_the_same_bytes():
+    field = field_of(fractal(60, 60, seed=2))
+    viewpoints = scattered(field, 70, seed=3)
+    with DepthRenderer(field, 32) as renderer, DepthRenderer(field, 32) as other:
+        whole = renderer.render(viewpoints)
+        again = other.render(viewpoints)
+        parts = [renderer.render(viewpoints[start : start + 9]) for start in range(0, 70, 9)]
+        none = renderer.render(viewpoints[:0])
+    assert len(none) == 0
+    for name in ("elevation_tan", "depth_m", "flags", "heading", "easting_m"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(again, name))
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_array_equal(getattr(whole, name), joined)
+
+
+def test_two_renderers_of_different_fields_do_not_mix():
+    one, two = field_of(fractal(50, 60, seed=7)), field_of(fractal(70, 40, seed=8))
+    here, there = scattered(one, 2, seed=1), scattered(two, 2, seed=1)
+    with DepthRenderer(one, 48) as first:
+        alone = first.render(here)
+    with DepthRenderer(one, 48) as first, DepthRenderer(two, 96) as second:
+        second.render(there)
+        together = first.render(here)
+        second.render(there)
+    np.testing.assert_array_equal(alone.elevation_tan, together.elevation_tan)
+
+
+def test_skyline_is_the_first_covered_pixel_from_the_top():
+    field = field_of(fractal(60, 60, seed=4))
+    viewpoints = scattered(field, 1, seed=5)
+    with DepthRenderer(field, 80) as renderer:
+        views = renderer.render(viewpoints)
+        images = renderer.depth_images(viewpoints, 0)
+    covered = np.isfinite(images)
+    row = covered.argmax(axis=1)
+    seen = covered.any(axis=1)
+    np.testing.assert_allclose(
+        views.elevation_tan[seen], (1.0 - row / 40.0)[seen].astype(np.float32), atol=1e-6
+    )
+    depth = np.take_along_axis(images, row[:, np.newaxis, :], axis=1)[:, 0]
+    np.testing.assert_allclose(views.depth_m[seen], depth[seen], rtol=1e-6)
+
+
+def test_large_false_eastings_change_nothing():
+    heights = fractal(64, 64, seed=9)
+    shift = 2.0**23
+    near, far = field_of(heights), field_of(heights, west_m=shift, north_m=shift)
+    here = scattered(near, 3, seed=6)
+    there = Viewpoints(here.easting_m + shift, here.northing_m + shift, here.eye_elevation_m)
+    with DepthRenderer(near, 64) as first, DepthRenderer(far, 64) as second:
+        np.testing.assert_allclose(
+            first.render(here).elevation_tan,
+            second.render(there).elevation_tan,
+            # 2^-29 of a metre is lost in the sum; a pixel may tip over, no more.
+            atol=2.0 / 64.0 + 1e-6,
+        )
+
+
+def test_width_of_zero_says_what_is_expected():
+    with pytest.raises(InputError, match="width is 0 columns; expected 2"):
+        DepthRenderer(field_of(fractal(20, 20)), 0)

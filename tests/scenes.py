@@ -1,0 +1,35 @@
+"""Small terrains that tests look at."""
+
+import numpy as np
+
+from skyline.geodesy import Frame
+from skyline.terrain.heightfield import HeightField
+
+FRAME = Frame.local(9.8, 46.8)
+
+
+def field_of(heights_m, spacing_m=30.0, spacing_north_m=None, west_m=0.0, north_m=0.0):
+    """Make a height field of an array, row 0 north."""
+    heights_m = np.asarray(heights_m)
+    return HeightField(
+        heights_m, west_m, north_m, spacing_m, spacing_north_m or spacing_m, FRAME
+    )
+
+
+def field_from(function, size, spacing_m):
+    """Sample height = function(east, north) on a square grid centred on the origin."""
+    half = (size - 1) / 2.0 * spacing_m
+    east = np.arange(size) * spacing_m - half
+    heights = function(east[np.newaxis, :], -east[:, np.newaxis])
+    heights = np.broadcast_to(heights, (size, size)).astype(np.float64)
+    return HeightField(heights, -half, half, spacing_m, spacing_m, FRAME)
+
+
+def fractal(rows, cols, relief_m=800.0, seed=0, exponent=2.2):
+    """Return rough terrain with a power-law spectrum, float32."""
+    generator = np.random.default_rng(seed)
+    frequency = np.hypot(np.fft.fftfreq(rows)[:, np.newaxis], np.fft.rfftfreq(cols))
+    frequency[0, 0] = np.inf
+    spectrum = generator.normal(size=frequency.shape) + 1j * generator.normal(size=frequency.shape)
+    heights = np.fft.irfft2(spectrum * frequency**-exponent, s=(rows, cols))
+    return (heights / np.abs(heights).max() * relief_m).astype(np.float32)
