@@ -12,13 +12,13 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 from pyrr import matrix44
-from skyline.render.context import acquire_context
-from skyline.render.shaders import compile_program
 
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, pixel_size, rotation
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
+from skyline.render.context import acquire_context
 from skyline.render.rims import RimColumns, RimFinder
+from skyline.render.shaders import compile_program
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import (
@@ -227,7 +227,7 @@ class DepthRenderer:
         program["eye_fraction"] = eye.fraction
         program["eye_elevation_m"] = eye.elevation_m
         program["drop_per_m2"] = self.curvature.drop_per_m2
-        program["camera"].write(_camera_matrix(heading, eye).astype(np.float32).tobytes())
+        program["camera"] = tuple(_camera_matrix(heading, eye).ravel())
         program["heights_m"] = 0
         self._tile_buffer.write(tiles.tobytes())
         self._heights.use(0)
@@ -235,9 +235,9 @@ class DepthRenderer:
         self._depth_target.clear()
         ctx.enable_only(moderngl.BLEND)
         ctx.blend_func = moderngl.ONE, moderngl.ONE
-        ctx.blend_equation = moderngl.MAX
+        ctx.blend_equation = moderngl.MAX, moderngl.MAX
         self._mesh.render(moderngl.TRIANGLES, instances=len(tiles))
-        ctx.blend_equation = moderngl.FUNC_ADD
+        ctx.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
         ctx.enable_only(moderngl.NOTHING)
 
     def _scan_columns(self, row: int) -> None:
@@ -259,12 +259,13 @@ def _flags(row: Float32Array, tan: Float32Array, rims: list[RimColumns]) -> NDAr
     # A border as high as the skyline may be, given its quantization, may be what it shows.
     truncated = border >= np.nan_to_num(tan, nan=np.inf) - QUANTIZATION_PX * pixel_size(width)
     out_of_image = (row == width - 1) | ((row < 0.0) & meets_data)
-    return (
-        truncated * np.uint8(FLAG_TRUNCATED)
-        + over_hole * np.uint8(FLAG_HOLE)
-        + ((row < 0.0) & ~meets_data) * np.uint8(FLAG_NO_DATA)
-        + out_of_image * np.uint8(FLAG_OUT_OF_IMAGE)
+    flags = (
+        truncated * FLAG_TRUNCATED
+        + over_hole * FLAG_HOLE
+        + ((row < 0.0) & ~meets_data) * FLAG_NO_DATA
+        + out_of_image * FLAG_OUT_OF_IMAGE
     )
+    return flags.astype(np.uint8)
 
 
 def _check_size(field: HeightField, width: int, largest: int) -> None:
@@ -335,4 +336,5 @@ def _tiles_in_view(
         np.sign(right[:, 0]) * np.sign(right[:, 1]) > 0.0, np.abs(right).min(axis=1), 0.0
     )
     # A cell's margin keeps rounding on the safe side.
-    return tiles[forward.max(axis=1) + field.spacing_m > nearest_aside]
+    in_view = forward.max(axis=1) + field.spacing_m > nearest_aside
+    return np.ascontiguousarray(tiles[in_view])

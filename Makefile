@@ -1,0 +1,40 @@
+# Everything a developer does with Skyline. `make` alone lists it.
+
+PYTHON ?= python3
+VENV := .venv
+IN_VENV := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test check bench clean
+
+help: ## List the targets
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+
+setup: $(INSTALLED) ## Install system packages (as root), a virtual environment and Skyline in it
+
+demo: setup ## Build a store over a real DEM, match images to it, write out/demo
+	$(IN_VENV)/python examples/demo.py --out out/demo
+
+test: setup ## Run all tests
+	$(IN_VENV)/python -m pytest
+
+check: setup ## Lint, check format, types and spelling
+	$(IN_VENV)/ruff check
+	$(IN_VENV)/ruff format --check
+	$(IN_VENV)/mypy
+	$(IN_VENV)/codespell
+
+bench: setup ## Time the pipeline stage by stage, write bench/results
+	$(IN_VENV)/python bench/pipeline_speed.py
+
+clean: ## Remove what the targets above made, except benchmark results
+	rm -rf $(VENV) out/demo build dist
+	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(INSTALLED): pyproject.toml
+	@$(PYTHON) .ci/system_packages.py
+	$(PYTHON) -m venv $(VENV)
+	$(IN_VENV)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@touch $@

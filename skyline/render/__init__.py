@@ -1,0 +1,1 @@
+"""Rendering with OpenGL: the context, the shaders and the rasterizers."""

@@ -1,0 +1,400 @@
+"""The OpenGL context, on whatever this machine has, and what is said where it has nothing."""
+
+import ctypes
+import json
+import os
+import subprocess
+import sys
+import textwrap
+import threading
+from pathlib import Path
+
+import moderngl
+import pytest
+
+from skyline.errors import ContextError, InputError
+from skyline.render import context as context_module
+from skyline.render import offscreen, shaders
+from skyline.render.context import (
+    acquire_context,
+    describe_context,
+    is_software,
+    release_context,
+)
+from skyline.render.offscreen import OSMESA_LIBRARIES, Egl, EglContext
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+TRIANGLE = """
+    #version 330 core
+    void main() {
+        gl_Position = vec4(gl_VertexID % 2 * 4 - 1, gl_VertexID / 2 * 4 - 1, 0.0, 1.0);
+    }
+"""
+COLOUR = """
+    #version 330 core
+    uniform float green;
+    out vec4 colour;
+    void main() { colour = vec4(1.0, green, 0.0, 1.0); }
+"""
+
+
+def loadable(names: tuple[str, ...]) -> bool:
+    for name in names:
+        try:
+            ctypes.CDLL(name)
+        except OSError:
+            continue
+        return True
+    return False
+
+
+needs_osmesa = pytest.mark.skipif(not loadable(OSMESA_LIBRARIES), reason="no libOSMesa here")
+
+
+def draw(ctx: moderngl.Context, green: float) -> tuple[int, ...]:
+    """Return the pixel that a triangle over a whole 2 x 2 image leaves."""
+    program = ctx.program(vertex_shader=TRIANGLE, fragment_shader=COLOUR)
+    program["green"] = green
+    target = ctx.simple_framebuffer((2, 2), components=4)
+    target.use()
+    ctx.vertex_array(program, []).render(vertices=3)
+    assert ctx.error == "GL_NO_ERROR"
+    return tuple(target.read(components=4)[-4:])
+
+
+def run_python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run code in a process of its own, without a display."""
+    inherited = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in {"DISPLAY", "WAYLAND_DISPLAY", "SKYLINE_GL", "EGL_LOG_LEVEL"}
+    }
+    return subprocess.run(
+        [sys.executable, "-W", "error", "-c", textwrap.dedent(code)],
+        env={**inherited, **environment},
+        cwd=REPOSITORY,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+DESCRIBE = """
+    import json
+    from skyline.render.context import acquire_context, describe_context
+    target = acquire_context().ctx.simple_framebuffer((1, 1), components=4)
+    target.clear(0.0, 1.0, 0.0, 1.0)
+    print(json.dumps({**describe_context(), "pixel": list(target.read(components=4))}))
+"""
+
+
+def test_one_context_is_shared_and_draws() -> None:
+    first, second = acquire_context(), acquire_context()
+    assert first is second
+    assert first.version_code >= 330
+    assert first.has_compute == (first.version_code >= 430)
+    assert draw(first.ctx, 0.0) == (255, 0, 0, 255)
+    assert draw(second.ctx, 1.0) == (255, 255, 0, 255)
+
+
+def test_acquiring_takes_the_thread_back_from_another_context() -> None:
+    shared = acquire_context()
+    texture = shared.ctx.texture((1, 1), 4, bytes([9, 8, 7, 6]))
+    egl_or_osmesa = offscreen.OsMesaContext if shared.backend == "osmesa" else make_egl_context
+    stranger = egl_or_osmesa()
+    acquire_context()
+    assert texture.read() == bytes([9, 8, 7, 6])
+    stranger.release()
+    assert texture.read() == bytes([9, 8, 7, 6])
+
+
+def make_egl_context() -> EglContext:
+    egl = Egl()
+    for display in [*egl.device_displays(), *egl.plain_displays()]:
+        try:
+            return EglContext(egl, display)
+        except ContextError:
+            continue
+    pytest.skip("no EGL context here")
+
+
+def test_a_released_context_is_made_anew() -> None:
+    before = acquire_context()
+    release_context()
+    release_context()
+    after = acquire_context()
+    assert after is not before
+    assert draw(after.ctx, 1.0) == (255, 255, 0, 255)
+
+
+def test_description_says_what_was_tried_and_why() -> None:
+    described = describe_context()
+    assert json.loads(json.dumps(described)) == described
+    assert described["renderer"] == acquire_context().ctx.info["GL_RENDERER"]
+    assert described["reason"]
+    assert str(described["renderer"]) in described["tried"][-1]
+
+
+@pytest.mark.parametrize(
+    ("renderer", "software"),
+    [
+        ("llvmpipe (LLVM 15.0.6, 256 bits)", True),
+        ("softpipe", True),
+        ("SWR (LLVM 11.0.1, 256 bits)", True),
+        ("Software Rasterizer", True),
+        ("ANGLE (Google, Vulkan 1.3.0 (SwiftShader Device (LLVM 10.0.0)))", True),
+        ("NVIDIA H200/PCIe/SSE2", False),
+        ("AMD Radeon RX 6700 XT (radeonsi, navi22, LLVM 15.0.6, DRM 3.49)", False),
+        ("Mesa Intel(R) UHD Graphics 620 (KBL GT2)", False),
+    ],
+)
+def test_software_renderers_are_told_from_gpus(renderer: str, software: bool) -> None:
+    assert is_software(renderer) is software
+
+
+def test_another_thread_is_refused() -> None:
+    acquire_context()
+    refusals: list[ContextError] = []
+
+    def intrude() -> None:
+        for function in (acquire_context, release_context):
+            try:
+                function()
+            except ContextError as error:
+                refusals.append(error)
+
+    thread = threading.Thread(target=intrude, name="intruder")
+    thread.start()
+    thread.join()
+    assert ["'intruder'" in str(refusal) for refusal in refusals] == [True, True]
+    assert draw(acquire_context().ctx, 0.0) == (255, 0, 0, 255)
+
+
+def test_the_context_of_an_ended_thread_can_be_replaced() -> None:
+    result = run_python("""
+        import threading
+        from skyline.errors import ContextError
+        from skyline.render.context import acquire_context, release_context
+        thread = threading.Thread(target=acquire_context, name="ended")
+        thread.start()
+        thread.join()
+        try:
+            acquire_context()
+        except ContextError as error:
+            print(error)
+        release_context()
+        target = acquire_context().ctx.simple_framebuffer((1, 1), components=4)
+        target.clear(0.0, 1.0, 0.0, 1.0)
+        print(list(target.read(components=4)))
+    """)
+    refusal, pixel = result.stdout.splitlines()
+    assert "'ended'" in refusal
+    assert "release_context()" in refusal
+    assert pixel == "[0, 255, 0, 255]"
+    assert result.stderr == ""
+
+
+def test_a_fork_after_the_context_is_refused_and_leaves_the_parent_alone() -> None:
+    result = run_python("""
+        import os, sys
+        from skyline.errors import ContextError
+        from skyline.render.context import acquire_context
+        texture = acquire_context().ctx.texture((1, 1), 4, bytes([9, 8, 7, 6]))
+        if os.fork() == 0:
+            try:
+                acquire_context()
+            except ContextError as error:
+                print(error, flush=True)
+            sys.exit()  # runs the child's exit handlers
+        os.wait()
+        print(list(texture.read()))
+    """)
+    refusal, pixel = result.stdout.splitlines()
+    assert "was forked from" in refusal
+    assert '"spawn"' in refusal
+    assert pixel == "[9, 8, 7, 6]"
+    assert result.stderr == ""
+
+
+def test_a_fork_before_the_context_makes_its_own() -> None:
+    result = run_python("""
+        import os, sys
+        from skyline.render.context import acquire_context
+        child = os.fork()
+        context = acquire_context()
+        target = context.ctx.simple_framebuffer((1, 1), components=4)
+        target.clear(0.0, 1.0, 0.0, 1.0)
+        if child:
+            os.wait()
+        print(list(target.read(components=4)), flush=True)
+    """)
+    assert (result.stdout, result.stderr) == (2 * "[0, 255, 0, 255]\n", "")
+
+
+def test_an_unknown_backend_names_those_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    release_context()
+    monkeypatch.setenv("SKYLINE_GL", "metal")
+    with pytest.raises(InputError, match=r"SKYLINE_GL is 'metal'; expected egl or osmesa"):
+        acquire_context()
+
+
+@needs_osmesa
+def test_osmesa_can_be_forced() -> None:
+    result = run_python(DESCRIBE, SKYLINE_GL="osmesa")
+    described = json.loads(result.stdout)
+    assert described["backend"] == "osmesa"
+    assert "SKYLINE_GL=osmesa" in described["reason"]
+    assert described["pixel"] == [0, 255, 0, 255]
+    assert result.stderr == ""
+
+
+@needs_osmesa
+def test_osmesa_comes_after_an_egl_that_fails() -> None:
+    hide_egl = 'from skyline.render import offscreen\noffscreen.EGL_LIBRARIES = ("libNo.so.1",)\n'
+    described = json.loads(run_python(hide_egl + textwrap.dedent(DESCRIBE)).stdout)
+    assert described["backend"] == "osmesa"
+    assert "libNo.so.1" in described["tried"][0]
+    assert "EGL gave no context" in described["reason"]
+
+
+def test_egl_without_devices_falls_back_to_plain_displays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    release_context()
+    monkeypatch.setenv("SKYLINE_GL", "egl")
+    monkeypatch.setattr(Egl, "device_displays", lambda _: iter(()))
+    try:
+        context = acquire_context()
+    except ContextError as error:
+        pytest.skip(f"EGL here needs a device: {error}")
+    try:
+        assert "display" in context.device
+        assert draw(context.ctx, 1.0) == (255, 255, 0, 255)
+    finally:
+        release_context()
+
+
+def test_nothing_works_names_all_that_was_tried_and_the_packages() -> None:
+    result = run_python("""
+        from skyline.errors import ContextError
+        from skyline.render import offscreen
+        from skyline.render.context import acquire_context
+        offscreen.EGL_LIBRARIES = ("libNoEGL.so.1",)
+        offscreen.OSMESA_LIBRARIES = ("libNoOSMesa.so.8", "libNoOSMesa.so.6")
+        try:
+            acquire_context()
+        except ContextError as error:
+            print(error)
+    """)
+    lines = result.stdout.splitlines()
+    assert len(lines) == 1
+    for name in ("libNoEGL.so.1", "libNoOSMesa.so.8", "libNoOSMesa.so.6"):
+        assert f"{name}: cannot open shared object file" in lines[0]
+    assert lines[0].endswith("sudo apt-get install libegl1 libgl1-mesa-dri libosmesa6")
+    assert result.stderr == ""
+
+
+def test_drivers_that_fail_stay_off_stderr() -> None:
+    result = run_python(
+        """
+        from skyline.errors import ContextError
+        from skyline.render.context import acquire_context
+        try:
+            acquire_context()
+        except ContextError as error:
+            print(error)
+        """,
+        SKYLINE_GL="egl",
+        __EGL_VENDOR_LIBRARY_FILENAMES="/nonexistent.json",
+    )
+    assert result.stderr == ""
+    assert "libegl1 libgl1-mesa-dri" in result.stdout
+    assert "libosmesa6" not in result.stdout
+
+
+class StandIn:
+    """A native context by name; notes which one is current and which are released."""
+
+    current = ""
+
+    def __init__(self, _: object, display: offscreen.EglDisplay) -> None:
+        if display.name == "broken":
+            raise ContextError("eglInitialize failed with EGL_NOT_INITIALIZED")
+        self.device = display.name
+        self.released = False
+        self.__enter__()
+
+    def __enter__(self) -> None:
+        StandIn.current = self.device
+
+    def release(self) -> None:
+        self.released = True
+        StandIn.current = ""
+
+
+@pytest.mark.parametrize(
+    ("devices", "chosen"),
+    [
+        (["llvmpipe", "GeForce"], "GeForce"),
+        (["broken", "GeForce", "llvmpipe"], "GeForce"),
+        (["llvmpipe", "softpipe", "broken"], "llvmpipe"),
+        (["broken"], None),
+        ([], None),
+    ],
+)
+def test_a_gpu_is_preferred_among_devices(
+    monkeypatch: pytest.MonkeyPatch, devices: list[str], chosen: str | None
+) -> None:
+    monkeypatch.setattr(context_module, "EglContext", StandIn)
+    monkeypatch.setattr(context_module, "gl_string", lambda native, _: native.device)
+    displays = [offscreen.EglDisplay(name, lambda: None) for name in devices]
+    attempts: list[context_module.Attempt] = []
+    best = context_module._best_display(object(), iter(displays), attempts)
+    assert (best and best.device) == chosen
+    if best is not None:
+        assert not best.released
+        assert StandIn.current == chosen
+    tried = devices[: devices.index("GeForce") + 1] if "GeForce" in devices else devices
+    assert [attempt.device for attempt in attempts] == tried
+    assert [attempt.worked for attempt in attempts] == [name != "broken" for name in tried]
+
+
+def test_the_driver_says_where_a_shader_is_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shaders, "SHADER_FOLDERS", (tmp_path, tmp_path))
+    (tmp_path / "point.vert").write_text(
+        "#version 330 core\nvoid main() { gl_Position = vec4(0); }\n"
+    )
+    (tmp_path / "half.glsl").write_text("float half_of(float x) {\n    return x / 2.0;\n}\n")
+    fragment = tmp_path / "a.frag"
+    fragment.write_text(
+        '// Heading.\n#version 330 core\n#include "half.glsl"\nout vec4 colour;\n'
+        "void main() {\n    colour = vec4(half_of(SIZE)) + wrong;\n}\n"
+    )
+    ctx = acquire_context().ctx
+    with pytest.raises(ContextError, match=r"^shader a\.frag does not compile: .*a\.frag:6\b"):
+        shaders.compile_program(ctx, "point.vert", "a.frag", {"SIZE": "4.0"})
+    fragment.write_text(fragment.read_text().replace(" + wrong", ""))
+    assert shaders.compile_program(ctx, "point.vert", "a.frag", {"SIZE": "4.0"}).glo > 0
+    (tmp_path / "half.glsl").write_text("float half_of(float x) {\n    return wrong;\n}\n")
+    with pytest.raises(ContextError, match=r"half\.glsl:2\b"):
+        shaders.compile_program(ctx, "point.vert", "a.frag", {"SIZE": "4.0"})
+
+
+def test_a_compute_shader_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    context = acquire_context()
+    if not context.has_compute:
+        pytest.skip(f"no compute shaders in OpenGL {context.version}")
+    monkeypatch.setattr(shaders, "SHADER_FOLDERS", (tmp_path, tmp_path))
+    (tmp_path / "count.comp").write_text(
+        "#version 430 core\nlayout(local_size_x = 4) in;\n"
+        "layout(std430, binding = 0) buffer Counts { uint counts[]; };\n"
+        "void main() { counts[gl_GlobalInvocationID.x] = START + gl_GlobalInvocationID.x; }\n"
+    )
+    program = shaders.compile_compute(context.ctx, "count.comp", {"START": "7u"})
+    counts = context.ctx.buffer(reserve=16)
+    counts.bind_to_storage_buffer(0)
+    program.run(1)
+    assert list(memoryview(counts.read()).cast("I")) == [7, 8, 9, 10]

@@ -1,0 +1,112 @@
+"""Finding shaders, putting includes in place, and naming a driver's complaints."""
+
+from pathlib import Path
+
+import moderngl
+import pytest
+
+from skyline.errors import ContextError, MissingFileError, SkylineError
+from skyline.render import shaders
+
+VERTEX = "#version 330 core\nvoid main() { gl_Position = vec4(0.0); }\n"
+
+
+class RefusingDriver:
+    """Refuses every program with a log of the given words, as moderngl hands it on."""
+
+    def __init__(self, stage: str, words: str) -> None:
+        self.log = f"GLSL Compiler failed\n\n{stage}\n{'=' * len(stage)}\n{words}\n"
+
+    def program(self, **_: str) -> None:
+        raise moderngl.Error(self.log)
+
+    def compute_shader(self, _: str) -> None:
+        raise moderngl.Error(self.log)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A shader folder that stands before the repository's."""
+    monkeypatch.setattr(shaders, "SHADER_FOLDERS", (tmp_path, tmp_path / "second"))
+    (tmp_path / "point.vert").write_text(VERTEX)
+    return tmp_path
+
+
+def test_every_shader_of_the_repository_loads() -> None:
+    names = [path.name for path in shaders.SHADER_FOLDERS[1].iterdir()]
+    assert names
+    for name in names:
+        assert shaders.load_shader(name).strip()
+
+
+def test_the_wheel_is_looked_at_before_the_repository(folder: Path) -> None:
+    (folder / "second").mkdir()
+    (folder / "second" / "point.vert").write_text("second")
+    (folder / "second" / "only.vert").write_text("only")
+    assert shaders.load_shader("point.vert") == VERTEX
+    assert shaders.load_shader("only.vert") == "only"
+
+
+def test_a_missing_shader_names_both_folders(folder: Path) -> None:
+    with pytest.raises(MissingFileError) as caught:
+        shaders.load_shader("none.vert")
+    message = str(caught.value)
+    assert "'none.vert'" in message
+    assert f"neither {folder} nor {folder / 'second'}" in message
+
+
+def test_a_missing_include_is_named(folder: Path) -> None:
+    (folder / "a.frag").write_text('#version 330 core\n#include "none.glsl"\n')
+    with pytest.raises(MissingFileError, match=r"none\.glsl"):
+        shaders.load_shader("a.frag")
+
+
+def test_an_include_stands_in_place_with_lines_counted(folder: Path) -> None:
+    (folder / "one.glsl").write_text("one\n")
+    (folder / "two.glsl").write_text("two")
+    (folder / "a.frag").write_text('top\n#include "one.glsl"\n  # include "two.glsl"\nend\n')
+    assert shaders.load_shader("a.frag").splitlines() == [
+        "top",
+        *("#line 1 1", "one", "#line 3 0"),
+        *("#line 1 2", "two", "#line 4 0"),
+        "end",
+    ]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "0:2(9): error: `bad' undeclared",
+        "0(2) : error C1008: undefined variable `bad'",
+        "ERROR: 0:2: `bad' : undeclared",
+    ],
+    ids=["mesa", "nvidia", "amd"],
+)
+def test_messages_of_each_driver_name_file_and_line(folder: Path, words: str) -> None:
+    (folder / "a.frag").write_text("#version 330 core\nbad\n")
+    driver = RefusingDriver("fragment_shader", words)
+    with pytest.raises(ContextError, match=r"^shader a\.frag does not compile: .*a\.frag:2\b.*bad"):
+        shaders.compile_program(driver, "point.vert", "a.frag")
+
+
+def test_a_message_about_an_include_names_the_include(folder: Path) -> None:
+    (folder / "one.glsl").write_text("one\n")
+    (folder / "a.comp").write_text('#version 430 core\n#include "one.glsl"\n')
+    driver = RefusingDriver("compute_shader", "1:7(3): error: syntax error\n0:9(1): error: more")
+    with pytest.raises(ContextError) as caught:
+        shaders.compile_compute(driver, "a.comp")
+    assert str(caught.value) == (
+        "shader a.comp does not compile: one.glsl:7: error: syntax error; a.comp:9: error: more"
+    )
+
+
+def test_a_message_without_a_stage_names_all_shaders(folder: Path) -> None:
+    (folder / "a.frag").write_text(VERTEX)
+
+    class Linker:
+        def program(self, **_: str) -> None:
+            raise moderngl.Error("GLSL Linker failed\n\nProgram\n=======\nerror: out of wits\n")
+
+    with pytest.raises(SkylineError, match=r"point\.vert \+ a\.frag do not link.*out of wits") as e:
+        shaders.compile_program(Linker(), "point.vert", "a.frag")
+    assert "\n" not in str(e.value)
