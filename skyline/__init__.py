@@ -1,1 +1,36 @@
-"""Skyline."""
+"""A photo of mountains in, a place on the map out.
+
+    from skyline import Matcher, build_uniform, read_dem
+
+    build_uniform(read_dem(["dem.tif"]), "store.h5", spacing_m=500.0)
+    answer = Matcher("store.h5").match("photo.jpg", fov_deg=60.0).answer
+"""
+
+from importlib.metadata import version
+
+from skyline.errors import SkylineError
+from skyline.geodesy import Curvature, Frame
+from skyline.pipeline import Matcher, RenderConfig, build_uniform, render_to_store, render_views
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.views import Views
+
+__version__ = version("skyline")
+
+__all__ = [
+    "Curvature",
+    "DemOptions",
+    "Frame",
+    "HeightField",
+    "Matcher",
+    "RenderConfig",
+    "SkylineError",
+    "Viewpoints",
+    "Views",
+    "build_uniform",
+    "read_dem",
+    "render_to_store",
+    "render_views",
+    "stand_on",
+]

@@ -58,6 +58,12 @@ class Curvature:
         return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))
 
 
+def is_metric(crs: CRS) -> bool:
+    """Whether a CRS is projected and in metres, so that it can be a frame."""
+    units = [axis.unit_conversion_factor for axis in crs.axis_info[:2]]
+    return bool(crs.is_projected and np.allclose(units, 1.0, rtol=0.0, atol=1e-9))
+
+
 @dataclass(frozen=True)
 class Frame:
     """A metric map frame: the DEM's own CRS, or a local conformal one centred on the area."""
@@ -74,9 +80,7 @@ class Frame:
                 f"coordinate reference system {crs!r} is not understood ({error}); "
                 "give an EPSG code such as EPSG:32632 or a WKT string"
             ) from error
-        if not parsed.is_projected or not np.allclose(
-            [axis.unit_conversion_factor for axis in parsed.axis_info[:2]], 1.0
-        ):
+        if not is_metric(parsed):
             raise InputError(
                 f"frame {parsed.name!r} is not metric; a projected CRS in metres is needed"
             )
@@ -85,12 +89,12 @@ class Frame:
     @classmethod
     def local(cls, lon_deg: float, lat_deg: float) -> "Frame":
         """Make the local conformal frame: transverse Mercator on WGS 84 through a point."""
-        return cls(
-            CRS.from_proj4(
-                f"+proj=tmerc +lat_0={lat_deg:.9f} +lon_0={lon_deg:.9f} +k=1 +x_0=0 +y_0=0 "
-                "+ellps=WGS84 +datum=WGS84 +units=m +no_defs"
-            ).to_wkt()
-        )
+        definition = CRS.from_proj4(
+            f"+proj=tmerc +lat_0={lat_deg:.9f} +lon_0={lon_deg:.9f} +k=1 +x_0=0 +y_0=0 "
+            "+ellps=WGS84 +datum=WGS84 +units=m +no_defs"
+        ).to_json_dict()
+        definition["name"] = f"local transverse Mercator at {lat_deg:.4f}, {lon_deg:.4f}"
+        return cls(CRS.from_json_dict(definition).to_wkt())
 
     @cached_property
     def crs(self) -> CRS:
@@ -136,6 +140,12 @@ class Frame:
         lon, lat = self._geographic(easting_m, northing_m)
         factors = self._projection.get_factors(lon, lat)
         return np.asarray(factors.angular_distortion, dtype=np.float64)
+
+    def scale(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+        """Return map metres per metre on the ground at each location, mean over directions."""
+        lon, lat = self._geographic(easting_m, northing_m)
+        factors = self._projection.get_factors(lon, lat)
+        return np.sqrt(np.asarray(factors.areal_scale, dtype=np.float64))
 
     def _geographic(
         self, easting_m: ArrayLike, northing_m: ArrayLike

@@ -71,17 +71,19 @@ class HeightField:
             )
         if heights.dtype not in (np.float32, np.float64):
             heights = heights.astype(np.float32)
-        if np.isinf(heights).any():
+        if np.isinf([np.fmin.reduce(heights, axis=None), np.fmax.reduce(heights, axis=None)]).any():
             raise InputError("heights hold infinite values; mark holes with NaN")
         if not (0.0 < self.spacing_east_m < np.inf and 0.0 < self.spacing_north_m < np.inf):
             raise InputError(
                 f"sample spacing is {self.spacing_east_m} x {self.spacing_north_m} m; "
                 "expected positive metres"
             )
-        # A private copy, so that the field stays what its digest says.
-        frozen = np.array(heights, order="C")
-        frozen.setflags(write=False)
-        object.__setattr__(self, "heights_m", frozen)
+        # A private copy, so that the field stays what its digest says; an array that is frozen
+        # already is taken over as it is, since a large DEM must not need twice its memory.
+        if heights.flags.writeable or not (heights.flags.owndata and heights.flags.c_contiguous):
+            heights = np.array(heights, order="C")
+            heights.setflags(write=False)
+        object.__setattr__(self, "heights_m", heights)
 
     @property
     def rows(self) -> int:
@@ -111,14 +113,15 @@ class HeightField:
     @cached_property
     def has_holes(self) -> bool:
         """Whether any sample is a hole."""
-        return bool(np.isnan(self.heights_m).any())
+        return bool(np.isnan(self.heights_m.min()))
 
     @cached_property
     def height_range_m(self) -> tuple[float, float]:
         """Lowest and highest sample; raises `InputError` where every sample is a hole."""
-        if np.isnan(self.heights_m).all():
+        lowest = float(np.fmin.reduce(self.heights_m, axis=None))
+        if np.isnan(lowest):
             raise InputError("the DEM holds no heights at all: every sample is a hole")
-        return float(np.nanmin(self.heights_m)), float(np.nanmax(self.heights_m))
+        return lowest, float(np.fmax.reduce(self.heights_m, axis=None))
 
     @cached_property
     def digest(self) -> str:

@@ -1,0 +1,178 @@
+"""The whole way, on a real DEM: build a store, take pictures, find where they were taken.
+
+The elevation model is the one that matplotlib ships (Jacksboro fault, Tennessee; SRTM). The
+pictures are made from it at random places between the store's viewpoints; the matcher sees
+only the JPEG files.
+"""
+
+import argparse
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from matplotlib.cbook import get_sample_data
+from PIL import Image
+from rasterio.transform import from_bounds
+from rich.console import Console
+from rich.table import Table
+
+from skyline.experiments.photographs import Camera, photograph
+from skyline.photo import write_overlay
+from skyline.pipeline import Matcher, MatchResult, RenderConfig, build_uniform, save_depth_pictures
+from skyline.render.depth import DepthRenderer
+from skyline.report import Found, save_map, save_panorama
+from skyline.terrain.dem import read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+
+BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
+SPACING_M = 400.0
+QUERIES = 5
+SEED = 2014
+FOCAL_LENGTH_35MM = 31
+FOV_DEG = float(2.0 * np.degrees(np.arctan(18.0 / FOCAL_LENGTH_35MM)))
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """A picture and the truth about it, which the matcher is not told."""
+
+    path: Path
+    easting_m: float
+    northing_m: float
+    heading_deg: float
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for all files")
+    out = parser.parse_args().out
+    out.mkdir(parents=True, exist_ok=True)
+    console = Console()
+    started = time.perf_counter()
+
+    terrain = read_dem([write_dem(out / "jacksboro.tif")])
+    console.print(f"DEM: {terrain.cols} x {terrain.rows} samples, {terrain.spacing_m:.0f} m apart")
+
+    store = out / "store.h5"
+    store.unlink(missing_ok=True)
+    built = build_uniform(terrain, store, SPACING_M, BOUNDS_DEG)
+    console.print(f"store: {built.renderings} renderings in {built.seconds:.0f} s -> {store}")
+
+    queries = take_pictures(terrain, out / "queries")
+    matcher = Matcher(store)
+    results = [matcher.match(query.path) for query in queries]
+    for query, result in zip(queries, results, strict=True):
+        picture = np.asarray(Image.open(query.path))
+        write_overlay(picture, result.query, query.path.with_suffix(".skyline.png"))
+
+    draw(terrain, matcher.viewpoints, queries, results, out)
+    console.print(table_of(queries, results))
+    console.print(f"all in {time.perf_counter() - started:.0f} s; pictures in {out}:")
+    for path in sorted(out.rglob("*.png")):
+        console.print(f"  {path}")
+
+
+def write_dem(path: Path) -> Path:
+    """Write matplotlib's sample DEM as a GeoTIFF."""
+    with get_sample_data("jacksboro_fault_dem.npz") as sample:
+        heights = sample["elevation"]
+        # The sample's ymin is its northern edge.
+        west, east = float(sample["xmin"]), float(sample["xmax"])
+        north, south = float(sample["ymin"]), float(sample["ymax"])
+    rows, cols = heights.shape
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=cols,
+        height=rows,
+        count=1,
+        dtype=heights.dtype,
+        crs="EPSG:4326",
+        transform=from_bounds(west, south, east, north, cols, rows),
+    ) as raster:
+        raster.write(heights, 1)
+    return path
+
+
+def take_pictures(terrain: HeightField, folder: Path) -> list[Query]:
+    """Photograph the terrain at random places inside the bounds, in random directions."""
+    folder.mkdir(exist_ok=True)
+    random = np.random.default_rng(SEED)
+    west, south, east, north = BOUNDS_DEG
+    easting, northing = terrain.frame.from_lonlat(
+        random.uniform(west, east, QUERIES), random.uniform(south, north, QUERIES)
+    )
+    eyes = stand_on(terrain, easting, northing)
+    headings = random.uniform(0.0, 360.0, QUERIES)
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = FOCAL_LENGTH_35MM
+    queries = []
+    with DepthRenderer(terrain, 2048) as renderer:
+        for index, heading in enumerate(headings):
+            camera = Camera(heading, pitch_deg=random.uniform(-2.0, 2.0), fov_deg=FOV_DEG)
+            picture = photograph(renderer, eyes, index, camera, seed=SEED + index)
+            path = folder / f"query{index + 1}.jpg"
+            Image.fromarray(picture).save(path, quality=92, exif=exif)
+            queries.append(Query(path, float(easting[index]), float(northing[index]), heading))
+    return queries
+
+
+def draw(
+    terrain: HeightField,
+    viewpoints: Viewpoints,
+    queries: list[Query],
+    results: list[MatchResult],
+    out: Path,
+) -> None:
+    """Save depth images, the panorama and the map."""
+    first = stand_on(terrain, queries[0].easting_m, queries[0].northing_m)
+    save_depth_pictures(terrain, first, out / "depth", RenderConfig())
+    with DepthRenderer(terrain) as renderer:
+        views = renderer.render(first)
+    convergence = float(terrain.frame.convergence_deg(first.easting_m, first.northing_m)[0])
+    save_panorama(views, convergence, out / "panorama.png")
+    found = []
+    for query, result in zip(queries, results, strict=True):
+        answer = result.answer
+        found.append(
+            Found(
+                query.path.stem,
+                (query.easting_m, query.northing_m),
+                (answer.easting_m, answer.northing_m) if answer else None,
+                query.heading_deg,
+                answer.heading_deg if answer else None,
+            )
+        )
+    save_map(terrain, viewpoints, found, out / "map.png")
+
+
+def table_of(queries: list[Query], results: list[MatchResult]) -> Table:
+    """Say where each picture was put and how far off that is."""
+    table = Table(title=f"{len(queries)} pictures, {SPACING_M:.0f} m grid, paper's matcher")
+    for name in ("query", "put at (E, N)", "off by", "heading", "off by", "score", "seconds"):
+        table.add_column(name, justify="right")
+    for query, result in zip(queries, results, strict=True):
+        answer = result.answer
+        if answer is None:
+            table.add_row(query.path.name, "no place fits", "", "", "", "", f"{result.seconds:.1f}")
+            continue
+        away = np.hypot(answer.easting_m - query.easting_m, answer.northing_m - query.northing_m)
+        turn = (answer.heading_deg - query.heading_deg + 180.0) % 360.0 - 180.0
+        table.add_row(
+            query.path.name,
+            f"{answer.easting_m:.0f}, {answer.northing_m:.0f}",
+            f"{away:.0f} m",
+            f"{answer.heading_deg:.1f}",
+            f"{abs(turn):.1f} deg",
+            f"{answer.score:.2f} px",
+            f"{result.seconds:.1f}",
+        )
+    return table
+
+
+if __name__ == "__main__":
+    main()

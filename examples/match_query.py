@@ -1,0 +1,20 @@
+"""Match photos to a store through the Python API: python match_query.py STORE.h5 PHOTO..."""
+
+import sys
+
+from skyline import Matcher
+
+
+def main(store: str, photos: list[str]) -> None:
+    matcher = Matcher(store)
+    for photo in photos:
+        result = matcher.match(photo, fov_deg=60.0, top=3)
+        for candidate in result.candidates:
+            lon, lat = matcher.frame.to_lonlat(candidate.easting_m, candidate.northing_m)
+            print(f"{photo}: {lat:.5f} {lon:.5f} score {candidate.score:.2f} px")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) < 3:
+        sys.exit("usage: python match_query.py STORE.h5 PHOTO...")
+    main(sys.argv[1], sys.argv[2:])

@@ -1,0 +1,288 @@
+"""The command line: ``skyline render build match extract info`` (DESIGN 8)."""
+
+import json
+import logging
+import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import click
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBar
+
+from skyline import __version__
+from skyline.describe import (
+    MatchRecord,
+    describe_gl,
+    describe_match,
+    describe_store,
+    describe_terrain,
+)
+from skyline.errors import InputError, SkylineError
+from skyline.geodesy import Curvature
+from skyline.photo import extract_photo, write_overlay, write_trace
+from skyline.pipeline import (
+    RANKERS,
+    BuildResult,
+    Matcher,
+    Progress,
+    RenderConfig,
+    build_uniform,
+    render_to_store,
+    save_depth_pictures,
+)
+from skyline.planning.uniform import uniform_grid
+from skyline.store import is_store
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.viewpoint_csv import read_viewpoints
+
+_DEFAULTS = RenderConfig()
+
+app = typer.Typer(
+    name="skyline",
+    help="A photo of mountains in, a place on the map out.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+Dems = Annotated[
+    list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
+]
+Output = Annotated[Path, typer.Option("--output", "-o", help="The store to write (HDF5).")]
+Width = Annotated[int, typer.Option(help="Columns of a 90 degree view.")]
+RefractionK = Annotated[float, typer.Option("--k", help="Refraction coefficient.")]
+NoCurvature = Annotated[bool, typer.Option("--no-curvature", help="Leave the Earth flat.")]
+Crs = Annotated[
+    str | None, typer.Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")
+]
+Reproject = Annotated[
+    bool, typer.Option("--reproject", help="Warp a DEM whose CRS is not conformal.")
+]
+Bounds = Annotated[
+    str | None, typer.Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+@app.command()
+def render(
+    dem: Dems,
+    output: Output,
+    viewpoints: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="CSV: easting,northing or lon,lat; one row each."),
+    ] = None,
+    grid: Annotated[
+        float | None, typer.Option(metavar="SPACING_M", help="A uniform grid over the DEM instead.")
+    ] = None,
+    width: Width = _DEFAULTS.width,
+    k: RefractionK = _DEFAULTS.curvature.refraction_k,
+    no_curvature: NoCurvature = False,
+    depth_images: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Also save depth images (TIFF, metres) and pictures."),
+    ] = None,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Render the skylines of given viewpoints, four headings each, into a store."""
+    if (viewpoints is None) == (grid is None):
+        raise InputError("give one of --viewpoints FILE.csv and --grid SPACING_M")
+    config = _render_config(width, k, no_curvature)
+    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    if viewpoints is not None:
+        eyes = read_viewpoints(viewpoints, terrain, config.eye_height_m)
+    else:
+        eyes = uniform_grid(terrain, grid or 0.0, eye_height_m=config.eye_height_m)
+    with _progress("rendering") as progress:
+        result = render_to_store(terrain, eyes, output, config, progress)
+    if depth_images is not None:
+        save_depth_pictures(terrain, eyes, depth_images, config)
+    _say_built(result, output)
+
+
+@app.command()
+def build(
+    dem: Dems,
+    output: Output,
+    planner: Annotated[str, typer.Option(help="How viewpoints are chosen: uniform.")] = "uniform",
+    spacing: Annotated[float, typer.Option(help="Metres between viewpoints.")] = 1000.0,
+    bounds: Bounds = None,
+    width: Width = _DEFAULTS.width,
+    k: RefractionK = _DEFAULTS.curvature.refraction_k,
+    no_curvature: NoCurvature = False,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Build a reference store over an area. Stopped with Ctrl-C, the same command goes on."""
+    if planner != "uniform":
+        raise InputError(f"planner is {planner!r}; expected uniform")
+    config = _render_config(width, k, no_curvature)
+    corners = _parse_bounds(bounds)
+    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    with _progress("rendering") as progress:
+        result = build_uniform(terrain, output, spacing, corners, config, progress)
+    _say_built(result, output)
+
+
+@app.command()
+def match(
+    store: Annotated[Path, typer.Argument(metavar="STORE.h5")],
+    query: Annotated[
+        list[Path],
+        typer.Argument(metavar="QUERY...", help="Photos, sky masks (white = sky) or CSV traces."),
+    ],
+    fov_deg: Annotated[
+        float | None, typer.Option(help="Horizontal field of view; else from the photo's EXIF.")
+    ] = None,
+    matcher: Annotated[str, typer.Option(help=f"One of {', '.join(RANKERS)}.")] = "paper",
+    top: Annotated[int, typer.Option(help="Candidates to name.")] = 5,
+    as_json: AsJson = False,
+) -> None:
+    """Find where photos were taken and which way the camera looked."""
+    matching = Matcher(store, matcher)
+    for path in query:
+        result = matching.match(path, fov_deg, top)
+        record = describe_match(str(path), result, matching.frame)
+        if as_json:
+            typer.echo(json.dumps(record))
+        else:
+            _say_match(record)
+
+
+@app.command()
+def extract(
+    photo: Annotated[Path, typer.Argument(metavar="PHOTO")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The trace to write (CSV).")],
+    overlay: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="The photo with the skyline drawn.")
+    ] = None,
+) -> None:
+    """Find the skyline in a photo and write it as a trace that a person can correct."""
+    image, skyline = extract_photo(photo)
+    write_trace(skyline, output)
+    if overlay is not None:
+        write_overlay(image, skyline, overlay)
+    trusted = sum(math.isfinite(row) for row in skyline.row_px)
+    typer.echo(f"{output}: skyline in {trusted} of {skyline.width_px} columns")
+
+
+@app.command()
+def info(
+    path: Annotated[
+        list[str] | None, typer.Argument(metavar="[DEM...|STORE]", help="What to describe.")
+    ] = None,
+    gl: Annotated[bool, typer.Option("--gl", help="Say which OpenGL is used, and why.")] = False,
+    as_json: AsJson = False,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Describe a DEM, a store, or the OpenGL at hand."""
+    if not path and not gl:
+        raise InputError("nothing to describe; name a DEM or a store, or give --gl")
+    facts: dict[str, object] = describe_gl() if gl else {}
+    if path:
+        if len(path) == 1 and is_store(path[0]):
+            facts |= describe_store(path[0])
+        else:
+            facts |= describe_terrain(read_dem(path, DemOptions(crs=crs, reproject=reproject)))
+    if as_json:
+        typer.echo(json.dumps(facts))
+        return
+    for name, value in facts.items():
+        values = value if isinstance(value, list) else [value]
+        for line, item in enumerate(values):
+            typer.echo(f"{name if line == 0 else '':<22} {item}")
+
+
+@app.callback(invoke_without_command=True)
+def options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """A photo of mountains in, a place on the map out."""
+    if version:
+        typer.echo(f"skyline {__version__}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    try:
+        sys.exit(app(standalone_mode=False))
+    except SkylineError as error:
+        _fail(str(error), error.exit_code)
+    except click.exceptions.NoArgsIsHelpError as error:
+        _fail(f"nothing to do; see `{error.ctx.command_path} --help`" if error.ctx else "", 2)
+    except click.ClickException as error:
+        _fail(error.format_message(), error.exit_code)
+    except (KeyboardInterrupt, click.Abort):
+        _fail("stopped; what was committed is kept, the same build goes on from there", 130)
+    except MemoryError:
+        _fail("out of memory; choose a smaller area (--bounds) or a larger spacing", 1)
+    except OSError as error:
+        _fail(f"the system said: {error}", 1)
+
+
+def _fail(message: str, code: int) -> None:
+    print("error: " + " ".join(message.split()), file=sys.stderr)
+    sys.exit(code)
+
+
+def _render_config(width: int, k: float, no_curvature: bool) -> RenderConfig:
+    return RenderConfig(width=width, curvature=Curvature(refraction_k=k, enabled=not no_curvature))
+
+
+def _parse_bounds(text: str | None) -> tuple[float, float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        west, south, east, north = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(
+            f"bounds are `{text}`; expected four numbers W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
+        ) from error
+    return west, south, east, north
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Progress]:
+    """Show a bar on the terminal's error stream, and nothing where there is no terminal."""
+    bar = ProgressBar(
+        TextColumn(what),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=not sys.stderr.isatty(),
+    )
+    with bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _say_built(result: BuildResult, path: Path) -> None:
+    rate = result.rendered / result.seconds if result.seconds > 0.0 else 0.0
+    typer.echo(
+        f"{path}: {result.renderings} renderings, {result.rendered} of them new in "
+        f"{result.seconds:.1f} s ({rate:.0f}/s), {path.stat().st_size / 1e6:.1f} MB"
+    )
+
+
+def _say_match(record: MatchRecord) -> None:
+    typer.echo(f"{record['query']} ({record['seconds']:.2f} s)")
+    if record["answer"] is None:
+        typer.echo("  no place fits")
+    for rank, place in enumerate(record["candidates"], start=1):
+        typer.echo(
+            f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
+            f"{place['easting']:.0f} northing {place['northing']:.0f}  heading "
+            f"{place['heading_deg']:.1f}  pitch {place['pitch_deg']:.1f}  "
+            f"score {place['score']:.3f}{'' if place['refined'] else '  (unrefined)'}"
+        )

@@ -1,0 +1,120 @@
+"""What a DEM, a store, an answer or the OpenGL at hand is, as facts to print or to parse."""
+
+from typing import TypedDict
+
+import numpy as np
+
+from skyline.geodesy import Frame
+from skyline.matching.ranking import Candidate
+from skyline.pipeline import MatchResult
+from skyline.render.context import describe_context
+from skyline.store import open_store
+from skyline.terrain.heightfield import HeightField
+
+Facts = dict[str, object]
+
+
+class CandidateRecord(TypedDict):
+    """One candidate as ``skyline match --json`` prints it; the heading is from true north."""
+
+    easting: float
+    northing: float
+    lon: float
+    lat: float
+    heading_deg: float
+    pitch_deg: float
+    roll_deg: float
+    fov_deg: float
+    score: float
+    confidence: float | None
+    refined: bool
+
+
+class MatchRecord(TypedDict):
+    """One query as ``skyline match --json`` prints it."""
+
+    query: str
+    answer: CandidateRecord | None
+    candidates: list[CandidateRecord]
+    seconds: float
+
+
+def describe_match(query: str, result: MatchResult, frame: Frame) -> MatchRecord:
+    """Return what was found for a query, in the public JSON's terms (DESIGN 8)."""
+    candidates = [_describe_candidate(candidate, frame) for candidate in result.candidates]
+    return MatchRecord(
+        query=query,
+        answer=candidates[0] if candidates else None,
+        candidates=candidates,
+        seconds=result.seconds,
+    )
+
+
+def _describe_candidate(candidate: Candidate, frame: Frame) -> CandidateRecord:
+    place = candidate.easting_m, candidate.northing_m
+    lon, lat = frame.to_lonlat(*place)
+    return CandidateRecord(
+        easting=candidate.easting_m,
+        northing=candidate.northing_m,
+        lon=float(lon),
+        lat=float(lat),
+        heading_deg=float((candidate.heading_deg + frame.convergence_deg(*place)) % 360.0),
+        pitch_deg=candidate.pitch_deg,
+        roll_deg=candidate.roll_deg,
+        fov_deg=candidate.fov_deg,
+        score=candidate.score,
+        confidence=candidate.confidence,
+        refined=candidate.refined,
+    )
+
+
+def describe_gl() -> Facts:
+    """Return which OpenGL was chosen and why."""
+    return dict(describe_context())
+
+
+def describe_terrain(field: HeightField) -> Facts:
+    """Return the facts of a height field."""
+    west, south, east, north = field.bounds_m
+    lon, lat = field.frame.to_lonlat([west, east, west, east], [south, south, north, north])
+    low, high = field.height_range_m
+    centre = (west + east) / 2.0, (south + north) / 2.0
+    return {
+        "kind": "DEM",
+        "files": list(field.provenance.files),
+        "frame": field.frame.name,
+        "resampling": field.provenance.resampling,
+        "samples": f"{field.cols} x {field.rows}",
+        "spacing_m": [field.spacing_east_m, field.spacing_north_m],
+        "bounds_m": [west, south, east, north],
+        "bounds_deg": [float(v) for v in (lon.min(), lat.min(), lon.max(), lat.max())],
+        "height_range_m": [low, high],
+        "convergence_deg": float(field.frame.convergence_deg(*centre)),
+        "filled": field.provenance.filled,
+        "hollow": field.provenance.hollow,
+        "despiked": field.provenance.despiked,
+        "digest": field.digest,
+    }
+
+
+def describe_store(path: str) -> Facts:
+    """Return the facts of a store; raises `StoreError` where it cannot be read."""
+    with open_store(path) as store:
+        header, places = store.header, store.locations()
+        frame = Frame(header.frame_wkt)
+        facts: Facts = {
+            "kind": "store",
+            "renderings": store.committed,
+            "width": header.width,
+            "frame": frame.name,
+            "dem_files": list(header.dem_files),
+            "dem_digest": header.dem_digest,
+            "config": dict(header.config),
+            "renderer": header.renderer,
+            "package_version": header.package_version,
+        }
+        if store.committed:
+            lon, lat = frame.to_lonlat(places.easting_m, places.northing_m)
+            facts["locations"] = len(np.unique(places.easting_m + 1j * places.northing_m))
+            facts["bounds_deg"] = [float(v) for v in (lon.min(), lat.min(), lon.max(), lat.max())]
+        return facts

@@ -1,0 +1,133 @@
+r"""Sliding normalized correlation, exact over every heading, location and assumed attitude.
+
+With the query q, its weights w, the profile y, n = 1 where y is known (else y = n = 0) and a
+turn of s bins, over the bins i of the query:
+
+.. math::
+
+    W = \sum w_i n_{i+s}, \quad
+    a = \tfrac1W \sum w_i n_{i+s} q_i, \quad
+    b = \tfrac1W \sum w_i y_{i+s}
+
+.. math::
+
+    \mathrm{ncc}(s) = \frac{\sum w_i q_i y_{i+s} - W a b}
+    {\sqrt{(\sum w_i n_{i+s} q_i^2 - W a^2)\,(\sum w_i y_{i+s}^2 - W b^2)}}
+
+Each sum is a circular correlation of one array of the query with one of the profile, so all
+turns come from one product of Fourier transforms. Turns where too little overlaps
+(W below a share of the query's weight), or where either curve is flat over the overlap, have no
+correlation. The score is 1 - ncc, in [0, 2].
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from skyline.errors import InputError
+from skyline.matching.profiles import TANGENT_PER_PX, Profiles
+from skyline.matching.query import Attitudes, QueryCurves, QueryRays
+from skyline.matching.ranking import Candidate, Fits, select
+
+Float64Array = NDArray[np.float64]
+
+_CHUNK = 32
+"""Locations at a time; keeps the transforms' arrays in the cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class CorrelationMatcher:
+    """The plain baseline: the greatest normalized correlation wins.
+
+    Attributes
+    ----------
+    attitudes : Attitudes
+        Assumed pitches and rolls.
+    min_overlap : float
+        Least share of the query's weight that must lie over known profile, in (0, 1].
+    flat_px : float
+        Curves with a smaller standard deviation over the overlap have no correlation.
+    separation_m : float
+        Candidates are at least this far apart.
+    """
+
+    attitudes: Attitudes = field(default_factory=Attitudes)
+    min_overlap: float = 0.8
+    flat_px: float = 0.1
+    separation_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.min_overlap <= 1.0:
+            raise InputError(f"least overlap is {self.min_overlap}; expected above 0, at most 1")
+
+    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> list[Candidate]:
+        """Return the best candidates, best first; see `Matcher.rank`."""
+        return select(profiles, self.fit(profiles, query), query.fov_deg, top, self.separation_m)
+
+    def fit(self, profiles: Profiles, query: QueryRays) -> Fits:
+        """Return the best pose at every location; score is 1 - ncc."""
+        curves = QueryCurves.of(query, self.attitudes, profiles.bins)
+        chunks = [profiles.y[k : k + _CHUNK] for k in range(0, len(profiles), _CHUNK)]
+        ncc = [self._greatest(curves, chunk) for chunk in chunks]
+        peak, attitude, turn = (np.concatenate(parts) for parts in zip(*ncc, strict=True))
+        axis = turn + profiles.bins // 2
+        return Fits(
+            1.0 - peak,
+            axis % profiles.bins * (360.0 / profiles.bins),
+            curves.pitch_deg[attitude],
+            curves.roll_deg[attitude],
+        )
+
+    def _greatest(
+        self, curves: QueryCurves, y: NDArray[np.float32]
+    ) -> tuple[Float64Array, NDArray[np.intp], NDArray[np.intp]]:
+        """Return the greatest ncc of each location (-inf if none), its attitude and its turn."""
+        known = _Known.of(y)
+        ncc = np.stack(
+            [
+                self._ncc(known, q, weight)
+                for q, weight in zip(curves.y, curves.weight, strict=True)
+            ],
+            axis=1,
+        ).reshape(len(y), -1)
+        best = np.argmax(ncc, axis=1)
+        attitude, turn = np.divmod(best, y.shape[1])
+        return np.take_along_axis(ncc, best[:, np.newaxis], axis=1)[:, 0], attitude, turn
+
+    def _ncc(self, known: "_Known", q: Float64Array, weight: Float64Array) -> Float64Array:
+        """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""
+        # Deviations from the mean keep the differences of sums below well conditioned.
+        q = np.where(weight > 0.0, q, 0.0)
+        q = np.where(weight > 0.0, q - np.average(q, weights=weight), 0.0)
+        flat_w, flat_wq, flat_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
+        bins = len(q)
+        total = fft.irfft(known.n * flat_w, bins)
+        enough = total >= self.min_overlap * weight.sum() - 1e-9
+        total = np.where(enough, total, 1.0)
+        sum_q, sum_y = fft.irfft(known.n * flat_wq, bins), fft.irfft(known.y * flat_w, bins)
+        variance_q = fft.irfft(known.n * flat_wq2, bins) - sum_q**2 / total
+        variance_y = fft.irfft(known.y2 * flat_w, bins) - sum_y**2 / total
+        covariance = fft.irfft(known.y * flat_wq, bins) - sum_q * sum_y / total
+        flat = (self.flat_px * TANGENT_PER_PX) ** 2 * total
+        usable = enough & (variance_q > flat) & (variance_y > flat)
+        scale = np.sqrt(np.where(usable, variance_q * variance_y, 1.0))
+        return np.where(usable, covariance / scale, -np.inf)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Known:
+    """Fourier transforms (L, B / 2 + 1) of where profiles are known, of y and of y squared."""
+
+    n: NDArray[np.complex128]
+    y: NDArray[np.complex128]
+    y2: NDArray[np.complex128]
+
+    @classmethod
+    def of(cls, y: NDArray[np.float32]) -> "_Known":
+        n = np.isfinite(y).astype(np.float64)
+        y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)
+        mean = y0.sum(axis=1, keepdims=True) / np.maximum(n.sum(axis=1, keepdims=True), 1.0)
+        y0 = (y0 - mean) * n
+        return cls(fft.rfft(n), fft.rfft(y0), fft.rfft(y0**2))

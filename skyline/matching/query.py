@@ -1,0 +1,163 @@
+"""The query's skyline as rays, and what it looks like at an assumed pitch and roll."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+
+Float64Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QueryRays:
+    """The trusted columns of a query skyline in the camera's frame.
+
+    Attributes
+    ----------
+    u, v : (W,) float64
+        Rays (u, v, 1): right and up over forward; unit focal length.
+    weight : (W,) float64
+        How far each ray is trusted, at least 0; only ratios matter.
+    fov_deg : float
+        Horizontal field of view that u and v were made with.
+
+    Raises
+    ------
+    InputError
+        Lengths differ, a value is not finite, a weight is negative or all are 0.
+    """
+
+    u: Float64Array
+    v: Float64Array
+    weight: Float64Array
+    fov_deg: float
+
+    def __post_init__(self) -> None:
+        if not self.u.shape == self.v.shape == self.weight.shape or self.u.ndim != 1:
+            raise InputError(
+                f"query rays have shapes {self.u.shape}, {self.v.shape} and {self.weight.shape}; "
+                "expected three of one length"
+            )
+        if not all(np.isfinite(values).all() for values in (self.u, self.v, self.weight)):
+            raise InputError("a query ray is not finite; leave untrusted columns out")
+        if (self.weight < 0.0).any() or not self.weight.any():
+            raise InputError("query weights must be at least 0 with some above; nothing to match")
+
+    @classmethod
+    def equally_trusted(cls, u: Float64Array, v: Float64Array, fov_deg: float) -> "QueryRays":
+        """Make rays that all weigh the same."""
+        return cls(u, v, np.ones_like(u), fov_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class Attitudes:
+    """The pitches and rolls a matcher assumes, each with each.
+
+    Attributes
+    ----------
+    pitch_deg : tuple of float
+        Optical axis above the horizon.
+    roll_deg : tuple of float
+        Camera turned clockwise as seen from behind it: its right side down.
+    """
+
+    pitch_deg: tuple[float, ...] = (-10.0, -5.0, 0.0, 5.0, 10.0)
+    roll_deg: tuple[float, ...] = (0.0,)
+
+    def __post_init__(self) -> None:
+        for name, angles, limit in (("pitch", self.pitch_deg, 80), ("roll", self.roll_deg, 80)):
+            if not angles or not all(abs(angle) <= limit for angle in angles):
+                raise InputError(
+                    f"assumed {name}s are {angles}; expected at least one, within {limit} degrees"
+                )
+
+    def pairs(self) -> list[tuple[float, float]]:
+        """Return every (pitch, roll)."""
+        return [(pitch, roll) for pitch in self.pitch_deg for roll in self.roll_deg]
+
+
+def level(
+    u: Float64Array, v: Float64Array, pitch_deg: float, roll_deg: float
+) -> tuple[Float64Array, Float64Array]:
+    """Turn rays of a pitched and rolled camera to azimuth and elevation tangent.
+
+    Parameters
+    ----------
+    u, v : (...) float64
+        Rays (u, v, 1) in the camera's frame.
+    pitch_deg, roll_deg : float
+        As in `Attitudes`.
+
+    Returns
+    -------
+    azimuth_rad : (...) float64
+        Clockwise from the vertical plane of the optical axis, in (-pi, pi].
+    y : (...) float64
+        Tangent of the elevation angle: up over horizontal distance.
+    """
+    pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
+    right = u * np.cos(roll) + v * np.sin(roll)
+    up = v * np.cos(roll) - u * np.sin(roll)
+    forward = np.cos(pitch) - up * np.sin(pitch)
+    up = up * np.cos(pitch) + np.sin(pitch)
+    return np.arctan2(right, forward), up / np.hypot(right, forward)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QueryCurves:
+    """A query on the azimuth bins of a profile, one row per assumed attitude.
+
+    Attributes
+    ----------
+    y : (H, B) float64
+        Tangent of the elevation angle; bin B / 2 is straight ahead; NaN where not seen.
+    weight : (H, B) float64
+        0 where not seen.
+    pitch_deg, roll_deg : (H,) float64
+    """
+
+    y: Float64Array
+    weight: Float64Array
+    pitch_deg: Float64Array
+    roll_deg: Float64Array
+
+    @classmethod
+    def of(cls, query: QueryRays, attitudes: Attitudes, bins: int) -> "QueryCurves":
+        """Level the rays at each attitude and gather them on ``bins`` equal steps of azimuth."""
+        pairs = attitudes.pairs()
+        rows = [_on_bins(query, pitch, roll, bins) for pitch, roll in pairs]
+        pitch_deg, roll_deg = np.array(pairs).T
+        return cls(
+            np.stack([y for y, _ in rows]), np.stack([w for _, w in rows]), pitch_deg, roll_deg
+        )
+
+
+def _on_bins(
+    query: QueryRays, pitch_deg: float, roll_deg: float, bins: int
+) -> tuple[Float64Array, Float64Array]:
+    """Return y (B,) and weight (B,) of the query levelled at one attitude.
+
+    Rays that share a bin are averaged in azimuth and in y alike, so that averaging takes noise
+    away without shifting a slope; bin centres then lie on straight lines between averages.
+    """
+    azimuth, y = level(query.u, query.v, pitch_deg, roll_deg)
+    position = azimuth * bins / (2.0 * np.pi) + bins / 2.0
+    nearest = np.clip(np.rint(position), 0, bins - 1).astype(np.intp)
+    weight = np.bincount(nearest, query.weight, bins)
+    filled = np.flatnonzero(weight)
+    total = weight[filled]
+    at = np.bincount(nearest, query.weight * position, bins)[filled] / total
+    mean_y = np.bincount(nearest, query.weight * y, bins)[filled] / total
+    mean_weight = total / np.bincount(nearest, minlength=bins)[filled]
+    centres = np.arange(bins, dtype=np.float64)
+    after = np.searchsorted(at, centres)
+    spacing = np.diff(at, prepend=-np.inf, append=np.inf)
+    step = float(np.median(np.diff(np.sort(position)))) if len(position) > 1 else 0.0
+    # A centre within half a bin of a lone or outermost average still belongs to it.
+    seen = (spacing[after] <= 3.0 * max(step, 1.0)) | (weight > 0.0)
+    return (
+        np.where(seen, np.interp(centres, at, mean_y), np.nan),
+        np.where(seen, np.interp(centres, at, mean_weight), 0.0),
+    )

@@ -1,0 +1,137 @@
+"""What every matcher answers with, and how a list of answers is drawn from all scores."""
+
+from dataclasses import dataclass, fields
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.matching.profiles import Profiles
+from skyline.matching.query import QueryRays
+
+Float64Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """A place the query may have been taken at, and how the camera stood there.
+
+    Attributes
+    ----------
+    location : int
+        Index into the profiles.
+    easting_m, northing_m : float
+    heading_deg : float
+        Grid azimuth of the optical axis, in [0, 360).
+    pitch_deg, roll_deg : float
+        Optical axis above the horizon; camera turned clockwise as seen from behind.
+    fov_deg : float
+        Horizontal field of view.
+    score : float
+        Lower is better; its unit is the matcher's.
+    confidence : float or None
+        Probability that the answer is right, where something has estimated it.
+    refined : bool
+        Whether the pose was fitted by rendering again.
+    """
+
+    location: int
+    easting_m: float
+    northing_m: float
+    heading_deg: float
+    pitch_deg: float
+    roll_deg: float
+    fov_deg: float
+    score: float
+    confidence: float | None = None
+    refined: bool = False
+
+
+class Matcher(Protocol):
+    """Anything that ranks the places of a store for a query."""
+
+    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> list[Candidate]:
+        """Return up to ``top`` candidates, best first, at most one a location.
+
+        Locations the matcher finds no fit for are left out, so the list may be empty.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fits:
+    """The best pose of a query at each of L locations.
+
+    Attributes
+    ----------
+    score : (L,) float64
+        Lower is better; infinite where there is no fit.
+    heading_deg, pitch_deg, roll_deg : (L,) float64
+    """
+
+    score: Float64Array
+    heading_deg: Float64Array
+    pitch_deg: Float64Array
+    roll_deg: Float64Array
+
+    @classmethod
+    def none(cls, locations: int) -> "Fits":
+        """Return no fit at any location."""
+        return cls(np.full(locations, np.inf), *np.zeros((3, locations)))
+
+    @classmethod
+    def concatenate(cls, parts: list["Fits"]) -> "Fits":
+        """Join the fits of one location after another; at least one part."""
+        return cls(
+            *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls))
+        )
+
+    def best_with(self, other: "Fits") -> "Fits":
+        """Return the better of two at each location; this one where they are equal."""
+        better = other.score < self.score
+        return Fits(
+            np.where(better, other.score, self.score),
+            np.where(better, other.heading_deg, self.heading_deg),
+            np.where(better, other.pitch_deg, self.pitch_deg),
+            np.where(better, other.roll_deg, self.roll_deg),
+        )
+
+
+def select(
+    profiles: Profiles, fits: Fits, fov_deg: float, top: int, separation_m: float = 0.0
+) -> list[Candidate]:
+    """Return the best candidates, none within ``separation_m`` of a better one.
+
+    Equal scores keep the order of the locations. Locations without a fit are left out.
+
+    Raises
+    ------
+    InputError
+        ``top`` is below 1.
+    """
+    if top < 1:
+        raise InputError(f"top is {top}; expected at least 1 candidate")
+    place = np.stack([profiles.easting_m, profiles.northing_m], axis=1)
+    left = np.isfinite(fits.score)
+    chosen: list[Candidate] = []
+    for location in np.argsort(fits.score, kind="stable"):
+        if len(chosen) == top:
+            break
+        if not left[location]:
+            continue
+        chosen.append(
+            Candidate(
+                int(location),
+                float(profiles.easting_m[location]),
+                float(profiles.northing_m[location]),
+                float(fits.heading_deg[location] % 360.0),
+                float(fits.pitch_deg[location]),
+                float(fits.roll_deg[location]),
+                fov_deg,
+                float(fits.score[location]),
+            )
+        )
+        if separation_m > 0.0:
+            left &= np.hypot(*(place - place[location]).T) >= separation_m
+    return chosen

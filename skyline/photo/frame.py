@@ -1,0 +1,91 @@
+"""What of an image is photo: uniform borders and caption bars are not."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+
+UInt8Array = NDArray[np.uint8]
+
+MIN_CONTENT_PX = 32
+"""Smallest width and height in which a skyline is looked for."""
+
+_COLOUR_TOLERANCE = 10
+"""Greatest difference per channel within one uniform border; JPEG rings by a few levels."""
+_BAR_SHARE = 0.6
+"""Share of a row that must be a bar's own colour; the rest may be its caption."""
+_EDGE_SHARE = 0.9
+"""Share of the first row of content that must differ from the bar: bars end in a straight line."""
+_BAR_BLUR_PX = 3
+"""Rows beyond a bar that resizing and JPEG have mixed with it."""
+_MAX_BAR_SHARE = 0.3
+"""Tallest bar, as a share of the image."""
+
+
+@dataclass(frozen=True, slots=True)
+class Content:
+    """The rectangle of an image that is photo: half-open ranges of rows and columns."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+    def crop(self, image: UInt8Array) -> UInt8Array:
+        """Return the photo inside its borders, a view."""
+        return image[self.top : self.bottom, self.left : self.right]
+
+
+def content_of(image: UInt8Array) -> Content:
+    """Find the photo inside uniform borders and caption bars.
+
+    A bar is a run of rows (or columns) from the image's edge, mostly of one colour, that ends
+    in a straight line: the next row differs from that colour nearly everywhere. Overcast sky
+    and dark ground are uniform too, but they end in a skyline.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+
+    Raises
+    ------
+    InputError
+        Less than 32 x 32 pixels are left.
+    """
+    top = _bar_length(image)
+    bottom = len(image) - _bar_length(image[::-1])
+    sideways = image[top:bottom].transpose(1, 0, 2)
+    left = _bar_length(sideways)
+    right = len(sideways) - _bar_length(sideways[::-1])
+    content = Content(top, bottom, left, right)
+    if min(bottom - top, right - left) < MIN_CONTENT_PX:
+        height, width = image.shape[:2]
+        raise InputError(
+            f"the photo has {width} x {height} px, {max(right - left, 0)} x "
+            f"{max(bottom - top, 0)} within its borders; expected at least {MIN_CONTENT_PX} x "
+            f"{MIN_CONTENT_PX}: use a larger photo"
+        )
+    return content
+
+
+def _bar_length(image: UInt8Array) -> int:
+    """Return how many rows at the start of the image are a bar."""
+    longest = int(_MAX_BAR_SHARE * len(image))
+    if longest < 1:
+        return 0
+    colour = np.median(image[0], axis=0)
+    length = 0
+    while length <= longest:
+        if _share_of(image[length], colour) < _BAR_SHARE:
+            break
+        length += 1
+    ends_straight = length <= longest and _share_of(image[length], colour) <= 1.0 - _EDGE_SHARE
+    return length + _BAR_BLUR_PX if length and ends_straight else 0
+
+
+def _share_of(pixels: UInt8Array, colour: NDArray[np.float64]) -> float:
+    """Return the share of (N, 3) pixels that are of the colour."""
+    alike = np.abs(pixels - colour).max(axis=-1) <= _COLOUR_TOLERANCE
+    return float(alike.mean())

@@ -1,0 +1,55 @@
+"""Sky masks: images drawn by a person or a program, white for sky and black for ground."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.photo.frame import UInt8Array
+from skyline.photo.query import QuerySkyline
+
+_NEARLY = 24
+"""Levels from black or white that still count as such: masks saved as JPEG ring."""
+_MIN_SHARE = 0.98
+"""Share of a mask's pixels that are nearly black or white; the rest is its smoothed border."""
+_MIDDLE = 127.5
+
+
+def is_sky_mask(image: UInt8Array) -> bool:
+    """Return whether an RGB image (H, W, 3) uint8 is grey, and nearly all of it black or white."""
+    grey = image[:, :, 1]
+    coloured = np.abs(image.astype(np.int16) - grey[:, :, np.newaxis]).max(axis=2) > _NEARLY
+    extreme = (grey <= _NEARLY) | (grey >= 255 - _NEARLY)
+    return not coloured.any() and float(extreme.mean()) >= _MIN_SHARE
+
+
+def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
+    """Return the border of each column's topmost ground; NaN where a column has no sky above it.
+
+    A smoothed border is found to a fraction of a pixel, halfway from white to black.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        A sky mask, white = sky.
+
+    Raises
+    ------
+    InputError
+        No column has sky above ground.
+    """
+    grey = image[:, :, 1].astype(np.float64)
+    height, width = grey.shape
+    is_ground = grey < _MIDDLE
+    first: NDArray[np.intp] = np.argmax(is_ground, axis=0)
+    # A column that starts with ground has its skyline above the image, one without below it.
+    drawn = is_ground.any(axis=0) & (first > 0)
+    if not drawn.any():
+        raise InputError(
+            "no skyline found: the mask has no column with sky (white) above ground (black); "
+            "expected white for the sky"
+        )
+    columns = np.arange(width)
+    above, below = grey[first - 1, columns], grey[first, columns]
+    fraction = (above - _MIDDLE) / np.where(drawn, above - below, 1.0)
+    row_px = np.where(drawn, first - 1 + fraction, np.nan)
+    return QuerySkyline(row_px, drawn.astype(np.float64), width, height)

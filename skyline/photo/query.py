@@ -1,0 +1,118 @@
+"""The query skyline: what of a photo is matched, whether extracted, drawn or masked."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+
+Float64Array = NDArray[np.float64]
+
+MIN_FOV_DEG = 1.0
+MAX_FOV_DEG = 179.0
+
+
+def check_fov_deg(fov_deg: float) -> float:
+    """Return a horizontal field of view of 1 to 179 degrees, else raise `InputError`."""
+    if not MIN_FOV_DEG <= fov_deg <= MAX_FOV_DEG:
+        raise InputError(
+            f"horizontal field of view is {fov_deg:g} degrees; expected {MIN_FOV_DEG:g} to "
+            f"{MAX_FOV_DEG:g}: a phone's main camera has about 65"
+        )
+    return float(fov_deg)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuerySkyline:
+    """The skyline of one photo, one row per column; pixel centres are at whole numbers.
+
+    Attributes
+    ----------
+    row_px : (W,) float64
+        Row of the border between sky and ground (the last sky pixel's row plus 0.5 where it is
+        known to the pixel only); NaN where it is absent or not trusted.
+    confidence : (W,) float64
+        0 to 1; 0 where ``row_px`` is NaN.
+    width_px, height_px : int
+        Size of the photo the rows refer to.
+    fov_deg : float or None
+        Horizontal field of view, where it is known.
+    """
+
+    row_px: Float64Array
+    confidence: Float64Array
+    width_px: int
+    height_px: int
+    fov_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("row_px", "confidence"):
+            values = np.array(getattr(self, name), dtype=np.float64)
+            if values.shape != (self.width_px,):
+                raise InputError(
+                    f"{name} has shape {values.shape}; expected ({self.width_px},), one value "
+                    "per image column"
+                )
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        if self.height_px < 1 or self.width_px < 1:
+            raise InputError(
+                f"image size is {self.width_px} x {self.height_px} px; expected at least 1 x 1"
+            )
+        if self.fov_deg is not None:
+            object.__setattr__(self, "fov_deg", check_fov_deg(self.fov_deg))
+        if np.any((self.confidence > 0.0) & ~self.trusted):
+            raise InputError("confidence is above 0 where row_px is NaN; expected 0 there")
+
+    @property
+    def trusted(self) -> NDArray[np.bool_]:
+        """Which columns have a skyline, shape (W,)."""
+        return np.isfinite(self.row_px)
+
+    def with_fov(self, fov_deg: float) -> "QuerySkyline":
+        """Return the same skyline with another horizontal field of view, degrees, 1 to 179."""
+        return replace(self, fov_deg=fov_deg)
+
+    def image_plane(self, fov_deg: float | None = None) -> tuple[Float64Array, Float64Array]:
+        """Return the trusted columns on the image plane at unit focal length.
+
+        Parameters
+        ----------
+        fov_deg : float, optional
+            Horizontal field of view, degrees; overrides the query's own.
+
+        Returns
+        -------
+        u, v : (N,) float64
+            Tangents to the right of and above the optical axis, which meets the image's centre;
+            square pixels: u = ((2q + 1)/W - 1) tan(fov/2), v = (H - 1 - 2r)/W tan(fov/2).
+
+        Raises
+        ------
+        InputError
+            No field of view is known, or it is not 1 to 179 degrees.
+        """
+        half_width = np.tan(np.radians(self._known_fov_deg(fov_deg)) / 2.0)
+        columns = np.flatnonzero(self.trusted)
+        u = ((2.0 * columns + 1.0) / self.width_px - 1.0) * half_width
+        v = (self.height_px - 1.0 - 2.0 * self.row_px[columns]) / self.width_px * half_width
+        return u, v
+
+    def visible_deg(self, fov_deg: float | None = None) -> float:
+        """Return how many degrees of azimuth the trusted columns span together; see `image_plane`.
+
+        Each trusted column counts the angle between its two edges, the camera held level.
+        """
+        half_width = np.tan(np.radians(self._known_fov_deg(fov_deg)) / 2.0)
+        edges = np.linspace(-1.0, 1.0, self.width_px + 1) * half_width
+        return float(np.degrees(np.diff(np.arctan(edges))[self.trusted].sum()))
+
+    def _known_fov_deg(self, fov_deg: float | None) -> float:
+        known = self.fov_deg if fov_deg is None else fov_deg
+        if known is None:
+            raise InputError(
+                "the photo's field of view is not known; give its horizontal field of view, "
+                f"{MIN_FOV_DEG:g} to {MAX_FOV_DEG:g} degrees (--fov-deg)"
+            )
+        return check_fov_deg(known)

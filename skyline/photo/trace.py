@@ -1,0 +1,157 @@
+"""Skyline traces: CSV files that hold a skyline, written here or drawn by a person."""
+
+import csv
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError, MissingFileError
+from skyline.photo.query import QuerySkyline
+
+Float64Array = NDArray[np.float64]
+
+MAX_GAP_SHARE = 0.1
+"""Points farther apart than this share of the width are not joined."""
+MAX_SIDE_PX = 100_000
+_COLUMNS = ("column_px", "row_px")
+_SIZE = re.compile(r"#\s*width\s*=\s*(\d+)\s+height\s*=\s*(\d+)\s*")
+_FORM = "expected a first line '# width=W height=H', then the header 'column_px,row_px'"
+
+
+def write_trace(query: QuerySkyline, path: str | Path) -> None:
+    """Write a skyline as CSV: one row per trusted column, one break per run of masked ones.
+
+    A break is a row whose ``row_px`` is ``nan``: the points on its two sides are not joined.
+    `read_trace` gives back the same rows, bit for bit.
+    """
+    lines = [f"# width={query.width_px} height={query.height_px}", ",".join(_COLUMNS)]
+    trusted = query.trusted
+    starts_gap = ~trusted
+    starts_gap[1:] &= trusted[:-1]
+    for column in np.flatnonzero(trusted | starts_gap):
+        lines.append(f"{column},{float(query.row_px[column])!r}")
+    _write_whole(Path(path), "\n".join(lines) + "\n")
+
+
+def read_trace(path: str | Path, fov_deg: float | None = None) -> QuerySkyline:
+    """Read a trace: points of a skyline, sparse or fractional, joined by straight lines.
+
+    The first line is ``# width=W height=H``, the header ``column_px,row_px``; pixel centres are
+    at whole numbers. Consecutive points are joined unless they are more than a tenth of the
+    width apart or a row with an empty or ``nan`` ``row_px`` stands between them. Drawn columns
+    have confidence 1.
+
+    Raises
+    ------
+    MissingFileError
+        There is no such file.
+    InputError
+        Not such a file, a point outside the image, or two rows for one column.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise MissingFileError(f"{path} does not exist; expected a skyline trace (CSV)")
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path} cannot be read as text ({error}); {_FORM}") from error
+    size = _SIZE.fullmatch(lines[0].strip()) if lines else None
+    if size is None:
+        raise InputError(f"{path} starts with {(lines or [''])[0][:60]!r}; {_FORM}")
+    width, height = (int(side) for side in size.groups())
+    if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
+        raise InputError(f"{path} is {width} x {height} px; expected 1 to {MAX_SIDE_PX} each")
+    column, row = _points(path, lines, width, height)
+    row_px = _joined(column, row, width)
+    if np.isnan(row_px).all():
+        raise InputError(f"{path} draws no column of the skyline; add points to it")
+    return QuerySkyline(row_px, np.isfinite(row_px).astype(float), width, height, fov_deg)
+
+
+def _points(
+    path: Path, lines: list[str], width: int, height: int
+) -> tuple[Float64Array, Float64Array]:
+    """Return columns and rows in order of the columns; a NaN row is a break."""
+    records = list(csv.reader(lines[1:]))
+    header = tuple(name.strip() for name in records[0]) if records else ()
+    if header[:2] != _COLUMNS:
+        raise InputError(f"{path} has the header {','.join(header)!r}; {_FORM}")
+    points = [
+        (_column(path, number, record, width), _row(path, number, record, height))
+        for number, record in enumerate(records[1:], start=3)
+        if any(field.strip() for field in record)
+    ]
+    table = np.array(sorted(points), dtype=np.float64).reshape(-1, 2)
+    column, row = table[:, 0], table[:, 1]
+    twice = np.flatnonzero(np.diff(column) == 0.0)
+    if twice.size:
+        raise InputError(
+            f"{path} has two rows for column {column[twice[0]]:g}; expected one: remove the other"
+        )
+    return column, row
+
+
+def _column(path: Path, number: int, record: list[str], width: int) -> float:
+    column = _number(path, number, record[0])
+    if not -0.5 <= column <= width - 0.5:
+        raise InputError(
+            f"{path}, line {number}: column {record[0].strip()} is outside the image; expected "
+            f"-0.5 to {width - 0.5}"
+        )
+    return column
+
+
+def _row(path: Path, number: int, record: list[str], height: int) -> float:
+    text = record[1] if len(record) > 1 else ""
+    if not text.strip() or text.strip().lower() == "nan":
+        return math.nan
+    row = _number(path, number, text)
+    if not -0.5 <= row <= height - 0.5:
+        raise InputError(
+            f"{path}, line {number}: row {text.strip()} is outside the image; expected -0.5 to "
+            f"{height - 0.5}"
+        )
+    return row
+
+
+def _number(path: Path, number: int, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(
+            f"{path}, line {number}: {text.strip()!r} is not a number; expected pixels"
+        ) from None
+
+
+def _joined(column: Float64Array, row: Float64Array, width: int) -> Float64Array:
+    """Interpolate between neighbouring points; NaN over gaps, breaks and beyond the ends."""
+    row_px = np.full(width, np.nan)
+    if len(column) == 0:
+        return row_px
+    whole = np.arange(width)
+    last = np.searchsorted(column, whole, side="right") - 1
+    on_point = (last >= 0) & (column[last] == whole)
+    row_px[on_point] = row[last[on_point]]
+    between = np.flatnonzero((last >= 0) & (last < len(column) - 1) & ~on_point)
+    left = last[between]
+    gap = column[left + 1] - column[left]
+    weight = (between - column[left]) / gap
+    joined = (1.0 - weight) * row[left] + weight * row[left + 1]
+    row_px[between] = np.where(gap <= max(MAX_GAP_SHARE * width, 1.0), joined, np.nan)
+    return row_px
+
+
+def _write_whole(path: Path, text: str) -> None:
+    """Write a file at once, so that a failure leaves what was there before."""
+    partial = path.with_name(path.name + ".partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise InputError(
+            f"{path} cannot be written ({error.strerror}); name a file in a folder that exists"
+        ) from error

@@ -1,0 +1,200 @@
+"""DEM files to a `HeightField`: one grid, cleaned, in a metric frame."""
+
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from skyline.errors import InputError
+from skyline.geodesy import Frame, is_metric
+from skyline.terrain.cleaning import count_voids, fill_voids, remove_spikes, strips
+from skyline.terrain.heightfield import HeightField, Provenance
+from skyline.terrain.tiles import Grid, mosaic_grid, open_tile, read_mosaic
+from skyline.terrain.warp import ground_spacing_m, local_frame, square_spacing_m, warp
+
+CONFORMAL_DEG = 0.01
+"""A metric CRS that bends no angle by more than this is used without a word."""
+
+TRUE_SCALE = 0.01
+"""A metric CRS whose metres are within this fraction of metres on the ground is, likewise."""
+
+_PROBES = 9
+
+Float32Array = NDArray[np.float32]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class DemOptions:
+    """How DEM files are read.
+
+    Attributes
+    ----------
+    crs : str or None
+        Coordinate reference system of files that do not say theirs: an EPSG code or WKT.
+    reproject : bool
+        Warp a metric DEM too to the local conformal frame, for one that is not conformal.
+    max_void_samples : int
+        Voids of up to so many connected samples are filled; larger ones stay holes. Voids of the
+        Everest tile cut into the High Sierra at 90 m and filled again were off by 14 m rms up to
+        10 samples, 31 m at 50 to 100, 51 m at 200 to 500 and 295 m above 10,000.
+    spike_m : float
+        Least height of a spike over (or under) its surroundings, metres; infinity keeps all but
+        absurd heights. See `skyline.terrain.cleaning.remove_spikes`.
+    """
+
+    crs: str | None = None
+    reproject: bool = False
+    max_void_samples: int = 100
+    spike_m: float = 100.0
+
+    def __post_init__(self) -> None:
+        if self.max_void_samples < 0:
+            raise InputError(
+                f"largest void to fill is {self.max_void_samples} samples; expected 0 (fill none) "
+                "or more"
+            )
+        if not self.spike_m > 0.0:
+            raise InputError(
+                f"least spike is {self.spike_m} m; expected a positive number of metres"
+            )
+
+
+def read_dem(
+    paths: str | Path | Sequence[str | Path], options: DemOptions = DemOptions()
+) -> HeightField:
+    """Read one DEM, or several tiles of one, as a metric height field.
+
+    Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
+    filled on the files' own grid, before anything is resampled. A DEM in a metric CRS keeps that
+    grid. One in degrees (or feet) is warped once, cubic, to the transverse Mercator frame centred
+    on it; samples of the box around it that lie outside the DEM are NaN and counted nowhere.
+
+    Parameters
+    ----------
+    paths : path or sequence of paths
+        Rasters of one band, or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a
+        grid; where they overlap the first named gives the height, what none covers is a hole.
+    options : DemOptions
+
+    Returns
+    -------
+    HeightField
+        float32 heights. Its provenance counts samples of the files: filled and hollow are what
+        the files' voids and the spikes became.
+
+    Raises
+    ------
+    MissingFileError
+        A path at which there is no file.
+    InputError
+        Not a raster, not one band, damaged, no (understood) CRS, a rotated grid, tiles that do
+        not fit together, no height at all.
+    """
+    if isinstance(paths, str | Path):
+        paths = [paths]
+    if not paths:
+        raise InputError("no DEM file was given; name one or more")
+    default_crs = _parse_crs(options.crs)
+    tiles = [open_tile(path, default_crs) for path in paths]
+    crs = tiles[0].crs
+    _check_kind(tiles[0].source, crs)
+    grid, offsets = mosaic_grid(tiles)
+    files = tuple(tile.source for tile in tiles)
+    heights = read_mosaic(tiles, grid, offsets)
+    if is_metric(crs) and not options.reproject:
+        frame = Frame.from_crs(crs)
+        _warn_of_distortion(grid, frame)
+        counts = _clean(heights, files, max(grid.step_east, grid.step_north), options)
+        return _field(heights, grid, frame, Provenance(files, "none", *counts))
+    frame = local_frame(grid, crs)
+    ground_spacing = ground_spacing_m(grid, crs, frame)
+    counts = _clean(heights, files, max(ground_spacing), options)
+    spacing_m = square_spacing_m(ground_spacing)
+    heights, warped_grid = warp(heights, grid, crs, frame, spacing_m)
+    resampling = (
+        f"cubic, once, from {crs.name} ({ground_spacing[0]:.2f} x {ground_spacing[1]:.2f} m at "
+        f"the centre) to {spacing_m:g} m in the local conformal frame"
+    )
+    return _field(heights, warped_grid, frame, Provenance(files, resampling, *counts))
+
+
+def _parse_crs(text: str | None) -> CRS | None:
+    if text is None:
+        return None
+    try:
+        return CRS.from_user_input(text)
+    except CRSError as error:
+        raise InputError(
+            f"coordinate reference system {text!r} is not understood "
+            f"({' '.join(str(error).split())}); give an EPSG code such as EPSG:32632 or WKT"
+        ) from error
+
+
+def _check_kind(source: str, crs: CRS) -> None:
+    if not (crs.is_geographic or crs.is_projected):
+        raise InputError(
+            f"{source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or projected "
+            "coordinate reference system: warp it first with gdalwarp"
+        )
+
+
+def _clean(
+    heights: Float32Array, files: tuple[str, ...], spacing_m: float, options: DemOptions
+) -> tuple[int, int, int]:
+    """Remove spikes and fill voids in place; return how many were filled, hollow, despiked."""
+    if not any(np.isfinite(heights[rows]).any() for rows in strips(heights)):
+        raise InputError(
+            f"{', '.join(files)} holds no height: all samples are nodata; check the file and its "
+            "nodata value"
+        )
+    despiked = remove_spikes(heights, spacing_m, options.spike_m)
+    filled = fill_voids(heights, options.max_void_samples)
+    hollow = count_voids(heights)
+    for rows in strips(heights):
+        strip = heights[rows]
+        strip[np.isinf(strip)] = np.nan
+    return filled, hollow, despiked
+
+
+def _field(heights: Float32Array, grid: Grid, frame: Frame, provenance: Provenance) -> HeightField:
+    heights.setflags(write=False)  # handed over, so that the field need not copy it
+    return HeightField(
+        heights_m=heights,
+        west_m=grid.west,
+        north_m=grid.north,
+        spacing_east_m=grid.step_east,
+        spacing_north_m=grid.step_north,
+        frame=frame,
+        provenance=provenance,
+    )
+
+
+def _warn_of_distortion(grid: Grid, frame: Frame) -> None:
+    easting, northing = np.meshgrid(
+        np.linspace(grid.west, grid.east, _PROBES), np.linspace(grid.south, grid.north, _PROBES)
+    )
+    angle_deg = float(np.nanmax(frame.angular_distortion_deg(easting, northing)))
+    if angle_deg > CONFORMAL_DEG:
+        _log.warning(
+            "%s is not conformal: over this DEM it bends angles by up to %.2f degrees; "
+            "--reproject warps the DEM to a local conformal frame",
+            frame.name,
+            angle_deg,
+        )
+    scale = frame.scale(easting, northing)
+    worst = float(scale.flat[np.nanargmax(np.abs(np.log(scale)))])
+    if not math.isclose(worst, 1.0, abs_tol=TRUE_SCALE):
+        _log.warning(
+            "a metre on the map of %s is %.3f m on the ground in this DEM, so slopes come out "
+            "wrong; --reproject warps the DEM to a local frame of true scale",
+            frame.name,
+            1.0 / worst,
+        )

@@ -1,0 +1,365 @@
+"""Raster files as tiles of one north-up grid: opening, checking, mosaicking."""
+
+import gzip
+import logging
+import math
+import re
+import warnings
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+
+from skyline.errors import InputError, MissingFileError
+from skyline.terrain.cleaning import strips
+
+MAX_SAMPLES = 1 << 31
+"""The largest mosaic: 8 GiB of float32."""
+
+MAX_UNPACKED_BYTES = 1 << 28
+"""The largest file behind a .gz; the largest .hgt, of half an arc-second, has 99 MiB."""
+
+GRID_TOLERANCE = 0.01
+"""How far a tile's samples may lie off the grid of the first, in samples."""
+
+UNDECLARED_VOIDS = (-32768.0, -9999.0)
+"""Values that mark a void in DEMs that declare no nodata value."""
+
+AGREEMENT_M = 1.0
+"""Neighbouring tiles may differ by this much where they overlap, from rounding to whole metres."""
+
+# Enough to decode a row of tiles; GDAL's own default is a twentieth of the machine's memory.
+_GDAL_CACHE_BYTES = 64 << 20
+_FEET_M = {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us-ft": 1200 / 3937, "ftus": 1200 / 3937}
+
+Float32Array = NDArray[np.float32]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """A north-up grid of samples in the units of its CRS; coordinates are of the samples."""
+
+    west: float
+    north: float
+    step_east: float
+    step_north: float
+    rows: int
+    cols: int
+
+    @property
+    def east(self) -> float:
+        """Abscissa of the last column."""
+        return self.west + (self.cols - 1) * self.step_east
+
+    @property
+    def south(self) -> float:
+        """Ordinate of the last row."""
+        return self.north - (self.rows - 1) * self.step_north
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """Abscissa and ordinate of the middle of the grid."""
+        return 0.5 * (self.west + self.east), 0.5 * (self.north + self.south)
+
+
+@dataclass(frozen=True, slots=True)
+class Tile:
+    """One raster file that has been looked at but not read.
+
+    Attributes
+    ----------
+    source : str
+        What rasterio opens: an absolute path, or a GDAL name such as ``netcdf:/data/t.nc:dem``.
+    crs : CRS
+    grid : Grid
+        North-up, whichever way the file runs.
+    flip_rows, flip_cols : bool
+        Whether the file runs from south to north, from east to west.
+    """
+
+    source: str
+    crs: CRS
+    grid: Grid
+    flip_rows: bool
+    flip_cols: bool
+
+
+def open_tile(path: str | Path, default_crs: CRS | None) -> Tile:
+    """Look at a file; `InputError` or `MissingFileError` where it is not a usable DEM."""
+    source = _resolve(path)
+    with _opened(source) as dataset:
+        _check_one_band(source, dataset)
+        crs = _crs_of(source, dataset, default_crs)
+        return Tile(source, crs, *_grid_of(source, dataset))
+
+
+def full_turn(crs: CRS) -> float | None:
+    """Return a full turn of longitude in the units of a geographic CRS, None of any other."""
+    if not crs.is_geographic:
+        return None
+    return round(2.0 * math.pi / crs.axis_info[0].unit_conversion_factor, 9)
+
+
+def mosaic_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
+    """Return the common grid of tiles and the row and column each one's first sample has on it.
+
+    Raises
+    ------
+    InputError
+        Tiles of different CRS or spacing, off the first one's grid, or too far apart.
+    """
+    first = tiles[0]
+    offsets = []
+    for tile in tiles:
+        grid = _nearest_turn(tile, first)
+        _check_fits(tile, grid, first)
+        row = (first.grid.north - grid.north) / first.grid.step_north
+        col = (grid.west - first.grid.west) / first.grid.step_east
+        if max(abs(row - round(row)), abs(col - round(col))) > GRID_TOLERANCE:
+            raise InputError(
+                f"{tile.source} lies {abs(row - round(row)):.2f} rows and "
+                f"{abs(col - round(col)):.2f} columns off the grid of {first.source}; tiles must "
+                "share one grid: merge them beforehand (gdalwarp) or give them one at a time"
+            )
+        offsets.append((round(row), round(col)))
+    top, left = (min(values) for values in zip(*offsets, strict=True))
+    offsets = [(row - top, col - left) for row, col in offsets]
+    grid = replace(
+        first.grid,
+        west=first.grid.west + left * first.grid.step_east,
+        north=first.grid.north - top * first.grid.step_north,
+        rows=max(row + tile.grid.rows for (row, _), tile in zip(offsets, tiles, strict=True)),
+        cols=max(col + tile.grid.cols for (_, col), tile in zip(offsets, tiles, strict=True)),
+    )
+    if grid.rows * grid.cols > MAX_SAMPLES:
+        raise InputError(
+            f"the DEM spans {grid.rows} x {grid.cols} samples, more than {MAX_SAMPLES}; give "
+            "fewer or adjacent tiles, or a coarser DEM"
+        )
+    return grid, offsets
+
+
+def read_mosaic(
+    tiles: Sequence[Tile], grid: Grid, offsets: Sequence[tuple[int, int]]
+) -> Float32Array:
+    """Read tiles onto their common grid.
+
+    Where tiles overlap, the first that has a height gives it; a warning says by how much they
+    disagree if that is more than `AGREEMENT_M`.
+
+    Returns
+    -------
+    (rows, cols) float32
+        Metres; NaN marks voids, +inf samples that no tile covers.
+    """
+    heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
+    for tile, (row, col) in zip(tiles, offsets, strict=True):
+        place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols]
+        disagreement_m = _read_into(tile, place)
+        if disagreement_m > AGREEMENT_M:
+            _log.warning(
+                "%s differs by up to %.2f m from tiles named before it, whose heights are kept",
+                tile.source,
+                disagreement_m,
+            )
+    return heights
+
+
+def _resolve(path: str | Path) -> str:
+    """Return an absolute path, or a GDAL name with the file in it made absolute."""
+    text = str(path)
+    local = Path(text)
+    if local.is_dir():
+        raise InputError(f"{text} is a folder; name the DEM files in it")
+    if local.is_file():
+        return str(local.absolute())
+    if text.startswith("/vsi") or re.match(r"[A-Za-z][A-Za-z0-9_+]+:", text):
+        parts = text.split(":")
+        return ":".join(str(Path(p).absolute()) if p and Path(p).is_file() else p for p in parts)
+    raise MissingFileError(f"there is no file {text}; check the path of the DEM")
+
+
+@contextmanager
+def _opened(source: str) -> Iterator[Any]:
+    """Open a raster; what goes wrong while it is open is told as one `InputError`."""
+    try:
+        with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES), _dataset(source) as dataset:
+            yield dataset
+    except RasterioError as error:
+        reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
+        raise InputError(
+            f"{source} cannot be read as a raster ({reason}); expected a whole GeoTIFF, ESRI ASCII "
+            "grid, .hgt or .hgt.gz (named after its corner, like N46E009.hgt) or another format "
+            "that GDAL opens"
+        ) from error
+
+
+@contextmanager
+def _dataset(source: str) -> Iterator[Any]:
+    with warnings.catch_warnings():
+        # Told as an error of our own, by `_grid_of`.
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        if not source.lower().endswith(".gz") or source.startswith("/vsi"):
+            dataset = rasterio.open(source)
+            memory = None
+        else:
+            # The .hgt driver reads the corner from the file's name and opens no .gz.
+            memory = rasterio.MemoryFile(_unpacked(source), filename=Path(source).stem)
+            dataset = memory.open()
+    try:
+        yield dataset
+    finally:
+        dataset.close()
+        if memory is not None:
+            memory.close()
+
+
+def _unpacked(source: str) -> bytes:
+    try:
+        with gzip.open(source) as stream:
+            content = stream.read(MAX_UNPACKED_BYTES + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise InputError(
+            f"{source} cannot be unpacked ({error}); the file is damaged or not gzip: "
+            "fetch it again"
+        ) from error
+    if len(content) > MAX_UNPACKED_BYTES:
+        raise InputError(
+            f"{source} unpacks to more than {MAX_UNPACKED_BYTES >> 20} MiB; unpack it beforehand "
+            "(gunzip) and name the unpacked file"
+        )
+    return content
+
+
+def _check_one_band(source: str, dataset: Any) -> None:
+    if dataset.count == 0 and dataset.subdatasets:
+        raise InputError(
+            f"{source} holds several rasters; name one of them: {', '.join(dataset.subdatasets)}"
+        )
+    if dataset.count != 1:
+        raise InputError(
+            f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
+            "(gdal_translate -b 1)"
+        )
+    if dataset.dtypes[0].startswith("complex"):
+        raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
+
+
+def _crs_of(source: str, dataset: Any, default_crs: CRS | None) -> CRS:
+    if dataset.crs is None:
+        if default_crs is None:
+            raise InputError(
+                f"{source} has no coordinate reference system; say which it is with --crs, "
+                "for example --crs EPSG:32632"
+            )
+        return default_crs
+    try:
+        crs = CRS.from_wkt(dataset.crs.to_wkt())
+    except CRSError as error:
+        raise InputError(
+            f"the coordinate reference system of {source} is not understood ({error}); "
+            "set a valid one in the file (gdal_edit.py -a_srs)"
+        ) from error
+    if default_crs is not None and not crs.equals(default_crs, ignore_axis_order=True):
+        _log.warning(
+            "%s says it is in %s; --crs %s is for files that do not say, and not used",
+            source,
+            crs.name,
+            default_crs.name,
+        )
+    return crs
+
+
+def _grid_of(source: str, dataset: Any) -> tuple[Grid, bool, bool]:
+    transform = dataset.transform
+    if transform.is_identity:
+        raise InputError(
+            f"{source} has no georeference, so its place on the map is unknown; give a "
+            "georeferenced DEM"
+        )
+    if abs(transform.b) > 1e-9 * abs(transform.a) or abs(transform.d) > 1e-9 * abs(transform.e):
+        raise InputError(
+            f"{source} has a rotated or sheared grid (geotransform {transform.to_gdal()}); "
+            "expected rows along the easting and columns along the northing: straighten it first "
+            "(gdalwarp)"
+        )
+    rows, cols = dataset.shape
+    west = transform.c + 0.5 * transform.a
+    north = transform.f + 0.5 * transform.e
+    flip_rows, flip_cols = transform.e > 0.0, transform.a < 0.0
+    if flip_rows:
+        north += (rows - 1) * transform.e
+    if flip_cols:
+        west += (cols - 1) * transform.a
+    grid = Grid(west, north, abs(transform.a), abs(transform.e), rows, cols)
+    return grid, flip_rows, flip_cols
+
+
+def _nearest_turn(tile: Tile, first: Tile) -> Grid:
+    """Return the tile's grid moved by whole turns next to the first's: W180 is east of E179."""
+    turn = full_turn(tile.crs)
+    if turn is None:
+        return tile.grid
+    turns = round((first.grid.centre[0] - tile.grid.centre[0]) / turn)
+    return replace(tile.grid, west=tile.grid.west + turns * turn)
+
+
+def _check_fits(tile: Tile, grid: Grid, first: Tile) -> None:
+    if not tile.crs.equals(first.crs, ignore_axis_order=True):
+        raise InputError(
+            f"{tile.source} is in {tile.crs.name} and {first.source} in {first.crs.name}; tiles "
+            "must share one coordinate reference system: warp them beforehand (gdalwarp)"
+        )
+    drift_east = abs(grid.step_east / first.grid.step_east - 1.0) * grid.cols
+    drift_north = abs(grid.step_north / first.grid.step_north - 1.0) * grid.rows
+    if max(drift_east, drift_north) > GRID_TOLERANCE:
+        raise InputError(
+            f"{tile.source} has a sample spacing of {grid.step_east:.9g} x {grid.step_north:.9g} "
+            f"and {first.source} of {first.grid.step_east:.9g} x {first.grid.step_north:.9g}; "
+            "tiles must share one grid: resample them beforehand (gdalwarp -tr)"
+        )
+
+
+def _read_into(tile: Tile, place: Float32Array) -> float:
+    """Read a tile where nothing has been read yet; return the worst disagreement elsewhere."""
+    place = place[:: -1 if tile.flip_rows else 1, :: -1 if tile.flip_cols else 1]
+    disagreement_m = 0.0
+    with _opened(tile.source) as dataset:
+        for rows in strips(place):
+            fresh = _read_rows(dataset, rows)
+            old = place[rows]
+            known = np.isfinite(old)
+            both = known & np.isfinite(fresh)
+            if both.any():
+                disagreement_m = max(disagreement_m, float(np.abs(old - fresh)[both].max()))
+            np.copyto(old, fresh, where=~known)
+    return disagreement_m
+
+
+def _read_rows(dataset: Any, rows: slice) -> Float32Array:
+    """Read rows of the band as metres, NaN where void."""
+    window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
+    band = dataset.read(1, window=window, masked=True)
+    heights: Float32Array = band.data.astype(np.float32)
+    heights[np.ma.getmaskarray(band) | ~np.isfinite(heights)] = np.nan
+    if dataset.nodata is None:
+        heights[np.isin(heights, UNDECLARED_VOIDS)] = np.nan
+    scale, offset = dataset.scales[0], dataset.offsets[0]
+    if (scale, offset) != (1.0, 0.0):
+        heights = (heights * scale + offset).astype(np.float32)
+    unit = (dataset.units[0] or "").strip().lower()
+    if unit in _FEET_M:
+        heights *= np.float32(_FEET_M[unit])
+    return heights

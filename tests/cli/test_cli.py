@@ -1,0 +1,316 @@
+"""The command line as a user meets it: what it makes, and one line for every mistake."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conftest import NORTH_M, SPACING_M, WEST_M, write_dem
+from PIL import Image
+from scenes import fractal
+
+from skyline import Matcher, build_uniform, oracle, read_dem, stand_on
+from skyline.experiments.photographs import Camera, photograph
+from skyline.render.depth import DepthRenderer
+from skyline.store import open_store
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def csv_of(path, rows, header="easting,northing"):
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+@pytest.fixture
+def viewpoints_csv(tmp_path):
+    return csv_of(
+        tmp_path / "viewpoints.csv",
+        [f"{WEST_M + 900 + 300 * i},{NORTH_M - 1500}" for i in range(3)],
+    )
+
+
+@pytest.fixture(scope="session")
+def photo(dem, tmp_path_factory):
+    """A photograph from a stored viewpoint, heading 140 degrees."""
+    terrain = read_dem([dem])
+    eye = stand_on(terrain, 601_800.0, 5_178_000.0)
+    with DepthRenderer(terrain, 1600) as renderer:
+        picture = photograph(renderer, eye, 0, Camera(140.0, fov_deg=60.0), seed=3)
+    path = tmp_path_factory.mktemp("photo") / "photo.jpg"
+    Image.fromarray(picture).save(path, quality=92)
+    return path
+
+
+def test_version_and_help(run):
+    assert run("--version").out.startswith("skyline 0.")
+    for command in ("render", "build", "match", "extract", "info"):
+        shown = run(command, "--help")
+        assert shown.code == 0
+        assert "Usage" in shown.out
+
+
+def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
+    pictures, out = tmp_path / "pictures", tmp_path / "out.h5"
+    done = run(
+        "render", dem, "--viewpoints", viewpoints_csv, "-o", out, "--width", "160",
+        "--depth-images", pictures,
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    terrain = read_dem([dem])
+    eyes = stand_on(terrain, WEST_M + 900 + 300 * np.arange(3), NORTH_M - 1500)
+    truth = oracle.skyline(terrain, eyes, 160)
+    with open_store(out) as opened:
+        views = opened.views()
+    assert len(views) == 12
+    unflagged = views.flags == 0
+    assert unflagged.mean() > 0.3
+    error_px = (views.elevation_tan - truth.elevation_tan)[unflagged] * 80.0
+    assert np.abs(error_px).max() < 0.51
+    depth = cv2.imread(str(pictures / "0001_heading_2.tif"), cv2.IMREAD_UNCHANGED)
+    assert depth.shape == (160, 160)
+    assert depth.dtype == np.float32
+    picture = cv2.imread(str(pictures / "0001.png"))
+    assert picture is not None
+    assert picture.std() > 20.0
+
+
+def test_longitudes_and_latitudes_name_the_same_places(run, dem, tmp_path):
+    terrain = read_dem([dem])
+    lon, lat = terrain.frame.to_lonlat(WEST_M + 1200.0, NORTH_M - 1700.0)
+    places = csv_of(tmp_path / "a.csv", [f"{lon:.9f},{lat:.9f},12"], "lon,lat,eye_height_m")
+    assert run("render", dem, "--viewpoints", places, "-o", tmp_path / "a.h5").code == 0
+    with open_store(tmp_path / "a.h5") as opened:
+        place = opened.locations()
+    expected = stand_on(terrain, WEST_M + 1200.0, NORTH_M - 1700.0, 12.0)
+    np.testing.assert_allclose(place.easting_m, expected.easting_m[0], atol=1e-3)
+    np.testing.assert_allclose(place.northing_m, expected.northing_m[0], atol=1e-3)
+    np.testing.assert_allclose(place.eye_elevation_m, expected.eye_elevation_m[0], atol=1e-2)
+
+
+def test_build_then_the_same_again_renders_nothing(run, dem, tmp_path):
+    out = tmp_path / "store.h5"
+    first = run("build", dem, "-o", out, "--spacing", "900", "--width", "64")
+    assert first.code == 0, first.err
+    before = out.read_bytes()
+    again = run("build", dem, "-o", out, "--spacing", "900", "--width", "64")
+    assert again.code == 0, again.err
+    assert " 0 of them new" in again.out
+    with open_store(out) as opened:
+        assert len(opened) == 4 * 4 * 4
+    assert len(before) > 0
+
+
+def test_an_interrupted_build_goes_on_to_the_same_store(dem, tmp_path):
+    terrain = read_dem([dem])
+    whole, broken = tmp_path / "whole.h5", tmp_path / "broken.h5"
+    build_uniform(terrain, whole, 300.0)
+
+    def stop(done, total):
+        if done > total // 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build_uniform(terrain, broken, 300.0, progress=stop)
+    with open_store(broken) as opened:
+        kept = len(opened)
+    assert 0 < kept < 4 * 144
+    resumed = build_uniform(terrain, broken, 300.0)
+    assert resumed.rendered == resumed.renderings - kept
+    with open_store(whole) as first, open_store(broken) as second:
+        assert len(first) == len(second)
+        for name in ("easting_m", "heading", "elevation_tan", "depth_m", "flags"):
+            np.testing.assert_array_equal(
+                getattr(first.views(), name), getattr(second.views(), name)
+            )
+        np.testing.assert_array_equal(first.keypoint_columns(), second.keypoint_columns())
+
+
+def test_info_of_a_dem_and_of_a_store(run, dem, store):
+    facts = json.loads(run("info", dem, "--json").out)
+    assert facts["samples"] == "120 x 110"
+    assert facts["frame"] == "EPSG:32632"
+    assert facts["spacing_m"] == [30.0, 30.0]
+    facts = json.loads(run("info", store, "--json").out)
+    assert facts["kind"] == "store"
+    assert facts["renderings"] == 4 * 36
+    assert facts["locations"] == 36
+    assert "renderings" in run("info", store).out
+
+
+def test_info_gl_says_what_was_chosen_and_why(run):
+    shown = run("info", "--gl")
+    assert shown.code == 0
+    facts = json.loads(run("info", "--gl", "--json").out)
+    assert facts["renderer"] in shown.out
+
+
+def test_extract_then_match_the_trace(run, store, photo, tmp_path):
+    trace, overlay = tmp_path / "trace.csv", tmp_path / "overlay.png"
+    done = run("extract", photo, "-o", trace, "--overlay", overlay)
+    assert done.code == 0, done.err
+    assert trace.read_text().startswith("# width=960 height=640\n")
+    assert cv2.imread(str(overlay)).shape == (640, 960, 3)
+    found = run("match", store, trace, "--fov-deg", "60", "--json")
+    assert found.code == 0, found.err
+    record = json.loads(found.out)
+    assert set(record) == {"query", "answer", "candidates", "seconds"}
+    assert set(record["answer"]) == {
+        "easting", "northing", "lon", "lat", "heading_deg", "pitch_deg", "roll_deg", "fov_deg",
+        "score", "confidence", "refined",
+    }  # fmt: skip
+    assert record["answer"] == record["candidates"][0]
+    assert record["answer"]["refined"] is False
+
+
+@pytest.mark.parametrize("matcher", ["paper", "correlation"])
+def test_match_finds_the_stored_place_of_a_photo(run, store, photo, matcher):
+    found = run("match", store, photo, "--fov-deg", "60", "--matcher", matcher, "--json")
+    answer = json.loads(found.out)["answer"]
+    assert abs(answer["easting"] - 601_800.0) < 1.0
+    assert abs(answer["northing"] - 5_178_000.0) < 1.0
+    terrain_turn = 0.95  # grid convergence near 10.33 E in UTM 32, degrees
+    assert abs(answer["heading_deg"] - 140.0 - terrain_turn) < 1.5
+    plain = run("match", store, photo, "--fov-deg", "60", "--matcher", matcher)
+    assert "unrefined" in plain.out
+
+
+def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
+    bin_folder = Path(sys.executable).parent
+    environment = {"PATH": f"{bin_folder}:/usr/bin:/bin"}
+    batch = subprocess.run(
+        [EXAMPLES / "render_batch.sh", dem, viewpoints_csv, tmp_path / "batch.h5"],
+        capture_output=True, text=True, env=environment, check=False,
+    )  # fmt: skip
+    assert batch.returncode == 0, batch.stderr
+    assert "12 renderings" in batch.stdout
+    query = subprocess.run(
+        [sys.executable, EXAMPLES / "match_query.py", store, photo],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert query.returncode == 0, query.stderr
+    assert query.stdout.count("score") == 3
+
+
+BAD_CSV = {
+    "empty": ("", "is empty"),
+    "header only": ("easting,northing\n", "no viewpoints"),
+    "wrong columns": ("x,y\n1,2\n", "columns are `x,y`"),
+    "two eyes": ("easting,northing,eye_height_m,eye_elevation_m\n1,2,3,4\n", "at most one"),
+    "not numbers": (f"easting,northing\n{WEST_M},north\n", "expected 2 numbers"),
+    "short row": (f"easting,northing\n{WEST_M}\n", "expected 2 numbers"),
+    "off the map": ("easting,northing\n0,0\n", "off the map"),
+    "not finite": ("easting,northing\nnan,0\n", "not a finite number"),
+    "below ground": (
+        f"easting,northing,eye_elevation_m\n{WEST_M + 900},{NORTH_M - 900},-9000\n",
+        "below the ground",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_CSV)
+def test_bad_viewpoints_are_one_line_and_write_nothing(run, dem, tmp_path, case):
+    text, message = BAD_CSV[case]
+    path, out = tmp_path / "viewpoints.csv", tmp_path / "out.h5"
+    path.write_text(text)
+    done = run("render", dem, "--viewpoints", path, "-o", out)
+    assert_refused(done, message)
+    assert not list(tmp_path.glob("out.h5*"))
+
+
+def assert_refused(done, message):
+    assert done.code == 2, done
+    assert message in done.err
+    assert done.err.startswith("error: ")
+    assert done.err.count("\n") == 1
+    assert done.out == ""
+
+
+def test_bad_dems_are_one_line(run, tmp_path):
+    heights = fractal(20, 20)
+    text = tmp_path / "text.tif"
+    text.write_text("not a raster")
+    bands = write_dem(tmp_path / "bands.tif", np.stack([heights, heights], axis=-1))
+    naked = write_dem(tmp_path / "naked.tif", heights, crs=None)
+    out = tmp_path / "out.h5"
+    for path, message in [
+        (tmp_path / "none.tif", "none.tif"),
+        (text, "text.tif"),
+        (bands, "2 bands"),
+        (naked, "--crs"),
+    ]:
+        assert_refused(run("build", path, "-o", out), message)
+    assert not out.exists()
+    assert run("build", naked, "-o", out, "--crs", "EPSG:32632", "--spacing", "200").code == 0
+
+
+def test_viewpoint_on_a_hole_is_refused(run, tmp_path):
+    heights = fractal(80, 80)
+    heights[20:60, 20:60] = np.nan
+    dem = write_dem(tmp_path / "hole.tif", heights, nodata=np.nan)
+    place = csv_of(tmp_path / "v.csv", [f"{WEST_M + 40 * SPACING_M},{NORTH_M - 40 * SPACING_M}"])
+    done = run("render", dem, "--viewpoints", place, "-o", tmp_path / "out.h5")
+    assert_refused(done, "on a hole")
+
+
+def test_bad_options_are_one_line(run, dem, store, photo, tmp_path):
+    out = tmp_path / "out.h5"
+    for arguments, message in [
+        (["render", dem, "-o", out], "--viewpoints FILE.csv and --grid"),
+        (["render", dem, "-o", out, "--grid", "0"], "spacing is 0.0"),
+        (["render", dem, "-o", out, "--grid", "500", "--width", "0"], "width is 0"),
+        (["build", dem, "-o", out, "--k", "2"], "refraction k is 2.0"),
+        (["build", dem, "-o", out, "--spacing", "nan"], "spacing is nan"),
+        (["build", dem, "-o", out, "--spacing", "1e9"], "choose a smaller spacing"),
+        (["build", dem, "-o", out, "--bounds", "1,2,3"], "bounds are `1,2,3`"),
+        (["build", dem, "-o", out, "--bounds", "1,2,3,4"], "do not meet the DEM"),
+        (["build", dem, "-o", out, "--planner", "best"], "planner is 'best'"),
+        (["build", dem], "--output"),
+        (["match", store, photo], "--fov-deg"),
+        (["match", store, photo, "--fov-deg", "0"], "0"),
+        (["match", store, photo, "--fov-deg", "200"], "200"),
+        (["match", store, photo, "--fov-deg", "60", "--matcher", "magic"], "'magic'"),
+        (["match", store, photo, "--fov-deg", "60", "--top", "0"], "top is 0"),
+        (["match", tmp_path / "none.h5", photo, "--fov-deg", "60"], "none.h5"),
+        (["match", store, tmp_path / "none.jpg", "--fov-deg", "60"], "none.jpg"),
+        (["info"], "nothing to describe"),
+        (["polish"], "polish"),
+        (["build", dem, "-o", tmp_path / "no" / "folder.h5"], "folder"),
+    ]:
+        assert_refused(run(*arguments), message)
+    assert not out.exists()
+
+
+def test_bad_queries_are_one_line(run, store, photo, tmp_path):
+    sky = tmp_path / "sky.png"
+    Image.new("RGB", (320, 240), (120, 160, 220)).save(sky)
+    corrupt = tmp_path / "corrupt.jpg"
+    corrupt.write_bytes(photo.read_bytes()[:2000])
+    for path, message in [(sky, "no skyline"), (corrupt, "corrupt.jpg")]:
+        assert_refused(run("match", store, path, "--fov-deg", "60"), message)
+        assert_refused(run("extract", path, "-o", tmp_path / "trace.csv"), message)
+    assert not (tmp_path / "trace.csv").exists()
+
+
+def test_a_store_of_another_dem_is_refused_and_kept(run, store, tmp_path):
+    other = write_dem(tmp_path / "other.tif", fractal(110, 120, seed=99))
+    before = store.read_bytes()
+    done = run("build", other, "-o", store, "--spacing", "600")
+    assert_refused(done, "digest")
+    assert store.read_bytes() == before
+
+
+def test_a_truncated_store_is_refused(run, store, photo, tmp_path):
+    cut = tmp_path / "cut.h5"
+    cut.write_bytes(store.read_bytes()[:40_000])
+    for arguments in (["match", cut, photo, "--fov-deg", "60"], ["info", cut]):
+        assert_refused(run(*arguments), "cut.h5")
+
+
+def test_the_python_interface_of_the_readme(store, photo):
+    result = Matcher(store).match(photo, fov_deg=60.0)
+    assert result.answer is not None
+    assert result.answer == result.candidates[0]

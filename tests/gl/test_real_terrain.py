@@ -1,0 +1,131 @@
+"""Both skylines of real terrain: the rasterizer against the oracle, and against others' figures."""
+
+import gzip
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.transform import from_origin
+
+from skyline import oracle
+from skyline.geodesy import Curvature, Frame
+from skyline.planning.uniform import map_bounds
+from skyline.render.depth import DepthRenderer
+from skyline.terrain.dem import read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import stand_on
+
+SEED = 20
+
+
+def random_viewpoints(field, count, bounds_deg=None):
+    generator = np.random.default_rng(SEED)
+    west, south, east, north = map_bounds(field, bounds_deg)
+    easting = generator.uniform(west, east, 3 * count)
+    northing = generator.uniform(south, north, 3 * count)
+    standing = ~np.isnan(field.height_at(easting, northing))
+    return stand_on(field, easting[standing][:count], northing[standing][:count])
+
+
+def test_davos_depth_path_lies_within_a_pixel_of_the_oracle(shared_data):
+    field = read_dem([shared_data / "davos" / "davos_srtm1_30m.tif"])
+    viewpoints = random_viewpoints(field, 20, (9.7, 46.6, 10.1, 47.0))
+    truth = oracle.skyline(field, viewpoints)
+    with DepthRenderer(field) as renderer:
+        views = renderer.render(viewpoints)
+    unflagged = views.flags == 0
+    error_px = ((views.elevation_tan - truth.elevation_tan) * views.width / 2.0)[unflagged]
+    assert unflagged.mean() > 0.8
+    assert np.abs(error_px).max() <= 1.0
+    assert np.sqrt(np.mean(error_px**2)) <= 0.35
+
+
+@pytest.fixture(scope="module")
+def lakes(shared_data):
+    """Heights, and another program's horizons in degrees by azimuth."""
+    with np.load(shared_data / "sierra" / "lakes_ipw_horizon.npz") as published:
+        heights = published["dem"]
+        field = HeightField(
+            heights,
+            float(published["x"][0]),
+            float(published["y"][0]),
+            50.0,
+            50.0,
+            Frame.from_crs("EPSG:32611"),
+        )
+        azimuth = published["azimuth_compass"]
+        cardinal = [int(np.flatnonzero(azimuth == 90 * heading)[0]) for heading in range(4)]
+        return field, published["horizon_elev_deg"][cardinal]
+
+
+def test_lakes_horizons_agree_with_published_ones(lakes):
+    field, published_deg = lakes
+    generator = np.random.default_rng(SEED)
+    row = generator.integers(20, field.rows - 20, 300)
+    col = generator.integers(20, field.cols - 20, 300)
+    viewpoints = stand_on(field, *field.to_map(row, col), eye_height_m=0.0)
+    flat = Curvature(enabled=False)
+    # An odd width has a column straight ahead, where the ordinate is the elevation's tangent.
+    truth = oracle.skyline(field, viewpoints, 3, flat).elevation_tan[:, 1].reshape(-1, 4)
+    difference_deg = np.degrees(np.arctan(truth)) - published_deg[:, row, col].T
+    assert (np.abs(np.median(difference_deg, axis=0)) < 0.1).all()
+    with DepthRenderer(field, 641, flat) as renderer:
+        views = renderer.render(viewpoints)
+    straight_ahead = views.elevation_tan[:, 320].reshape(-1, 4)
+    difference_deg = np.degrees(np.arctan(straight_ahead)) - published_deg[:, row, col].T
+    assert (np.abs(np.nanmedian(difference_deg, axis=0)) < 0.1).all()
+
+
+def test_everest_voids_are_counted_and_make_no_phantom_skyline(shared_data):
+    field = read_dem([shared_data / "everest" / "mt_everest_90m.tif"])
+    counts = field.provenance
+    # Spikes were voids in all but name, so they join the file's own 130,953.
+    assert counts.filled + counts.hollow == 130_953 + counts.despiked
+    assert counts.despiked < 20
+    viewpoints = random_viewpoints(field, 12)
+    truth = oracle.skyline(field, viewpoints, 160)
+    with DepthRenderer(field, 160) as renderer:
+        views = renderer.render(viewpoints)
+    for skylines in (truth, views):
+        points = skylines.skyline_points_m()
+        distance = np.hypot(points[..., 0], points[..., 2])
+        height = points[..., 1] + skylines.eye_elevation_m[:, np.newaxis]
+        height += Curvature().drop_m(distance)
+        # Half a pixel of the depth path stands for this much at the skyline's distance.
+        slack = distance / 160.0
+        assert np.nanmax(height - slack) < 8849.0
+    seen = (views.flags == 0) & (truth.flags == 0)
+    error_px = (views.elevation_tan - truth.elevation_tan)[seen] * 80.0
+    assert np.abs(error_px).max() <= 1.0
+
+
+def test_a_skyline_across_a_seam_is_that_of_the_merged_raster(shared_data, tmp_path):
+    tiles = [shared_data / "california" / f"N37W{lon}.hgt.gz" for lon in (119, 120)]
+    east, west = (
+        np.frombuffer(gzip.decompress(p.read_bytes()), ">i2").reshape(1201, 1201) for p in tiles
+    )
+    # They differ by a metre here and there on the shared border; the tile named first counts.
+    merged = np.concatenate([west[:, :-1], east], axis=1)
+    path = tmp_path / "merged.tif"
+    step = 1.0 / 1200.0
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=merged.shape[1],
+        height=merged.shape[0],
+        count=1,
+        dtype="int16",
+        nodata=-32768,
+        crs="EPSG:4326",
+        transform=from_origin(-120.0 - step / 2.0, 38.0 + step / 2.0, step, step),
+    ) as raster:
+        raster.write(merged.astype(np.int16), 1)
+    mosaic, whole = read_dem(tiles), read_dem([path])
+    np.testing.assert_array_equal(mosaic.heights_m, whole.heights_m)
+    easting, northing = mosaic.frame.from_lonlat([-119.01], [37.6])
+    viewpoints = stand_on(mosaic, easting, northing)
+    with DepthRenderer(mosaic) as first, DepthRenderer(whole) as second:
+        np.testing.assert_array_equal(
+            first.render(viewpoints).elevation_tan, second.render(viewpoints).elevation_tan
+        )

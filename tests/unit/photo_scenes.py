@@ -1,0 +1,150 @@
+"""Synthetic mountain photos whose skyline is known to a fraction of a pixel."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+Float64Array = NDArray[np.float64]
+
+BLUE, PALE, WHITE = (70.0, 120.0, 190.0), (190.0, 210.0, 230.0), (236.0, 238.0, 240.0)
+ROCK, SNOW, FOREST = (95.0, 85.0, 75.0), (238.0, 240.0, 245.0), (45.0, 60.0, 40.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A picture, the true border row per column, and where that border is visible at all."""
+
+    image: NDArray[np.uint8]
+    row_px: Float64Array
+    visible: NDArray[np.bool_]
+
+
+def ridge(rng: np.random.Generator, width: int, height: int, relief: float = 0.12) -> Float64Array:
+    """Border rows: octaves of interpolated noise with peaks at the scale of mountains."""
+    columns = np.arange(width) / width
+    row = np.full(width, 0.42 * height)
+    for octave in range(1, 7):
+        knots = 3 * 2**octave
+        noise = rng.uniform(-1.0, 1.0, knots + 1)
+        row -= height * relief * 2.0**-octave * 2 * np.interp(columns * knots, np.arange(knots + 1), noise)
+    return row
+
+
+def coverage(row_px: Float64Array, height: int) -> Float64Array:
+    """Share of ground in each pixel, (H, W): pixel r spans r - 0.5 to r + 0.5."""
+    rows = np.arange(height)[:, np.newaxis]
+    return np.clip(rows + 0.5 - row_px, 0.0, 1.0)
+
+
+def texture(rng: np.random.Generator, shape: tuple[int, int], blur_px: float) -> Float64Array:
+    """Noise of unit deviation, smooth over ``blur_px``."""
+    noise = ndimage.gaussian_filter(rng.standard_normal(shape), blur_px)
+    return noise / noise.std()
+
+
+def sky(width: int, height: int, zenith=BLUE, horizon=PALE) -> Float64Array:
+    """Vertical gradient, (H, W, 3)."""
+    t = np.linspace(0.0, 1.0, height)[:, np.newaxis, np.newaxis] * 2.0
+    t = np.broadcast_to(np.clip(t, 0.0, 1.0), (height, width, 1))
+    return (1.0 - t) * np.array(zenith) + t * np.array(horizon)
+
+
+def ground(rng: np.random.Generator, width: int, height: int, colour=ROCK) -> Float64Array:
+    """Rough ground of one colour, (H, W, 3)."""
+    rough = 10.0 * texture(rng, (height, width), 1.0) + 12.0 * texture(rng, (height, width), 8.0)
+    return np.array(colour) + rough[:, :, np.newaxis]
+
+
+def snow_cap(rng, base: Float64Array, row_px: Float64Array, depth_px: float) -> Float64Array:
+    """Snow over the upper part of the ground, rock showing through lower down."""
+    height, width = base.shape[:2]
+    rows = np.arange(height)[:, np.newaxis]
+    edge = row_px.min() + depth_px + 15.0 * texture(rng, (height, width), 12.0)
+    is_snow = np.clip((edge - rows) / 3.0, 0.0, 1.0)[:, :, np.newaxis]
+    white = np.array(SNOW) + 2.0 * texture(rng, (height, width), 3.0)[:, :, np.newaxis]
+    return is_snow * white + (1.0 - is_snow) * base
+
+
+def clouds(rng, above: Float64Array, row_px: Float64Array, count: int) -> Float64Array:
+    """Smooth bright blobs in the sky, half of them touching the ridge."""
+    height, width = above.shape[:2]
+    rows, columns = np.mgrid[0:height, 0:width]
+    cover = np.zeros((height, width))
+    for index in range(count):
+        column = rng.uniform(0.05, 0.95) * width
+        at_ridge = row_px[int(column)]
+        row = at_ridge - 0.02 * height if index % 2 == 0 else at_ridge * rng.uniform(0.3, 0.8)
+        rx, ry = rng.uniform(0.04, 0.1) * width, rng.uniform(0.02, 0.05) * height
+        cover += np.exp(-(((columns - column) / rx) ** 2) - ((rows - row) / ry) ** 2)
+    wisps = 1.0 + 0.25 * texture(rng, (height, width), 0.012 * width)
+    cover = np.clip(1.3 * cover * wisps, 0.0, 0.9)[:, :, np.newaxis]
+    return (1.0 - cover) * above + cover * np.array(WHITE)
+
+
+def compose(above: Float64Array, below: Float64Array, row_px: Float64Array) -> Float64Array:
+    """Sky over ground, antialiased along the border."""
+    share = coverage(row_px, len(above))[:, :, np.newaxis]
+    return (1.0 - share) * above + share * below
+
+
+def expose(rng: np.random.Generator, picture: Float64Array, noise: float) -> NDArray[np.uint8]:
+    """A little lens blur, sensor noise, 8 bits."""
+    blurred = ndimage.gaussian_filter(picture, (0.6, 0.6, 0.0))
+    noisy = blurred + noise * rng.standard_normal(picture.shape)
+    return np.clip(np.round(noisy), 0, 255).astype(np.uint8)
+
+
+def make_scene(kind: str, seed: int, width: int = 960, height: int = 640) -> Scene:
+    """Draw one of the kinds in ``KINDS``."""
+    rng = np.random.default_rng([seed, sorted(KINDS).index(kind)])
+    row_px = ridge(rng, width, height)
+    visible = np.ones(width, dtype=bool)
+    above, below, noise = sky(width, height), ground(rng, width, height), 2.0
+    if kind == "haze":
+        below = 0.2 * below + 0.8 * np.array(PALE)
+    elif kind == "clouds":
+        above = clouds(rng, above, row_px, 6)
+    elif kind == "noise":
+        noise = 10.0
+    elif kind == "snow":
+        below = snow_cap(rng, below, row_px, 0.2 * height)
+    elif kind == "snow_white_sky":
+        above = sky(width, height, (200.0, 204.0, 208.0), (222.0, 224.0, 226.0))
+        below = snow_cap(rng, below, row_px, 0.25 * height)
+    elif kind == "layers":
+        near = ridge(rng, width, height) + 0.12 * height
+        far = 0.45 * ground(rng, width, height) + 0.55 * np.array(PALE)
+        below = compose(far, ground(rng, width, height, FOREST), near)
+    picture = compose(above, below, row_px)
+    if kind == "poles":
+        for column in rng.uniform(0.05, 0.95, 5) * width:
+            lo = int(column)
+            hi = lo + int(rng.integers(3, 8))
+            picture[int(rng.uniform(0.0, 0.15) * height) :, lo:hi] = FOREST
+            visible[max(lo - 2, 0) : hi + 2] = False
+    elif kind == "trees":
+        for side in (0.0, 0.8):
+            start = int((side + rng.uniform(0.0, 0.05)) * width)
+            crown = np.full(width, np.inf)
+            span = slice(start, start + int(0.14 * width))
+            crown[span] = 0.08 * height + 20.0 * np.abs(rng.standard_normal(len(crown[span])))
+            picture = compose(picture, ground(rng, width, height, FOREST), crown)
+            visible[span] = False
+    elif kind == "caption":
+        picture[: int(0.03 * height)] = 255.0
+        picture[-int(0.08 * height) :] = 255.0
+        picture[:, : int(0.02 * width)] = 255.0
+        picture[:, -int(0.02 * width) :] = 255.0
+        text = rng.random((12, width // 3)) < 0.4
+        picture[-30:-18, 100 : 100 + text.shape[1]][text] = 20.0
+        visible[: int(0.02 * width) + 1] = False
+        visible[-int(0.02 * width) - 1 :] = False
+    return Scene(expose(rng, picture, noise), row_px, visible)
+
+
+KINDS = (
+    "clear", "haze", "clouds", "noise", "snow", "snow_white_sky", "layers", "poles", "trees",
+    "caption",
+)

@@ -1,0 +1,222 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from skyline.terrain import cleaning
+from skyline.terrain.cleaning import count_voids, fill_voids, remove_spikes
+
+SPACING_M, SPIKE_M = 30.0, 100.0
+
+Float32Array = NDArray[np.float32]
+
+
+@pytest.fixture(params=[1 << 22, 60], ids=["one strip", "many strips"], autouse=True)
+def strip_samples(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cleaning, "_STRIP_SAMPLES", request.param)
+
+
+def rugged(rows: int = 40, cols: int = 50) -> Float32Array:
+    row, col = np.mgrid[0:rows, 0:cols].astype(np.float32)
+    return 1500.0 + 300.0 * np.sin(row / 5.0) * np.cos(col / 7.0) + 8.0 * row
+
+
+def despiked(heights: Float32Array, spacing_m: float = SPACING_M) -> Float32Array:
+    cleaned = heights.copy()
+    count = remove_spikes(cleaned, spacing_m, SPIKE_M)
+    assert count == np.count_nonzero(np.isnan(cleaned)) - np.count_nonzero(np.isnan(heights))
+    return cleaned
+
+
+@pytest.mark.parametrize("height_m", [32767.0, -32767.0, 1e30, 700.0, -700.0])
+@pytest.mark.parametrize("place", [(20, 25), (0, 25), (39, 49), (0, 0), (1, 10)])
+def test_a_spike_is_removed_and_nothing_else(height_m: float, place: tuple[int, int]) -> None:
+    heights = rugged()
+    heights[place] += height_m
+    assert np.argwhere(np.isnan(despiked(heights))).tolist() == [list(place)]
+
+
+@pytest.mark.parametrize(
+    "clump", [[(0, 0), (0, 1)], [(0, 0), (1, 1)], [(0, 0), (0, 1), (1, 0), (1, 1)]]
+)
+@pytest.mark.parametrize("even", [True, False])
+def test_clumps_of_spikes_are_removed(clump: list[tuple[int, int]], even: bool) -> None:
+    heights = rugged()
+    places = [(17 + r, 22 + c) for r, c in clump]
+    for number, place in enumerate(places):
+        heights[place] += 900.0 if even else 900.0 + 400.0 * number
+    assert [tuple(p) for p in np.argwhere(np.isnan(despiked(heights)))] == places
+
+
+def test_a_block_of_absurd_heights_is_removed() -> None:
+    heights = rugged()
+    heights[5:15, 5:15] = 32767.0
+    assert np.isnan(despiked(heights)[5:15, 5:15]).all()
+
+
+def cone(slope: float) -> Float32Array:
+    row, col = np.mgrid[-15:16, -15:16]
+    return (4000.0 - slope * SPACING_M * np.hypot(row, col)).astype(np.float32)
+
+
+def cliff() -> Float32Array:
+    heights = np.zeros((30, 30), dtype=np.float32)
+    heights[:, 15:] = 3000.0
+    return heights
+
+
+def arete() -> Float32Array:
+    """A wall of one sample, 500 m over its feet on either side, with both ends inside the map."""
+    heights = np.zeros((30, 30), dtype=np.float32)
+    heights[15, 5:25] = 500.0
+    return heights
+
+
+def mesa() -> Float32Array:
+    heights = np.zeros((30, 30), dtype=np.float32)
+    heights[10:13, 10:13] = 1000.0
+    return heights
+
+
+def gorge() -> Float32Array:
+    return -arete()
+
+
+def noise() -> Float32Array:
+    return np.random.default_rng(3).uniform(0.0, 3000.0, (60, 60)).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    "terrain", [cone(1.0), cone(2.4), cliff(), cliff().T.copy(), arete(), mesa(), gorge()]
+)
+def test_real_shapes_stay(terrain: Float32Array) -> None:
+    np.testing.assert_array_equal(despiked(terrain), terrain)
+
+
+def test_even_white_noise_stays_almost_whole() -> None:
+    assert np.count_nonzero(np.isnan(despiked(noise()))) <= 0.02 * noise().size
+
+
+def test_an_infinite_least_spike_leaves_only_the_absurd() -> None:
+    heights = rugged()
+    heights[10, 10] = 9000.0
+    heights[20, 20] = 32767.0
+    assert remove_spikes(heights, SPACING_M, np.inf) == 1
+    assert np.isnan(heights[20, 20])
+    assert heights[10, 10] == 9000.0
+
+
+def test_what_no_file_covers_is_no_neighbour() -> None:
+    heights = rugged()
+    heights[:, 30:] = np.inf
+    heights[20, 29] += 800.0
+    assert remove_spikes(heights, SPACING_M, SPIKE_M) == 1
+    assert np.isnan(heights[20, 29])
+    assert np.isposinf(heights[:, 30:]).all()
+
+
+@pytest.mark.parametrize(
+    ("path", "spacing_m", "expected"),
+    [
+        # Pits of 674 and 259 m, one sample each, on gentle slopes of the real tile.
+        ("davos/davos_srtm1_30m.tif", 31.0, [(228, 723), (1931, 967)]),
+        # Two samples 300 to 1100 m below their surroundings at the edge of a void.
+        ("everest/mt_everest_90m.tif", 92.0, [(5, 135), (5, 136)]),
+        ("tirol/avaAlr.tif", 5.0, []),
+        ("sierra/sierra_ansel_adams_30m_albers.tif", 30.0, []),
+    ],
+)
+def test_real_terrain_stays(
+    shared_data: Path,
+    path: str,
+    spacing_m: float,
+    expected: list[tuple[int, int]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cleaning, "_STRIP_SAMPLES", 1 << 18)
+    with rasterio.open(shared_data / path) as dataset:
+        heights = dataset.read(1, masked=True).astype(np.float32).filled(np.nan)
+    cleaned = despiked(heights, spacing_m)
+    changed = np.isnan(cleaned) & ~np.isnan(heights)
+    assert [tuple(place) for place in np.argwhere(changed)] == expected
+    # What was planted is found, all of it, and no more.
+    planted = np.zeros(heights.shape, dtype=bool)
+    planted[25:-25:60, 25:-25:60] = True
+    planted &= ~ndimage.binary_dilation(np.isnan(cleaned), np.ones((3, 3)))
+    heights[planted] += 2500.0
+    changed = np.isnan(despiked(heights, spacing_m)) & ~np.isnan(heights)
+    assert np.count_nonzero(planted) > 20
+    np.testing.assert_array_equal(changed, planted | (np.isnan(cleaned) & ~np.isnan(heights)))
+
+
+@given(
+    void=hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))),
+    limit=st.integers(0, 12),
+)
+def test_voids_are_filled_by_size(void: NDArray[np.bool_], limit: int) -> None:
+    heights = np.random.default_rng(1).uniform(0, 100, void.shape).astype(np.float32)
+    heights[void] = np.nan
+    before = heights.copy()
+    filled = fill_voids(heights, limit)
+    label, _ = ndimage.label(void)
+    small = void & (np.bincount(label.ravel())[label] <= limit) & (not void.all())
+    np.testing.assert_array_equal(np.isnan(heights), void & ~small)
+    np.testing.assert_array_equal(heights[~void], before[~void])
+    assert filled == np.count_nonzero(small)
+    assert filled + count_voids(heights) == np.count_nonzero(void)
+    if filled:
+        assert np.nanmin(before) - 1e-3 <= heights[small].min()
+        assert heights[small].max() <= np.nanmax(before) + 1e-3
+
+
+def test_filling_is_the_mean_of_neighbours_and_keeps_planes() -> None:
+    row, col = np.mgrid[0:20, 0:20].astype(np.float32)
+    plane = 3.0 * row - 7.0 * col + 500.0
+    void = np.zeros(plane.shape, dtype=bool)
+    void[5:10, 4:12] = True
+    void[9:14, 8:10] = True
+    heights = np.where(void, np.float32(np.nan), plane)
+    assert fill_voids(heights, 100) == np.count_nonzero(void)
+    np.testing.assert_allclose(heights, plane, atol=1e-3)
+
+    rough = np.random.default_rng(2).uniform(0, 900, plane.shape).astype(np.float32)
+    rough[void] = np.nan
+    fill_voids(rough, 100)
+    cross = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) / 4.0
+    mean = ndimage.convolve(rough.astype(np.float64), cross)
+    np.testing.assert_allclose(rough[void], mean[void], atol=1e-3)
+
+
+def test_what_no_file_covers_is_never_filled_nor_a_rim() -> None:
+    heights = np.full((9, 9), 10.0, dtype=np.float32)
+    heights[:, 6:] = np.inf
+    heights[4, 5] = np.nan
+    heights[0, 7] = np.nan  # a void with nothing known beside it
+    assert fill_voids(heights, 50) == 1
+    assert heights[4, 5] == pytest.approx(10.0)
+    assert np.isnan(heights[0, 7])
+    assert np.count_nonzero(np.isposinf(heights)) == 26
+
+
+def test_a_void_that_meets_known_ground_by_a_corner_alone_stays() -> None:
+    heights = np.full((5, 5), 10.0, dtype=np.float32)
+    heights[:2], heights[:, :2] = np.inf, np.inf
+    heights[1, 1] = np.nan
+    heights[2, 2] = np.nan
+    assert fill_voids(heights, 50) == 1
+    assert heights[2, 2] == pytest.approx(10.0)
+    assert np.isnan(heights[1, 1])
+
+
+def test_nothing_to_do() -> None:
+    heights = rugged()
+    before = heights.copy()
+    assert remove_spikes(heights, SPACING_M, SPIKE_M) == 0
+    assert fill_voids(heights, 100) == 0
+    np.testing.assert_array_equal(heights, before)

@@ -1,0 +1,110 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pyproj import Geod
+
+from skyline.errors import InputError
+from skyline.geodesy import Curvature, Frame, is_metric
+
+WGS84 = Geod(ellps="WGS84")
+FRAMES = {
+    "utm": (Frame.from_crs("EPSG:32632"), 9.9, 46.8),
+    "local": (Frame.local(9.6, 46.5), 9.9, 46.8),
+    "local south": (Frame.local(170.2, -44.1), 170.9, -44.8),
+    "local far north": (Frame.local(15.0, 84.0), 16.0, 84.3),
+    "albers": (Frame.from_crs("ESRI:102003"), -119.2, 37.7),
+    "swiss": (Frame.from_crs("EPSG:21781"), 9.9, 46.8),
+    "polar": (Frame.from_crs("EPSG:3413"), 15.0, 78.0),
+}
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_true_azimuth_is_grid_azimuth_plus_convergence(name: str) -> None:
+    frame, lon, lat = FRAMES[name]
+    easting, northing = frame.from_lonlat([lon, lon], [lat - 1e-4, lat + 1e-4])
+    # Walking north along the meridian: true azimuth 0.
+    grid_azimuth_deg = math.degrees(math.atan2(np.diff(easting)[0], np.diff(northing)[0]))
+    convergence_deg = float(frame.convergence_deg(easting.mean(), northing.mean()))
+    turn_deg = (grid_azimuth_deg + convergence_deg + 180.0) % 360.0 - 180.0
+    # The factors are of the CRS's own ellipsoid; Bessel's north is 2e-4 degrees off WGS 84's.
+    assert turn_deg == pytest.approx(0.0, abs=1e-3)
+    assert abs(convergence_deg) > 0.1
+
+
+def test_convergence_is_positive_east_of_the_central_meridian_in_the_north() -> None:
+    frame = Frame.local(9.0, 46.0)
+    expected_deg = math.degrees(math.atan(math.tan(math.radians(0.5)) * math.sin(math.radians(46))))
+    easting, northing = frame.from_lonlat(9.5, 46.0)
+    assert float(frame.convergence_deg(easting, northing)) == pytest.approx(expected_deg, abs=1e-3)
+
+
+@given(
+    lon=st.floats(-180.0, 180.0),
+    lat=st.floats(-84.0, 84.0),
+    east=st.floats(-2e5, 2e5),
+    north=st.floats(-2e5, 2e5),
+)
+def test_round_trip_through_longitude_and_latitude(
+    lon: float, lat: float, east: float, north: float
+) -> None:
+    frame = Frame.local(lon, lat)
+    back = frame.from_lonlat(*frame.to_lonlat(east, north))
+    np.testing.assert_allclose(back, (east, north), atol=1e-4)
+
+
+@given(lon=st.floats(-180.0, 180.0), lat=st.floats(-84.0, 84.0), azimuth=st.floats(0.0, 360.0))
+def test_local_frame_is_true_at_its_centre(lon: float, lat: float, azimuth: float) -> None:
+    frame = Frame.local(lon, lat)
+    there_lon, there_lat, _ = WGS84.fwd(lon, lat, azimuth, 1000.0)
+    easting, northing = frame.from_lonlat(there_lon, there_lat)
+    assert float(easting) == pytest.approx(1000.0 * math.sin(math.radians(azimuth)), abs=0.01)
+    assert float(northing) == pytest.approx(1000.0 * math.cos(math.radians(azimuth)), abs=0.01)
+
+
+def test_local_frame_is_conformal_and_albers_is_not() -> None:
+    local, albers = FRAMES["local"][0], FRAMES["albers"][0]
+    assert float(local.angular_distortion_deg(50e3, 50e3)) < 1e-5
+    assert float(albers.angular_distortion_deg(-2.03e6, 0.25e6)) > 0.5
+
+
+def test_scale_is_map_metres_per_metre_on_the_ground() -> None:
+    mercator = Frame.from_crs("EPSG:3395")
+    easting, northing = mercator.from_lonlat([9.9, 9.901], [46.8, 46.8])
+    ground_m = WGS84.inv(9.9, 46.8, 9.901, 46.8)[2]
+    expected = np.diff(easting)[0] / ground_m
+    assert float(mercator.scale(easting[0], northing[0])) == pytest.approx(expected, rel=1e-6)
+    assert float(Frame.local(9.9, 46.8).scale(0.0, 0.0)) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_local_frame_says_where_it_is_and_keeps_its_origin() -> None:
+    frame = Frame.local(9.9, 46.8)
+    assert frame.name == "local transverse Mercator at 46.8000, 9.9000"
+    assert is_metric(frame.crs)
+    np.testing.assert_allclose(frame.to_lonlat(0.0, 0.0), (9.9, 46.8), atol=1e-9)
+
+
+def test_frame_from_epsg_keeps_its_name() -> None:
+    assert Frame.from_crs("EPSG:32632").name == "EPSG:32632"
+
+
+@pytest.mark.parametrize("crs", ["EPSG:4326", "EPSG:2227", "EPSG:4978", "rubbish", "EPSG:0"])
+def test_frame_refuses_what_is_not_metric(crs: str) -> None:
+    with pytest.raises(InputError, match=r"metric|not understood"):
+        Frame.from_crs(crs)
+
+
+def test_curvature_drop() -> None:
+    assert float(Curvature().drop_m(10_000.0)) == pytest.approx(1e8 * 0.87 / (2 * 6371008.8))
+    assert float(Curvature(enabled=False).drop_m(10_000.0)) == 0.0
+    np.testing.assert_array_equal(Curvature(radius_m=3.0, refraction_k=0.0).drop_m([6.0]), [6.0])
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"radius_m": 0.0}, {"radius_m": math.nan}, {"refraction_k": 1.0}]
+)
+def test_curvature_refuses_nonsense(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError):
+        Curvature(**wrong)

@@ -1,0 +1,143 @@
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.geodesy import Frame
+from skyline.terrain.heightfield import HeightField
+
+FRAME = Frame.local(9.9, 46.8)
+WEST_M, NORTH_M, EAST_STEP_M, NORTH_STEP_M = 1000.0, 2000.0, 25.0, 30.0
+
+
+def field_of(heights: NDArray[np.floating]) -> HeightField:
+    return HeightField(heights, WEST_M, NORTH_M, EAST_STEP_M, NORTH_STEP_M, FRAME)
+
+
+def on_triangle(heights: NDArray[np.float64], row: float, col: float) -> float:
+    """Evaluate the surface of DESIGN 4 at one place, by solving for a plane."""
+    top, left = math.floor(row), math.floor(col)
+    north_west, south_east = (top, left), (top + 1, left + 1)
+    third = (top, left + 1) if col - left > row - top else (top + 1, left)
+    corners = np.array([north_west, south_east, third])
+    plane = np.linalg.solve(
+        np.column_stack([corners, np.ones(3)]), heights[corners[:, 0], corners[:, 1]]
+    )
+    return float(plane @ [row, col, 1.0])
+
+
+@given(data=st.data())
+def test_height_is_the_triangle_s(data: st.DataObject) -> None:
+    shape = data.draw(st.tuples(st.integers(2, 6), st.integers(2, 6)))
+    heights = data.draw(
+        hnp.arrays(np.float64, shape, elements=st.floats(-500, 9000) | st.just(np.nan))
+    )
+    part = st.floats(0.001, 0.999)
+    south, east = data.draw(st.tuples(part, part).filter(lambda p: abs(p[0] - p[1]) > 1e-3))
+    row = data.draw(st.integers(0, shape[0] - 2)) + south
+    col = data.draw(st.integers(0, shape[1] - 2)) + east
+    height = float(field_of(heights).height_at(*field_of(heights).to_map(row, col)))
+    assert height == pytest.approx(on_triangle(heights, row, col), abs=1e-6, nan_ok=True)
+
+
+def test_diagonal_joins_north_west_and_south_east() -> None:
+    field = field_of(np.array([[0.0, 9.0], [3.0, 0.0]]))
+    assert float(field.height_at(*field.to_map(0.5, 0.5))) == 0.0
+    assert float(field.height_at(*field.to_map(0.25, 0.75))) == pytest.approx(4.5)
+    assert float(field.height_at(*field.to_map(0.75, 0.25))) == pytest.approx(1.5)
+
+
+def test_samples_are_at_their_coordinates() -> None:
+    heights = np.arange(20, dtype=np.float32).reshape(4, 5)
+    field = field_of(heights)
+    rows, cols = np.mgrid[0:4, 0:5]
+    np.testing.assert_array_equal(field.height_at(*field.to_map(rows, cols)), heights)
+    assert float(field.height_at(WEST_M + EAST_STEP_M, NORTH_M - 2 * NORTH_STEP_M)) == 11.0
+    assert field.bounds_m == (1000.0, 1910.0, 1100.0, 2000.0)
+    assert field.spacing_m == 25.0
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (4, 1)])
+def test_single_rows_and_columns_have_their_samples(shape: tuple[int, int]) -> None:
+    heights = np.arange(4, dtype=np.float32)[: max(shape)].reshape(shape)
+    field = field_of(heights)
+    rows, cols = np.indices(shape)
+    np.testing.assert_array_equal(field.height_at(*field.to_map(rows, cols)), heights)
+    assert np.isnan(field.height_at(WEST_M - 1.0, NORTH_M))
+
+
+def test_off_the_map_there_is_no_height() -> None:
+    field = field_of(np.zeros((3, 3)))
+    for row, col in ((-0.01, 1.0), (2.01, 1.0), (1.0, -0.01), (1.0, 2.01)):
+        assert np.isnan(field.height_at(*field.to_map(row, col)))
+
+
+def test_a_hole_takes_its_triangles_and_no_more() -> None:
+    heights = np.ones((3, 3))
+    heights[0, 1] = np.nan
+    field = field_of(heights)
+    assert np.isnan(field.height_at(*field.to_map(0.2, 0.8)))
+    assert float(field.height_at(*field.to_map(0.8, 0.2))) == 1.0
+    assert float(field.height_at(*field.to_map(0.0, 0.0))) == 1.0
+    assert np.isnan(field.height_at(*field.to_map(0.0, 1.0)))
+    assert field.has_holes
+    assert field.height_range_m == (1.0, 1.0)
+
+
+def test_heights_given_are_copied_and_frozen() -> None:
+    heights = np.zeros((3, 3), dtype=np.float32)
+    field = field_of(heights)
+    digest = field.digest
+    heights[1, 1] = 9.0
+    assert field.heights_m[1, 1] == 0.0
+    assert field_of(field.heights_m.copy()).digest == digest
+    with pytest.raises(ValueError, match="read-only"):
+        field.heights_m[0, 0] = 1.0
+
+
+def test_a_frozen_array_is_taken_over_and_a_frozen_view_is_not() -> None:
+    heights = np.zeros((3, 3), dtype=np.float32)
+    view = heights[:]
+    view.setflags(write=False)
+    assert not np.shares_memory(field_of(view).heights_m, heights)
+    heights.setflags(write=False)
+    assert field_of(heights).heights_m is heights
+
+
+def test_digest_is_of_samples_grid_and_frame() -> None:
+    heights = np.zeros((2, 3), dtype=np.float32)
+    digests = {
+        field_of(heights).digest,
+        field_of(heights + 1).digest,
+        field_of(heights.reshape(3, 2)).digest,
+        field_of(heights.astype(np.float64)).digest,
+        HeightField(heights, WEST_M + 1, NORTH_M, 25.0, 30.0, FRAME).digest,
+        HeightField(heights, WEST_M, NORTH_M, 30.0, 25.0, FRAME).digest,
+        HeightField(heights, WEST_M, NORTH_M, 25.0, 30.0, Frame.local(9.9, 46.9)).digest,
+    }
+    assert len(digests) == 7
+    assert field_of(heights).digest in digests
+
+
+@pytest.mark.parametrize("heights", [np.zeros(3), np.zeros((0, 3)), np.full((2, 2), np.inf)])
+def test_unusable_heights_are_refused(heights: NDArray[np.float64]) -> None:
+    with pytest.raises(InputError):
+        field_of(heights)
+
+
+@pytest.mark.parametrize("spacing_m", [0.0, -1.0, math.inf, math.nan])
+def test_unusable_spacing_is_refused(spacing_m: float) -> None:
+    with pytest.raises(InputError, match="spacing"):
+        HeightField(np.zeros((2, 2)), 0.0, 0.0, spacing_m, 1.0, FRAME)
+
+
+def test_a_field_of_holes_alone_has_no_range() -> None:
+    field = field_of(np.full((2, 2), np.nan))
+    assert field.has_holes
+    with pytest.raises(InputError, match="hole"):
+        _ = field.height_range_m
