@@ -7,9 +7,8 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import click
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
@@ -43,10 +42,12 @@ from skyline.terrain.viewpoint_csv import read_viewpoints
 
 _DEFAULTS = RenderConfig()
 
+# Typer brings click under one name or another, by its version; this one name is public in all.
+_UsageError: Any = typer.BadParameter.__base__
+
 app = typer.Typer(
     name="skyline",
     help="A photo of mountains in, a place on the map out.",
-    no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
 )
@@ -203,12 +204,16 @@ def info(
 
 @app.callback(invoke_without_command=True)
 def options(
+    context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
 ) -> None:
     """A photo of mountains in, a place on the map out."""
     if version:
         typer.echo(f"skyline {__version__}")
         raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit(2)
 
 
 def main() -> None:
@@ -218,11 +223,9 @@ def main() -> None:
         sys.exit(app(standalone_mode=False))
     except SkylineError as error:
         _fail(str(error), error.exit_code)
-    except click.exceptions.NoArgsIsHelpError as error:
-        _fail(f"nothing to do; see `{error.ctx.command_path} --help`" if error.ctx else "", 2)
-    except click.ClickException as error:
-        _fail(error.format_message(), error.exit_code)
-    except (KeyboardInterrupt, click.Abort):
+    except _UsageError as error:
+        _fail(error.format_message(), 2)
+    except (KeyboardInterrupt, typer.Abort):
         _fail("stopped; what was committed is kept, the same build goes on from there", 130)
     except MemoryError:
         _fail("out of memory; choose a smaller area (--bounds) or a larger spacing", 1)

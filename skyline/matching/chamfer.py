@@ -60,25 +60,28 @@ def _chamfer_block(a: Float32Array, b: Float32Array, step_px: np.float32) -> Flo
 
 
 def nearest_patches(
-    query: Float32Array, stored: Float32Array, step_px: float, min_known: int, shortlist: int
+    query: Float32Array,
+    stored: Float32Array,
+    mean_squared: Float32Array,
+    step_px: float,
+    shortlist: int,
 ) -> tuple[IntArray, Float32Array]:
-    """Return, for each query patch and location, the stored patch at the least Chamfer distance.
+    """Return the stored patch of each location nearest to each query patch, and how near.
 
     The Chamfer distance is computed for the ``shortlist`` stored patches that come nearest by
-    mean squared vertical difference, which one matrix product gives for all pairs. A curve that
-    is near by Chamfer is near vertically unless it is steep, so few short lists miss the
-    nearest; a short list as long as the number of stored patches is exact.
+    mean squared vertical difference. A curve that is near by Chamfer is near vertically unless
+    it is steep, so few short lists miss the nearest; one as long as K is exact.
 
     Parameters
     ----------
     query : (Q, S) float32
         Patches in px, NaN where unknown.
     stored : (C, K, S) float32
-        The patches of C locations, NaN where unknown, all NaN where a location has fewer.
+        The patches of C locations.
+    mean_squared : (C, Q, K) float32
+        Of `mean_squared_px2`; infinite for pairs not to be compared.
     step_px : float
         Distance between neighbouring samples.
-    min_known : int
-        Pairs with fewer common offsets are not compared.
     shortlist : int
 
     Returns
@@ -89,9 +92,8 @@ def nearest_patches(
         Infinite where nothing could be compared.
     """
     shortlist = min(shortlist, stored.shape[1])
-    squared = _mean_squared(query, stored, min_known)
-    near = np.argpartition(squared, shortlist - 1, axis=2)[:, :, :shortlist]
-    comparable = np.isfinite(np.take_along_axis(squared, near, axis=2))
+    near = np.argpartition(mean_squared, shortlist - 1, axis=2)[:, :, :shortlist]
+    comparable = np.isfinite(np.take_along_axis(mean_squared, near, axis=2))
     which, q, slot = np.nonzero(comparable)
     distance = np.full(near.shape, np.inf, dtype=np.float32)
     distance[which, q, slot] = chamfer_px(query[q], stored[which, near[which, q, slot]], step_px)
@@ -102,8 +104,23 @@ def nearest_patches(
     )
 
 
-def _mean_squared(query: Float32Array, stored: Float32Array, min_known: int) -> Float32Array:
-    """Return (C, Q, K) mean squared differences over common offsets; infinite for too few."""
+def mean_squared_px2(query: Float32Array, stored: Float32Array, min_known: int) -> Float32Array:
+    """Return the mean squared vertical difference of every query patch with every stored one.
+
+    Parameters
+    ----------
+    query : (Q, S) float32
+        Patches in px, NaN where unknown.
+    stored : (C, K, S) float32
+        The patches of C locations, NaN where unknown, all NaN where a location has fewer.
+    min_known : int
+        Pairs with fewer common offsets are not compared.
+
+    Returns
+    -------
+    (C, Q, K) float32, px squared
+        Over common offsets; infinite where there are too few.
+    """
     query_known, stored_known = np.isfinite(query), np.isfinite(stored)
     m, n = query_known.astype(np.float32), stored_known.astype(np.float32)
     a, b = np.where(query_known, query, 0.0), np.where(stored_known, stored, 0.0)

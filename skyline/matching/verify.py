@@ -1,3 +1,4 @@
+import os
 """The paper's matcher (section 3): keypoints, Chamfer, RANSAC affine, distance after warping.
 
 Skylines are curves over azimuth and tangent of elevation, both in px of a 640 column view, so
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError
 from skyline.features import NO_KEYPOINT, local_patches, polyline_vertices
-from skyline.matching.chamfer import nearest_patches
+from skyline.matching.chamfer import mean_squared_px2, nearest_patches
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
 from skyline.matching.ranking import Candidate, Fits, select
@@ -70,10 +71,10 @@ class PaperMatcher:
     attitudes: Attitudes = field(default_factory=Attitudes)
     tolerance_px: float = 1.0
     max_keypoints: int = 64
-    patch_half_px: float = 24.0
-    patch_step_px: float = 3.0
+    patch_half_px: float = 40.0
+    patch_step_px: float = 4.0
     shortlist: int = 4
-    inlier_px: float = 3.0
+    inlier_px: float = 4.0
     iterations: int = 300
     min_inliers: int = 3
     max_scale: float = 1.25
@@ -130,31 +131,27 @@ class PaperMatcher:
         locations = len(stored.y_px)
         if not stored.bins.shape[1] or not len(query.bins):
             return Fits.none(locations)
+        squared = mean_squared_px2(
+            query.patches, stored.patches, min_known=3 * query.patches.shape[1] // 4
+        )
         nearest, distance = nearest_patches(
-            query.patches,
-            stored.patches,
-            stored.step_px,
-            min_known=3 * query.patches.shape[1] // 4,
-            shortlist=self.shortlist,
+            query.patches, stored.patches, squared, stored.step_px, self.shortlist
         )
-        known = np.isfinite(distance)
-        bins = np.take_along_axis(stored.bins, nearest, axis=1)
-        shift, agreeing = agreeing_shifts(bins - query.bins, known, stored.y_px.shape[1])
-        target = np.stack(
-            [
-                query.keypoints_px[:, 0] + shift * stored.bin_px,
-                stored.y_px[np.arange(locations)[:, np.newaxis], bins],
-            ],
-            axis=2,
+        shift, agreeing = agreeing_shifts(
+            np.take_along_axis(stored.bins, nearest, axis=1) - query.bins,
+            np.isfinite(distance),
+            stored.y_px.shape[1],
         )
+        source, target = _corresponding_points(query, stored, shift)
+        used = agreeing[:, :, np.newaxis] & np.isfinite(target[..., 1] + source[..., 1])
         affine = np.stack(
             [
-                self._affine(query.keypoints_px[used], target[location, used])
-                for location, used in enumerate(agreeing)
+                self._affine(source[used_here], target_here[used_here])
+                for target_here, used_here in zip(target, used, strict=True)
             ]
         )
         affine[~self.plausible(affine)] = np.nan
-        score = distance_after_warp_px(affine, query, stored, self.min_overlap)
+        score = _distance_after_warp_px(affine, query, stored, self.min_overlap)
         return _pose(affine, score, query, stored)
 
     def _affine(self, source: Float64Array, target: Float64Array) -> Float64Array:
@@ -196,7 +193,8 @@ class _Query:
     points_px: Float64Array  # (R, 2), x from the optical axis
     weight: Float64Array  # (R,)
     bins: IntArray  # (Q,)
-    keypoints_px: Float64Array  # (Q, 2)
+    local_bins: IntArray  # (3,), of points of a local skyline relative to its keypoint
+    local_px: Float64Array  # (Q, 3, 2), those points
     patches: Float32Array  # (Q, S)
     pitch_deg: float
     roll_deg: float
@@ -208,13 +206,16 @@ class _Query:
         y_px = curves.y[row] / TANGENT_PER_PX
         x_px = (np.arange(len(y_px)) - len(y_px) // 2) * bin_px
         seen = curves.weight[row] > 0.0
+        local_bins = np.array([-1, 0, 1]) * (int(os.environ.get('LB','12')))
+        near = np.clip(keypoints[:, np.newaxis] + local_bins, 0, len(y_px) - 1)
         rows = np.zeros(len(keypoints), dtype=np.intp)
         patches = local_patches(y_px[np.newaxis], rows, keypoints, offsets, wrap=True)
         return cls(
             np.stack([x_px[seen], y_px[seen]], axis=1),
             curves.weight[row, seen],
             keypoints,
-            np.stack([x_px[keypoints], y_px[keypoints]], axis=1),
+            local_bins,
+            np.stack([x_px[near], y_px[near]], axis=-1),
             patches.astype(np.float32),
             float(curves.pitch_deg[row]),
             float(curves.roll_deg[row]),
@@ -247,15 +248,20 @@ class _Stored:
         step_px = profiles.bin_px * float(offsets[1] - offsets[0])
         return cls(y_px, bins, patches, profiles.bin_px, step_px)
 
+    def at(self, bins: IntArray) -> Float32Array:
+        """Return y in px (C, ...) at bins (C, ...) of each location, which may be off the turn."""
+        return np.take_along_axis(self.y_px, bins % self.y_px.shape[1], axis=1)
+
 
 def agreeing_shifts(
     shift: IntArray, known: NDArray[np.bool_], bins: int
 ) -> tuple[IntArray, NDArray[np.bool_]]:
     """Unwrap the shifts of correspondences and say which could share a plausible map.
 
-    Azimuth is circular, an affine map is not, and a location is seen all the way round: the
-    heading is first taken to be the shift that most others come within `_VOTE_TURNS` of; those
-    within `_REACH_TURNS`, further than a plausible map stretches a 60 degree view, go on.
+    Azimuth is circular, an affine map is not. And a location is seen all the way round, the
+    paper's reference in one direction: so the direction is agreed on first, as the shift that
+    most others come within `_VOTE_TURNS` of. Those further off than `_REACH_TURNS`, more than a
+    plausible map stretches a 60 degree view, could only be outliers and are left out.
 
     Parameters
     ----------
@@ -275,12 +281,38 @@ def agreeing_shifts(
     half = bins // 2
     apart = np.abs((shift[:, :, np.newaxis] - shift[:, np.newaxis, :] + half) % bins - half)
     votes = ((apart <= bins * _VOTE_TURNS) & known[:, np.newaxis, :]).sum(axis=2) * known
-    mode = np.take_along_axis(shift, np.argmax(votes, axis=1)[:, np.newaxis], axis=1)
-    away = (shift - mode + half) % bins - half
-    return mode + away, known & (np.abs(away) <= bins * _REACH_TURNS)
+    agreed = np.take_along_axis(shift, np.argmax(votes, axis=1)[:, np.newaxis], axis=1)
+    away = (shift - agreed + half) % bins - half
+    return agreed + away, known & (np.abs(away) <= bins * _REACH_TURNS)
 
 
-def distance_after_warp_px(
+def _corresponding_points(
+    query: "_Query", stored: "_Stored", shift: IntArray
+) -> tuple[Float64Array, Float64Array]:
+    """Return the points in px that each correspondence puts on top of each other.
+
+    Besides the keypoint these are a point of the local skyline to either side of it.
+
+    Parameters
+    ----------
+    shift : (C, Q) int
+        Stored minus query bin.
+
+    Returns
+    -------
+    source : (Q, 3, 2) float64
+    target : (C, Q, 3, 2) float64
+        Of the query and of the stored locations; y is NaN where unknown.
+    """
+    source = query.local_px
+    x_px = source[:, :, 0] + shift[:, :, np.newaxis] * stored.bin_px
+    bins = query.bins[:, np.newaxis] + query.local_bins + shift[:, :, np.newaxis]
+    y_px = stored.at(bins.reshape(len(shift), -1)).reshape(bins.shape)
+    target = np.stack([x_px, y_px], axis=-1)
+    return source, target
+
+
+def _distance_after_warp_px(
     affine: Float64Array, query: _Query, stored: _Stored, min_overlap: float
 ) -> Float64Array:
     """Return (C,) rms distances of warped query and stored skylines, infinite for no fit.
@@ -295,10 +327,7 @@ def distance_after_warp_px(
     position = moved[:, :, 0] / stored.bin_px + bins // 2
     left = np.floor(position).astype(np.intp)
     share = position - left
-    row = np.arange(len(affine))[:, np.newaxis]
-    there = (
-        stored.y_px[row, left % bins] * (1.0 - share) + stored.y_px[row, (left + 1) % bins] * share
-    )
+    there = stored.at(left) * (1.0 - share) + stored.at(left + 1) * share
     difference = moved[:, :, 1] - there
     weight = np.where(np.isfinite(difference), query.weight, 0.0)
     total = weight.sum(axis=1)

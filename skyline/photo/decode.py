@@ -109,7 +109,9 @@ def _unknown_format(path: Path) -> str:
     with path.open("rb") as file:
         head = file.read(12)
     if head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS:
-        return f"{path} is a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG"
+        return (
+            f"{path} is a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG"
+        )
     return f"{path} is not an image that can be read; expected JPEG, PNG, TIFF, WebP or a CSV trace"
 
 

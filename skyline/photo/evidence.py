@@ -23,8 +23,9 @@ _NOISE_CEILING = 2.0
 """Noise units below which there is no edge: summed over a hundred rows of sky, little is much."""
 _HALF_EDGE = 2.0
 """Noise units above that at which an edge counts half."""
-_MIN_NOISE = 1.0
-"""Smallest edge noise in Lab units: an 8-bit photo without noise still has rounding steps."""
+_MIN_NOISE = (1.0, 2.5, 2.5)
+"""Smallest edge noise of L*, a* and b*: 8-bit rounding, and the steps between JPEG's blocks, which
+are coarse in colour and would be taken for edges in smooth sky."""
 
 _SHARPNESS_REACH = (6, 2, 2)
 """Pixels at the fine size, up, down and aside, over which an edge's whole contrast is taken."""
@@ -32,6 +33,9 @@ _SOFT_TO_SHARP = (0.4, 0.75)
 """Share of that contrast within two pixels: clouds' edges have about 0.5, ridges 0.7 to 0.95."""
 _SOFT_WEIGHT = 0.3
 """What a soft edge still counts: a photo may be out of focus."""
+
+_CLEARLY_DARKER = 15.0
+"""L* - b* below the threshold at which a pixel is surely ground."""
 
 _LAB_ORIGIN = np.array([0.0, -64.0, -64.0], dtype=np.float32)
 _LAB_BINS = (26, 32, 32)
@@ -53,14 +57,12 @@ class Evidence:
     edges : (h, w) float32
         0 where smooth, 1 on an edge that is clear of the noise and sharp at twice this size:
         clouds have soft edges, mountains have sharp ones.
-    scale, row_scale : float
-        Working pixels per photo pixel along columns' and rows' axes, about 0.5 at most; they
-        differ by rounding.
+    row_scale : float
+        Working rows per photo row, about 0.5 at most.
     """
 
     lab: Float32Array
     edges: Float32Array
-    scale: float
     row_scale: float
 
 
@@ -69,9 +71,13 @@ def gather_evidence(photo: UInt8Array) -> Evidence:
     height, width = photo.shape[:2]
     shrink = min(1.0, sqrt(FINE_PIXELS / (height * width)))
     h, w = round(height * shrink / 2.0), round(width * shrink / 2.0)
-    fine = cv2.resize(photo, (2 * w, 2 * h), interpolation=cv2.INTER_AREA)
-    work = cv2.resize(fine, (w, h), interpolation=cv2.INTER_AREA)
-    return Evidence(to_lab(work), _sharp_edges(to_lab(fine)), w / width, h / height)
+    fine = _resized(photo, 2 * w, 2 * h)
+    work = _resized(fine, w, h)
+    return Evidence(to_lab(work), _sharp_edges(to_lab(fine)), h / height)
+
+
+def _resized(rgb: UInt8Array, width: int, height: int) -> UInt8Array:
+    return np.asarray(cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
 def to_lab(rgb: UInt8Array) -> Float32Array:
@@ -88,13 +94,13 @@ def _sharp_edges(lab: Float32Array) -> Float32Array:
     """
     steepness = np.zeros((lab.shape[0] // 2, lab.shape[1] // 2), dtype=np.float32)
     contrast = np.zeros_like(steepness)
-    for channel in cv2.split(lab):
+    for index in range(3):
+        channel = np.ascontiguousarray(lab[:, :, index])
         across = cv2.Sobel(channel, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
         down = cv2.Sobel(channel, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
         steepest = _halved(across**2 + down**2)
         in_sky = steepest[: max(1, int(SKY_SEED_SHARE * len(steepest)))]
-        # The median withstands captions and logos; 1.7 makes it about the 90th percentile.
-        noise = max(_MIN_NOISE, 1.7 * sqrt(float(np.median(in_sky))))
+        noise = max(_MIN_NOISE[index], _noise(in_sky))
         steepness += steepest / np.float32(noise**2)
         contrast += _halved(_local_range(channel) ** 2) / np.float32(noise**2)
     steepness, contrast = np.sqrt(steepness), np.sqrt(contrast)
@@ -104,6 +110,15 @@ def _sharp_edges(lab: Float32Array) -> Float32Array:
     soft, sharp = _SOFT_TO_SHARP
     weight = np.clip((sharpness - soft) / (sharp - soft), _SOFT_WEIGHT, 1.0)
     return np.asarray(clear * weight, dtype=np.float32)
+
+
+def _noise(squares: Float32Array) -> float:
+    """Return the 90th percentile of what is mostly noise, given squared.
+
+    Where captions, logos or a peak reach up there, the median says it better.
+    """
+    middle, high = np.sqrt(np.percentile(squares, [50.0, 90.0]))
+    return float(min(high, 1.7 * middle))
 
 
 def _local_range(channel: Float32Array) -> Float32Array:
@@ -125,6 +140,19 @@ def _halved(values: Float32Array) -> Float32Array:
     """Return the greatest of each 2 x 2 block."""
     h, w = values.shape[0] // 2, values.shape[1] // 2
     return np.asarray(values.reshape(h, 2, w, 2).max(axis=(1, 3)))
+
+
+def daylight_groundness(lab: Float32Array) -> Float32Array:
+    """Return 0 to 1, (h, w): how sure a pixel is too dark or too yellow for this photo's sky.
+
+    By day the sky is among what is brightest or bluest. Otsu's threshold parts that from the
+    rest; snow falls on the sky's side, so this tells ground only, never sky.
+    """
+    brightness = np.clip(lab[:, :, 0] - lab[:, :, 2], 0.0, 255.0)
+    middle, _ = cv2.threshold(
+        brightness.astype(np.uint8), 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU
+    )
+    return np.asarray(np.clip((middle - brightness) / _CLEARLY_DARKER, 0.0, 1.0), np.float32)
 
 
 class ColourModel:

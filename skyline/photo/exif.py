@@ -18,7 +18,9 @@ _MAX_PINHOLE_ASPECT = 2.5
 """Wider photos are stitched or swept panoramas; the lens says nothing about their field of view."""
 
 
-def fov_from_exif(tags: Mapping[int, object], stored_size: tuple[int, int], turned: bool) -> float | None:
+def fov_from_exif(
+    tags: Mapping[int, object], stored_size: tuple[int, int], turned: bool
+) -> float | None:
     """Return the horizontal field of view of the upright photo, degrees, or None.
 
     From FocalLengthIn35mmFilm, which by CIPA DCG-001 compares diagonals, else from FocalLength
@@ -66,9 +68,7 @@ def _focal_px(
     return focal_mm * per_unit / unit_mm * stored_size[0] / sensor_width
 
 
-def _sensor_size(
-    tags: Mapping[int, object], stored_size: tuple[int, int]
-) -> tuple[float, float]:
+def _sensor_size(tags: Mapping[int, object], stored_size: tuple[int, int]) -> tuple[float, float]:
     """Return the size the camera noted, which resizing leaves and cropping contradicts."""
     width = _positive(tags.get(Base.ExifImageWidth))
     height = _positive(tags.get(Base.ExifImageHeight))

@@ -18,7 +18,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from skyline.errors import InputError
-from skyline.photo.evidence import ColourModel, Evidence, gather_evidence, to_lab
+from skyline.photo.evidence import (
+    ColourModel,
+    Evidence,
+    daylight_groundness,
+    gather_evidence,
+    to_lab,
+)
 from skyline.photo.frame import Content, UInt8Array, content_of
 from skyline.photo.paths import IntArray, Steps, detours, shortest_path
 from skyline.photo.query import QuerySkyline
@@ -36,10 +42,11 @@ MIN_TRUSTED_SHARE = 0.1
 
 # All prices are in units of the reward for one column along a full edge.
 _STRICT_CROSSING_PRICE = 1.0
-_CROSSING_PRICES = (0.3, 0.5)
+_CROSSING_PRICES = (0.3, 0.5, 0.7)
 """Price of an edge pixel above the path. A low price takes snow over rock for sky, a high one
 clouds for ground: what both agree on is trusted, the lowest price first."""
 _MIN_AGREEMENT = 0.5
+"""Share of the columns in which a price must agree with the strict one to be believed."""
 _CROSSING_SATURATES = 3.0
 """Edge pixels after which more cost little: a logo in the sky is not worth a detour."""
 _COLOUR_PRICE = 0.04
@@ -48,9 +55,6 @@ _GROUND_BAND_SHARE = 0.12
 """Share of the rows, just below the path, that should have ground colours; deeper, lakes and
 glaciers may look like sky."""
 _STEPS = Steps(reach_rows=12, price_per_row=0.07, jump_price=3.0)
-_FORBIDDEN = 1e3
-_OUTCROP_SHARE = 0.006
-_TOPMOST_STEPS = Steps(reach_rows=12, price_per_row=0.15, jump_price=3.0)
 _MAX_ROUNDS = 6
 _SETTLED_SHARE = 0.002
 """The path has settled when fewer columns than this move by more than a pixel in a round."""
@@ -65,10 +69,17 @@ _SPIRE_SLOPE = 4.0
 _CLIFF_SHARE = 0.05
 """A step of the path by more than this share of the rows is the side of something near."""
 _MAX_OCCLUDER_SHARE = 0.4
+"""Share of the columns that something near may hide; if more, it is the mountains."""
 _OCCLUDER_MARGIN_PX = 2
 
+_OUTCROP_SHARE = 0.006
+"""Share of the rows by which the path may have settled on rock just below a snowy skyline."""
+_TOPMOST_STEPS = Steps(reach_rows=12, price_per_row=0.15, jump_price=3.0)
+_FORBIDDEN = 1e3
+
 _REFINE_STEPS = Steps(reach_rows=2, price_per_row=0.05, jump_price=1.0)
-_MIN_BAND_PX = 3
+_REFINE_REACH = 1.5
+"""Working pixels by which a working path may be off; at least three photo pixels are searched."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,24 +132,24 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
     at_work = _to_work_columns(photo.shape[1], evidence)
     sure = np.where(agreed, _confidence(evidence, border), 0.0)
     confidence = np.interp(at_work, np.arange(len(sure)), sure)
-    row_px = _refine(photo, _to_photo_rows(border.row, evidence, at_work), evidence.scale)
+    row_px = _refine(photo, _to_photo_rows(border.row, evidence, at_work), evidence.row_scale)
     query = _masked(row_px, confidence, content, image.shape[:2])
     _require_skyline(query, content)
     return query
 
 
 def _find_border(evidence: Evidence) -> tuple[_Border, BoolArray]:
-    """Find the border at working size, and the columns where it does not hang on one guess."""
+    """Find the border at working size, and the columns where it does not hang on one price."""
     colours = ColourModel(evidence.lab)
-    start = shortest_path(_edge_cost(evidence.edges, _STRICT_CROSSING_PRICE), _STEPS)
-    border = strict = _settle(evidence, colours, start, _STRICT_CROSSING_PRICE)
-    agreed = np.ones(len(start), dtype=bool)
+    first_cost = _edge_cost(evidence.edges, _STRICT_CROSSING_PRICE)
+    start = shortest_path(first_cost + _colour_cost(daylight_groundness(evidence.lab)), _STEPS)
+    strict = _settle(evidence, colours, start, _STRICT_CROSSING_PRICE)
     for price in _CROSSING_PRICES:
         border = _settle(evidence, colours, start, price)
         agreed = np.abs(border.row - strict.row) <= _rival_distance(len(evidence.edges))
         if agreed.mean() >= _MIN_AGREEMENT:
-            break
-    return replace(border, row=_topmost(evidence.edges, border.row)), agreed
+            return replace(border, row=_topmost(evidence.edges, border.row)), agreed
+    return strict, np.zeros(len(start), dtype=bool)
 
 
 def _settle(
@@ -220,14 +231,14 @@ def _colour_contrast(border: _Border) -> Float64Array:
 
     above = mean_between(border.row - 1 - band, border.row - 1)
     below = mean_between(border.row + 2, border.row + 2 + band)
-    return np.clip(below - above, 0.0, 1.0)
+    return np.asarray(np.clip(below - above, 0.0, 1.0), dtype=np.float64)
 
 
 def _occluded(row: IntArray, height: int) -> BoolArray:
     """Return the columns of poles, trees and other upright things in front of the mountains."""
     width = max(3, round(_SPIRE_WIDTH_SHARE * len(row)))
     # Rows count downwards, so closing the rows takes away what stands up narrowly.
-    without_spires = ndimage.grey_closing(row, size=width, mode="nearest")
+    without_spires = ndimage.grey_closing(row, size=(width,), mode="nearest")
     spire = without_spires - row > 0.5 * _SPIRE_SLOPE * width
     upright = spire | _between_cliffs(row, max(_STEPS.reach_rows, round(_CLIFF_SHARE * height)))
     return np.asarray(ndimage.binary_dilation(upright, iterations=_OCCLUDER_MARGIN_PX), dtype=bool)
@@ -247,7 +258,8 @@ def _between_cliffs(row: IntArray, cliff: int) -> BoolArray:
 
 def _to_work_columns(width: int, evidence: Evidence) -> Float64Array:
     """Return where each photo column's centre lies at working size."""
-    return (np.arange(width) + 0.5) * evidence.edges.shape[1] / width - 0.5
+    at_work = (np.arange(width) + 0.5) * evidence.edges.shape[1] / width - 0.5
+    return np.asarray(at_work, dtype=np.float64)
 
 
 def _to_photo_rows(row: IntArray, evidence: Evidence, at_work: Float64Array) -> Float64Array:
@@ -263,7 +275,7 @@ def _refine(photo: UInt8Array, row: Float64Array, scale: float) -> Float64Array:
     around it gives the fraction.
     """
     height, width = photo.shape[:2]
-    reach = max(_MIN_BAND_PX, ceil(1.5 / scale))
+    reach = max(3, ceil(_REFINE_REACH / scale))
     centre = np.round(row).astype(np.intp)
     # Borders r - 0.5 for r = centre - reach ... centre + reach need two more rows either side.
     rows = centre + np.arange(-reach - 2, reach + 2)[:, np.newaxis]
@@ -296,7 +308,7 @@ def _masked(
 
 def _require_skyline(query: QuerySkyline, content: Content) -> None:
     share = float(query.trusted[content.left : content.right].mean())
-    log.info("skyline trusted in %.0f %% of the columns", 100.0 * share)
+    log.debug("skyline trusted in %.0f %% of the columns", 100.0 * share)
     if share < MIN_TRUSTED_SHARE:
         raise InputError(
             f"no skyline found: {100.0 * share:.0f} % of the columns show a clear border between "

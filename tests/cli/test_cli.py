@@ -117,7 +117,7 @@ def test_an_interrupted_build_goes_on_to_the_same_store(dem, tmp_path):
         build_uniform(terrain, broken, 300.0, progress=stop)
     with open_store(broken) as opened:
         kept = len(opened)
-    assert 0 < kept < 4 * 144
+    assert 0 < kept < 4 * 110
     resumed = build_uniform(terrain, broken, 300.0)
     assert resumed.rendered == resumed.renderings - kept
     with open_store(whole) as first, open_store(broken) as second:
@@ -136,8 +136,8 @@ def test_info_of_a_dem_and_of_a_store(run, dem, store):
     assert facts["spacing_m"] == [30.0, 30.0]
     facts = json.loads(run("info", store, "--json").out)
     assert facts["kind"] == "store"
-    assert facts["renderings"] == 4 * 36
-    assert facts["locations"] == 36
+    assert facts["renderings"] == 4 * 30
+    assert facts["locations"] == 30
     assert "renderings" in run("info", store).out
 
 

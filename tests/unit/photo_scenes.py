@@ -28,7 +28,13 @@ def ridge(rng: np.random.Generator, width: int, height: int, relief: float = 0.1
     for octave in range(1, 7):
         knots = 3 * 2**octave
         noise = rng.uniform(-1.0, 1.0, knots + 1)
-        row -= height * relief * 2.0**-octave * 2 * np.interp(columns * knots, np.arange(knots + 1), noise)
+        row -= (
+            height
+            * relief
+            * 2.0**-octave
+            * 2
+            * np.interp(columns * knots, np.arange(knots + 1), noise)
+        )
     return row
 
 
@@ -145,6 +151,14 @@ def make_scene(kind: str, seed: int, width: int = 960, height: int = 640) -> Sce
 
 
 KINDS = (
-    "clear", "haze", "clouds", "noise", "snow", "snow_white_sky", "layers", "poles", "trees",
+    "clear",
+    "haze",
+    "clouds",
+    "noise",
+    "snow",
+    "snow_white_sky",
+    "layers",
+    "poles",
+    "trees",
     "caption",
 )

@@ -1,0 +1,24 @@
+"""A real photo against real terrain: the heading, where place and field of view are given."""
+
+import numpy as np
+
+from skyline import DemOptions, Matcher, read_dem, render_to_store, stand_on
+
+FITTED_HEADING_DEG = 275.96
+"""From true north: a fit of all of the camera's angles with its place held."""
+
+
+def test_heading_of_the_webcam_is_found(shared_data, tmp_path):
+    terrain = read_dem(
+        [shared_data / "rofental" / "dem_rofental_50.asc"], DemOptions(crs="EPSG:32632")
+    )
+    station = terrain.frame.from_lonlat(10.78277, 46.79586)
+    render_to_store(terrain, stand_on(terrain, *station), tmp_path / "station.h5")
+    matcher = Matcher(tmp_path / "station.h5")
+    photo = shared_data / "rofental" / "hintereisferner_webcam.jpg"
+    result = matcher.match(photo, fov_deg=78.7)
+    assert result.answer is not None
+    turn = matcher.frame.convergence_deg(result.answer.easting_m, result.answer.northing_m)
+    assert abs(result.answer.heading_deg + turn - FITTED_HEADING_DEG) < 2.0
+    # Clouds touch the ridge: columns in front of them are left out rather than guessed.
+    assert 0.7 < np.isfinite(result.query.row_px).mean() < 1.0

@@ -1,0 +1,202 @@
+"""The extractor on drawn photos with known skylines, on hopeless ones, and on a real one."""
+
+from io import BytesIO
+from math import radians, tan
+
+import numpy as np
+import pytest
+from photo_scenes import KINDS, compose, expose, ground, make_scene, sky, texture
+from PIL import Image
+
+from skyline.errors import InputError
+from skyline.photo import extract_photo, extract_skyline
+from skyline.photo.frame import Content, content_of
+from skyline.photo.paths import Steps, detours, shortest_path
+
+# A border known to the whole pixel only errs uniformly by -0.5 to 0.5 px.
+WHOLE_PIXEL_MEDIAN = 0.25
+WHOLE_PIXEL_P90 = 0.45
+
+# Share of the visible columns that must be trusted: nearly all where the border is plain; where
+# haze leaves a fifth of the contrast, the border to pale sky drowns in the noise in places.
+TRUSTED = {"haze": 0.5}
+PLAIN_TRUSTED = 0.9
+
+# Faint borders sink into the noise of 2 levels before they can be placed to half a pixel.
+FAINT_P90 = {"haze": 0.6, "snow_white_sky": 1.0}
+
+# Share of trusted columns that may be off by more than 3 px: thin snow over rock may be taken for
+# sky. Snow is 8 L* brighter than white sky, rock 50 darker than snow: there more may be.
+GROSS = {"snow_white_sky": 0.06}
+PLAIN_GROSS = 0.02
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_skyline_of_drawn_photos(kind, record_property):
+    scenes = [make_scene(kind, seed) for seed in (100, 101)]
+    queries = [extract_skyline(scene.image) for scene in scenes]
+    error_px = np.concatenate(
+        [np.abs(q.row_px - s.row_px)[q.trusted] for q, s in zip(queries, scenes, strict=True)]
+    )
+    visible = np.concatenate([s.visible for s in scenes])
+    trusted = np.concatenate([q.trusted for q in queries])
+    median, p90 = np.percentile(error_px, [50, 90])
+    record_property("median_px", median)
+    record_property("p90_px", p90)
+    assert median < WHOLE_PIXEL_MEDIAN
+    assert p90 < FAINT_P90.get(kind, WHOLE_PIXEL_P90)
+    assert np.mean(error_px > 3.0) < GROSS.get(kind, PLAIN_GROSS)
+    assert np.mean(trusted[visible]) > TRUSTED.get(kind, PLAIN_TRUSTED)
+    # What hides the mountains is masked, but for a stray column.
+    assert np.sum(trusted & ~visible) <= 0.002 * trusted.size
+
+
+@pytest.mark.parametrize("quality", [50, 75])
+def test_jpeg_blocks_are_not_the_skyline(quality):
+    scene = make_scene("clouds", 100)
+    buffer = BytesIO()
+    Image.fromarray(scene.image).save(buffer, "JPEG", quality=quality)
+    query = extract_skyline(np.asarray(Image.open(buffer)))
+    error_px = np.abs(query.row_px - scene.row_px)[query.trusted]
+    assert query.trusted.mean() > PLAIN_TRUSTED
+    assert np.median(error_px) < WHOLE_PIXEL_MEDIAN
+    assert np.mean(error_px > 3.0) < PLAIN_GROSS
+
+
+def test_ground_up_to_the_top_edge_is_masked():
+    scene = make_scene("clear", 106)
+    raised = scene.row_px - np.interp(np.arange(960), [0, 600, 780, 960], [0, 0, 400, 400])
+    rng = np.random.default_rng(1)
+    picture = compose(sky(960, 640), ground(rng, 960, 640), raised)
+    query = extract_skyline(expose(rng, picture, 2.0))
+    assert not query.trusted[raised < -5.0].any()
+    inside = query.trusted & (raised > 0.0)
+    assert inside.sum() > 0.8 * (raised > 0.0).sum()
+    assert np.median(np.abs(query.row_px - raised)[inside]) < WHOLE_PIXEL_MEDIAN
+
+
+def test_confidence_goes_with_trust():
+    query = extract_skyline(make_scene("haze", 100).image)
+    assert (query.confidence[query.trusted] > 0.0).all()
+    assert (query.confidence[~query.trusted] == 0.0).all()
+    clear = extract_skyline(make_scene("clear", 100).image)
+    assert np.median(clear.confidence) > np.median(query.confidence[query.trusted])
+
+
+def test_same_photo_gives_the_same_skyline():
+    image = make_scene("clouds", 102, 480, 320).image
+    once, again = extract_skyline(image), extract_skyline(image.copy())
+    np.testing.assert_array_equal(once.row_px, again.row_px)
+    np.testing.assert_array_equal(once.confidence, again.confidence)
+
+
+def test_mirrored_photo_gives_the_mirrored_skyline():
+    image = make_scene("layers", 103, 480, 320).image
+    query, mirrored = extract_skyline(image), extract_skyline(image[:, ::-1].copy())
+    both = query.trusted & mirrored.trusted[::-1]
+    assert both.mean() > 0.95
+    assert np.percentile(np.abs(query.row_px - mirrored.row_px[::-1])[both], 95) < 0.5
+
+
+@pytest.mark.parametrize(("width", "height"), [(2400, 400), (400, 900), (1800, 1200)])
+def test_other_shapes(width, height):
+    scene = make_scene("clear", 104, width, height)
+    query = extract_skyline(scene.image)
+    error_px = np.abs(query.row_px - scene.row_px)[query.trusted]
+    assert query.trusted.mean() > 0.9
+    assert np.median(error_px) < WHOLE_PIXEL_MEDIAN
+
+
+def hopeless(kind: str) -> np.ndarray:
+    rng = np.random.default_rng(5)
+    shape = (320, 480)
+    noise = 2.0 * rng.standard_normal((*shape, 3))
+    picture = {
+        "uniform": np.full((*shape, 3), 128.0),
+        "white": np.full((*shape, 3), 255.0),
+        "blue sky": sky(480, 320) + noise,
+        "clouds": sky(480, 320) + 25.0 * texture(rng, shape, 20.0)[:, :, np.newaxis] + noise,
+        "noise": 128.0 + 60.0 * rng.standard_normal((*shape, 3)),
+        "ground": 100.0 + 30.0 * texture(rng, shape, 1.5)[:, :, np.newaxis] + noise,
+    }[kind]
+    return np.clip(picture, 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("kind", ["uniform", "white", "blue sky", "clouds", "noise", "ground"])
+def test_no_skyline_is_said_not_guessed(kind):
+    with pytest.raises(InputError, match=r"no skyline found.*draw it as a trace .* or a mask"):
+        extract_skyline(hopeless(kind))
+
+
+@pytest.mark.parametrize("shape", [(320, 480), (320, 480, 4), (0, 0, 3), (1, 1, 3), (480, 31, 3)])
+def test_unusable_arrays(shape):
+    with pytest.raises(InputError):
+        extract_skyline(np.zeros(shape, np.uint8))
+
+
+def test_deep_arrays_are_refused():
+    with pytest.raises(InputError, match="float64"):
+        extract_skyline(np.zeros((64, 64, 3)))
+
+
+# Borders
+
+
+def test_borders_are_found_but_overcast_sky_is_not_one():
+    scene = make_scene("clear", 105, 480, 320)
+    assert content_of(scene.image) == Content(0, 320, 0, 480)
+    framed = np.zeros((400, 500, 3), np.uint8)
+    framed[20:340, 10:490] = scene.image
+    content = content_of(framed)
+    assert content.top == pytest.approx(20, abs=3)
+    assert content.bottom == pytest.approx(340, abs=3)
+    assert content.left == pytest.approx(10, abs=3)
+    assert content.right == pytest.approx(490, abs=3)
+    overcast = scene.image.copy()
+    overcast[np.arange(320)[:, np.newaxis] < scene.row_px] = 255
+    assert content_of(overcast) == Content(0, 320, 0, 480)
+
+
+# Paths
+
+
+def test_path_is_the_cheapest_of_all():
+    # Against every path there is, on a grid small enough to list them.
+    rng = np.random.default_rng(2)
+    steps = Steps(reach_rows=1, price_per_row=0.2, jump_price=0.5)
+    for _ in range(20):
+        cost = rng.uniform(0.0, 1.0, (4, 5)).astype(np.float32)
+        every = np.stack(np.meshgrid(*[np.arange(4)] * 5, indexing="ij"), axis=-1).reshape(-1, 5)
+        step = np.abs(np.diff(every, axis=1))
+        price = np.where(step <= 1, np.minimum(0.2 * step, 0.5), 0.5)
+        total = cost[every, np.arange(5)].sum(axis=1) + price.sum(axis=1)
+        np.testing.assert_array_equal(shortest_path(cost, steps), every[np.argmin(total)])
+        through = np.array([[total[every[:, c] == r].min() for c in range(5)] for r in range(4)])
+        np.testing.assert_allclose(detours(cost, steps), through - total.min(), atol=1e-5)
+
+
+# A real photo
+
+# Columns and rows of the ridge, read off an enlargement.
+RIDGE = {100: 1112, 1250: 1182, 3370: 941, 4890: 1132, 5100: 1155}
+# Columns with a cloud over the ridge, and the row below which the ridge lies there.
+BEHIND_CLOUDS = ((760, 895, 1200), (4180, 4450, 1220))
+
+
+def test_hintereisferner_webcam(shared_data):
+    path = shared_data / "rofental" / "hintereisferner_webcam.jpg"
+    if not path.is_file():
+        pytest.skip(f"no photo at {path}")
+    image, query = extract_photo(path, fov_deg=78.7)
+    assert image.shape == (3456, 5184, 3)
+    assert query.trusted.mean() > 0.85
+    for column, row in RIDGE.items():
+        assert query.row_px[column] == pytest.approx(row, abs=10)
+    for start, stop, ridge in BEHIND_CLOUDS:
+        rows = query.row_px[start:stop]
+        assert (np.isnan(rows) | (rows > ridge)).all()
+    # Nothing of the captions and the logo in the upper corners, rows 0 to 140.
+    assert np.nanmin(query.row_px) > 800
+    # Weisskugel is the highest summit in the photo, at azimuth 272.7; the camera's is 275.96.
+    u, v = query.image_plane()
+    assert u[np.argmax(v)] == pytest.approx(tan(radians(272.7 - 275.96)), abs=tan(radians(0.5)))

@@ -1,0 +1,237 @@
+"""Image files: formats, damage, size, orientation and field of view."""
+
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from photo_scenes import make_scene
+from PIL import Image
+from PIL.ExifTags import IFD, Base
+from PIL.TiffImagePlugin import IFDRational
+
+from skyline.errors import InputError, MissingFileError
+from skyline.photo import extract_photo, read_query
+from skyline.photo.exif import fov_from_exif
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make_scene("clear", 3, 320, 240)
+
+
+def close_to(query, scene):
+    on = query.trusted
+    return on.mean() > 0.9 and np.median(np.abs(query.row_px - scene.row_px)[on]) < 1.0
+
+
+def as_grey(scene):
+    return np.asarray(Image.fromarray(scene.image).convert("L"))
+
+
+VARIANTS = {
+    "photo.jpg": lambda scene: Image.fromarray(scene.image),
+    "photo.png": lambda scene: Image.fromarray(scene.image),
+    "photo.webp": lambda scene: Image.fromarray(scene.image),
+    "photo.tif": lambda scene: Image.fromarray(scene.image),
+    "no_suffix": lambda scene: Image.fromarray(scene.image),
+    "grey.jpg": lambda scene: Image.fromarray(as_grey(scene)),
+    "deep.png": lambda scene: Image.fromarray(as_grey(scene).astype(np.uint16) * 257),
+    "twelve_bits.tif": lambda scene: Image.fromarray(as_grey(scene).astype(np.uint16) * 16),
+    "float.tif": lambda scene: Image.fromarray(as_grey(scene).astype(np.float32) / 255),
+    "cmyk.jpg": lambda scene: Image.fromarray(scene.image).convert("CMYK"),
+    "cmyk.tif": lambda scene: Image.fromarray(scene.image).convert("CMYK"),
+    "palette.gif": lambda scene: Image.fromarray(scene.image).quantize(256),
+    "alpha.png": lambda scene: Image.fromarray(scene.image).convert("RGBA"),
+}
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_any_format_gives_the_skyline(tmp_path, scene, name):
+    path = tmp_path / name
+    VARIANTS[name](scene).save(path, format="PNG" if path.suffix == "" else None)
+    assert close_to(read_query(path), scene)
+
+
+def test_sky_cut_away_to_transparent_is_white(tmp_path, scene):
+    ground = np.arange(240)[:, np.newaxis] > scene.row_px
+    rgba = np.dstack([scene.image, 255 * ground.astype(np.uint8)])
+    Image.fromarray(rgba).save(tmp_path / "cut.png")
+    image, query = extract_photo(tmp_path / "cut.png")
+    assert (image[0] == 255).all()
+    assert close_to(query, scene)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientation_is_honoured(tmp_path, scene, orientation):
+    undo = {
+        2: Image.Transpose.FLIP_LEFT_RIGHT,
+        3: Image.Transpose.ROTATE_180,
+        4: Image.Transpose.FLIP_TOP_BOTTOM,
+        5: Image.Transpose.TRANSPOSE,
+        6: Image.Transpose.ROTATE_90,
+        7: Image.Transpose.TRANSVERSE,
+        8: Image.Transpose.ROTATE_270,
+    }
+    image = Image.fromarray(scene.image)
+    if orientation in undo:
+        image = image.transpose(undo[orientation])
+    exif = Image.Exif()
+    exif[Base.Orientation] = orientation
+    exif.get_ifd(IFD.Exif)[Base.FocalLengthIn35mmFilm] = 36
+    image.save(tmp_path / "turned.jpg", exif=exif, quality=95)
+    query = read_query(tmp_path / "turned.jpg")
+    assert close_to(query, scene)
+    # The upright photo is 4:3 with a diagonal of 43.27 mm at 36 mm: 34.61 mm wide.
+    assert query.fov_deg == pytest.approx(2 * np.degrees(np.arctan(34.613 / 72)), abs=0.01)
+
+
+# Field of view
+
+
+def test_fov_of_35_mm_equivalents():
+    # 3:2 has the film's own shape, so its width is 36 mm.
+    tags = {Base.FocalLengthIn35mmFilm: 18}
+    assert fov_from_exif(tags, (6000, 4000), False) == pytest.approx(90.0)
+    assert fov_from_exif(tags, (600, 400), False) == pytest.approx(90.0)
+    # On end it is 24 mm wide.
+    assert fov_from_exif(tags, (6000, 4000), True) == pytest.approx(
+        2 * np.degrees(np.arctan(2 / 3))
+    )
+
+
+def test_fov_of_focal_plane_resolution():
+    # 4000 pixels at 4000 per inch: a sensor one inch wide, at 25.4 / 2 mm 90 degrees.
+    tags = {
+        Base.FocalLength: IFDRational(127, 10),
+        Base.FocalPlaneXResolution: IFDRational(4000, 1),
+        Base.FocalPlaneResolutionUnit: 2,
+        Base.ExifImageWidth: 4000,
+        Base.ExifImageHeight: 3000,
+    }
+    assert fov_from_exif(tags, (4000, 3000), False) == pytest.approx(90.0)
+    # Resized since: the sensor stays as wide.
+    assert fov_from_exif(tags, (1000, 750), False) == pytest.approx(90.0)
+    tags[Base.FocalPlaneResolutionUnit] = 3
+    tags[Base.FocalPlaneXResolution] = IFDRational(40000, 254) * 10
+    assert fov_from_exif(tags, (4000, 3000), False) == pytest.approx(90.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("tags", "size"),
+    [
+        ({}, (4000, 3000)),
+        ({Base.FocalLength: 4.2}, (4000, 3000)),
+        ({Base.FocalLengthIn35mmFilm: 0}, (4000, 3000)),
+        ({Base.FocalLengthIn35mmFilm: "wide"}, (4000, 3000)),
+        ({Base.FocalLengthIn35mmFilm: IFDRational(0, 0)}, (4000, 3000)),
+        ({Base.FocalLengthIn35mmFilm: 5000}, (4000, 3000)),
+        # cropped from 4:3 to 16:9
+        (
+            {
+                Base.FocalLengthIn35mmFilm: 26,
+                Base.ExifImageWidth: 4000,
+                Base.ExifImageHeight: 3000,
+            },
+            (4000, 2250),
+        ),
+        # a swept panorama
+        ({Base.FocalLengthIn35mmFilm: 26}, (12000, 3000)),
+        (
+            {
+                Base.FocalLength: 4.2,
+                Base.FocalPlaneXResolution: 100.0,
+                Base.FocalPlaneResolutionUnit: 9,
+            },
+            (4000, 3000),
+        ),
+    ],
+)
+def test_fov_is_none_where_exif_does_not_say(tags, size):
+    assert fov_from_exif(tags, size, False) is None
+
+
+def test_given_fov_wins_over_exif(tmp_path, scene):
+    exif = Image.Exif()
+    exif.get_ifd(IFD.Exif)[Base.FocalLengthIn35mmFilm] = 36
+    Image.fromarray(scene.image).save(tmp_path / "photo.jpg", exif=exif)
+    assert read_query(tmp_path / "photo.jpg", 40.0).fov_deg == 40.0
+
+
+# What cannot be read
+
+
+def jpeg(scene) -> bytes:
+    buffer = BytesIO()
+    Image.fromarray(scene.image).save(buffer, "JPEG")
+    return buffer.getvalue()
+
+
+def refused(path: Path, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        read_query(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_truncated_and_corrupt_jpeg(tmp_path, scene, capfd):
+    whole = jpeg(scene)
+    for name, content in {
+        "half.jpg": whole[: len(whole) // 2],
+        "head.jpg": whole[:200],
+        "start.jpg": whole[:2],
+        "noise.jpg": whole[:300] + bytes(range(256)) * 20,
+    }.items():
+        (tmp_path / name).write_bytes(content)
+        refused(tmp_path / name, "cannot be decoded|not an image")
+    assert capfd.readouterr().err == ""
+
+
+def test_truncated_png(tmp_path, scene):
+    buffer = BytesIO()
+    Image.fromarray(scene.image).save(buffer, "PNG")
+    (tmp_path / "half.png").write_bytes(buffer.getvalue()[:20_000])
+    refused(tmp_path / "half.png", "cut short")
+
+
+def test_not_an_image(tmp_path):
+    (tmp_path / "text.jpg").write_text("not a photo")
+    refused(tmp_path / "text.jpg", "not an image that can be read; expected JPEG")
+    (tmp_path / "empty.png").write_bytes(b"")
+    refused(tmp_path / "empty.png", "not an image that can be read")
+    refused(tmp_path, "is not a file")
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(MissingFileError, match=r"absent\.jpg does not exist"):
+        read_query(tmp_path / "absent.jpg")
+
+
+def test_heic_says_to_convert_it(tmp_path):
+    (tmp_path / "phone.heic").write_bytes(
+        b"\x00\x00\x00\x18ftypheic\x00\x00\x00\x00" + b"\x00" * 99
+    )
+    refused(tmp_path / "phone.heic", "HEIC photo.*convert it to JPEG or PNG")
+
+
+@pytest.mark.parametrize("side", [1, 8, 31])
+def test_too_small(tmp_path, side):
+    Image.fromarray(np.full((side, side, 3), (90, 120, 200), np.uint8)).save(tmp_path / "tiny.png")
+    refused(tmp_path / "tiny.png", "px")
+
+
+def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path):
+    for width, height in ((12_000, 10_000), (20_000, 10_000)):
+        Image.new("1", (width, height)).save(tmp_path / "huge.png")
+        refused(tmp_path / "huge.png", "megapixels; expected at most 100")
+
+
+def test_large_jpeg_is_reduced_while_decoding(tmp_path):
+    mask = Image.new("L", (11_000, 10_000), 255)
+    mask.paste(0, (0, 4_000, 11_000, 10_000))
+    mask.save(tmp_path / "large.jpg")
+    image, query = extract_photo(tmp_path / "large.jpg")
+    assert image.shape == (5_000, 5_500, 3)
+    assert (query.width_px, query.height_px) == (5_500, 5_000)
+    assert_allclose(query.row_px, 1999.5, atol=0.1)

@@ -1,0 +1,240 @@
+"""Query skylines: geometry, fields of view, traces and masks."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from PIL import Image
+
+from skyline.errors import InputError, MissingFileError
+from skyline.photo import QuerySkyline, read_query, read_trace, write_overlay, write_trace
+
+
+def query_of(row_px, height_px=100, fov_deg=None):
+    row_px = np.asarray(row_px, dtype=float)
+    return QuerySkyline(row_px, np.isfinite(row_px) * 1.0, len(row_px), height_px, fov_deg)
+
+
+def test_image_plane_of_the_corners():
+    # At 90 degrees a 4 px wide image spans u = -1 to 1: centres at +-3/4 and +-1/4.
+    u, v = query_of([0.0, np.nan, 0.5, 1.0], height_px=2, fov_deg=90.0).image_plane()
+    assert_allclose(u, [-0.75, 0.25, 0.75], atol=1e-15)
+    # Row 0.5 is halfway down a 2 px high image; a row is 2/W = 1/2 in v.
+    assert_allclose(v, [0.25, 0.0, -0.25], atol=1e-15)
+
+
+def test_given_fov_overrides_the_own_one():
+    query = query_of([3.0, 4.0], fov_deg=90.0)
+    assert_allclose(query.image_plane(60.0)[0], query.with_fov(60.0).image_plane()[0])
+    assert query.image_plane(60.0)[0][1] < query.image_plane()[0][1]
+
+
+def test_visible_deg_is_the_fov_where_everything_is_seen_and_less_where_masked():
+    assert query_of(np.zeros(7), fov_deg=63.0).visible_deg() == pytest.approx(63.0)
+    half = query_of(np.r_[np.zeros(4), np.full(4, np.nan)], fov_deg=80.0)
+    assert half.visible_deg() == pytest.approx(40.0)
+
+
+@pytest.mark.parametrize("fov_deg", [0.0, 0.99, 179.1, 200.0, -60.0, np.nan, np.inf])
+def test_impossible_fov_is_refused_everywhere(fov_deg, tmp_path):
+    query = query_of([1.0, 2.0])
+    for attempt in (query.with_fov, query.image_plane, query.visible_deg):
+        with pytest.raises(InputError, match=r"field of view is .* expected 1 to 179"):
+            attempt(fov_deg)
+    # The field of view is looked at before the file.
+    with pytest.raises(InputError, match="field of view"):
+        read_query(tmp_path / "absent.jpg", fov_deg)
+
+
+def test_unknown_fov_asks_for_it():
+    with pytest.raises(InputError, match="fov-deg"):
+        query_of([1.0]).image_plane()
+
+
+def test_arrays_are_private_and_frozen():
+    rows = np.zeros(3)
+    query = query_of(rows)
+    rows[0] = 9.0
+    assert query.row_px[0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        query.row_px[0] = 1.0
+
+
+def test_confidence_without_a_row_is_refused():
+    with pytest.raises(InputError, match="confidence"):
+        QuerySkyline(np.array([np.nan]), np.array([0.5]), 1, 1)
+    with pytest.raises(InputError, match="shape"):
+        QuerySkyline(np.zeros(3), np.zeros(3), 4, 1)
+
+
+# Traces
+
+
+@given(
+    st.lists(st.one_of(st.just(np.nan), st.floats(-0.5, 99.5)), min_size=1, max_size=60).filter(
+        lambda rows: np.isfinite(rows).any()
+    )
+)
+def test_trace_roundtrip_is_exact(tmp_path_factory, rows):
+    path = tmp_path_factory.mktemp("trace") / "trace.csv"
+    query = query_of(rows)
+    write_trace(query, path)
+    back = read_trace(path)
+    assert_array_equal(back.row_px, query.row_px)
+    assert (back.width_px, back.height_px) == (query.width_px, query.height_px)
+    assert path.read_text().startswith(f"# width={len(rows)} height=100\ncolumn_px,row_px\n")
+
+
+def trace_file(folder: Path, points: str, size: str = "# width=100 height=50") -> Path:
+    path = folder / "trace.csv"
+    path.write_text(f"{size}\ncolumn_px,row_px\n{points}", encoding="utf-8")
+    return path
+
+
+def test_sparse_and_fractional_points_are_joined_but_not_across_gaps(tmp_path):
+    # Points 7.5 columns apart are joined, points 10.5 apart (more than 100/10) are not.
+    query = read_query(trace_file(tmp_path, "18.0,9\n0.5,20.0\n8.0,35.0\n28.5,1\n"), 60.0)
+    trusted = np.flatnonzero(query.trusted)
+    assert_array_equal(trusted, np.r_[1:19])
+    assert_allclose(query.row_px[1:9], 20.0 + 2.0 * (np.arange(1, 9) - 0.5))
+    assert query.row_px[18] == 9.0
+    assert query.fov_deg == 60.0
+
+
+def test_break_parts_two_near_points(tmp_path):
+    query = read_trace(trace_file(tmp_path, "3,10\n4,\n5,10\n"))
+    assert_array_equal(np.flatnonzero(query.trusted), [3, 5])
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ("3,10\n3,11\n", "two rows for column 3"),
+        ("3,ten\n", "line 3: 'ten' is not a number"),
+        ("100,1\n", "column 100 is outside"),
+        ("nan,1\n", "column nan is outside"),
+        ("3,50\n", "row 50 is outside"),
+        ("3,inf\n", "row inf is outside"),
+        ("", "draws no column"),
+        ("3,nan\n", "draws no column"),
+    ],
+)
+def test_bad_points_are_named(tmp_path, points, message):
+    with pytest.raises(InputError, match=message):
+        read_trace(trace_file(tmp_path, points))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"column_px,row_px\n1,2\n",
+        b"# width=4\ncolumn_px,row_px\n",
+        b"\xff\xfe\x00",
+        b"\x00" * 9,
+        b"# width=4 height=4\n",
+        b"# width=4 height=4\nx,y\n1,2\n",
+        b"# width=0 height=4\ncolumn_px,row_px\n",
+        b"# width=99999999999 height=4\ncolumn_px,row_px\n1,2\n",
+    ],
+)
+def test_what_is_not_a_trace_is_refused(tmp_path, content):
+    path = tmp_path / "trace.csv"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"trace\.csv"):
+        read_query(path)
+
+
+def test_missing_trace(tmp_path):
+    with pytest.raises(MissingFileError, match="does not exist"):
+        read_query(tmp_path / "trace.csv")
+
+
+def test_unwritable_place_is_named_and_nothing_is_left(tmp_path):
+    query = query_of([1.0, 2.0])
+    with pytest.raises(InputError, match="cannot be written"):
+        write_trace(query, tmp_path / "absent" / "trace.csv")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_overlay(np.zeros((100, 2, 3), np.uint8), query, tmp_path / "absent" / "overlay.png")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InputError, match="cannot be written"):
+        write_trace(query, tmp_path / "folder")
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+# Masks
+
+
+def saved(folder: Path, image: np.ndarray, name: str = "mask.png") -> Path:
+    Image.fromarray(image).save(folder / name)
+    return folder / name
+
+
+def test_mask_border_lies_between_last_sky_and_first_ground(tmp_path):
+    mask = np.full((40, 5), 255, np.uint8)
+    mask[10:, 0] = 0
+    mask[11:, 1] = 0
+    mask[0:, 2] = 0  # skyline above the image
+    mask[20:, 4] = 0  # column 3: skyline below the image
+    mask[30:, 4] = 255  # a lake in column 4
+    query = read_query(saved(tmp_path, mask), 50.0)
+    assert_array_equal(query.row_px, [9.5, 10.5, np.nan, np.nan, 19.5])
+    assert_array_equal(query.confidence, [1, 1, 0, 0, 1])
+    assert (query.width_px, query.height_px, query.fov_deg) == (5, 40, 50.0)
+
+
+@pytest.mark.parametrize("mode", ["1", "L", "RGB", "RGBA", "P", "LA", "I;16"])
+def test_mask_in_any_mode(tmp_path, mode):
+    grey = np.zeros((30, 20), np.uint8)
+    grey[:12] = 255
+    image = (
+        Image.fromarray(grey.astype(np.uint16) * 257)
+        if mode == "I;16"
+        else Image.fromarray(grey).convert(mode)
+    )
+    image.save(tmp_path / "mask.png")
+    assert_array_equal(read_query(tmp_path / "mask.png").row_px, np.full(20, 11.5))
+
+
+def test_smoothed_mask_is_read_to_a_fraction_of_a_pixel(tmp_path):
+    border = 20.0 + np.linspace(0.0, 3.0, 60)
+    share = np.clip(np.arange(200)[:, np.newaxis] + 0.5 - border, 0.0, 1.0)
+    mask = np.rint(255 * (1 - share)).astype(np.uint8)
+    query = read_query(saved(tmp_path, mask))
+    # Halfway between two levels differs from the area by at most 1/8 (at a share of 1/4).
+    assert np.abs(query.row_px - border).max() < 0.13
+
+
+def test_mask_as_jpeg(tmp_path):
+    mask = np.full((64, 64), 255, np.uint8)
+    mask[24:] = 0
+    assert_allclose(read_query(saved(tmp_path, mask, "mask.jpg")).row_px, 23.5, atol=0.1)
+
+
+@pytest.mark.parametrize("level", [0, 255])
+def test_mask_without_a_border(tmp_path, level):
+    with pytest.raises(InputError, match="no skyline found"):
+        read_query(saved(tmp_path, np.full((40, 40), level, np.uint8)))
+
+
+# Overlays
+
+
+def test_overlay_draws_trusted_columns_only(tmp_path):
+    photo = np.zeros((20, 30, 3), np.uint8)
+    query = query_of(np.r_[np.full(10, 5.0), np.full(10, np.nan), np.full(10, 12.0)], 20)
+    write_overlay(photo, query, tmp_path / "overlay.png")
+    drawn = np.asarray(Image.open(tmp_path / "overlay.png")).any(axis=2)
+    assert drawn[5, :10].all()
+    assert drawn[12, 20:].all()
+    assert drawn.sum() == 20
+    assert not photo.any()
+
+
+def test_overlay_of_another_photo_is_refused(tmp_path):
+    with pytest.raises(InputError, match="2 x 100 px, the photo has 3 x 4"):
+        write_overlay(np.zeros((4, 3, 3), np.uint8), query_of([1.0, 2.0]), tmp_path / "o.png")
+    assert not list(tmp_path.iterdir())
