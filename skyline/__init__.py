@@ -1,9 +1,8 @@
 """A photo of mountains in, a place on the map out.
 
-    from skyline import Matcher, build_uniform, read_dem
-
-    build_uniform(read_dem(["dem.tif"]), "store.h5", spacing_m=500.0)
-    answer = Matcher("store.h5").match("photo.jpg", fov_deg=60.0).answer
+>>> from skyline import Matcher, build_uniform, read_dem
+>>> build_uniform(read_dem(["dem.tif"]), "store.h5", spacing_m=500.0)
+>>> answer = Matcher("store.h5").match("photo.jpg", fov_deg=60.0).answer
 """
 
 from importlib.metadata import version

@@ -55,6 +55,8 @@ _GROUND_BAND_SHARE = 0.12
 """Share of the rows, just below the path, that should have ground colours; deeper, lakes and
 glaciers may look like sky."""
 _STEPS = Steps(reach_rows=12, price_per_row=0.07, jump_price=3.0)
+_NO_SKY_SHARE = 0.9
+"""Share of the columns without any sky at which daylight has misled."""
 _MAX_ROUNDS = 6
 _SETTLED_SHARE = 0.002
 """The path has settled when fewer columns than this move by more than a pixel in a round."""
@@ -141,8 +143,7 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
 def _find_border(evidence: Evidence) -> tuple[_Border, BoolArray]:
     """Find the border at working size, and the columns where it does not hang on one price."""
     colours = ColourModel(evidence.lab)
-    first_cost = _edge_cost(evidence.edges, _STRICT_CROSSING_PRICE)
-    start = shortest_path(first_cost + _colour_cost(daylight_groundness(evidence.lab)), _STEPS)
+    start = _first_path(evidence)
     strict = _settle(evidence, colours, start, _STRICT_CROSSING_PRICE)
     for price in _CROSSING_PRICES:
         border = _settle(evidence, colours, start, price)
@@ -150,6 +151,15 @@ def _find_border(evidence: Evidence) -> tuple[_Border, BoolArray]:
         if agreed.mean() >= _MIN_AGREEMENT:
             return replace(border, row=_topmost(evidence.edges, border.row)), agreed
     return strict, np.zeros(len(start), dtype=bool)
+
+
+def _first_path(evidence: Evidence) -> IntArray:
+    """Return the path along sharp edges under nothing but smoothness and daylight."""
+    cost = _edge_cost(evidence.edges, _STRICT_CROSSING_PRICE)
+    row = shortest_path(cost + _colour_cost(daylight_groundness(evidence.lab)), _STEPS)
+    # Under a dark sky over snow everything up to the top would be ground.
+    no_sky = np.mean(row <= 2) > _NO_SKY_SHARE
+    return shortest_path(cost, _STEPS) if no_sky else row
 
 
 def _settle(

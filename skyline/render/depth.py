@@ -265,7 +265,7 @@ def _flags(row: Float32Array, tan: Float32Array, rims: list[RimColumns]) -> NDAr
         + ((row < 0.0) & ~meets_data) * FLAG_NO_DATA
         + out_of_image * FLAG_OUT_OF_IMAGE
     )
-    return flags.astype(np.uint8)
+    return np.asarray(flags, dtype=np.uint8)
 
 
 def _check_size(field: HeightField, width: int, largest: int) -> None:

@@ -69,7 +69,7 @@ def _read_columns(path: Path) -> dict[str, np.ndarray[tuple[int], np.dtype[np.fl
     values = np.empty((len(rows) - 1, len(header)))
     for number, row in enumerate(rows[1:]):
         try:
-            values[number] = [float(cell) for cell in row]
+            values[number] = [float(cell) for _, cell in zip(header, row, strict=True)]
         except ValueError as error:
             raise InputError(
                 f"{path}, row {number + 1} after the header is `{','.join(row)[:80]}`; expected "

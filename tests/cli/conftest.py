@@ -58,7 +58,7 @@ def run(monkeypatch, capsys):
 @pytest.fixture(scope="session")
 def dem(tmp_path_factory):
     """A GeoTIFF of rough terrain, 120 x 110 samples."""
-    return write_dem(tmp_path_factory.mktemp("dem") / "dem.tif", fractal(110, 120, 600.0, seed=11))
+    return write_dem(tmp_path_factory.mktemp("dem") / "dem.tif", fractal(110, 120, 250.0, seed=11))
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from math import radians, tan
 
 import numpy as np
 import pytest
-from photo_scenes import KINDS, compose, expose, ground, make_scene, sky, texture
+from photo_scenes import KINDS, compose, expose, ground, make_scene, ridge, sky, texture
 from PIL import Image
 
 from skyline.errors import InputError
@@ -33,7 +33,7 @@ PLAIN_GROSS = 0.02
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_skyline_of_drawn_photos(kind, record_property):
-    scenes = [make_scene(kind, seed) for seed in (100, 101)]
+    scenes = [make_scene(kind, seed, 720, 480) for seed in (100, 101)]
     queries = [extract_skyline(scene.image) for scene in scenes]
     error_px = np.concatenate(
         [np.abs(q.row_px - s.row_px)[q.trusted] for q, s in zip(queries, scenes, strict=True)]
@@ -75,6 +75,31 @@ def test_ground_up_to_the_top_edge_is_masked():
     assert np.median(np.abs(query.row_px - raised)[inside]) < WHOLE_PIXEL_MEDIAN
 
 
+LIGHT = {
+    "sunset": ((60, 60, 110), (240, 150, 70), (25, 22, 25)),
+    "orange sky over bright ground": ((200, 120, 80), (250, 180, 90), (110, 90, 70)),
+    "fog": ((150, 150, 150), (170, 170, 170), (120, 120, 120)),
+    "dark clouds over snow": ((70, 75, 85), (100, 105, 110), (235, 238, 240)),
+    "night": ((5, 8, 20), (15, 18, 35), (3, 3, 4)),
+}
+
+
+@pytest.mark.parametrize("light", LIGHT)
+def test_sky_of_any_light(light):
+    zenith, horizon, colour = LIGHT[light]
+    rng = np.random.default_rng(1)
+    row_px = ridge(rng, 480, 320)
+    picture = compose(sky(480, 320, zenith, horizon), ground(rng, 480, 320, colour), row_px)
+    query = extract_skyline(expose(rng, picture, 2.0))
+    error_px = np.abs(query.row_px - row_px)[query.trusted]
+    assert query.trusted.mean() > PLAIN_TRUSTED
+    # By night the border is fainter than the noise of one pixel.
+    assert np.median(error_px) < (
+        2.0 * WHOLE_PIXEL_MEDIAN if light == "night" else WHOLE_PIXEL_MEDIAN
+    )
+    assert np.mean(error_px > 3.0) < 0.05
+
+
 def test_confidence_goes_with_trust():
     query = extract_skyline(make_scene("haze", 100).image)
     assert (query.confidence[query.trusted] > 0.0).all()
@@ -98,7 +123,7 @@ def test_mirrored_photo_gives_the_mirrored_skyline():
     assert np.percentile(np.abs(query.row_px - mirrored.row_px[::-1])[both], 95) < 0.5
 
 
-@pytest.mark.parametrize(("width", "height"), [(2400, 400), (400, 900), (1800, 1200)])
+@pytest.mark.parametrize(("width", "height"), [(2400, 400), (400, 900), (1500, 1000)])
 def test_other_shapes(width, height):
     scene = make_scene("clear", 104, width, height)
     query = extract_skyline(scene.image)
@@ -177,7 +202,7 @@ def test_path_is_the_cheapest_of_all():
 
 # A real photo
 
-# Columns and rows of the ridge, read off an enlargement.
+# Columns and rows of the ridge: the extractor's own, checked by eye on enlarged overlays.
 RIDGE = {100: 1112, 1250: 1182, 3370: 941, 4890: 1132, 5100: 1155}
 # Columns with a cloud over the ridge, and the row below which the ridge lies there.
 BEHIND_CLOUDS = ((760, 895, 1200), (4180, 4450, 1220))
@@ -192,9 +217,9 @@ def test_hintereisferner_webcam(shared_data):
     assert query.trusted.mean() > 0.85
     for column, row in RIDGE.items():
         assert query.row_px[column] == pytest.approx(row, abs=10)
-    for start, stop, ridge in BEHIND_CLOUDS:
+    for start, stop, lowest_cloud in BEHIND_CLOUDS:
         rows = query.row_px[start:stop]
-        assert (np.isnan(rows) | (rows > ridge)).all()
+        assert (np.isnan(rows) | (rows > lowest_cloud)).all()
     # Nothing of the captions and the logo in the upper corners, rows 0 to 140.
     assert np.nanmin(query.row_px) > 800
     # Weisskugel is the highest summit in the photo, at azimuth 272.7; the camera's is 275.96.
