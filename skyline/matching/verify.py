@@ -1,4 +1,3 @@
-import os
 """The paper's matcher (section 3): keypoints, Chamfer, RANSAC affine, distance after warping.
 
 Skylines are curves over azimuth and tangent of elevation, both in px of a 640 column view, so
@@ -69,12 +68,12 @@ class PaperMatcher:
     """
 
     attitudes: Attitudes = field(default_factory=Attitudes)
-    tolerance_px: float = 1.0
+    tolerance_px: float = 0.5
     max_keypoints: int = 64
     patch_half_px: float = 40.0
     patch_step_px: float = 4.0
     shortlist: int = 4
-    inlier_px: float = 4.0
+    inlier_px: float = 3.0
     iterations: int = 300
     min_inliers: int = 3
     max_scale: float = 1.25
@@ -206,7 +205,7 @@ class _Query:
         y_px = curves.y[row] / TANGENT_PER_PX
         x_px = (np.arange(len(y_px)) - len(y_px) // 2) * bin_px
         seen = curves.weight[row] > 0.0
-        local_bins = np.array([-1, 0, 1]) * (int(os.environ.get('LB','12')))
+        local_bins = np.array([-1, 0, 1], dtype=np.intp) * (offsets[-1] // 2)
         near = np.clip(keypoints[:, np.newaxis] + local_bins, 0, len(y_px) - 1)
         rows = np.zeros(len(keypoints), dtype=np.intp)
         patches = local_patches(y_px[np.newaxis], rows, keypoints, offsets, wrap=True)
