@@ -1,19 +1,21 @@
 """Small terrains that tests look at."""
 
 import numpy as np
+import rasterio
+from rasterio.transform import Affine
 
 from skyline.geodesy import Frame
 from skyline.terrain.heightfield import HeightField
 
 FRAME = Frame.local(9.8, 46.8)
 
+WEST_M, NORTH_M, SPACING_M = 600_000.0, 5_180_000.0, 30.0
+
 
 def field_of(heights_m, spacing_m=30.0, spacing_north_m=None, west_m=0.0, north_m=0.0):
     """Make a height field of an array, row 0 north."""
     heights_m = np.asarray(heights_m)
-    return HeightField(
-        heights_m, west_m, north_m, spacing_m, spacing_north_m or spacing_m, FRAME
-    )
+    return HeightField(heights_m, west_m, north_m, spacing_m, spacing_north_m or spacing_m, FRAME)
 
 
 def field_from(function, size, spacing_m):
@@ -33,3 +35,22 @@ def fractal(rows, cols, relief_m=800.0, seed=0, exponent=2.2):
     spectrum = generator.normal(size=frequency.shape) + 1j * generator.normal(size=frequency.shape)
     heights = np.fft.irfft2(spectrum * frequency**-exponent, s=(rows, cols))
     return (heights / np.abs(heights).max() * relief_m).astype(np.float32)
+
+
+def write_dem(path, heights, crs="EPSG:32632", **options):
+    """Write heights (rows, cols) or (rows, cols, bands) as a GeoTIFF; return its path."""
+    heights = np.atleast_3d(heights).transpose(2, 0, 1)
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=heights.shape[2],
+        height=heights.shape[1],
+        count=len(heights),
+        dtype=heights.dtype,
+        crs=crs,
+        transform=Affine(SPACING_M, 0.0, WEST_M, 0.0, -SPACING_M, NORTH_M),
+        **options,
+    ) as raster:
+        raster.write(heights)
+    return path

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError
 from skyline.features import NO_KEYPOINT, local_patches, polyline_vertices
+from skyline.matching.alignment import align_curves
 from skyline.matching.chamfer import mean_squared_px2, nearest_patches
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
@@ -27,6 +28,9 @@ IntArray = NDArray[np.intp]
 
 _CHUNK = 64
 """Locations at a time."""
+
+_LOCAL_BINS = 12
+"""How far to either side of a keypoint the points of its local skyline lie that RANSAC is given."""
 
 _VOTE_TURNS = 1.0 / 64.0
 _REACH_TURNS = 1.0 / 32.0
@@ -51,6 +55,8 @@ class PaperMatcher:
         Reach of a local skyline to either side of its keypoint and distance of its samples.
     shortlist : int
         Stored patches a query patch is compared with by Chamfer distance.
+    directions : int
+        Directions tried at a location: those that most correspondences agree on.
     inlier_px : float
         RANSAC's threshold.
     iterations : int
@@ -68,12 +74,13 @@ class PaperMatcher:
     """
 
     attitudes: Attitudes = field(default_factory=Attitudes)
-    tolerance_px: float = 0.5
+    tolerance_px: float = 1.0
     max_keypoints: int = 64
     patch_half_px: float = 40.0
     patch_step_px: float = 4.0
     shortlist: int = 4
-    inlier_px: float = 3.0
+    directions: int = 5
+    inlier_px: float = 4.0
     iterations: int = 300
     min_inliers: int = 3
     max_scale: float = 1.25
@@ -136,11 +143,18 @@ class PaperMatcher:
         nearest, distance = nearest_patches(
             query.patches, stored.patches, squared, stored.step_px, self.shortlist
         )
-        shift, agreeing = agreeing_shifts(
-            np.take_along_axis(stored.bins, nearest, axis=1) - query.bins,
-            np.isfinite(distance),
-            stored.y_px.shape[1],
-        )
+        raw_shift = np.take_along_axis(stored.bins, nearest, axis=1) - query.bins
+        fits, left = Fits.none(locations), np.isfinite(distance)
+        for _ in range(self.directions):
+            shift, agreeing = agreeing_shifts(raw_shift, left, stored.y_px.shape[1])
+            fits = fits.best_with(self._fit_direction(stored, query, shift, agreeing))
+            left &= ~agreeing
+        return fits
+
+    def _fit_direction(
+        self, stored: "_Stored", query: "_Query", shift: IntArray, agreeing: NDArray[np.bool_]
+    ) -> Fits:
+        """Return the fits of the correspondences that agree on a direction."""
         source, target = _corresponding_points(query, stored, shift)
         used = agreeing[:, :, np.newaxis] & np.isfinite(target[..., 1] + source[..., 1])
         affine = np.stack(
@@ -148,6 +162,9 @@ class PaperMatcher:
                 self._affine(source[used_here], target_here[used_here])
                 for target_here, used_here in zip(target, used, strict=True)
             ]
+        )
+        affine = align_curves(
+            affine, query.points_px, query.weight, stored.y_px, stored.bin_px, self.inlier_px
         )
         affine[~self.plausible(affine)] = np.nan
         score = _distance_after_warp_px(affine, query, stored, self.min_overlap)
@@ -159,17 +176,23 @@ class PaperMatcher:
         OpenCV seeds this RANSAC itself, with a constant: equal input has equal output.
         """
         if len(source) >= self.min_inliers:
-            affine, inliers = cv2.estimateAffine2D(
-                source,
-                target,
-                method=cv2.RANSAC,
-                ransacReprojThreshold=self.inlier_px,
-                maxIters=self.iterations,
-                confidence=_RANSAC_CONFIDENCE,
-                refineIters=_RANSAC_REFINEMENTS,
-            )
-            if affine is not None and inliers.sum() >= self.min_inliers:
-                return np.asarray(affine, dtype=np.float64)
+            # Keypoints of a low skyline lie nearly on a line, which leaves an affine map's
+            # action across it open; a similarity is then what they can tell.
+            for estimate in (cv2.estimateAffine2D, cv2.estimateAffinePartial2D):
+                affine, inliers = estimate(
+                    source,
+                    target,
+                    method=cv2.RANSAC,
+                    ransacReprojThreshold=self.inlier_px,
+                    maxIters=self.iterations,
+                    confidence=_RANSAC_CONFIDENCE,
+                    refineIters=_RANSAC_REFINEMENTS,
+                )
+                if affine is None or inliers.sum() < self.min_inliers:
+                    continue
+                found = np.asarray(affine, dtype=np.float64)
+                if self.plausible(found):
+                    return found
         return np.full((2, 3), np.nan)
 
     def plausible(self, affine: Float64Array) -> NDArray[np.bool_]:

@@ -2,33 +2,10 @@
 
 from dataclasses import dataclass
 
-import numpy as np
 import pytest
-import rasterio
-from rasterio.transform import Affine
-from scenes import fractal
+from scenes import fractal, write_dem
 
 from skyline import build_uniform, cli, read_dem
-
-WEST_M, NORTH_M, SPACING_M = 600_000.0, 5_180_000.0, 30.0
-
-
-def write_dem(path, heights, crs="EPSG:32632", **options):
-    heights = np.atleast_3d(heights).transpose(2, 0, 1)
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=heights.shape[2],
-        height=heights.shape[1],
-        count=len(heights),
-        dtype=heights.dtype,
-        crs=crs,
-        transform=Affine(SPACING_M, 0.0, WEST_M, 0.0, -SPACING_M, NORTH_M),
-        **options,
-    ) as raster:
-        raster.write(heights)
-    return path
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import NORTH_M, SPACING_M, WEST_M, write_dem
 from PIL import Image
-from scenes import fractal
+from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
 from skyline import Matcher, build_uniform, oracle, read_dem, stand_on
 from skyline.experiments.photographs import Camera, photograph

@@ -1,0 +1,73 @@
+"""Polyline keypoints: the tolerance holds in every column, gaps split, the cap keeps the best."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from skyline.features import NO_KEYPOINT, local_patches, polyline_vertices
+
+
+def curves_of(seed, rows=3, width=97, gaps=False):
+    generator = np.random.default_rng(seed)
+    curves = generator.normal(size=(rows, width)).cumsum(axis=1)
+    if gaps:
+        curves[generator.random(curves.shape) < 0.1] = np.nan
+    return curves
+
+
+def runs_of(curve):
+    finite = np.flatnonzero(np.isfinite(curve))
+    return np.split(finite, np.flatnonzero(np.diff(finite) > 1) + 1) if finite.size else []
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0.05, 5.0), st.booleans())
+def test_polyline_stays_within_its_tolerance(seed, tolerance, gaps):
+    curves = curves_of(seed, gaps=gaps)
+    table = polyline_vertices(curves, tolerance, 97)
+    for curve, row in zip(curves, table, strict=True):
+        vertices = row[row != NO_KEYPOINT].astype(int)
+        assert (np.diff(vertices) > 0).all()
+        assert np.isfinite(curve[vertices]).all()
+        for run in runs_of(curve):
+            inside = vertices[(vertices >= run[0]) & (vertices <= run[-1])]
+            assert inside[0] == run[0]
+            assert inside[-1] == run[-1]
+            polyline = np.interp(run, inside, curve[inside])
+            assert np.abs(polyline - curve[run]).max() <= tolerance + 1e-9
+
+
+def test_straight_skylines_have_their_ends_only():
+    line = np.linspace(0.0, 1.0, 50)[np.newaxis]
+    table = polyline_vertices(line, 1e-6, 8)
+    np.testing.assert_array_equal(table[0, :2], [0, 49])
+    assert (table[0, 2:] == NO_KEYPOINT).all()
+
+
+def test_a_peak_is_a_keypoint_and_the_cap_keeps_the_greatest():
+    curve = np.zeros((1, 101))
+    curve[0, 30], curve[0, 70] = 1.0, 10.0
+    kept = polyline_vertices(curve, 0.1, 3)[0]
+    assert 70 in kept
+    assert 30 not in kept
+    whole = polyline_vertices(curve, 0.1, 50)[0]
+    assert {29, 30, 31, 69, 70, 71} <= set(whole.tolist())
+
+
+def test_no_data_has_no_keypoints():
+    table = polyline_vertices(np.full((2, 40), np.nan), 1.0, 8)
+    assert (table == NO_KEYPOINT).all()
+
+
+@pytest.mark.parametrize("wrap", [False, True])
+def test_patches_are_relative_to_their_keypoint(wrap):
+    curve = np.arange(20.0)[np.newaxis] ** 2
+    offsets = np.array([-2, 0, 2])
+    patches = local_patches(curve, np.array([0, 0]), np.array([10, 0]), offsets, wrap)
+    np.testing.assert_allclose(patches[0], [64.0 - 100.0, 0.0, 144.0 - 100.0])
+    if wrap:
+        np.testing.assert_allclose(patches[1], [18.0**2, 0.0, 4.0])
+    else:
+        assert np.isnan(patches[1, 0])
+        np.testing.assert_allclose(patches[1, 1:], [0.0, 4.0])
