@@ -20,7 +20,14 @@ from rich.table import Table
 
 from skyline.experiments.photographs import Camera, photograph
 from skyline.photo import write_overlay
-from skyline.pipeline import Matcher, MatchResult, RenderConfig, build_uniform, save_depth_pictures
+from skyline.pipeline import (
+    RANKERS,
+    Matcher,
+    MatchResult,
+    RenderConfig,
+    build_uniform,
+    save_depth_pictures,
+)
 from skyline.render.depth import DepthRenderer
 from skyline.report import Found, save_map, save_panorama
 from skyline.terrain.dem import read_dem
@@ -62,14 +69,15 @@ def main() -> None:
     console.print(f"store: {built.renderings} renderings in {built.seconds:.0f} s -> {store}")
 
     queries = take_pictures(terrain, out / "queries")
-    matcher = Matcher(store)
-    results = [matcher.match(query.path) for query in queries]
-    for query, result in zip(queries, results, strict=True):
+    matchers = {name: Matcher(store, name) for name in RANKERS}
+    results = {name: [m.match(query.path) for query in queries] for name, m in matchers.items()}
+    for query, result in zip(queries, results["paper"], strict=True):
         picture = np.asarray(Image.open(query.path))
         write_overlay(picture, result.query, query.path.with_suffix(".skyline.png"))
 
-    draw(terrain, matcher.viewpoints, queries, results, out)
-    console.print(table_of(queries, results))
+    draw(terrain, matchers["paper"].viewpoints, queries, results["paper"], out)
+    for name, found in results.items():
+        console.print(table_of(name, queries, found))
     console.print(f"all in {time.perf_counter() - started:.0f} s; pictures in {out}:")
     for path in sorted(out.rglob("*.png")):
         console.print(f"  {path}")
@@ -150,9 +158,9 @@ def draw(
     save_map(terrain, viewpoints, found, out / "map.png")
 
 
-def table_of(queries: list[Query], results: list[MatchResult]) -> Table:
+def table_of(matcher: str, queries: list[Query], results: list[MatchResult]) -> Table:
     """Say where each picture was put and how far off that is."""
-    table = Table(title=f"{len(queries)} pictures, {SPACING_M:.0f} m grid, paper's matcher")
+    table = Table(title=f"{len(queries)} pictures, {SPACING_M:.0f} m grid, matcher: {matcher}")
     for name in ("query", "put at (E, N)", "off by", "heading", "off by", "score", "seconds"):
         table.add_column(name, justify="right")
     for query, result in zip(queries, results, strict=True):
@@ -168,7 +176,7 @@ def table_of(queries: list[Query], results: list[MatchResult]) -> Table:
             f"{away:.0f} m",
             f"{answer.heading_deg:.1f}",
             f"{abs(turn):.1f} deg",
-            f"{answer.score:.2f} px",
+            f"{answer.score:.3f}",
             f"{result.seconds:.1f}",
         )
     return table

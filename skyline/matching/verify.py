@@ -79,7 +79,7 @@ class PaperMatcher:
     patch_half_px: float = 40.0
     patch_step_px: float = 4.0
     shortlist: int = 4
-    directions: int = 5
+    directions: int = 3
     inlier_px: float = 4.0
     iterations: int = 300
     min_inliers: int = 3
