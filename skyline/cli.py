@@ -45,6 +45,9 @@ _DEFAULTS = RenderConfig()
 # Typer brings click under one name or another, by its version; this one name is public in all.
 _UsageError: Any = typer.BadParameter.__base__
 
+_INTERRUPTED = 130
+"""Exit code of a command stopped with Ctrl-C, which newer typers return instead of raising."""
+
 app = typer.Typer(
     name="skyline",
     help="A photo of mountains in, a place on the map out.",
@@ -220,13 +223,16 @@ def main() -> None:
     """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     try:
-        sys.exit(app(standalone_mode=False))
+        code = app(standalone_mode=False)
+        if code == _INTERRUPTED:
+            raise KeyboardInterrupt
+        sys.exit(code)
     except SkylineError as error:
         _fail(str(error), error.exit_code)
     except _UsageError as error:
         _fail(error.format_message(), 2)
     except (KeyboardInterrupt, typer.Abort):
-        _fail("stopped; what was committed is kept, the same build goes on from there", 130)
+        _fail("stopped; what was committed is kept, the same build goes on from there", _INTERRUPTED)
     except MemoryError:
         _fail("out of memory; choose a smaller area (--bounds) or a larger spacing", 1)
     except OSError as error:

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
-from skyline import Matcher, build_uniform, oracle, read_dem, stand_on
+from skyline import Matcher, build_uniform, cli, oracle, read_dem, stand_on
 from skyline.experiments.photographs import Camera, photograph
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
@@ -126,6 +126,17 @@ def test_an_interrupted_build_goes_on_to_the_same_store(dem, tmp_path):
                 getattr(first.views(), name), getattr(second.views(), name)
             )
         np.testing.assert_array_equal(first.keypoint_columns(), second.keypoint_columns())
+
+
+def test_ctrl_c_ends_in_one_line(run, dem, tmp_path, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli, "build_uniform", interrupted)
+    done = run("build", dem, "-o", tmp_path / "store.h5")
+    assert done.code == 130
+    assert "goes on from there" in done.err
+    assert done.err.count("\n") == 1
 
 
 def test_info_of_a_dem_and_of_a_store(run, dem, store):
