@@ -232,7 +232,7 @@ def main() -> None:
     except _UsageError as error:
         _fail(error.format_message(), 2)
     except (KeyboardInterrupt, typer.Abort):
-        _fail("stopped; what was committed is kept, the same build goes on from there", _INTERRUPTED)
+        _fail("stopped; what was committed is kept, the same build goes on from it", _INTERRUPTED)
     except MemoryError:
         _fail("out of memory; choose a smaller area (--bounds) or a larger spacing", 1)
     except OSError as error:
