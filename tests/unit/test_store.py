@@ -37,7 +37,7 @@ from skyline.store import (
     open_for_append,
     open_store,
 )
-from skyline.superblock import Superblock, WholeFile, lookup3
+from skyline.store.superblock import Superblock, WholeFile, lookup3
 from skyline.views import Views
 
 CHUNK = 32

@@ -1,0 +1,30 @@
+"""The HDF5 reference store: skylines and keypoints of many views, one row each (DESIGN 8).
+
+One process writes, any number read at the same time. The writer uses HDF5's single-writer,
+multiple-reader mode (SWMR), which orders its writes so that the file is whole at every instant:
+a writer killed between any two writes leaves every committed row readable. Without that mode,
+one kill in three between two writes damaged the file.
+
+SWMR does not lock, so the writer holds ``STORE.lock`` beside the store. A killed writer leaves
+its mark in the file (see `skyline.store.superblock`); the next `open_for_append` then copies the
+committed rows to a fresh file, which takes the store's name once it is complete.
+"""
+
+from skyline.store.header import SCHEMA, SCHEMA_VERSION, KeypointColumns, StoreHeader
+from skyline.store.reader import Locations, RowIndex, Store, is_store, open_store
+from skyline.store.writer import StoreWriter, create_store, open_for_append
+
+__all__ = [
+    "SCHEMA",
+    "SCHEMA_VERSION",
+    "KeypointColumns",
+    "Locations",
+    "RowIndex",
+    "Store",
+    "StoreHeader",
+    "StoreWriter",
+    "create_store",
+    "is_store",
+    "open_for_append",
+    "open_store",
+]

@@ -1,0 +1,150 @@
+"""What an HDF5 file must hold to be read as a store: damaged and foreign files are told apart."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from skyline.errors import InputError, StoreError
+from skyline.store.explain import REBUILD
+from skyline.store.header import (
+    KEYPOINTS,
+    SCHEMA,
+    SCHEMA_VERSION,
+    VIEW_SPECS,
+    Spec,
+    StoreHeader,
+    package_version,
+)
+
+_MAX_CHUNK_BYTES = 1 << 26
+
+_KNOWN_FILTERS = frozenset({h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE})
+
+
+def not_a_store(path: Path) -> StoreError:
+    """Return the error for an HDF5 file that is something else."""
+    return StoreError(
+        f"{path} is an HDF5 file but not a skyline store; "
+        "name one made by `skyline build` or `skyline render`"
+    )
+
+
+def read_header(path: Path, file: h5py.File) -> StoreHeader:
+    """Return the header of a store; raises `StoreError` where any of it is not as it must be."""
+    if "schema" not in file.attrs or _text(path, file, "schema") != SCHEMA:
+        raise not_a_store(path)
+    _check_schema_version(path, file)
+    config = json.loads(_text(path, file, "config"))
+    files = json.loads(_text(path, file, "dem_files"))
+    if not isinstance(config, dict):
+        raise StoreError(f"store {path} has a config that is not a JSON object; {REBUILD}")
+    if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
+        raise StoreError(f"store {path} has dem_files that are not a JSON list; {REBUILD}")
+    try:
+        return StoreHeader(
+            frame_wkt=_text(path, file, "frame"),
+            dem_digest=_text(path, file, "dem_digest"),
+            dem_files=tuple(files),
+            config=config,
+            renderer=_text(path, file, "renderer"),
+            width=_row_length(path, file, VIEW_SPECS["elevation_tan"][0]),
+            max_keypoints=_row_length(path, file, KEYPOINTS),
+            package_version=_text(path, file, "package_version"),
+        )
+    except InputError as error:
+        raise StoreError(f"store {path} is damaged: {error}; {REBUILD}") from error
+
+
+def _check_schema_version(path: Path, file: h5py.File) -> None:
+    version = _attribute(path, file, "schema_version")
+    if not isinstance(version, np.integer) or version < 1:
+        raise StoreError(
+            f"store {path} has schema version {version!r}; expected {SCHEMA_VERSION}; {REBUILD}"
+        )
+    if version > SCHEMA_VERSION:
+        raise StoreError(
+            f"store {path} has schema version {version}; this skyline ({package_version()}) reads "
+            f"up to {SCHEMA_VERSION}: upgrade skyline"
+        )
+
+
+def read_committed(path: Path, file: h5py.File) -> int:
+    """Return the number of complete rows; raises `StoreError` where there is no such number."""
+    node = _hard_linked(path, file, "committed")
+    if (
+        not isinstance(node, h5py.Dataset)
+        or node.shape != ()
+        or node.dtype.kind != "u"
+        or node.external
+        or node.is_virtual
+    ):
+        raise StoreError(f"store {path}: `committed` is not one unsigned number; {REBUILD}")
+    return int(node[()])
+
+
+def _attribute(path: Path, file: h5py.File, name: str) -> object:
+    """Return a single-valued attribute."""
+    if name not in file.attrs or file.attrs.get_id(name).shape != ():
+        raise StoreError(f"store {path} has no single attribute {name!r}; {REBUILD}")
+    value: object = file.attrs[name]
+    return value
+
+
+def _text(path: Path, file: h5py.File, name: str) -> str:
+    value = _attribute(path, file, name)
+    if not isinstance(value, str):
+        raise StoreError(f"store {path} has an attribute {name!r} that is not text; {REBUILD}")
+    return value
+
+
+def _row_length(path: Path, file: h5py.File, name: str) -> int:
+    dataset = _hard_linked(path, file, name)
+    if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 2:
+        raise StoreError(f"store {path}: {name} is not a table of rows; {REBUILD}")
+    return int(dataset.shape[1])
+
+
+def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
+    """Return an object that lies in this very file, following no other kind of link."""
+    node = file
+    for part in name.split("/"):
+        link = node.get(part, getlink=True) if isinstance(node, h5py.Group) else None
+        if link is None:
+            raise StoreError(f"store {path} lacks {name}; {REBUILD}")
+        if not isinstance(link, h5py.HardLink):
+            raise StoreError(
+                f"store {path}: {name} is a link to elsewhere, which is not followed; {REBUILD}"
+            )
+        node = node[part]
+    return node
+
+
+def checked_dataset(
+    path: Path, file: h5py.File, name: str, spec: Spec, header: StoreHeader
+) -> h5py.Dataset:
+    """Return a dataset if it has the schema's layout and its bytes lie in this file."""
+    dataset = _hard_linked(path, file, name)
+    row_shape = header.row_shape(spec.per_row)
+    if not isinstance(dataset, h5py.Dataset) or dataset.shape[1:] != row_shape or not dataset.shape:
+        raise StoreError(f"store {path}: {name} is not rows of shape {row_shape}; {REBUILD}")
+    if dataset.dtype != np.dtype(spec.dtype):
+        raise StoreError(
+            f"store {path}: {name} is of type {dataset.dtype}, not {spec.dtype}; {REBUILD}"
+        )
+    # Rules out virtual, external, contiguous and compact storage: none of them is chunked.
+    if dataset.chunks is None:
+        raise StoreError(f"store {path}: {name} is not chunked in this file; {REBUILD}")
+    if np.prod(dataset.chunks, dtype=float) * dataset.dtype.itemsize > _MAX_CHUNK_BYTES:
+        raise StoreError(
+            f"store {path}: {name} has chunks of {dataset.chunks}, too large; {REBUILD}"
+        )
+    created = dataset.id.get_create_plist()
+    filters = {created.get_filter(n)[0] for n in range(created.get_nfilters())}
+    if filters - (_KNOWN_FILTERS if row_shape else frozenset()):
+        raise StoreError(
+            f"store {path}: {name} is packed by a filter that skyline does not use; {REBUILD}"
+        )
+    return dataset

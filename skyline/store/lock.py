@@ -1,0 +1,64 @@
+"""One writer at a time, and files that are complete or absent."""
+
+import fcntl
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from skyline.errors import StoreError
+from skyline.store.explain import explained
+
+
+@contextmanager
+def complete_or_absent(path: Path) -> Iterator[Path]:
+    """Yield a name beside ``path``; the file made there takes its place, unless that fails."""
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        with explained(path, "it cannot be created", "check the folder's rights and space"):
+            partial.unlink(missing_ok=True)
+            yield partial
+            partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def writer_lock(path: Path) -> Iterator[None]:
+    """Hold ``path``.lock; raise `StoreError` where another writer does.
+
+    The kernel lets go of the lock when its holder dies, so a file left behind bars nobody.
+    """
+    lock = path.with_name(f"{path.name}.lock")
+    what, advice = "it cannot be locked for writing", "check the folder's rights and space"
+    with explained(path, what, advice):
+        descriptor = _lock_file(path, lock)
+    try:
+        with explained(path, what, advice):
+            os.ftruncate(descriptor, 0)
+            os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
+        yield
+    finally:
+        lock.unlink(missing_ok=True)
+        os.close(descriptor)
+
+
+def _lock_file(path: Path, lock: Path) -> int:
+    while True:
+        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # A holder that just ended may have removed the file after it was opened here.
+            if lock.exists() and os.path.samestat(os.fstat(descriptor), lock.stat()):
+                return descriptor
+        except BlockingIOError as error:
+            holder = os.read(descriptor, 200).decode(errors="replace") or "another process"
+            os.close(descriptor)
+            raise StoreError(
+                f"store {path} is being written by {holder}; wait for it to end, or stop it"
+            ) from error
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)

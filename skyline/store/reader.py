@@ -1,0 +1,249 @@
+"""The committed rows of a store, read while a writer may be at work."""
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self, TypeVar
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import HEADINGS
+from skyline.errors import (
+    InputError,
+    SkylineError,
+    StoreError,
+)
+from skyline.features import NO_KEYPOINT
+from skyline.store.checks import checked_dataset, read_committed, read_header
+from skyline.store.explain import REBUILD, UNREADABLE, explained
+from skyline.store.header import KEYPOINTS, SPECS, VIEW_SPECS, KeypointColumns, StoreHeader
+from skyline.store.superblock import WholeFile
+from skyline.views import Views
+
+RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]
+
+_T = TypeVar("_T")
+
+_READ_AGAIN = 5
+_READ_AGAIN_PAUSE_S = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Locations:
+    """Where the eyes of N views are and which way they look.
+
+    Attributes
+    ----------
+    easting_m, northing_m, eye_elevation_m : (N,) float64
+        In the store's frame, above the DEM's datum.
+    heading : (N,) uint8
+    """
+
+    easting_m: NDArray[np.float64]
+    northing_m: NDArray[np.float64]
+    eye_elevation_m: NDArray[np.float64]
+    heading: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.heading)
+
+
+class Store:
+    """The committed rows of a store; use it as a context manager. Made by `open_store`.
+
+    Rows committed after it was opened are not seen: the rows of one `Store` never change.
+    """
+
+    def __init__(self, path: Path, raw: WholeFile) -> None:
+        """Check and open the store in an open file, which the store closes."""
+        self._path = path
+        self._raw = raw
+        with explained(path, "it cannot be opened"), ExitStack() as resources:
+            self._file = resources.enter_context(h5py.File(raw, "r"))
+            self._header = read_header(path, self._file)
+            # Counted before the datasets are opened: a writer at work may lengthen them.
+            self._committed = read_committed(path, self._file)
+            self._datasets = self._open_datasets()
+            self._check_committed()
+            resources.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        return self._committed
+
+    @property
+    def path(self) -> Path:
+        """Where the store is."""
+        return self._path
+
+    @property
+    def header(self) -> StoreHeader:
+        """What the store was built from and how."""
+        return self._header
+
+    @property
+    def committed(self) -> int:
+        """Number of complete rows when the store was opened."""
+        return self._committed
+
+    @property
+    def in_use(self) -> bool:
+        """Whether a writer had the store open when it was opened, or was killed at work."""
+        return self._raw.superblock.in_use
+
+    def close(self) -> None:
+        """Let go of the file; closing twice is fine."""
+        self._file.close()
+        self._raw.close()
+
+    def views(self, index: RowIndex = slice(None)) -> Views:
+        """Read views.
+
+        Parameters
+        ----------
+        index : int, slice, integer or boolean array
+            Rows in the order wanted, as NumPy indexes; an int gives one view.
+
+        Raises
+        ------
+        InputError
+            A row that is not committed.
+        StoreError
+            Damaged data.
+        """
+        rows = self._rows(index)
+        views = Views(*(self._read(name, rows) for name, _ in VIEW_SPECS.values()))
+        self._check_headings(views.heading)
+        return views
+
+    def iter_views(self, chunk_rows: int = 1024) -> Iterator[Views]:
+        """Yield all views in order, ``chunk_rows`` at a time (the last time fewer)."""
+        if chunk_rows < 1:
+            raise InputError(f"chunk_rows is {chunk_rows}; expected at least 1")
+        for start in range(0, self._committed, chunk_rows):
+            yield self.views(slice(start, start + chunk_rows))
+
+    def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
+        """Read keypoints, (N, K) uint16, padded with `NO_KEYPOINT`; as `views` otherwise."""
+        columns = self._read(KEYPOINTS, self._rows(index))
+        if ((columns >= self._header.width) & (columns != NO_KEYPOINT)).any():
+            raise self._damaged(f"{KEYPOINTS} names columns beyond {self._header.width - 1}")
+        return columns
+
+    def locations(self) -> Locations:
+        """Read where all views are, without their skylines."""
+        rows = self._rows(slice(None))
+        names = ("easting_m", "northing_m", "eye_elevation_m", "heading")
+        locations = Locations(*(self._read(VIEW_SPECS[name][0], rows) for name in names))
+        self._check_headings(locations.heading)
+        return locations
+
+    def _rows(self, index: RowIndex) -> NDArray[np.intp]:
+        try:
+            return np.atleast_1d(np.arange(self._committed)[index])
+        except IndexError as error:
+            raise InputError(
+                f"{error}: store {self._path} has {self._committed} committed rows"
+            ) from error
+
+    def _read(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
+        if self._raw.closed:
+            raise StoreError(f"store {self._path} is closed; open it again to read it")
+        try:
+            return self._read_once(name, rows)
+        except StoreError:
+            if not self._raw.refresh():
+                raise
+        return _patiently(self._raw, lambda: self._read_anew(name, rows))
+
+    def _read_anew(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
+        with explained(self._path, "it cannot be opened again"):
+            self._file.close()
+            self._file = h5py.File(self._raw, "r")
+            self._datasets = self._open_datasets()
+        return self._read_once(name, rows)
+
+    def _read_once(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
+        with explained(self._path, f"{name} cannot be read"):
+            dataset = self._datasets[name]
+            if len(rows) == 0:
+                return np.zeros((0, *dataset.shape[1:]), dataset.dtype)
+            if (np.diff(rows) == 1).all():
+                return np.asarray(dataset[rows[0] : rows[-1] + 1])
+            # HDF5 wants rows ascending and once each.
+            ascending, position = np.unique(rows, return_inverse=True)
+            return np.asarray(dataset[ascending])[position]
+
+    def _open_datasets(self) -> dict[str, h5py.Dataset]:
+        return {
+            name: checked_dataset(self._path, self._file, name, spec, self._header)
+            for name, spec in SPECS.items()
+        }
+
+    def _check_committed(self) -> None:
+        # Values of one number a row are not packed, so what the file has no bytes for is missing.
+        rows = min(
+            len(dataset)
+            if dataset.ndim > 1
+            else min(len(dataset), dataset.id.get_storage_size() // dataset.dtype.itemsize)
+            for dataset in self._datasets.values()
+        )
+        if self._committed > rows:
+            raise self._damaged(f"it says {self._committed} rows are committed and holds {rows}")
+
+    def _check_headings(self, heading: NDArray[np.uint8]) -> None:
+        if (heading > HEADINGS[-1]).any():
+            raise self._damaged(f"it has heading {heading.max()}, beyond {HEADINGS[-1]}")
+
+    def _damaged(self, what: str) -> StoreError:
+        return StoreError(f"store {self._path} is damaged: {what}; {REBUILD}")
+
+
+def open_store(path: str | os.PathLike[str]) -> Store:
+    """Open a store to read its committed rows, also while another process appends to it.
+
+    Raises
+    ------
+    MissingFileError
+        No such file.
+    StoreError
+        Not a store, truncated or damaged, of a newer schema, or not readable.
+    """
+    path = Path(path).resolve()
+    with ExitStack() as resources:
+        raw = resources.enter_context(WholeFile(path))
+        store = _patiently(raw, lambda: Store(path, raw))
+        resources.pop_all()
+    return store
+
+
+def is_store(path: str | os.PathLike[str]) -> bool:
+    """Whether a file is an HDF5 file with a store's schema, however damaged the rest."""
+    path = Path(path)
+    try:
+        with WholeFile(path) as raw, h5py.File(raw, "r") as file:
+            return "schema" in file.attrs
+    except (SkylineError, *UNREADABLE):
+        return path.is_file() and path.suffix == ".h5"
+
+
+def _patiently(raw: WholeFile, read: Callable[[], _T]) -> _T:
+    """Return ``read()``, tried again where a writer at work may have changed what it read."""
+    for _ in range(_READ_AGAIN):
+        try:
+            return read()
+        except StoreError:
+            if not raw.refresh():
+                raise
+            time.sleep(_READ_AGAIN_PAUSE_S)
+    return read()
