@@ -22,8 +22,9 @@ from demo import BOUNDS_DEG, take_pictures, write_dem
 
 from skyline import oracle
 from skyline.features import polyline_keypoints
+from skyline.matching import MATCHERS
 from skyline.photo import read_query
-from skyline.pipeline import RANKERS, Matcher, build_uniform
+from skyline.pipeline import Matcher, build_uniform
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.context import acquire_context
 from skyline.render.depth import DepthRenderer
@@ -67,7 +68,7 @@ def measure(folder: Path) -> list[dict[str, object]]:
     build_uniform(terrain, store, 500.0, BOUNDS_DEG)
     query = take_pictures(terrain, folder / "queries")[0].path
     row("photo to skyline", timed(lambda: read_query(query), 3), 1, "photo")
-    for name in RANKERS:
+    for name in MATCHERS:
         matcher = Matcher(store, name)
         seconds = timed(partial(matcher.match, query), 3)
         row(f"match, {name}", seconds, len(matcher.viewpoints), "stored location")

@@ -19,9 +19,9 @@ from rich.console import Console
 from rich.table import Table
 
 from skyline.experiments.photographs import Camera, photograph
+from skyline.matching import MATCHERS
 from skyline.photo import write_overlay
 from skyline.pipeline import (
-    RANKERS,
     Matcher,
     MatchResult,
     RenderConfig,
@@ -69,7 +69,7 @@ def main() -> None:
     console.print(f"store: {built.renderings} renderings in {built.seconds:.0f} s -> {store}")
 
     queries = take_pictures(terrain, out / "queries")
-    matchers = {name: Matcher(store, name) for name in RANKERS}
+    matchers = {name: Matcher(store, name) for name in MATCHERS}
     results = {name: [m.match(query.path) for query in queries] for name, m in matchers.items()}
     for query, result in zip(queries, results["paper"], strict=True):
         picture = np.asarray(Image.open(query.path))

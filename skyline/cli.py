@@ -24,9 +24,9 @@ from skyline.describe import (
 )
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Curvature
+from skyline.matching import MATCHERS
 from skyline.photo import extract_photo, write_overlay, write_trace
 from skyline.pipeline import (
-    RANKERS,
     BuildResult,
     Matcher,
     Progress,
@@ -145,7 +145,7 @@ def match(
     fov_deg: Annotated[
         float | None, typer.Option(help="Horizontal field of view; else from the photo's EXIF.")
     ] = None,
-    matcher: Annotated[str, typer.Option(help=f"One of {', '.join(RANKERS)}.")] = "paper",
+    matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHERS)}.")] = "paper",
     top: Annotated[int, typer.Option(help="Candidates to name.")] = 5,
     as_json: AsJson = False,
 ) -> None:

@@ -13,12 +13,7 @@ from skyline.camera import DEFAULT_WIDTH, HEADINGS
 from skyline.errors import InputError
 from skyline.features import polyline_keypoints
 from skyline.geodesy import Curvature, Frame
-from skyline.matching.correlation import CorrelationMatcher
-from skyline.matching.profiles import Profiles
-from skyline.matching.query import QueryRays
-from skyline.matching.ranking import Candidate
-from skyline.matching.ranking import Matcher as Ranker
-from skyline.matching.verify import PaperMatcher
+from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays
 from skyline.photo import QuerySkyline, read_query
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
@@ -30,12 +25,6 @@ from skyline.views import Views
 
 Progress = Callable[[int, int], None]
 """Called with the renderings done and the renderings there will be."""
-
-RANKERS: dict[str, Callable[[], Ranker]] = {
-    "paper": PaperMatcher,
-    "correlation": CorrelationMatcher,
-}
-"""Matchers by the name that ``skyline match --matcher`` knows them by."""
 
 _VIEWPOINTS_A_COMMIT = 16
 _ROWS_A_READ = 1024
@@ -232,7 +221,7 @@ class Matcher:
     ----------
     store : str or Path
     matcher : str
-        A name of `RANKERS`.
+        A name of `skyline.matching.MATCHERS`.
 
     Raises
     ------
@@ -243,9 +232,9 @@ class Matcher:
     """
 
     def __init__(self, store: str | Path, matcher: str = "paper") -> None:
-        if matcher not in RANKERS:
-            raise InputError(f"matcher is {matcher!r}; expected one of {', '.join(RANKERS)}")
-        self._ranker = RANKERS[matcher]()
+        if matcher not in MATCHERS:
+            raise InputError(f"matcher is {matcher!r}; expected one of {', '.join(MATCHERS)}")
+        self._matcher = MATCHERS[matcher]()
         with open_store(store) as opened:
             self.header = opened.header
             self._profiles = Profiles.from_views(_chunks(opened))
@@ -280,7 +269,7 @@ class Matcher:
             query = read_query(query, fov_deg)
         elif fov_deg is not None:
             query = query.with_fov(fov_deg)
-        candidates = self._ranker.rank(self._profiles, _rays(query), top)
+        candidates = self._matcher.rank(self._profiles, _rays(query), top)
         return MatchResult(query, tuple(candidates), time.perf_counter() - started)
 
 
