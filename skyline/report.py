@@ -104,6 +104,7 @@ def save_map(
             markersize=2,
             label=f"{len(viewpoints)} viewpoints",
         )
+        _look_at(axis, field, viewpoints)
     for index, query in enumerate(found):
         _draw_found(axis, query, first=index == 0)
     axis.set(xlabel="easting (km)", ylabel="northing (km)", aspect="equal")
@@ -127,11 +128,25 @@ def _draw_terrain(axis: Axes, field: HeightField) -> None:
     axis.imshow(heights, cmap="terrain", extent=extent, alpha=0.35)
 
 
+def _look_at(axis: Axes, field: HeightField, viewpoints: Viewpoints) -> None:
+    """Show the viewpoints and a third of their extent around them, as far as there is terrain."""
+    west, south, east, north = field.bounds_m
+    easting, northing = viewpoints.easting_m, viewpoints.northing_m
+    margin = max(1000.0, np.ptp(easting) / 3.0, np.ptp(northing) / 3.0)
+    axis.set_xlim(
+        max(west, easting.min() - margin) / 1000.0, min(east, easting.max() + margin) / 1000.0
+    )
+    axis.set_ylim(
+        max(south, northing.min() - margin) / 1000.0, min(north, northing.max() + margin) / 1000.0
+    )
+
+
 def _draw_found(axis: Axes, query: Found, first: bool) -> None:
     places = (
         (query.true_m, query.true_heading_deg, "o", "tab:blue", "true position"),
         (query.found_m, query.found_heading_deg, "X", "crimson", "found position"),
     )
+    arrow_km = 0.06 * float(np.ptp(axis.get_xlim()))
     if query.true_m and query.found_m:
         pair = np.array([query.true_m, query.found_m]) / 1000.0
         axis.plot(pair[:, 0], pair[:, 1], "-", color="crimson", linewidth=1.0)
@@ -153,7 +168,7 @@ def _draw_found(axis: Axes, query: Found, first: bool) -> None:
             axis.annotate(
                 "",
                 xytext=(easting, northing),
-                xy=(easting + 1.2 * np.sin(turn), northing + 1.2 * np.cos(turn)),
+                xy=(easting + arrow_km * np.sin(turn), northing + arrow_km * np.cos(turn)),
                 arrowprops={"arrowstyle": "->", "color": colour},
             )
     anchor = query.true_m or query.found_m
