@@ -1,7 +1,8 @@
 """Views: arrays of many rendered skylines, and what derives from them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,40 @@ FLAG_NAMES = {
 
 FloatArray = NDArray[np.floating]
 Float64Array = NDArray[np.float64]
+Index = slice | NDArray[np.integer] | NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shells:
+    """The skyline of each of K ranges of forward depth alone, of N views.
+
+    Attributes
+    ----------
+    edges_m : (K + 1,) float64
+        Increasing forward depths; shell k holds the terrain in [edges_m[k], edges_m[k + 1]).
+    elevation_tan, depth_m : (N, K, W) float32
+        As of `Views`; NaN where a shell shows nothing, or nothing that could surface within the
+        reach it was rendered for.
+    """
+
+    edges_m: Float64Array
+    elevation_tan: FloatArray
+    depth_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.elevation_tan)
+
+    def __getitem__(self, index: Index) -> "Shells":
+        return Shells(self.edges_m, self.elevation_tan[index], self.depth_m[index])
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Shells"]) -> "Shells":
+        """Join shells with the same edges, in order; at least one part."""
+        return cls(
+            parts[0].edges_m,
+            np.concatenate([part.elevation_tan for part in parts]),
+            np.concatenate([part.depth_m for part in parts]),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +79,8 @@ class Views:
         Forward distance of the skyline; NaN where a column meets no data.
     flags : (N, W) uint8
         Bits `FLAG_TRUNCATED`, `FLAG_HOLE`, `FLAG_NO_DATA`, `FLAG_OUT_OF_IMAGE`.
+    shells : Shells, optional
+        The distance shells, where the renderer was asked for them.
     """
 
     easting_m: Float64Array
@@ -53,12 +90,15 @@ class Views:
     elevation_tan: FloatArray
     depth_m: FloatArray
     flags: NDArray[np.uint8]
+    shells: Shells | None = None
 
     def __len__(self) -> int:
         return len(self.heading)
 
-    def __getitem__(self, index: slice | NDArray[np.integer] | NDArray[np.bool_]) -> "Views":
-        return Views(*(getattr(self, f.name)[index] for f in fields(self)))
+    def __getitem__(self, index: Index) -> "Views":
+        shells = None if self.shells is None else self.shells[index]
+        rows: Any = {name: getattr(self, name)[index] for name in ROW_FIELDS}
+        return Views(**rows, shells=shells)
 
     @property
     def width(self) -> int:
@@ -76,9 +116,11 @@ class Views:
     def concatenate(cls, parts: Iterable["Views"]) -> "Views":
         """Join views of one width, in order; at least one part."""
         parts = list(parts)
-        return cls(
-            *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls))
-        )
+        shells = [part.shells for part in parts if part.shells is not None]
+        rows: Any = {
+            name: np.concatenate([getattr(part, name) for part in parts]) for name in ROW_FIELDS
+        }
+        return cls(**rows, shells=Shells.concatenate(shells) if shells else None)
 
     def azimuth_deg(self) -> Float64Array:
         """Return grid azimuths of the columns, shape (N, W), degrees in [0, 360)."""
@@ -98,3 +140,7 @@ class Views:
         )
         turns = np.stack([rotation(heading) for heading in range(4)])[self.heading]
         return np.asarray(np.einsum("nwc,nck->nwk", camera, turns), dtype=np.float64)
+
+
+ROW_FIELDS = tuple(f.name for f in fields(Views) if f.name != "shells")
+"""The fields that hold one row a view."""

@@ -122,7 +122,8 @@ class Store:
             Damaged data.
         """
         rows = self._rows(index)
-        views = Views(*(self._read(name, rows) for name, _ in VIEW_SPECS.values()))
+        held: Any = {field: self._read(spec[0], rows) for field, spec in VIEW_SPECS.items()}
+        views = Views(**held)
         self._check_headings(views.heading)
         return views
 
