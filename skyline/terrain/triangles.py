@@ -30,6 +30,26 @@ class Triangles:
         diagonal = present[:-1, :-1] & present[1:, 1:]
         return cls(np.pad(diagonal & present[:-1, 1:], 1), np.pad(diagonal & present[1:, :-1], 1))
 
+    @property
+    def samples(self) -> BoolArray:
+        """Which samples are a corner of some triangle, shape (rows, cols)."""
+        north_east, south_west = self.north_east, self.south_west
+        both = north_east | south_west
+        return np.asarray(
+            both[:-1, :-1] | both[1:, 1:] | north_east[1:, :-1] | south_west[:-1, 1:], dtype=bool
+        )
+
+    @property
+    def has_dangling_edges(self) -> bool:
+        """Whether two samples of triangles are neighbours along an edge without a triangle."""
+        north_east, south_west, there = self.north_east, self.south_west, self.samples
+        along_row = there[:, :-1] & there[:, 1:] & ~(north_east[1:, 1:-1] | south_west[:-1, 1:-1])
+        along_col = there[:-1] & there[1:] & ~(south_west[1:-1, 1:] | north_east[1:-1, :-1])
+        across = (there[:-1, :-1] & there[1:, 1:]) & ~(
+            north_east[1:-1, 1:-1] | south_west[1:-1, 1:-1]
+        )
+        return bool(along_row.any() or along_col.any() or across.any())
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rims:

@@ -1,0 +1,48 @@
+// Skylines of many viewpoints in one heading, for OpenGL below 4.3: a fragment is a column, a row
+// of the target is a view. The same walk as horizon.comp, without first bounds from neighbours.
+//
+// What earlier windows of a large field left comes in as a texture; with RIMS only the flag of
+// holes is added.
+#version 330 core
+#define PRECISE
+#include "horizon_walk.glsl"
+
+uniform sampler2D eyes;           // two texels an eye: nearest, offset; offset_low, elevation_m
+uniform int first_row;            // of the target, the first eye's
+uniform sampler2D known;          // v and depth so far
+uniform usampler2D known_flags;
+
+layout(location = 0) out vec2 skyline;
+layout(location = 1) out uint flags;
+
+const uint TRUNCATED = 1u, HOLE = 2u;
+
+void main() {
+    ivec2 here = ivec2(gl_FragCoord.xy);
+    vec4 first = texelFetch(eyes, ivec2(0, here.y - first_row), 0);
+    vec4 second = texelFetch(eyes, ivec2(1, here.y - first_row), 0);
+    face(Eye(ivec2(first.xy), first.zw, second.xy, second.zw));
+    skyline = texelFetch(known, here, 0).xy;
+    flags = texelFetch(known_flags, here, 0).x;
+    int s_first, s_last, bin, winner = NO_STRIP;
+    bool live = aim(here.x, s_first, s_last, bin);
+#ifdef RIMS
+    float best = (flags & HOLE) != 0u ? 1.0 : NOTHING;
+    walk(live && best < 0.0, bin, s_first, s_last, NO_STRIP, best, winner);
+    if (best > 0.0) flags |= HOLE;
+#else
+    float best = skyline.x * metres_per_strip;
+    best -= 1e-6 * abs(best);
+    walk(live, bin, s_first, s_last, NO_STRIP, best, winner);
+    Hit hit = Hit(REAL(NOTHING), REAL(1e30), 0, 0);
+    resolve(winner, winner != NO_STRIP, hit);
+    float tan_here = float(hit.v) / metres_per_strip;
+    float z_here = float(hit.z) * metres_per_strip;
+    if (float(hit.v) > DATA && (tan_here > skyline.x
+                                || (tan_here == skyline.x && z_here < skyline.y))) {
+        skyline = vec2(tan_here, z_here);
+        flags = (flags & HOLE)
+            | (triangle_there(winner, hit.line, hit.family, true) ? 0u : TRUNCATED);
+    }
+#endif
+}

@@ -1,0 +1,333 @@
+// Skyline of one column: walk forward over a tree of slabs and keep the greatest v (DESIGN 5).
+//
+// The vertical half-plane of a column meets the surface's edges where its ground ray crosses rows,
+// columns and diagonals of samples; the greatest v over these crossings is the skyline, as in
+// skyline/oracle.py. Along the axis the heading faces the field is cut into strips, one row of
+// cells each; the ray drifts sideways by k cells a strip. Slabs of 2, 16, 128, 1024 strips carry
+// the greatest height that rays of their slope can meet (skyline/terrain/pyramid.py): one that
+// cannot rise above the best crossing so far is passed over whole.
+//
+// Frame: p counts along the heading's axis and grows away from the eye (mirrored for north and
+// west), w counts across it, to the east or south. Distances z are in strips. A crossing's y is
+// metres above the eye, its v metres per strip; metres_per_strip scales both in the end. Nothing
+// absolute is used: the eye is its nearest sample in whole numbers and an offset from that.
+//
+// Defines: HEADING 0..3; CELLS, how many cells of a strip a ray can cross; REAL, float or double;
+// DANGLING where edges without triangles exist; SHELLS to look at one range of depth alone; RIMS for
+// the walk that looks for holes instead (oracle.py's FLAG_HOLE).
+
+struct Eye {
+    ivec2 nearest;     // row, column of a sample
+    vec2 offset;       // eye minus that sample, cells south and east, each in [-0.5, 0.5]
+    vec2 offset_low;   // what float32 left of it
+    vec2 elevation_m;  // high and low part
+};
+
+uniform sampler2D heights_m;      // the window's samples with an apron of one; holes HOLE_M
+uniform usampler2D slabs;         // the tree: eight codes of 16 bits a texel, or eight bits (RIMS)
+uniform ivec2 samples;            // columns, rows of the window
+uniform vec2 spacing_m;           // east, north
+uniform vec2 texel;               // 1 / size of heights_m
+uniform float drop_per_m2;        // Curvature.drop_per_m2
+uniform float slack_m;            // more than any rounding of y
+uniform float tolerance;          // how far v may fall short of the skyline
+uniform vec2 code_m;              // height of code 0 and of one step
+uniform ivec3 levels[4];          // by level: first row in slabs, rows a bin, blocks before 0
+uniform int top_level;
+uniform int bins;                 // of slopes, from -slope_max to slope_max
+uniform float slope_max;
+uniform int width;
+
+const float HOLE_M = -3e38;
+const float NOTHING = -1e30;
+const float DATA = -1e15;         // below every v there is, above every crossing with a hole
+const int NO_STRIP = 0x7ffffff0;
+
+const bool ALONG_COLUMNS = (HEADING & 1) == 1;             // strips are columns of cells
+const bool FORWARD = HEADING == 1 || HEADING == 2;         // p grows with the sample's index
+const int SIGN = FORWARD ? 1 : -1;
+
+int ip, iw;                        // the eye's sample
+REAL fp, fw, fd;                   // its offset, and where it stands among the diagonals
+float eye_high_m, eye_low_m;
+float metres_per_strip, metres_across;
+vec3 sag_m;                        // drop of an edge's middle under its chord: row, lateral, diagonal
+int w_first, w_last;               // cells of the window, relative to iw
+int s_begin, s_end;                // strips of the window that lie ahead
+REAL k, rate, inverse_k, inverse_rate;
+float drop_per_strip2;
+#ifdef SHELLS
+uniform vec2 shell_m;              // forward depths that count
+#endif
+float z_low, z_high;               // the same in strips
+
+struct Hit { REAL v, z; int line, family; };   // family: 0 row, 1 lateral, 2 diagonal
+
+void face(Eye eye) {
+    ivec2 at = ALONG_COLUMNS ? eye.nearest.yx : eye.nearest;
+    REAL south = REAL(eye.offset.x) + REAL(eye.offset_low.x);
+    REAL east = REAL(eye.offset.y) + REAL(eye.offset_low.y);
+    ip = SIGN * at.x;
+    iw = at.y;
+    fp = REAL(SIGN) * (ALONG_COLUMNS ? east : south);
+    fw = ALONG_COLUMNS ? south : east;
+    // The first difference is exact where it is small.
+    fd = (REAL(eye.offset.y) - REAL(eye.offset.x))
+        + (REAL(eye.offset_low.y) - REAL(eye.offset_low.x));
+    if (ALONG_COLUMNS) fd = -fd;
+    eye_high_m = eye.elevation_m.x;
+    eye_low_m = eye.elevation_m.y;
+    metres_per_strip = ALONG_COLUMNS ? spacing_m.x : spacing_m.y;
+    metres_across = ALONG_COLUMNS ? spacing_m.y : spacing_m.x;
+    float along2 = metres_per_strip * metres_per_strip, across2 = metres_across * metres_across;
+    sag_m = drop_per_m2 * vec3(across2, along2, across2 + along2);
+    ivec2 lines = ALONG_COLUMNS ? samples : samples.yx;
+    w_first = -iw;
+    w_last = lines.y - 2 - iw;
+    s_begin = max(ip + int(floor(fp)), FORWARD ? 0 : 1 - lines.x);
+    s_end = FORWARD ? lines.x - 1 : 0;
+#ifdef SHELLS
+    z_low = shell_m.x / metres_per_strip;
+    z_high = shell_m.y / metres_per_strip;
+#else
+    z_low = 0.0;
+    z_high = 1e30;
+#endif
+}
+
+// Aim at column q; returns whether its ray meets the window.
+bool aim(int q, out int s_first, out int s_last, out int bin) {
+    REAL u = REAL(2 * q + 1 - width) / REAL(width);
+    k = REAL(HEADING < 2 ? 1 : -1) * u * REAL(metres_per_strip) / REAL(metres_across);
+    rate = k - REAL(SIGN);
+    inverse_k = REAL(1) / k;
+    inverse_rate = REAL(1) / rate;
+    drop_per_strip2 = drop_per_m2 * metres_per_strip * metres_per_strip * float(REAL(1) + u * u);
+    // Strips between which the ray is beside no cell of the window, rounded outwards.
+    float low = float(w_first) - float(fw), high = float(w_last + 1) - float(fw);
+    float slope = float(k), enter = 0.0, leave = 1e8;
+    if (slope > 0.0) { enter = low / slope; leave = high / slope; }
+    if (slope < 0.0) { enter = high / slope; leave = low / slope; }
+    if (slope == 0.0 && (low > 0.0 || high < 0.0)) leave = -1.0;
+    enter = clamp(max(enter, z_low), 0.0, 1e8);
+    leave = min(min(leave, z_high), 1e8);
+    s_first = max(s_begin, ip + int(floor(float(fp) + enter)) - (enter > 0.0 ? 1 : 0));
+    s_last = min(s_end - 1, ip + int(floor(float(fp) + max(leave, -1.0))) + 1);
+    bin = int(floor((slope * float(SIGN) / slope_max + 1.0) * 0.5 * float(bins)));
+    bin = clamp(bin, 0, bins - 1);
+    bool meets = q < width && leave >= 0.0 && s_last >= s_first;
+    if (!meets) s_last = s_first - 1;
+    return meets;
+}
+
+float height_at(int p, int w) {
+    ivec2 at = ALONG_COLUMNS ? ivec2(SIGN * p, iw + w) : ivec2(iw + w, SIGN * p);
+    return texelFetch(heights_m, clamp(at, ivec2(-1), samples) + 1, 0).x;
+}
+
+// The third sample of the triangle beyond an edge crossed in strip s, or before it, seen from the
+// eye: the edge's own two are there.
+bool triangle_there(int s, int line, int family, bool beyond) {
+    bool right = beyond == (k > REAL(0));
+    bool grows = beyond == (rate > REAL(0));
+    int p = family == 0 ? (beyond ? s + 2 : s)
+          : family == 1 ? s + (right == FORWARD ? 1 : 0)
+          : s + (grows != FORWARD ? 1 : 0);
+    int w = family == 0 ? line + (beyond == FORWARD ? 1 : 0)
+          : family == 1 ? line + (right ? 1 : -1)
+          : line + (grows ? 1 : 0);
+    return height_at(p, w) > NOTHING;
+}
+
+// The four samples of a cell, relative to the eye: near and far line, w and w + 1.
+vec4 corners(int s, int w) {
+    int cell = FORWARD ? s : -1 - s;
+    ivec2 at = ALONG_COLUMNS ? ivec2(cell, w) : ivec2(w, cell);
+#ifdef GATHER
+    vec4 g = textureGather(heights_m, vec2(at + 2) * texel);
+#else
+    ivec2 near = clamp(at + 1, ivec2(0), samples), far = near + 1;
+    vec4 g = vec4(texelFetch(heights_m, ivec2(near.x, far.y), 0).x,
+                  texelFetch(heights_m, far, 0).x,
+                  texelFetch(heights_m, ivec2(far.x, near.y), 0).x,
+                  texelFetch(heights_m, near, 0).x);
+#endif
+    g -= eye_high_m;
+    if (ALONG_COLUMNS) return FORWARD ? g.wxzy : g.zywx;
+    return FORWARD ? g.wzxy : g.xywz;
+}
+
+// v of a crossing at distance z, at fraction f between samples h0 and h1. Curvature applies to
+// samples, and the edge between them is straight: hence the sag.
+REAL crossing(float h0, float h1, REAL f, REAL z, float sag) {
+    PRECISE REAL y = (REAL(1) - f) * REAL(h0) + f * REAL(h1) - REAL(eye_low_m)
+        - REAL(drop_per_strip2) * z * z - REAL(sag) * f * (REAL(1) - f);
+    PRECISE REAL v = y / z;
+    return v;
+}
+
+// Whether a crossing raises the hit's v, or makes it v again.
+bool counts(Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
+    there = there && v >= hit.v;
+#ifdef SHELLS
+    there = there && z >= REAL(z_low) && z < REAL(z_high);
+#endif
+#ifdef DANGLING
+    there = there && (triangle_there(s, int(line), family, true)
+                      || triangle_there(s, int(line), family, false));
+#endif
+    return there;
+}
+
+void keep_v(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
+    hit.v = counts(hit, s, v, z, line, family, there) ? v : hit.v;
+}
+
+// The whole hit; of equal ones the nearest.
+void keep_all(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
+    if (counts(hit, s, v, z, line, family, there) && (v > hit.v || z < hit.z)) {
+        hit = Hit(v, z, int(line), family);
+    }
+}
+
+// Whether the surface begins again at this crossing: then v of the hit is set to 1.
+void keep_rim(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
+    if (there && v > REAL(DATA) && !triangle_there(s, int(line), family, false)
+        && triangle_there(s, int(line), family, true)) hit.v = REAL(1);
+}
+
+// The crossings in strip s: lateral lines, diagonals, and the far row; the near row belongs to the
+// strip before. No branches: both sides of one would be executed.
+#define STRIP(NAME, KEEP)                                                                          \
+void NAME(int s, bool on, inout Hit hit) {                                                         \
+    REAL z0 = REAL(s - ip) - fp, zf = REAL(s + 1 - ip) - fp;                                       \
+    REAL xn = fw + k * max(z0, REAL(0)), xf = fw + k * zf;                                         \
+    REAL least = min(xn, xf), top = floor(max(xn, xf));                                            \
+    REAL first = REAL(w_first), last = REAL(w_last);                                               \
+    REAL diagonal = REAL(FORWARD ? ip - s : s + 1 - ip);                                           \
+    REAL jf = clamp(floor(xf), first, last);                                                       \
+    vec4 far = vec4(0.0);                                                                          \
+    for (int i = 0; i < CELLS; ++i) {                                                              \
+        REAL line = top - REAL(i), j = clamp(line, first, last);                                   \
+        vec4 h = corners(s, iw + int(j));                                                          \
+        far = i == 0 || j == jf ? h : far;                                                         \
+        if (i < CELLS - 1) {                                                                       \
+            REAL z = (line - fw) * inverse_k;                                                      \
+            bool border = line > last;                                                             \
+            KEEP(hit, s, crossing(border ? h.y : h.x, border ? h.w : h.z,                          \
+                 clamp(z - z0, REAL(0), REAL(1)), z, sag_m.y), z, line, 1,                         \
+                 on && line > least && line >= first && line <= last + REAL(1) && z > REAL(0));    \
+        }                                                                                          \
+        REAL z = (j + diagonal - fd) * inverse_rate, f = z - z0;                                   \
+        KEEP(hit, s, crossing(FORWARD ? h.x : h.y, FORWARD ? h.w : h.z, f, z, sag_m.z), z, j, 2,   \
+             on && f >= REAL(0) && f <= REAL(1) && z > REAL(0));                                   \
+    }                                                                                              \
+    KEEP(hit, s, crossing(far.z, far.w, clamp(xf - jf, REAL(0), REAL(1)), zf, sag_m.x), zf, jf, 0, \
+         on && xf >= first && xf <= last + REAL(1));                                               \
+}
+
+#ifdef RIMS
+STRIP(strip, keep_rim)
+#else
+STRIP(strip, keep_v)
+STRIP(resolve, keep_all)
+#endif
+
+// The two strips of a leaf, s and s + 1; of equal crossings the nearer strip is kept.
+void leaf(int s, int s_first, int s_last, inout float best, inout int best_s) {
+    Hit near = Hit(REAL(2.0 * NOTHING), REAL(1e30), 0, 0), far = near;
+    strip(s, s >= s_first && s <= s_last, near);
+    strip(s + 1, s + 1 >= s_first && s + 1 <= s_last, far);
+    float v = float(near.v);
+    bool take = v > best || (v == best && s < best_s);
+    best_s = take ? s : best_s;
+    best = take ? v : best;
+    v = float(far.v);
+    take = v > best || (v == best && s + 1 < best_s);
+    best_s = take ? s + 1 : best_s;
+    best = take ? v : best;
+}
+
+// Which of the eight slabs of the band that begins at strip s can matter, a bit each. Slabs are
+// 2^log_slab strips deep; a band's texel is the one of the block of columns in which the ray
+// crosses the band's line of least index.
+uint open_band(int s, int log_slab, int level, int bin, int s_first, int s_last, float best) {
+    float slab = float(1 << log_slab);
+    float z0 = float(s - ip) - float(fp);
+    float zt = FORWARD ? z0 : z0 + 8.0 * slab;
+    int within = iw & ((1 << log_slab) - 1);
+    float blocks = floor((float(fw) + float(k) * zt + float(within)) / slab);
+    int node = s >> (log_slab + 3);
+    ivec3 at = levels[level];
+    ivec2 place = ivec2((iw >> log_slab) + int(clamp(blocks, -1e8, 1e8)) + at.z,
+                        at.x + bin * at.y + (FORWARD ? node : -1 - node));
+    uint within_range = (255u << uint(clamp((s_first - s) >> log_slab, 0, 8)))
+        & (255u >> uint(clamp(7 - ((s_last - s) >> log_slab), 0, 8)));
+    if (place.x < 0 || place.x >= textureSize(slabs, 0).x) return 0u;
+    uvec4 codes = texelFetch(slabs, place, 0);
+#ifdef RIMS
+    uint bits = codes.x;
+    if (!FORWARD) {
+        bits = ((bits & 0xf0u) >> 4) | ((bits & 0x0fu) << 4);
+        bits = ((bits & 0xccu) >> 2) | ((bits & 0x33u) << 2);
+        bits = ((bits & 0xaau) >> 1) | ((bits & 0x55u) << 1);
+    }
+    return bits & within_range;
+#else
+    if (!FORWARD) { codes = codes.wzyx; codes = (codes >> 16) | (codes << 16); }
+    // A slab matters where its greatest height, seen at its near or its far end, rises above the
+    // best: v is greatest at the near end where y is positive, at the far end where negative.
+    float base = code_m.x - (eye_high_m - slack_m);
+    best += tolerance * metres_per_strip;
+    uint bits = 0u;
+    float zn = max(z0, 0.0), best_n = best * zn;
+#define SLAB(code, bit, i) {                                                                       \
+        float zf = max(z0 + (i) * slab, 0.0), best_f = best * zf;                                  \
+        float y = float(int(code)) * code_m.y + base - drop_per_strip2 * zn * zn;                  \
+        bits |= y > min(best_n, best_f) ? bit : 0u;                                                \
+        zn = zf; best_n = best_f; }
+    SLAB(codes.x & 0xffffu, 1u, 1.0) SLAB(codes.x >> 16, 2u, 2.0)
+    SLAB(codes.y & 0xffffu, 4u, 3.0) SLAB(codes.y >> 16, 8u, 4.0)
+    SLAB(codes.z & 0xffffu, 16u, 5.0) SLAB(codes.z >> 16, 32u, 6.0)
+    SLAB(codes.w & 0xffffu, 64u, 7.0) SLAB(codes.w >> 16, 128u, 8.0)
+    return bits & within_range;
+#endif
+}
+
+int lowest_bit(uint bits) {
+#ifdef GATHER
+    return findLSB(bits);
+#else
+    return (floatBitsToInt(float(bits & (~bits + 1u))) >> 23) - 127;
+#endif
+}
+
+// Walk the tree, nearest slabs first, and raise best. Slabs still to be looked into are kept in
+// one word, eight bits a level: its lowest bit is the deepest level's nearest slab.
+void walk(bool live, int bin, int s_first, int s_last, int done, inout float best, inout int best_s) {
+    int s = FORWARD ? 0 : -(16 << (3 * top_level));
+    uint todo = 0u;
+    if (live) {
+        todo = open_band(s, 3 * top_level + 1, top_level, bin, s_first, s_last, best)
+            << uint(8 * top_level);
+    }
+    while (todo != 0u) {
+        while (todo > 255u && (todo & 255u) == 0u) {
+            int bit = lowest_bit(todo);
+            todo &= todo - 1u;
+            int level = bit >> 3, log_size = 3 * level + 1;
+            s = (((s >> (log_size + 3)) << 3) | (bit & 7)) << log_size;
+            todo |= open_band(s, log_size - 3, level - 1, bin, s_first, s_last, best)
+                << uint(8 * level - 8);
+        }
+        while ((todo & 255u) != 0u) {
+            int bit = lowest_bit(todo);
+            todo &= todo - 1u;
+            s = (s & ~15) | (bit << 1);
+            leaf(s, s == done ? NO_STRIP : s_first, s_last, best, best_s);
+#ifdef RIMS
+            if (best > 0.0) todo = 0u;
+#endif
+        }
+    }
+}

@@ -1,0 +1,152 @@
+"""Where the eyes of a batch of views stand, as the shaders want it and to bound what they can see."""
+
+from collections.abc import Iterator
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import pixel_size, rotation
+from skyline.render.walks import EYE
+from skyline.render.windows import Window
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+
+Float64Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+
+_ROUNDING = 3.0 * 2.0**-24
+"""Of a crossing's height in float32, relative to the heights about it."""
+
+_NEAR_ERROR_PX = 0.004
+"""What rounding may cost near the eye before float64 is used."""
+
+
+class Eyes:
+    """The eyes of N views, sorted so that walks of one kind lie together.
+
+    Attributes
+    ----------
+    viewpoints : Viewpoints
+        The N eyes as given.
+    heading : (N,) uint8
+    """
+
+    def __init__(
+        self, field: HeightField, viewpoints: Viewpoints, heading: NDArray[np.uint8], width: int
+    ) -> None:
+        self.viewpoints, self.heading = viewpoints, heading
+        self._spacing_m = np.array([field.spacing_north_m, field.spacing_east_m])
+        double = needs_double(field, viewpoints, width)
+        self._order = np.lexsort((double, heading))
+        self._double, self._sorted_heading = double[self._order], heading[self._order]
+        row, col = field.to_grid(viewpoints.easting_m, viewpoints.northing_m)
+        self._place = np.stack([row, col], axis=-1)[self._order]
+        self._elevation_m = viewpoints.eye_elevation_m[self._order]
+
+    def __len__(self) -> int:
+        return len(self.heading)
+
+    def groups(self) -> Iterator[tuple[slice, int, bool]]:
+        """Yield the sorted rows of each heading, in float32 and in float64, that has any."""
+        kind = 2 * self._sorted_heading.astype(np.int64) + self._double
+        for value in np.unique(kind):
+            rows = np.flatnonzero(kind == value)
+            yield slice(int(rows[0]), int(rows[-1]) + 1), int(value) // 2, bool(value % 2)
+
+    def in_order(self, values: NDArray[_Scalar]) -> NDArray[_Scalar]:
+        """Put (M N, ...) results of sorted views back into the order given, N by N."""
+        if not len(self):
+            return values
+        back = np.argsort(self._order)
+        blocks = values.reshape(-1, len(self), *values.shape[1:])
+        return blocks[:, back].reshape(values.shape)
+
+    def relative_to(self, window: Window) -> NDArray[np.void]:
+        """Return the sorted eyes for the shaders, (N,) of `EYE`."""
+        eyes = np.zeros(len(self), dtype=EYE)
+        nearest = np.rint(self._place)
+        eyes["nearest"] = nearest.astype(np.int64) - (window.row, window.col)
+        eyes["offset"], eyes["offset_low"] = _split(self._place - nearest)
+        high, low = _split(self._elevation_m)
+        eyes["elevation_m"] = np.stack([high, low], axis=-1)
+        return eyes
+
+    def nearest_first(self, windows: list[Window]) -> list[Window]:
+        """Sort windows by their distance from the eyes' middle."""
+        if not len(self) or len(windows) == 1:
+            return windows
+        middle = np.median(self._place, axis=0)
+        return sorted(windows, key=lambda window: float(np.hypot(*self._gap(window, middle))))
+
+    def greatest_tan(self, window: Window, highest_m: float, drop_per_m2: float) -> Float64Array:
+        """Return an upper bound of v over a window no higher than ``highest_m``, (N,), sorted.
+
+        -inf where the window lies outside the view.
+        """
+        gap = self._gap(window, self._place)
+        nearest_m = np.hypot(gap[:, 0], gap[:, 1])
+        up_m = highest_m - self._elevation_m - drop_per_m2 * nearest_m**2 + 1.0
+        corners = np.array(
+            [[r, c] for r in (0, window.rows - 1) for c in (0, window.cols - 1)], dtype=np.float64
+        )
+        offset = corners + (window.row, window.col) - self._place[:, np.newaxis]
+        south, east = np.moveaxis(offset * self._spacing_m, -1, 0)
+        turn = np.stack([rotation(heading)[[0, 2]][:, [0, 2]] for heading in range(4)])
+        ground = np.stack([east, -south], axis=-1)
+        right, forward = np.moveaxis(
+            np.einsum("nkg,ncg->nkc", turn[self._sorted_heading], ground), 1, 0
+        )
+        depth = np.maximum(nearest_m / np.sqrt(2.0), 1e-3)
+        bound = np.where(up_m > 0.0, up_m / depth, up_m / np.maximum(forward.max(axis=1), depth))
+        aside = np.where(
+            np.sign(right).min(axis=1) == np.sign(right).max(axis=1), np.abs(right).min(axis=1), 0.0
+        )
+        return np.where(forward.max(axis=1) < aside, -np.inf, bound)
+
+    def _gap(self, window: Window, place: Float64Array) -> Float64Array:
+        """Return how far places (..., 2) are outside a window, metres north-south and east-west."""
+        first = np.array([window.row, window.col])
+        last = first + (window.rows - 1, window.cols - 1)
+        outside = np.maximum(np.maximum(first - place, place - last), 0.0)
+        return np.asarray(outside * self._spacing_m, dtype=np.float64)
+
+
+def needs_double(field: HeightField, viewpoints: Viewpoints, width: int) -> BoolArray:
+    """Return which eyes see edges so near that float32 would blur them, shape (N,).
+
+    A crossing at depth z among heights up to H above or below the eye has v to within
+    ``_ROUNDING`` H / z. An edge nearer than c / (G + 2 H / s) is below what follows it (c the
+    eye's height over ground, G the steepest slope around, s the spacing), so that its error
+    cannot show. What is left between these two depths is computed in float64.
+    """
+    row, col = field.to_grid(viewpoints.easting_m, viewpoints.northing_m)
+    around = _heights_around(field, row, col) - viewpoints.eye_elevation_m[:, None, None]
+    relief_m = np.fmax.reduce(np.abs(around), axis=(1, 2))
+    steps = [np.abs(np.diff(around, axis=axis)) for axis in (1, 2)]
+    steepest_m = np.fmax(*(np.fmax.reduce(step, axis=(1, 2)) for step in steps))
+    spacing_m = field.spacing_m
+    ground_m = field.height_at(viewpoints.easting_m, viewpoints.northing_m)
+    clearance_m = viewpoints.eye_elevation_m - ground_m
+    shows_from_m = clearance_m / (2.0 * (steepest_m + relief_m) / spacing_m + 1e-9)
+    blurred_to_m = _ROUNDING * relief_m / (_NEAR_ERROR_PX * pixel_size(width))
+    lines = np.stack([row, col, col - row])
+    offset = np.abs(lines - np.rint(lines))
+    # An eye exactly on a line does not cross it.
+    nearest_m = np.where(offset > 0.0, offset, 1.0).min(axis=0) * spacing_m / np.sqrt(2.0)
+    return np.asarray(np.fmax(nearest_m, shows_from_m) < blurred_to_m, dtype=bool)
+
+
+def _heights_around(field: HeightField, row: Float64Array, col: Float64Array) -> Float64Array:
+    """Return the 4 x 4 samples about each place, (N, 4, 4) float64."""
+    steps = np.arange(-1, 3)
+    rows = np.clip(np.floor(row).astype(np.int64)[:, None] + steps, 0, field.rows - 1)
+    cols = np.clip(np.floor(col).astype(np.int64)[:, None] + steps, 0, field.cols - 1)
+    return field.heights_m[rows[:, :, None], cols[:, None, :]].astype(np.float64)
+
+
+def _split(values: Float64Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the nearest float32 and what it leaves."""
+    high = values.astype(np.float32)
+    return high, (values - high).astype(np.float32)

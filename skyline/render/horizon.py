@@ -1,0 +1,283 @@
+"""The horizon rasterizer: skylines themselves, exact to float32, without an image (DESIGN 5).
+
+A column's skyline is the greatest v over the edges that its half-plane crosses. The GPU walks
+each column's ray over a tree of upper bounds and evaluates only what can still be the greatest
+(`shaders/horizon_walk.glsl`); nothing but v, depth and flags of W columns a view comes back.
+"""
+
+import itertools
+import logging
+from dataclasses import replace
+from types import TracebackType
+
+import moderngl
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width
+from skyline.errors import ContextError, InputError
+from skyline.geodesy import Curvature
+from skyline.render.context import acquire_context
+from skyline.render.eyes import Eyes
+from skyline.render.walks import (
+    NOTHING,
+    ComputeWalker,
+    FragmentWalker,
+    Rows,
+    Settings,
+    Walk,
+    Walker,
+)
+from skyline.render.windows import Window, WindowTextures
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+from skyline.views import FLAG_NO_DATA, Shells, Views
+
+Float64Array = NDArray[np.float64]
+
+_log = logging.getLogger(__name__)
+
+MAX_SPACING_RATIO = 64.0
+
+_RESIDENT_SAMPLES = 1 << 24
+"""Samples whose windows stay on the GPU, some 28 bytes each."""
+
+
+class HorizonRenderer:
+    """Renders the skylines of one height field.
+
+    Parameters
+    ----------
+    field : HeightField
+    width : int
+        Columns W of a view.
+    curvature : Curvature, optional
+        Defaults to the Earth's with k = 0.13.
+    tolerance_px : float
+        How far v may fall short of the skyline's; 0 is exact but for float32.
+    shell_edges_m : array_like, optional
+        K + 1 increasing forward depths: `render` gives the K shells between them as well.
+
+    Raises
+    ------
+    InputError
+        A width, tolerance or shells out of range, or samples much longer than wide.
+    ContextError
+        No OpenGL context can be made.
+    """
+
+    def __init__(
+        self,
+        field: HeightField,
+        width: int = DEFAULT_WIDTH,
+        curvature: Curvature | None = None,
+        tolerance_px: float = 0.0,
+        shell_edges_m: ArrayLike | None = None,
+    ) -> None:
+        self.field = field
+        self.width = check_width(width)
+        self.curvature = curvature or Curvature()
+        self.tolerance_px = _check_tolerance(tolerance_px)
+        self.shell_edges_m = _check_shells(shell_edges_m)
+        _check_spacing(field)
+        self._context = acquire_context()
+        settings = Settings(
+            self.width,
+            (field.spacing_east_m, field.spacing_north_m),
+            self.curvature.drop_per_m2,
+            self.tolerance_px,
+        )
+        self._walker: Walker = (
+            ComputeWalker(self._context, settings)
+            if self._context.has_compute
+            else FragmentWalker(self._context, settings)
+        )
+        self._max_views = self._walker.max_rows // (1 + len(_ranges(self.shell_edges_m)))
+        self._windows = Window.all_of(field)
+        self._resident: dict[Window, WindowTextures] = {}
+
+    @property
+    def description(self) -> str:
+        """Name of this rasterizer and of the OpenGL renderer under it, for records."""
+        tolerance = f", tolerance {self.tolerance_px:g} px" if self.tolerance_px else ""
+        return f"horizon {self.width} columns{tolerance}; {self._context.renderer}"
+
+    def render(self, viewpoints: Viewpoints, headings: ArrayLike | None = None) -> Views:
+        """Render skylines.
+
+        Parameters
+        ----------
+        viewpoints : Viewpoints
+            N eyes.
+        headings : (N,) array_like of int, optional
+            One heading an eye; all four of each by default.
+
+        Returns
+        -------
+        Views
+            N views in order, or 4 N: the four headings of a viewpoint follow one another.
+        """
+        if headings is None:
+            eye = np.repeat(np.arange(len(viewpoints)), len(HEADINGS))
+            heading = np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints))
+        else:
+            eye, heading = np.arange(len(viewpoints)), _check_headings(headings, len(viewpoints))
+        if len(eye) == 0:
+            return self._render_batch(viewpoints, heading)
+        return Views.concatenate(self._render_batches(viewpoints[eye], heading))
+
+    def release(self) -> None:
+        """Free what this renderer holds on the GPU; the context stays for others."""
+        self._walker.release()
+        for window in self._resident.values():
+            window.release()
+        self._resident = {}
+
+    def __enter__(self) -> "HorizonRenderer":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.release()
+
+    def _render_batches(self, viewpoints: Viewpoints, heading: NDArray[np.uint8]) -> list[Views]:
+        """Render in batches that fit the GPU; where one does not, in halves of it."""
+        parts: list[Views] = []
+        start = 0
+        while start < len(viewpoints):
+            part = slice(start, start + self._max_views)
+            try:
+                parts.append(self._render_batch(viewpoints[part], heading[part]))
+            except moderngl.Error as error:
+                self._halve_batch(str(error))
+            else:
+                start = part.stop
+        return parts
+
+    def _halve_batch(self, said: str) -> None:
+        if self._max_views == 1:
+            raise ContextError(
+                f"the GPU cannot hold one view of {self.width} columns over {self.field.cols} x "
+                f"{self.field.rows} samples ({said}); free its memory or choose a smaller width"
+            )
+        self._max_views //= 2
+        _log.warning(
+            "out of GPU memory (%s); going on with %d views a batch", said, self._max_views
+        )
+
+    def _render_batch(self, viewpoints: Viewpoints, heading: NDArray[np.uint8]) -> Views:
+        eyes = Eyes(self.field, viewpoints, heading, self.width)
+        walker, shells = self._walker, _ranges(self.shell_edges_m)
+        walker.begin((1 + len(shells)) * len(eyes))
+        for count, window in enumerate(eyes.nearest_first(self._windows)):
+            if count and not self._may_rise(window, eyes):
+                continue
+            self._walk(self._load(window), eyes, shells)
+        return self._views(eyes, walker.read())
+
+    def _walk(self, window: WindowTextures, eyes: Eyes, shells: list[tuple[float, float]]) -> None:
+        """Raise the results of all views by one window."""
+        near = eyes.relative_to(window.window)
+        for rows, heading, double in eyes.groups():
+            walk, here = Walk(heading, double=double), near[rows]
+            self._walker.run(walk, window, here, rows.start)
+            if window.rims is not None:
+                self._walker.run(replace(walk, rims=True), window, here, rows.start)
+            for index, shell_m in enumerate(shells, start=1):
+                row = index * len(eyes) + rows.start
+                self._walker.run(replace(walk, shell_m=shell_m), window, here, row)
+
+    def _may_rise(self, window: Window, eyes: Eyes) -> bool:
+        """Return whether a window can raise any skyline found so far."""
+        rows = slice(window.row, window.row + window.rows)
+        cols = slice(window.col, window.col + window.cols)
+        highest_m = float(np.fmax.reduce(self.field.heights_m[rows, cols], axis=None))
+        if np.isnan(highest_m):
+            return False
+        if self.shell_edges_m is not None:
+            return True
+        least = self._walker.read().elevation_tan.min(axis=1)
+        bound = eyes.greatest_tan(window, highest_m, self.curvature.drop_per_m2)
+        return bool((bound > least).any())
+
+    def _load(self, window: Window) -> WindowTextures:
+        """Return a window's textures, which stay while there is room for them."""
+        if window not in self._resident:
+            samples = sum(held.rows * held.cols for held in self._resident)
+            if samples + window.rows * window.cols > _RESIDENT_SAMPLES:
+                while self._resident:
+                    self._resident.pop(next(iter(self._resident))).release()
+            self._resident[window] = WindowTextures(self._context.ctx, self.field, window)
+        return self._resident[window]
+
+    def _views(self, eyes: Eyes, rows: Rows) -> Views:
+        tan = eyes.in_order(rows.elevation_tan)
+        depth, flags = eyes.in_order(rows.depth_m), eyes.in_order(rows.flags)
+        count = len(eyes)
+        missing = tan[:count] == NOTHING
+        flags = np.where(missing, flags[:count] | FLAG_NO_DATA, flags[:count])
+        nan = np.float32(np.nan)
+        tan, depth = np.where(tan == NOTHING, nan, tan), np.where(tan == NOTHING, nan, depth)
+        shells = None
+        if self.shell_edges_m is not None:
+            stacks = (part[count:].reshape(-1, count, self.width) for part in (tan, depth))
+            shells = Shells(
+                self.shell_edges_m, *(np.ascontiguousarray(s.swapaxes(0, 1)) for s in stacks)
+            )
+        eye = eyes.viewpoints
+        return Views(
+            eye.easting_m,
+            eye.northing_m,
+            eye.eye_elevation_m,
+            eyes.heading,
+            tan[:count],
+            depth[:count],
+            flags.astype(np.uint8),
+            shells,
+        )
+
+
+def _ranges(edges_m: Float64Array | None) -> list[tuple[float, float]]:
+    return [] if edges_m is None else list(itertools.pairwise(edges_m.tolist()))
+
+
+def _check_tolerance(tolerance_px: float) -> float:
+    if not (np.isfinite(tolerance_px) and tolerance_px >= 0.0):
+        raise InputError(
+            f"tolerance is {tolerance_px} px; expected a finite number, 0 (exact) or more"
+        )
+    return float(tolerance_px)
+
+
+def _check_shells(edges_m: ArrayLike | None) -> Float64Array | None:
+    if edges_m is None:
+        return None
+    edges = np.asarray(edges_m, dtype=np.float64)
+    if edges.ndim != 1 or len(edges) < 2 or not (np.diff(edges) > 0.0).all() or edges[0] < 0.0:
+        raise InputError(
+            f"shell edges are {edges.tolist()}; expected two or more forward depths in metres, "
+            "increasing, the first at least 0"
+        )
+    return edges
+
+
+def _check_spacing(field: HeightField) -> None:
+    east, north = field.spacing_east_m, field.spacing_north_m
+    if max(east, north) > MAX_SPACING_RATIO * min(east, north):
+        raise InputError(
+            f"samples are {east:g} x {north:g} m apart; expected one spacing at most "
+            f"{MAX_SPACING_RATIO:g} times the other: resample the DEM"
+        )
+
+
+def _check_headings(headings: ArrayLike, count: int) -> NDArray[np.uint8]:
+    array = np.asarray(headings)
+    if array.shape != (count,) or not np.isin(array, HEADINGS).all():
+        raise InputError(
+            f"headings have shape {array.shape}; expected ({count},), one of 0, 1, 2, 3 an eye"
+        )
+    return array.astype(np.uint8)

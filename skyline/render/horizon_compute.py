@@ -1,0 +1,1 @@
+"""The horizon walk as compute shaders (OpenGL 4.3)."""

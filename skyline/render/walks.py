@@ -1,0 +1,331 @@
+"""Runs the horizon walk on the GPU: as compute shaders, or as fragment shaders below OpenGL 4.3.
+
+Both read the same windows and eyes and give the same skylines: `horizon_walk.glsl` is the walk.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Protocol
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import pixel_size
+from skyline.render.context import GlContext
+from skyline.render.shaders import compile_compute, compile_program
+from skyline.render.windows import SLOPE_BINS, Axis, WindowTextures
+
+Float32Array = NDArray[np.float32]
+
+EYE = np.dtype(
+    [
+        ("nearest", "<i4", 2),
+        ("offset", "<f4", 2),
+        ("offset_low", "<f4", 2),
+        ("elevation_m", "<f4", 2),
+    ]
+)
+"""As struct Eye of the shaders; ``nearest`` is relative to the window."""
+
+NOTHING = np.float32(-1e30)
+"""v of a column that has met no data yet."""
+
+_DOUBLE_VERSION = 400
+_MAX_GROUPS = 65_535
+_MAX_RESULT_BYTES = 1 << 26
+_MANY_EYES = 16
+
+_Program = moderngl.Program | moderngl.ComputeShader
+_Compiler = Callable[[dict[str, str]], _Program]
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """What to look for, for eyes that face one way.
+
+    Attributes
+    ----------
+    heading : int
+    rims : bool
+        Look for holes (adds `FLAG_HOLE`) instead of the skyline.
+    shell_m : (float, float), optional
+        Only terrain in this range of forward depth.
+    double : bool
+        Compute crossings in float64, where the OpenGL has it.
+    """
+
+    heading: int
+    rims: bool = False
+    shell_m: tuple[float, float] | None = None
+    double: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What all walks of a renderer share.
+
+    Attributes
+    ----------
+    width : int
+    spacing_m : (float, float)
+        East, north.
+    drop_per_m2 : float
+    tolerance_px : float
+    """
+
+    width: int
+    spacing_m: tuple[float, float]
+    drop_per_m2: float
+    tolerance_px: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Results, (rows, W): elevation_tan (`NOTHING` without data), depth_m float32, flags uint8."""
+
+    elevation_tan: Float32Array
+    depth_m: Float32Array
+    flags: NDArray[np.uint8]
+
+
+class Walker(Protocol):
+    """Holds rows of results on the GPU and raises them by walks."""
+
+    max_rows: int
+
+    def begin(self, rows: int) -> None:
+        """Make room for results, and clear it."""
+
+    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int) -> None:
+        """Walk over a window from every eye; the first one's result is in ``row``."""
+
+    def read(self) -> Rows:
+        """Return the results."""
+
+    def release(self) -> None:
+        """Free what is held on the GPU."""
+
+
+class ComputeWalker:
+    """Walks in compute shaders: a lane is a column, many columns a lane."""
+
+    def __init__(self, context: GlContext, settings: Settings) -> None:
+        self.max_rows = _MAX_RESULT_BYTES // (12 * settings.width)
+        self._ctx, self._settings = context.ctx, settings
+        # On a CPU eight lanes fill a vector register and a long run makes good first bounds; a
+        # GPU has its warps of 32 and wants many of them.
+        self._lanes, self._long_run = (8, 80) if context.software else (32, 5)
+        self._programs = _Programs(context, settings, self._compile)
+        self._results: list[moderngl.Buffer] = []
+        self._rows = 0
+
+    def begin(self, rows: int) -> None:
+        self._free()
+        self._rows = rows
+        cells = rows * self._settings.width
+        for start in (NOTHING, np.float32(0.0), np.uint32(0)):
+            self._results.append(self._ctx.buffer(np.full(cells, start)))
+
+    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int) -> None:
+        program = self._programs.ready(walk, window, eyes)
+        buffer = self._ctx.buffer(eyes.tobytes())
+        for binding, bound in enumerate((buffer, *self._results)):
+            bound.bind_to_storage_buffer(binding)
+        run = self._run(len(eyes))
+        groups = math.ceil(self._settings.width / (self._lanes * run))
+        at_once = _MAX_GROUPS // groups
+        for first in range(0, len(eyes), at_once):
+            set_uniforms(program, {"run": run, "first_eye": first, "first_row": row})
+            program.run(min(at_once, len(eyes) - first) * groups)
+        self._ctx.memory_barrier()
+        buffer.release()
+
+    def read(self) -> Rows:
+        shape = (self._rows, self._settings.width)
+        tan, depth, flags = (result.read() for result in self._results)
+        return Rows(
+            np.frombuffer(tan, np.float32).reshape(shape),
+            np.frombuffer(depth, np.float32).reshape(shape),
+            np.frombuffer(flags, np.uint32).reshape(shape).astype(np.uint8),
+        )
+
+    def release(self) -> None:
+        self._free()
+        self._programs.release()
+
+    def _run(self, eyes: int) -> int:
+        # With a tolerance the first bounds show in the result, which must not depend on the batch.
+        if self._settings.tolerance_px > 0.0 or eyes >= _MANY_EYES:
+            return self._long_run
+        return max(self._long_run // 8, 1)
+
+    def _free(self) -> None:
+        for buffer in self._results:
+            buffer.release()
+        self._results = []
+
+    def _compile(self, defines: dict[str, str]) -> moderngl.ComputeShader:
+        return compile_compute(self._ctx, "horizon.comp", {"LANES": str(self._lanes), **defines})
+
+
+class FragmentWalker:
+    """Walks in fragment shaders: a fragment is a column, a row of the target a view.
+
+    Results wait in main memory, and go to the GPU and back for each walk.
+    """
+
+    def __init__(self, context: GlContext, settings: Settings) -> None:
+        largest = int(context.ctx.info["GL_MAX_TEXTURE_SIZE"])
+        self.max_rows = min(_MAX_RESULT_BYTES // (12 * settings.width), largest)
+        self._ctx, self._settings = context.ctx, settings
+        self._programs = _Programs(context, settings, self._compile)
+        self._results = _no_rows(0, settings.width)
+
+    def begin(self, rows: int) -> None:
+        self._results = _no_rows(rows, self._settings.width)
+
+    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int) -> None:
+        program = self._programs.ready(walk, window, eyes)
+        texels = np.concatenate([eyes[name] for name in EYE.names or ()], axis=1, dtype=np.float32)
+        rows = slice(row, row + len(eyes))
+        results = self._results
+        known = np.stack([results.elevation_tan[rows], results.depth_m[rows]], axis=-1)
+        size = (self._settings.width, len(eyes))
+        with ExitStack() as held:
+            sources = [
+                held.enter_context(self._texture((2, len(eyes)), 4, texels, "f4")),
+                held.enter_context(self._texture(size, 2, known, "f4")),
+                held.enter_context(self._texture(size, 1, results.flags[rows], "u1")),
+            ]
+            skyline = held.enter_context(self._texture(size, 2, None, "f4"))
+            flags = held.enter_context(self._texture(size, 1, None, "u1"))
+            for unit, source in enumerate(sources, start=2):
+                source.use(unit)
+            set_uniforms(program, {"eyes": 2, "known": 3, "known_flags": 4})
+            self._draw(program, [skyline, flags])
+            values = np.frombuffer(skyline.read(), np.float32).reshape(len(eyes), -1, 2)
+            results.elevation_tan[rows], results.depth_m[rows] = values[..., 0], values[..., 1]
+            bits = np.frombuffer(flags.read(alignment=1), np.uint8)
+            results.flags[rows] = bits.reshape(len(eyes), -1)
+
+    def read(self) -> Rows:
+        return self._results
+
+    def release(self) -> None:
+        self._programs.release()
+
+    def _draw(self, program: moderngl.Program, targets: list[moderngl.Texture]) -> None:
+        """Cover two targets of the same size with fragments."""
+        ctx = self._ctx
+        framebuffer, triangle = ctx.framebuffer(targets), ctx.vertex_array(program, [])
+        framebuffer.use()
+        ctx.enable_only(moderngl.NOTHING)
+        triangle.render(moderngl.TRIANGLES, vertices=3)
+        # A framebuffer must not be bound after its release.
+        ctx.detect_framebuffer(0).use()
+        framebuffer.release()
+        triangle.release()
+
+    @contextmanager
+    def _texture(
+        self, size: tuple[int, int], components: int, values: NDArray[np.generic] | None, dtype: str
+    ) -> Iterator[moderngl.Texture]:
+        data = None if values is None else np.ascontiguousarray(values)
+        texture = self._ctx.texture(size, components, data, dtype=dtype, alignment=1)
+        texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+        try:
+            yield texture
+        finally:
+            texture.release()
+
+    def _compile(self, defines: dict[str, str]) -> moderngl.Program:
+        return compile_program(self._ctx, "fullscreen.vert", "horizon.frag", defines)
+
+
+class _Programs:
+    """Compiles the variants of the walk as they are asked for, and sets their uniforms."""
+
+    def __init__(self, context: GlContext, settings: Settings, compile_variant: _Compiler) -> None:
+        self._has_double = context.version_code >= _DOUBLE_VERSION
+        self._settings, self._compile = settings, compile_variant
+        self._compiled: dict[frozenset[tuple[str, str]], _Program] = {}
+
+    def ready(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void]) -> _Program:
+        """Return the program for a walk, its uniforms set and the window's textures bound."""
+        axis = window.axes[walk.heading % 2]
+        defines = self._defines(walk, window, axis)
+        key = frozenset(defines.items())
+        if key not in self._compiled:
+            self._compiled[key] = self._compile(defines)
+        program, settings = self._compiled[key], self._settings
+        values: dict[str, object] = {
+            "heights_m": 0,
+            "slabs": 1,
+            "samples": (window.window.cols, window.window.rows),
+            "spacing_m": settings.spacing_m,
+            "texel": (1.0 / window.heights.width, 1.0 / window.heights.height),
+            "drop_per_m2": settings.drop_per_m2,
+            "slack_m": _slack_m(window, eyes, settings),
+            "tolerance": settings.tolerance_px * pixel_size(settings.width),
+            "code_m": window.code_m,
+            "levels": list(axis.levels),
+            "top_level": window.top_level,
+            "bins": SLOPE_BINS,
+            "slope_max": axis.slope_max,
+            "width": settings.width,
+            "shell_m": walk.shell_m,
+        }
+        set_uniforms(program, values)
+        window.heights.use(0)
+        (window.rims if walk.rims and window.rims else window.slabs).use(1)
+        return program
+
+    def release(self) -> None:
+        """Free all programs."""
+        for program in self._compiled.values():
+            program.release()
+        self._compiled = {}
+
+    def _defines(self, walk: Walk, window: WindowTextures, axis: Axis) -> dict[str, str]:
+        width = self._settings.width
+        # A ray falls short of slope_max by a column's half: at equal spacings two cells do.
+        cells = math.ceil(axis.slope_max * (width - 1) / width) + 1
+        switches = {
+            "RIMS": walk.rims,
+            "SHELLS": walk.shell_m is not None,
+            "DANGLING": window.dangling,
+        }
+        return {
+            "HEADING": str(walk.heading),
+            "CELLS": str(cells),
+            "REAL": "double" if walk.double and self._has_double else "float",
+            **{name: "" for name, on in switches.items() if on},
+        }
+
+
+def set_uniforms(program: _Program, values: dict[str, object]) -> None:
+    """Set the uniforms that the compiler kept."""
+    for name, value in values.items():
+        if name in program:
+            program[name] = value
+
+
+def _no_rows(rows: int, width: int) -> Rows:
+    shape = (rows, width)
+    return Rows(
+        np.full(shape, NOTHING), np.zeros(shape, np.float32), np.zeros(shape, dtype=np.uint8)
+    )
+
+
+def _slack_m(window: WindowTextures, eyes: NDArray[np.void], settings: Settings) -> float:
+    """Return more than all float32 rounding in the y of a crossing."""
+    eye_m = eyes["elevation_m"][:, 0]
+    high = max(window.highest_m, float(eye_m.max())) - min(window.lowest_m, float(eye_m.min()))
+    nearest = np.abs(eyes["nearest"]).max(axis=0) + np.array(
+        [window.window.rows, window.window.cols]
+    )
+    reach = float(np.hypot(*(nearest * settings.spacing_m[::-1])))
+    return 1e-3 + 1e-6 * (high + settings.drop_per_m2 * reach**2)
