@@ -1,8 +1,7 @@
 // Skylines of many viewpoints in one heading: a lane is a column, and takes every LANES-th of its
 // group's. What won its last column is the first bound for its next.
 //
-// Results stay where an earlier window of a large field left higher ones. With RIMS only the flag of
-// holes is added.
+// Results stay where an earlier window of a large field left higher ones.
 #version 430
 #define GATHER
 #define PRECISE precise
@@ -33,11 +32,6 @@ void main() {
         int at = row * width + min(q, width - 1);
         int s_first, s_last, bin;
         bool live = aim(q, s_first, s_last, bin);
-#ifdef RIMS
-        float best = (flags[at] & HOLE) != 0u ? 1.0 : NOTHING;
-        walk(live && best < 0.0, bin, s_first, s_last, NO_STRIP, best, winner);
-        if (q < width && best > 0.0) flags[at] |= HOLE;
-#else
         // First bounds: the leaf that won the last column, and what an earlier window left, a
         // little lowered so that an equal crossing of this one is still found.
         int done = winner & ~1;
@@ -48,19 +42,23 @@ void main() {
         known -= 1e-6 * abs(known);
         winner = known > best ? NO_STRIP : winner;
         best = max(best, known);
-        walk(live, bin, s_first, s_last, done, best, winner);
+        walk_heights(live, bin, s_first, s_last, done, best, winner);
         Hit hit = Hit(REAL(NOTHING), REAL(1e30), 0, 0);
         resolve(winner, winner != NO_STRIP, hit);
         float v = float(hit.v);
         float tan_here = v / metres_per_strip, z_here = float(hit.z) * metres_per_strip;
         bool higher = v > DATA && (tan_here > elevation_tan[at]
             || (tan_here == elevation_tan[at] && z_here < depth_m[at]));
-        if (q < width && higher) {
-            elevation_tan[at] = tan_here;
-            depth_m[at] = z_here;
-            flags[at] = (flags[at] & HOLE)
-                | (triangle_there(winner, hit.line, hit.family, true) ? 0u : TRUNCATED);
-        }
+        bool border = !triangle_there(winner, hit.line, hit.family, true);
+        uint flag = flags[at];
+        flag = higher ? (flag & HOLE) | (border ? TRUNCATED : 0u) : flag;
+#ifdef HOLES
+        flag |= over_hole(live, bin, s_first, s_last) ? HOLE : 0u;
 #endif
+        if (q < width) {
+            if (higher) elevation_tan[at] = tan_here;
+            if (higher) depth_m[at] = z_here;
+            flags[at] = flag;
+        }
     }
 }

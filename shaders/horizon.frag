@@ -1,8 +1,7 @@
 // Skylines of many viewpoints in one heading, for OpenGL below 4.3: a fragment is a column, a row
 // of the target is a view. The same walk as horizon.comp, without first bounds from neighbours.
 //
-// What earlier windows of a large field left comes in as a texture; with RIMS only the flag of
-// holes is added.
+// What earlier windows of a large field left comes in as a texture.
 #version 330 core
 #define PRECISE
 #include "horizon_walk.glsl"
@@ -26,14 +25,9 @@ void main() {
     flags = texelFetch(known_flags, here, 0).x;
     int s_first, s_last, bin, winner = NO_STRIP;
     bool live = aim(here.x, s_first, s_last, bin);
-#ifdef RIMS
-    float best = (flags & HOLE) != 0u ? 1.0 : NOTHING;
-    walk(live && best < 0.0, bin, s_first, s_last, NO_STRIP, best, winner);
-    if (best > 0.0) flags |= HOLE;
-#else
     float best = skyline.x * metres_per_strip;
     best -= 1e-6 * abs(best);
-    walk(live, bin, s_first, s_last, NO_STRIP, best, winner);
+    walk_heights(live, bin, s_first, s_last, NO_STRIP, best, winner);
     Hit hit = Hit(REAL(NOTHING), REAL(1e30), 0, 0);
     resolve(winner, winner != NO_STRIP, hit);
     float tan_here = float(hit.v) / metres_per_strip;
@@ -44,5 +38,7 @@ void main() {
         flags = (flags & HOLE)
             | (triangle_there(winner, hit.line, hit.family, true) ? 0u : TRUNCATED);
     }
+#ifdef HOLES
+    if (over_hole(live, bin, s_first, s_last)) flags |= HOLE;
 #endif
 }

@@ -13,8 +13,8 @@
 // absolute is used: the eye is its nearest sample in whole numbers and an offset from that.
 //
 // Defines: HEADING 0..3; CELLS, how many cells of a strip a ray can cross; REAL, float or double;
-// DANGLING where edges without triangles exist; SHELLS to look at one range of depth alone; RIMS for
-// the walk that looks for holes instead (oracle.py's FLAG_HOLE).
+// DANGLING where edges without triangles exist; SHELLS to look at one range of depth alone; HOLES
+// to find the columns that look over one.
 
 struct Eye {
     ivec2 nearest;     // row, column of a sample
@@ -24,7 +24,7 @@ struct Eye {
 };
 
 uniform sampler2D heights_m;      // the window's samples with an apron of one; holes HOLE_M
-uniform usampler2D slabs;         // the tree: eight codes of 16 bits a texel, or eight bits (RIMS)
+uniform usampler2D slabs;         // the tree of heights: eight codes of 16 bits a texel
 uniform ivec2 samples;            // columns, rows of the window
 uniform vec2 spacing_m;           // east, north
 uniform vec2 texel;               // 1 / size of heights_m
@@ -33,6 +33,10 @@ uniform float slack_m;            // more than any rounding of y
 uniform float tolerance;          // how far v may fall short of the skyline
 uniform vec2 code_m;              // height of code 0 and of one step
 uniform ivec3 levels[4];          // by level: first row in slabs, rows a bin, blocks before 0
+#ifdef HOLES
+uniform usampler2D rims;          // the tree of places where the surface may begin again: eight bits
+uniform ivec3 rim_levels[4];
+#endif
 uniform int top_level;
 uniform int bins;                 // of slopes, from -slope_max to slope_max
 uniform float slope_max;
@@ -226,12 +230,9 @@ void NAME(int s, bool on, inout Hit hit) {                                      
          on && xf >= first && xf <= last + REAL(1));                                               \
 }
 
-#ifdef RIMS
-STRIP(strip, keep_rim)
-#else
 STRIP(strip, keep_v)
 STRIP(resolve, keep_all)
-#endif
+STRIP(find_rim, keep_rim)
 
 // The two strips of a leaf, s and s + 1; of equal crossings the nearer strip is kept.
 void leaf(int s, int s_first, int s_last, inout float best, inout int best_s) {
@@ -248,35 +249,32 @@ void leaf(int s, int s_first, int s_last, inout float best, inout int best_s) {
     best = take ? v : best;
 }
 
-// Which of the eight slabs of the band that begins at strip s can matter, a bit each. Slabs are
-// 2^log_slab strips deep; a band's texel is the one of the block of columns in which the ray
-// crosses the band's line of least index.
-uint open_band(int s, int log_slab, int level, int bin, int s_first, int s_last, float best) {
+// Where the texel of the band that begins at strip s lies: of the block of columns in which the
+// ray crosses the band's line of least index.
+ivec2 texel_of(ivec3 level, int s, int log_slab, int bin) {
     float slab = float(1 << log_slab);
-    float z0 = float(s - ip) - float(fp);
-    float zt = FORWARD ? z0 : z0 + 8.0 * slab;
+    float z = float(s - ip) - float(fp) + (FORWARD ? 0.0 : 8.0 * slab);
     int within = iw & ((1 << log_slab) - 1);
-    float blocks = floor((float(fw) + float(k) * zt + float(within)) / slab);
+    float blocks = floor((float(fw) + float(k) * z + float(within)) / slab);
     int node = s >> (log_slab + 3);
-    ivec3 at = levels[level];
-    ivec2 place = ivec2((iw >> log_slab) + int(clamp(blocks, -1e8, 1e8)) + at.z,
-                        at.x + bin * at.y + (FORWARD ? node : -1 - node));
-    uint within_range = (255u << uint(clamp((s_first - s) >> log_slab, 0, 8)))
+    return ivec2((iw >> log_slab) + int(clamp(blocks, -1e8, 1e8)) + level.z,
+                 level.x + bin * level.y + (FORWARD ? node : -1 - node));
+}
+
+// The bits of those of a band's eight slabs that hold any of the strips s_first to s_last.
+uint slabs_between(int s, int log_slab, int s_first, int s_last) {
+    return (255u << uint(clamp((s_first - s) >> log_slab, 0, 8)))
         & (255u >> uint(clamp(7 - ((s_last - s) >> log_slab), 0, 8)));
+}
+
+// Which of a band's slabs of 2^log_slab strips can rise above the best so far. v is greatest at a
+// slab's near end where y is positive, at its far end where it is negative.
+uint higher_slabs(int s, int log_slab, int level, int bin, float best) {
+    ivec2 place = texel_of(levels[level], s, log_slab, bin);
     if (place.x < 0 || place.x >= textureSize(slabs, 0).x) return 0u;
     uvec4 codes = texelFetch(slabs, place, 0);
-#ifdef RIMS
-    uint bits = codes.x;
-    if (!FORWARD) {
-        bits = ((bits & 0xf0u) >> 4) | ((bits & 0x0fu) << 4);
-        bits = ((bits & 0xccu) >> 2) | ((bits & 0x33u) << 2);
-        bits = ((bits & 0xaau) >> 1) | ((bits & 0x55u) << 1);
-    }
-    return bits & within_range;
-#else
     if (!FORWARD) { codes = codes.wzyx; codes = (codes >> 16) | (codes << 16); }
-    // A slab matters where its greatest height, seen at its near or its far end, rises above the
-    // best: v is greatest at the near end where y is positive, at the far end where negative.
+    float slab = float(1 << log_slab), z0 = float(s - ip) - float(fp);
     float base = code_m.x - (eye_high_m - slack_m);
     best += tolerance * metres_per_strip;
     uint bits = 0u;
@@ -290,8 +288,7 @@ uint open_band(int s, int log_slab, int level, int bin, int s_first, int s_last,
     SLAB(codes.y & 0xffffu, 4u, 3.0) SLAB(codes.y >> 16, 8u, 4.0)
     SLAB(codes.z & 0xffffu, 16u, 5.0) SLAB(codes.z >> 16, 32u, 6.0)
     SLAB(codes.w & 0xffffu, 64u, 7.0) SLAB(codes.w >> 16, 128u, 8.0)
-    return bits & within_range;
-#endif
+    return bits;
 }
 
 int lowest_bit(uint bits) {
@@ -302,32 +299,61 @@ int lowest_bit(uint bits) {
 #endif
 }
 
-// Walk the tree, nearest slabs first, and raise best. Slabs still to be looked into are kept in
-// one word, eight bits a level: its lowest bit is the deepest level's nearest slab.
-void walk(bool live, int bin, int s_first, int s_last, int done, inout float best, inout int best_s) {
-    int s = FORWARD ? 0 : -(16 << (3 * top_level));
-    uint todo = 0u;
-    if (live) {
-        todo = open_band(s, 3 * top_level + 1, top_level, bin, s_first, s_last, best)
-            << uint(8 * top_level);
+// Walk a tree, nearest slabs first. Slabs still to be looked into are kept in one word, eight bits
+// a level: its lowest bit is the deepest level's nearest slab. OPEN gives the slabs of a band that
+// matter, LEAF looks at two strips.
+#define WALK(OPEN, LEAF)                                                                           \
+    int s = FORWARD ? 0 : -(16 << (3 * top_level));                                                \
+    uint todo = live ? OPEN(s, 3 * top_level + 1, top_level) << uint(8 * top_level) : 0u;          \
+    while (todo != 0u) {                                                                           \
+        while (todo > 255u && (todo & 255u) == 0u) {                                               \
+            int bit = lowest_bit(todo);                                                            \
+            todo &= todo - 1u;                                                                     \
+            int level = bit >> 3, log_size = 3 * level + 1;                                        \
+            s = (((s >> (log_size + 3)) << 3) | (bit & 7)) << log_size;                            \
+            todo |= OPEN(s, log_size - 3, level - 1) << uint(8 * level - 8);                       \
+        }                                                                                          \
+        while ((todo & 255u) != 0u) {                                                              \
+            int bit = lowest_bit(todo);                                                            \
+            todo &= todo - 1u;                                                                     \
+            s = (s & ~15) | (bit << 1);                                                            \
+            LEAF                                                                                   \
+        }                                                                                          \
     }
-    while (todo != 0u) {
-        while (todo > 255u && (todo & 255u) == 0u) {
-            int bit = lowest_bit(todo);
-            todo &= todo - 1u;
-            int level = bit >> 3, log_size = 3 * level + 1;
-            s = (((s >> (log_size + 3)) << 3) | (bit & 7)) << log_size;
-            todo |= open_band(s, log_size - 3, level - 1, bin, s_first, s_last, best)
-                << uint(8 * level - 8);
-        }
-        while ((todo & 255u) != 0u) {
-            int bit = lowest_bit(todo);
-            todo &= todo - 1u;
-            s = (s & ~15) | (bit << 1);
-            leaf(s, s == done ? NO_STRIP : s_first, s_last, best, best_s);
-#ifdef RIMS
-            if (best > 0.0) todo = 0u;
-#endif
-        }
-    }
+
+// Raise best to the column's greatest v, but for the leaf that is done already.
+void walk_heights(
+    bool live, int bin, int s_first, int s_last, int done, inout float best, inout int best_s
+) {
+#define OPEN(s, log_slab, level)                                                                   \
+    (higher_slabs(s, log_slab, level, bin, best) & slabs_between(s, log_slab, s_first, s_last))
+    WALK(OPEN, leaf(s, s == done ? NO_STRIP : s_first, s_last, best, best_s);)
+#undef OPEN
 }
+
+#ifdef HOLES
+uint marked_slabs(int s, int log_slab, int level, int bin) {
+    ivec2 place = texel_of(rim_levels[level], s, log_slab, bin);
+    if (place.x < 0 || place.x >= textureSize(rims, 0).x) return 0u;
+    uint bits = texelFetch(rims, place, 0).x;
+    if (FORWARD) return bits;
+    bits = ((bits & 0xf0u) >> 4) | ((bits & 0x0fu) << 4);
+    bits = ((bits & 0xccu) >> 2) | ((bits & 0x33u) << 2);
+    return ((bits & 0xaau) >> 1) | ((bits & 0x55u) << 1);
+}
+
+// Whether the column leaves the surface and comes upon it again.
+bool over_hole(bool live, int bin, int s_first, int s_last) {
+    Hit rim = Hit(REAL(0), REAL(0), 0, 0);
+#define OPEN(s, log_slab, level)                                                                   \
+    (marked_slabs(s, log_slab, level, bin) & slabs_between(s, log_slab, s_first, s_last))
+#define LEAF                                                                                       \
+    find_rim(s, s >= s_first && s <= s_last, rim);                                                 \
+    find_rim(s + 1, s + 1 >= s_first && s + 1 <= s_last, rim);                                     \
+    if (rim.v > REAL(0)) todo = 0u;
+    WALK(OPEN, LEAF)
+#undef OPEN
+#undef LEAF
+    return rim.v > REAL(0);
+}
+#endif

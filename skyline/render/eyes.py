@@ -1,4 +1,4 @@
-"""Where the eyes of a batch of views stand, as the shaders want it and to bound what they can see."""
+"""The eyes of a batch of views: as the shaders want them, and what they can see at most."""
 
 from collections.abc import Iterator
 from typing import TypeVar
@@ -91,7 +91,7 @@ class Eyes:
         corners = np.array(
             [[r, c] for r in (0, window.rows - 1) for c in (0, window.cols - 1)], dtype=np.float64
         )
-        offset = corners + (window.row, window.col) - self._place[:, np.newaxis]
+        offset = np.array([window.row, window.col]) + corners - self._place[:, np.newaxis]
         south, east = np.moveaxis(offset * self._spacing_m, -1, 0)
         turn = np.stack([rotation(heading)[[0, 2]][:, [0, 2]] for heading in range(4)])
         ground = np.stack([east, -south], axis=-1)
@@ -108,7 +108,7 @@ class Eyes:
     def _gap(self, window: Window, place: Float64Array) -> Float64Array:
         """Return how far places (..., 2) are outside a window, metres north-south and east-west."""
         first = np.array([window.row, window.col])
-        last = first + (window.rows - 1, window.cols - 1)
+        last = first + np.array([window.rows, window.cols]) - 1
         outside = np.maximum(np.maximum(first - place, place - last), 0.0)
         return np.asarray(outside * self._spacing_m, dtype=np.float64)
 
@@ -143,7 +143,8 @@ def _heights_around(field: HeightField, row: Float64Array, col: Float64Array) ->
     steps = np.arange(-1, 3)
     rows = np.clip(np.floor(row).astype(np.int64)[:, None] + steps, 0, field.rows - 1)
     cols = np.clip(np.floor(col).astype(np.int64)[:, None] + steps, 0, field.cols - 1)
-    return field.heights_m[rows[:, :, None], cols[:, None, :]].astype(np.float64)
+    heights = field.heights_m[rows[:, :, None], cols[:, None, :]]
+    return np.asarray(heights, dtype=np.float64)
 
 
 def _split(values: Float64Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -185,8 +185,6 @@ class HorizonRenderer:
         for rows, heading, double in eyes.groups():
             walk, here = Walk(heading, double=double), near[rows]
             self._walker.run(walk, window, here, rows.start)
-            if window.rims is not None:
-                self._walker.run(replace(walk, rims=True), window, here, rows.start)
             for index, shell_m in enumerate(shells, start=1):
                 row = index * len(eyes) + rows.start
                 self._walker.run(replace(walk, shell_m=shell_m), window, here, row)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import moderngl
 import numpy as np
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from skyline.camera import pixel_size
 from skyline.render.context import GlContext
 from skyline.render.shaders import compile_compute, compile_program
-from skyline.render.windows import SLOPE_BINS, Axis, WindowTextures
+from skyline.render.trees import SLOPE_BINS
+from skyline.render.windows import WindowTextures
 
 Float32Array = NDArray[np.float32]
 
@@ -38,7 +39,8 @@ _MAX_GROUPS = 65_535
 _MAX_RESULT_BYTES = 1 << 26
 _MANY_EYES = 16
 
-_Program = moderngl.Program | moderngl.ComputeShader
+_Program = Any
+"""`moderngl.Program` or `moderngl.ComputeShader`."""
 _Compiler = Callable[[dict[str, str]], _Program]
 
 
@@ -49,8 +51,6 @@ class Walk:
     Attributes
     ----------
     heading : int
-    rims : bool
-        Look for holes (adds `FLAG_HOLE`) instead of the skyline.
     shell_m : (float, float), optional
         Only terrain in this range of forward depth.
     double : bool
@@ -58,7 +58,6 @@ class Walk:
     """
 
     heading: int
-    rims: bool = False
     shell_m: tuple[float, float] | None = None
     double: bool = False
 
@@ -123,6 +122,7 @@ class ComputeWalker:
         self._rows = 0
 
     def begin(self, rows: int) -> None:
+        """Make room for results, and clear it."""
         self._free()
         self._rows = rows
         cells = rows * self._settings.width
@@ -130,6 +130,7 @@ class ComputeWalker:
             self._results.append(self._ctx.buffer(np.full(cells, start)))
 
     def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int) -> None:
+        """Walk over a window from every eye; the first one's result is in ``row``."""
         program = self._programs.ready(walk, window, eyes)
         buffer = self._ctx.buffer(eyes.tobytes())
         for binding, bound in enumerate((buffer, *self._results)):
@@ -144,6 +145,7 @@ class ComputeWalker:
         buffer.release()
 
     def read(self) -> Rows:
+        """Return the results."""
         shape = (self._rows, self._settings.width)
         tan, depth, flags = (result.read() for result in self._results)
         return Rows(
@@ -153,6 +155,7 @@ class ComputeWalker:
         )
 
     def release(self) -> None:
+        """Free what is held on the GPU."""
         self._free()
         self._programs.release()
 
@@ -185,9 +188,11 @@ class FragmentWalker:
         self._results = _no_rows(0, settings.width)
 
     def begin(self, rows: int) -> None:
+        """Make room for results, and clear it."""
         self._results = _no_rows(rows, self._settings.width)
 
     def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int) -> None:
+        """Walk over a window from every eye; the first one's result is in ``row``."""
         program = self._programs.ready(walk, window, eyes)
         texels = np.concatenate([eyes[name] for name in EYE.names or ()], axis=1, dtype=np.float32)
         rows = slice(row, row + len(eyes))
@@ -212,9 +217,11 @@ class FragmentWalker:
             results.flags[rows] = bits.reshape(len(eyes), -1)
 
     def read(self) -> Rows:
+        """Return the results."""
         return self._results
 
     def release(self) -> None:
+        """Free what is held on the GPU."""
         self._programs.release()
 
     def _draw(self, program: moderngl.Program, targets: list[moderngl.Texture]) -> None:
@@ -255,8 +262,9 @@ class _Programs:
 
     def ready(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void]) -> _Program:
         """Return the program for a walk, its uniforms set and the window's textures bound."""
-        axis = window.axes[walk.heading % 2]
-        defines = self._defines(walk, window, axis)
+        slope_max = window.slope_max[walk.heading % 2]
+        rims = window.rims if walk.shell_m is None else None
+        defines = self._defines(walk, slope_max, window.dangling, rims is not None)
         key = frozenset(defines.items())
         if key not in self._compiled:
             self._compiled[key] = self._compile(defines)
@@ -270,17 +278,20 @@ class _Programs:
             "drop_per_m2": settings.drop_per_m2,
             "slack_m": _slack_m(window, eyes, settings),
             "tolerance": settings.tolerance_px * pixel_size(settings.width),
-            "code_m": window.code_m,
-            "levels": list(axis.levels),
+            "code_m": (window.code.lowest_m, window.code.step_m),
+            "levels": list(window.slabs.levels[walk.heading]),
             "top_level": window.top_level,
             "bins": SLOPE_BINS,
-            "slope_max": axis.slope_max,
+            "slope_max": slope_max,
             "width": settings.width,
             "shell_m": walk.shell_m,
         }
         set_uniforms(program, values)
         window.heights.use(0)
-        (window.rims if walk.rims and window.rims else window.slabs).use(1)
+        window.slabs.texture.use(1)
+        if rims is not None:
+            rims.texture.use(5)
+            set_uniforms(program, {"rims": 5, "rim_levels": list(rims.levels[walk.heading])})
         return program
 
     def release(self) -> None:
@@ -289,14 +300,14 @@ class _Programs:
             program.release()
         self._compiled = {}
 
-    def _defines(self, walk: Walk, window: WindowTextures, axis: Axis) -> dict[str, str]:
+    def _defines(self, walk: Walk, slope_max: float, dangling: bool, holes: bool) -> dict[str, str]:
         width = self._settings.width
         # A ray falls short of slope_max by a column's half: at equal spacings two cells do.
-        cells = math.ceil(axis.slope_max * (width - 1) / width) + 1
+        cells = math.ceil(slope_max * (width - 1) / width) + 1
         switches = {
-            "RIMS": walk.rims,
+            "HOLES": holes,
             "SHELLS": walk.shell_m is not None,
-            "DANGLING": window.dangling,
+            "DANGLING": dangling,
         }
         return {
             "HEADING": str(walk.heading),

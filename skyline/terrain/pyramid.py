@@ -7,13 +7,17 @@ the first line of a band of eight slabs, the tree holds the greatest height amon
 that such a ray can come near in each of the eight: the tightest bound that a single fetch can give.
 """
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Float32Array = NDArray[np.float32]
+Samples = NDArray[Any]
+"""float32 heights or uint8 marks."""
+Float64Array = NDArray[np.float64]
 
 SLABS = 8
 """Slabs in a band: the children of a node of the tree."""
@@ -25,8 +29,9 @@ MAX_LEVELS = 4
 MAX_STRIPS = LEAF_STRIPS * SLABS**MAX_LEVELS
 
 EMPTY = np.float32(-3e38)
-"""The bound where there is no sample at all."""
+"""The height of a hole, and the bound where there is no sample at all."""
 
+_SLACK_SLOPE = 1e-5
 _SLACK_CELLS = 0.02
 """Far more than float32 can misplace a ray in MAX_STRIPS strips."""
 
@@ -37,13 +42,13 @@ class SlabLevel:
 
     Attributes
     ----------
-    maxima : (bins, bands, blocks, SLABS) float32
-        Greatest height; `EMPTY` where a ray meets no sample.
+    maxima : (bins, bands, blocks, SLABS)
+        Greatest value; `EMPTY` (0 of marks) where a ray meets no sample.
     first_block : int
         Blocks left of the one that begins at column 0.
     """
 
-    maxima: Float32Array
+    maxima: Samples
     first_block: int
 
 
@@ -55,19 +60,15 @@ def level_count(strips: int) -> int:
     return levels
 
 
-def slab_levels(
-    heights: Float32Array, slope_max: float, bins: int, levels: int
-) -> Iterator[SlabLevel]:
+def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[SlabLevel]:
     """Build the tree of a field seen along its first axis, finest level first.
 
     Parameters
     ----------
-    heights : (lines, columns) float32
-        Samples, `EMPTY` for holes. Strips lie between lines.
-    slope_max : float
-        Greatest slope of a ray either way, columns a line.
-    bins : int
-        Ranges that slopes from -slope_max to slope_max are put in.
+    values : (lines, columns) float32 or uint8
+        Heights, `EMPTY` for holes; or marks, 0 for none. Strips lie between lines.
+    slopes : (bins + 1,) float64
+        Increasing bounds of the bins of rays' slopes, columns a line.
     levels : int
         As `level_count` says for the longer axis.
 
@@ -76,19 +77,19 @@ def slab_levels(
     SlabLevel
     """
     slab = LEAF_STRIPS
-    source = _Maxima(_slab_maxima(heights, slab), 0)
+    source = _Maxima(_slab_maxima(values, slab), 0)
     for level in range(levels):
         if level:
             slab *= SLABS
             source = source.coarsened(max(slab // SLABS, 1))
-        yield _bin_level(source, slab, heights.shape[1], slope_max, bins)
+        yield _bin_level(source, slab, values.shape[1], slopes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Maxima:
     """Maxima of slabs; columns are single samples (step 0) or spans of ``step`` cells."""
 
-    values: Float32Array
+    values: Samples
     step: int
 
     def coarsened(self, step: int) -> "_Maxima":
@@ -112,26 +113,25 @@ class _Maxima:
         return int(np.floor(low / self.step)), int(np.ceil(high / self.step)) - 1
 
 
-def _slab_maxima(heights: Float32Array, slab: int) -> Float32Array:
+def _slab_maxima(values: Samples, slab: int) -> Samples:
     """Return (slabs, columns): the greatest sample of each slab, both its end lines included."""
-    slabs = max(-(-(len(heights) - 1) // slab), 1)
-    lines = _padded(heights, 0, slabs * slab + 1)
+    slabs = max(-(-(len(values) - 1) // slab), 1)
+    lines = _padded(values, 0, slabs * slab + 1)
     maxima = lines[slab::slab].copy()
     for line in range(slab):
         np.maximum(maxima, lines[line : slabs * slab : slab], out=maxima)
     return maxima
 
 
-def _bin_level(source: _Maxima, slab: int, columns: int, slope_max: float, bins: int) -> SlabLevel:
+def _bin_level(source: _Maxima, slab: int, columns: int, slopes: Float64Array) -> SlabLevel:
     bands = -(-len(source.values) // SLABS)
     values = _padded(source.values, 0, bands * SLABS).reshape(bands, SLABS, -1)
-    first_block = int(np.ceil(SLABS * slope_max)) + 1
+    first_block = int(np.ceil(SLABS * np.abs(slopes).max())) + 1
     blocks = -(-columns // slab) + 2 * first_block
-    maxima = np.empty((bins, bands, blocks, SLABS), dtype=np.float32)
-    slopes = np.linspace(-slope_max, slope_max, bins + 1)
+    maxima = np.empty((len(slopes) - 1, bands, blocks, SLABS), dtype=values.dtype)
     ratio = slab // max(source.step, 1)
-    for index in range(bins):
-        least, most = slopes[index] - 1e-5, slopes[index + 1] + 1e-5
+    for index, (lower, upper) in enumerate(itertools.pairwise(slopes)):
+        least, most = lower - _SLACK_SLOPE, upper + _SLACK_SLOPE
         for child in range(SLABS):
             # Cells swept between the child's two ends by rays that start within one block.
             low = min(least * child, least * (child + 1)) * slab - _SLACK_CELLS
@@ -143,12 +143,10 @@ def _bin_level(source: _Maxima, slab: int, columns: int, slope_max: float, bins:
     return SlabLevel(maxima, first_block)
 
 
-def _sliding_max(
-    values: Float32Array, start: int, stride: int, count: int, span: int
-) -> Float32Array:
+def _sliding_max(values: Samples, start: int, stride: int, count: int, span: int) -> Samples:
     """Return (rows, count): the greatest of ``span`` columns from start, start + stride, ..."""
     need = (count - 1) * stride + span
-    held = np.full((len(values), need), EMPTY, dtype=np.float32)
+    held = np.full((len(values), need), _nothing(values), dtype=values.dtype)
     first, stop = max(start, 0), min(start + need, values.shape[1])
     if stop > first:
         held[:, first - start : stop - start] = values[:, first:stop]
@@ -158,13 +156,20 @@ def _sliding_max(
         np.maximum(held[:, :-reach], held[:, reach:], out=held[:, :-reach])
         reach *= 2
     stop = (count - 1) * stride + 1
-    return np.maximum(held[:, 0:stop:stride], held[:, span - reach : span - reach + stop : stride])
+    rest = span - reach
+    greatest: Samples = np.maximum(held[:, :stop:stride], held[:, rest : rest + stop : stride])
+    return greatest
 
 
-def _padded(values: Float32Array, axis: int, length: int) -> Float32Array:
+def _padded(values: Samples, axis: int, length: int) -> Samples:
     missing = length - values.shape[axis]
     if missing <= 0:
         return values
     shape = list(values.shape)
     shape[axis] = missing
-    return np.concatenate([values, np.full(shape, EMPTY, dtype=np.float32)], axis=axis)
+    filling = np.full(shape, _nothing(values), dtype=values.dtype)
+    return np.concatenate([values, filling], axis=axis)
+
+
+def _nothing(values: Samples) -> np.float32 | int:
+    return EMPTY if values.dtype == np.float32 else 0

@@ -39,6 +39,35 @@ class Triangles:
             both[:-1, :-1] | both[1:, 1:] | north_east[1:, :-1] | south_west[:-1, 1:], dtype=bool
         )
 
+    def entries(self, north: bool, east: bool) -> BoolArray:
+        """Return the samples of edges by which a ray may come upon the surface, (rows, cols).
+
+        Parameters
+        ----------
+        north, east : bool
+            Whether the ray goes north rather than south, and east rather than west.
+        """
+        north_east, south_west = self.north_east, self.south_west
+        # By edges along rows, along columns, and diagonals: the triangles to either side.
+        south_of_row, north_of_row = north_east[1:, 1:-1], south_west[:-1, 1:-1]
+        east_of_col, west_of_col = south_west[1:-1, 1:], north_east[1:-1, :-1]
+        upper, lower = north_east[1:-1, 1:-1], south_west[1:-1, 1:-1]
+        row = north_of_row & ~south_of_row if north else south_of_row & ~north_of_row
+        col = east_of_col & ~west_of_col if east else west_of_col & ~east_of_col
+        # Going north-west or south-east, either way across a diagonal is possible.
+        diagonal = np.zeros_like(upper)
+        if north or east:
+            diagonal |= upper & ~lower
+        if not (north and east):
+            diagonal |= lower & ~upper
+        marks = np.zeros((row.shape[0], col.shape[1]), dtype=bool)
+        for edges, (row_step, col_step) in ((row, (0, 1)), (col, (1, 0)), (diagonal, (1, 1))):
+            marks[: edges.shape[0], : edges.shape[1]] |= edges
+            marks[row_step : edges.shape[0] + row_step, col_step : edges.shape[1] + col_step] |= (
+                edges
+            )
+        return marks
+
     @property
     def has_dangling_edges(self) -> bool:
         """Whether two samples of triangles are neighbours along an edge without a triangle."""

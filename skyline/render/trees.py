@@ -1,0 +1,150 @@
+"""Trees of slabs as textures, one for each heading."""
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import HEADINGS
+from skyline.terrain.pyramid import MAX_LEVELS, SlabLevel, slab_levels
+from skyline.terrain.triangles import Triangles
+
+Float32Array = NDArray[np.float32]
+Packed = NDArray[np.uint32] | NDArray[np.uint8]
+
+SLOPE_BINS = 16
+
+_MAX_CODE = 65535
+_TEXELS_A_LINE = 16
+
+
+@dataclass(frozen=True, slots=True)
+class HeightCode:
+    """16-bit heights: code c stands for ``lowest_m + c * step_m``."""
+
+    lowest_m: float
+    step_m: float
+
+    @classmethod
+    def over(cls, lowest_m: float, highest_m: float) -> "HeightCode":
+        """Return the finest code for a range of heights."""
+        return cls(lowest_m, max(highest_m - lowest_m, 1.0) / (_MAX_CODE - 2))
+
+    def packed(self, maxima: Float32Array) -> NDArray[np.uint32]:
+        """Return (..., 4) words of two codes, rounded up, of (..., 8) heights."""
+        above_m = np.maximum(maxima, np.float32(self.lowest_m)) - np.float32(self.lowest_m)
+        # A fiftieth of a step is more than float32 rounds off.
+        codes = np.ceil(above_m / np.float32(self.step_m) + np.float32(0.02)).astype(np.uint32)
+        words: NDArray[np.uint32] = codes[..., 0::2] | codes[..., 1::2] << 16
+        return words
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trees:
+    """A texture with the trees of all headings.
+
+    Attributes
+    ----------
+    texture : moderngl.Texture
+        A texel holds the eight slabs of a band, for one bin of slopes and block of columns.
+    levels : 4 tuples of `MAX_LEVELS` (int, int, int)
+        By heading and level: first row in the texture, rows a bin, blocks before column 0.
+    """
+
+    texture: moderngl.Texture
+    levels: tuple[tuple[tuple[int, int, int], ...], ...]
+
+    @classmethod
+    def of_heights(
+        cls,
+        ctx: moderngl.Context,
+        heights_m: Float32Array,
+        code: HeightCode,
+        slope_max: tuple[float, float],
+        levels: int,
+    ) -> "Trees":
+        """Build the bounds of heights (rows, cols); headings of one axis share a tree."""
+        axes = []
+        for seen, steepest in zip((heights_m, heights_m.T), slope_max, strict=True):
+            slopes = np.linspace(-steepest, steepest, SLOPE_BINS + 1)
+            tree = slab_levels(np.ascontiguousarray(seen), slopes, levels)
+            axes.append([_Packed(code.packed(level.maxima), level.first_block) for level in tree])
+        return cls._stack(ctx, axes, "u4")
+
+    @classmethod
+    def of_rims(
+        cls,
+        ctx: moderngl.Context,
+        triangles: Triangles,
+        slope_max: tuple[float, float],
+        levels: int,
+    ) -> "Trees":
+        """Mark where rays may come upon the surface again, for triangles with an apron of one."""
+        headings = []
+        for heading in HEADINGS:
+            steepest = slope_max[heading % 2]
+            halves = []
+            for grows, bounds in ((False, (-steepest, 0.0)), (True, (0.0, steepest))):
+                marks = triangles.entries(*_quadrant(heading, grows))[1:-1, 1:-1].view(np.uint8)
+                seen = np.ascontiguousarray(marks.T if heading % 2 else marks)
+                halves.append(slab_levels(seen, np.linspace(*bounds, SLOPE_BINS // 2 + 1), levels))
+            headings.append(
+                [_packed_marks(lower, upper) for lower, upper in zip(*halves, strict=True)]
+            )
+        return cls._stack(ctx, headings, "u1")
+
+    @classmethod
+    def _stack(
+        cls, ctx: moderngl.Context, trees: Sequence[Sequence["_Packed"]], dtype: str
+    ) -> "Trees":
+        """Put trees one under the other; two trees serve the headings of each axis."""
+        packed = [level.texels for tree in trees for level in tree]
+        tops = [0, *itertools.accumulate(len(p) * p.shape[1] for p in packed)]
+        atlas = np.zeros(
+            (tops[-1], max(p.shape[2] for p in packed), packed[0].shape[3]), packed[0].dtype
+        )
+        for top, part in zip(tops, packed, strict=False):
+            rows = part.reshape(-1, *part.shape[2:])
+            atlas[top : top + len(rows), : rows.shape[1]] = rows
+        places, start = [], iter(tops)
+        for tree in trees:
+            here = [(next(start), p.texels.shape[1], p.first_block) for p in tree]
+            places.append((*here, *[(0, 0, 0)] * (MAX_LEVELS - len(here))))
+        return cls(upload(ctx, atlas, dtype), tuple(places[h % len(places)] for h in HEADINGS))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Packed:
+    """A level as texels, (bins, bands, blocks, components)."""
+
+    texels: Packed
+    first_block: int
+
+
+def _packed_marks(lower: SlabLevel, upper: SlabLevel) -> _Packed:
+    marks = np.concatenate([lower.maxima, upper.maxima])
+    return _Packed(np.packbits(marks > 0, axis=-1, bitorder="little"), lower.first_block)
+
+
+def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
+    """Return whether rays go north and east, whose slope in array order is positive or negative.
+
+    The slope is columns a row for headings 0 and 2, rows a column for 1 and 3.
+    """
+    forward = heading in (1, 2)
+    aside = grows == forward
+    return (not aside, forward) if heading % 2 else (not forward, aside)
+
+
+def upload(ctx: moderngl.Context, values: NDArray[np.generic], dtype: str) -> moderngl.Texture:
+    """Upload (rows, columns, components), columns padded to a pitch that is no power of two."""
+    columns = (-(-values.shape[1] // _TEXELS_A_LINE) | 1) * _TEXELS_A_LINE
+    padded = np.zeros((values.shape[0], columns, values.shape[2]), values.dtype)
+    padded[:, : values.shape[1]] = values
+    texture = ctx.texture((columns, len(padded)), values.shape[2], padded, dtype=dtype)
+    texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+    texture.repeat_x = texture.repeat_y = False
+    return texture
