@@ -1,7 +1,7 @@
 // Skylines of many viewpoints in one heading: a lane is a column, and takes every LANES-th of its
 // group's. What won its last column is the first bound for its next.
 //
-// Results stay where an earlier window of a large field left higher ones.
+// With RAISE, results stay where an earlier window of a large field left higher ones.
 #version 430
 #define GATHER
 #define PRECISE precise
@@ -16,6 +16,9 @@ layout(std430, binding = 3) buffer Flags { uint flags[]; };
 uniform int run;                  // columns a lane takes
 uniform int first_eye;
 uniform int first_row;            // of the results, the first eye's
+#ifdef SHELLS
+uniform int first_sky_row;        // of the skylines of the same eyes
+#endif
 
 const uint TRUNCATED = 1u, HOLE = 2u;
 
@@ -32,33 +35,63 @@ void main() {
         int at = row * width + min(q, width - 1);
         int s_first, s_last, bin;
         bool live = aim(q, s_first, s_last, bin);
-        // First bounds: the leaf that won the last column, and what an earlier window left, a
-        // little lowered so that an equal crossing of this one is still found.
+        // First bounds: the leaf that won the last column, and what else is known, a little lowered
+        // so that an equal crossing is still found.
+        float known = NOTHING;
+#ifdef RAISE
+        float tan_before = elevation_tan[at], depth_before_m = depth_m[at];
+        known = tan_before;
+#endif
+#ifdef SHELLS
+        int sky = (first_sky_row + index) * width + min(q, width - 1);
+        float sky_tan = elevation_tan[sky], sky_depth_m = depth_m[sky];
+        known = max(known, surfacing_tan(sky_tan, sky_depth_m, shell_m.x));
+        // The shell that holds the skyline is known already.
+        bool holds_sky = sky_tan > DATA && sky_depth_m >= shell_m.x && sky_depth_m < shell_m.y;
+        live = live && !holds_sky;
+        s_last = holds_sky ? s_first - 1 : s_last;
+#endif
         int done = winner & ~1;
         float best = NOTHING;
         winner = NO_STRIP;
         leaf(done, s_first, s_last, best, winner);
-        float known = elevation_tan[at] * metres_per_strip;
-        known -= 1e-6 * abs(known);
+        known = (known - 1e-6 * abs(known)) * metres_per_strip;
         winner = known > best ? NO_STRIP : winner;
         best = max(best, known);
         walk_heights(live, bin, s_first, s_last, done, best, winner);
         Hit hit = Hit(REAL(NOTHING), REAL(1e30), 0, 0);
         resolve(winner, winner != NO_STRIP, hit);
-        float v = float(hit.v);
-        float tan_here = v / metres_per_strip, z_here = float(hit.z) * metres_per_strip;
-        bool higher = v > DATA && (tan_here > elevation_tan[at]
-            || (tan_here == elevation_tan[at] && z_here < depth_m[at]));
-        bool border = !triangle_there(winner, hit.line, hit.family, true);
-        uint flag = flags[at];
-        flag = higher ? (flag & HOLE) | (border ? TRUNCATED : 0u) : flag;
+        bool found = float(hit.v) > DATA;
+        float tan_here = found ? float(hit.v) / metres_per_strip : NOTHING;
+        float depth_here_m = found ? float(hit.z) * metres_per_strip : 0.0;
+#ifdef SHELLS
+        tan_here = holds_sky ? sky_tan : tan_here;
+        depth_here_m = holds_sky ? sky_depth_m : depth_here_m;
+        winner = holds_sky ? done : winner;
+        found = tan_here > surfacing_tan(sky_tan, sky_depth_m, depth_here_m);
+        tan_here = found ? tan_here : NOTHING;
+#else
+        uint flag_here = found && !triangle_there(winner, hit.line, hit.family, true) ? TRUNCATED : 0u;
 #ifdef HOLES
-        flag |= over_hole(live, bin, s_first, s_last) ? HOLE : 0u;
+        flag_here |= over_hole(live, bin, s_first, s_last) ? HOLE : 0u;
+#endif
+#endif
+#ifdef RAISE
+        bool higher = tan_here > tan_before
+            || (tan_here == tan_before && depth_here_m < depth_before_m);
+        tan_here = higher ? tan_here : tan_before;
+        depth_here_m = higher ? depth_here_m : depth_before_m;
+#ifndef SHELLS
+        uint flag = flags[at];
+        flag_here = (higher ? flag_here & TRUNCATED : flag & TRUNCATED) | ((flag | flag_here) & HOLE);
+#endif
 #endif
         if (q < width) {
-            if (higher) elevation_tan[at] = tan_here;
-            if (higher) depth_m[at] = z_here;
-            flags[at] = flag;
+            elevation_tan[at] = tan_here;
+            depth_m[at] = depth_here_m;
+#ifndef SHELLS
+            flags[at] = flag_here;
+#endif
         }
     }
 }

@@ -10,6 +10,9 @@ uniform sampler2D eyes;           // two texels an eye: nearest, offset; offset_
 uniform int first_row;            // of the target, the first eye's
 uniform sampler2D known;          // v and depth so far
 uniform usampler2D known_flags;
+#ifdef SHELLS
+uniform sampler2D sky;            // v and depth of the skyline
+#endif
 
 layout(location = 0) out vec2 skyline;
 layout(location = 1) out uint flags;
@@ -25,15 +28,23 @@ void main() {
     flags = texelFetch(known_flags, here, 0).x;
     int s_first, s_last, bin, winner = NO_STRIP;
     bool live = aim(here.x, s_first, s_last, bin);
-    float best = skyline.x * metres_per_strip;
-    best -= 1e-6 * abs(best);
+    float best = skyline.x;
+#ifdef SHELLS
+    vec2 sky_here = texelFetch(sky, ivec2(gl_FragCoord.xy), 0).xy;
+    best = max(best, surfacing_tan(sky_here.x, sky_here.y, shell_m.x));
+#endif
+    best = (best - 1e-6 * abs(best)) * metres_per_strip;
     walk_heights(live, bin, s_first, s_last, NO_STRIP, best, winner);
     Hit hit = Hit(REAL(NOTHING), REAL(1e30), 0, 0);
     resolve(winner, winner != NO_STRIP, hit);
     float tan_here = float(hit.v) / metres_per_strip;
     float z_here = float(hit.z) * metres_per_strip;
-    if (float(hit.v) > DATA && (tan_here > skyline.x
-                                || (tan_here == skyline.x && z_here < skyline.y))) {
+    bool higher = float(hit.v) > DATA && (tan_here > skyline.x
+        || (tan_here == skyline.x && z_here < skyline.y));
+#ifdef SHELLS
+    higher = higher && tan_here > surfacing_tan(sky_here.x, sky_here.y, z_here);
+#endif
+    if (higher) {
         skyline = vec2(tan_here, z_here);
         flags = (flags & HOLE)
             | (triangle_there(winner, hit.line, hit.family, true) ? 0u : TRUNCATED);

@@ -45,6 +45,7 @@ uniform int width;
 const float HOLE_M = -3e38;
 const float NOTHING = -1e30;
 const float DATA = -1e15;         // below every v there is, above every crossing with a hole
+const float STRIP_SLACK = 1e-5;   // more than rounding of a distance, relative
 const int NO_STRIP = 0x7ffffff0;
 
 const bool ALONG_COLUMNS = (HEADING & 1) == 1;             // strips are columns of cells
@@ -61,7 +62,8 @@ int s_begin, s_end;                // strips of the window that lie ahead
 REAL k, rate, inverse_k, inverse_rate;
 float drop_per_strip2;
 #ifdef SHELLS
-uniform vec2 shell_m;              // forward depths that count
+uniform vec2 shell_m;             // forward depths that count
+uniform float reach_m;            // of a displaced eye that what is kept may surface for
 #endif
 float z_low, z_high;               // the same in strips
 
@@ -115,8 +117,9 @@ bool aim(int q, out int s_first, out int s_last, out int bin) {
     if (slope == 0.0 && (low > 0.0 || high < 0.0)) leave = -1.0;
     enter = clamp(max(enter, z_low), 0.0, 1e8);
     leave = min(min(leave, z_high), 1e8);
-    s_first = max(s_begin, ip + int(floor(float(fp) + enter)) - (enter > 0.0 ? 1 : 0));
-    s_last = min(s_end - 1, ip + int(floor(float(fp) + max(leave, -1.0))) + 1);
+    s_first = max(s_begin, ip + int(floor(float(fp) + enter - STRIP_SLACK * (1.0 + enter))));
+    leave = max(leave, -1.0);
+    s_last = min(s_end - 1, ip + int(floor(float(fp) + leave + STRIP_SLACK * (1.0 + leave))));
     bin = int(floor((slope * float(SIGN) / slope_max + 1.0) * 0.5 * float(bins)));
     bin = clamp(bin, 0, bins - 1);
     bool meets = q < width && leave >= 0.0 && s_last >= s_first;
@@ -299,12 +302,27 @@ int lowest_bit(uint bits) {
 #endif
 }
 
+// The level of the band that holds all strips from s_first to s_last.
+int start_level(int s_first, int s_last) {
+    int apart = s_first ^ s_last;
+    return min((apart >= 16 ? 1 : 0) + (apart >= 128 ? 1 : 0) + (apart >= 1024 ? 1 : 0), top_level);
+}
+
+#ifdef SHELLS
+// The v that terrain at a depth must exceed to surface over the skyline when the eye is displaced
+// by up to reach_m: what the two parallaxes differ by, half of it for the nearer.
+float surfacing_tan(float sky_tan, float sky_depth_m, float at_depth_m) {
+    if (sky_tan < DATA || at_depth_m <= 0.0) return NOTHING;
+    return sky_tan - 0.5 * reach_m * (1.0 + abs(sky_tan)) * (1.0 / at_depth_m + 1.0 / sky_depth_m);
+}
+#endif
+
 // Walk a tree, nearest slabs first. Slabs still to be looked into are kept in one word, eight bits
 // a level: its lowest bit is the deepest level's nearest slab. OPEN gives the slabs of a band that
 // matter, LEAF looks at two strips.
 #define WALK(OPEN, LEAF)                                                                           \
-    int s = FORWARD ? 0 : -(16 << (3 * top_level));                                                \
-    uint todo = live ? OPEN(s, 3 * top_level + 1, top_level) << uint(8 * top_level) : 0u;          \
+    int top = start_level(s_first, s_last), s = (s_first >> (3 * top + 4)) << (3 * top + 4);       \
+    uint todo = live ? OPEN(s, 3 * top + 1, top) << uint(8 * top) : 0u;                            \
     while (todo != 0u) {                                                                           \
         while (todo > 255u && (todo & 255u) == 0u) {                                               \
             int bit = lowest_bit(todo);                                                            \

@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.camera import pixel_size, rotation
+from skyline.camera import HEADINGS, pixel_size, rotation
 from skyline.render.walks import EYE
 from skyline.render.windows import Window
 from skyline.terrain.heightfield import HeightField
@@ -80,30 +80,41 @@ class Eyes:
         middle = np.median(self._place, axis=0)
         return sorted(windows, key=lambda window: float(np.hypot(*self._gap(window, middle))))
 
+    def depths_m(self, window: Window) -> tuple[Float64Array, Float64Array]:
+        """Return bounds of the forward depths at which sorted eyes see a window, two (N,).
+
+        Both are -inf where the window lies outside the view.
+        """
+        corners = np.array(
+            [[row, col] for row in (0, window.rows - 1) for col in (0, window.cols - 1)],
+            dtype=np.float64,
+        )
+        offset = np.array([window.row, window.col]) + corners - self._place[:, np.newaxis]
+        south, east = np.moveaxis(offset * self._spacing_m, -1, 0)
+        turn = np.stack([rotation(heading)[[0, 2]][:, [0, 2]] for heading in HEADINGS])
+        ground = np.stack([east, -south], axis=-1)
+        camera = np.einsum("ncg,nkg->nkc", ground, turn[self._sorted_heading])
+        right, forward = camera[:, 0], camera[:, 1]
+        one_side = np.sign(right).min(axis=1) == np.sign(right).max(axis=1)
+        aside = np.where(one_side, np.abs(right).min(axis=1), 0.0)
+        # In a wedge of 90 degrees the depth is at least the distance over the root of 2.
+        gap = self._gap(window, self._place)
+        nearest = np.maximum(forward.min(axis=1), np.hypot(gap[:, 0], gap[:, 1]) / np.sqrt(2.0))
+        farthest = forward.max(axis=1)
+        outside = farthest < aside
+        return np.where(outside, -np.inf, nearest), np.where(outside, -np.inf, farthest)
+
     def greatest_tan(self, window: Window, highest_m: float, drop_per_m2: float) -> Float64Array:
         """Return an upper bound of v over a window no higher than ``highest_m``, (N,), sorted.
 
         -inf where the window lies outside the view.
         """
+        nearest, farthest = self.depths_m(window)
         gap = self._gap(window, self._place)
-        nearest_m = np.hypot(gap[:, 0], gap[:, 1])
-        up_m = highest_m - self._elevation_m - drop_per_m2 * nearest_m**2 + 1.0
-        corners = np.array(
-            [[r, c] for r in (0, window.rows - 1) for c in (0, window.cols - 1)], dtype=np.float64
-        )
-        offset = np.array([window.row, window.col]) + corners - self._place[:, np.newaxis]
-        south, east = np.moveaxis(offset * self._spacing_m, -1, 0)
-        turn = np.stack([rotation(heading)[[0, 2]][:, [0, 2]] for heading in range(4)])
-        ground = np.stack([east, -south], axis=-1)
-        right, forward = np.moveaxis(
-            np.einsum("nkg,ncg->nkc", turn[self._sorted_heading], ground), 1, 0
-        )
-        depth = np.maximum(nearest_m / np.sqrt(2.0), 1e-3)
-        bound = np.where(up_m > 0.0, up_m / depth, up_m / np.maximum(forward.max(axis=1), depth))
-        aside = np.where(
-            np.sign(right).min(axis=1) == np.sign(right).max(axis=1), np.abs(right).min(axis=1), 0.0
-        )
-        return np.where(forward.max(axis=1) < aside, -np.inf, bound)
+        # A metre covers all rounding.
+        up = highest_m - self._elevation_m + 1.0 - drop_per_m2 * (gap[:, 0] ** 2 + gap[:, 1] ** 2)
+        bound = up / np.maximum(np.where(up > 0.0, nearest, farthest), 1e-3)
+        return np.where(np.isneginf(farthest), -np.inf, bound)
 
     def _gap(self, window: Window, place: Float64Array) -> Float64Array:
         """Return how far places (..., 2) are outside a window, metres north-south and east-west."""

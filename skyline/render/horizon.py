@@ -57,6 +57,9 @@ class HorizonRenderer:
         How far v may fall short of the skyline's; 0 is exact but for float32.
     shell_edges_m : array_like, optional
         K + 1 increasing forward depths: `render` gives the K shells between them as well.
+    reach_m : float
+        Shells keep what could surface over the skyline within this distance of the viewpoint;
+        all by default.
 
     Raises
     ------
@@ -73,6 +76,7 @@ class HorizonRenderer:
         curvature: Curvature | None = None,
         tolerance_px: float = 0.0,
         shell_edges_m: ArrayLike | None = None,
+        reach_m: float = np.inf,
     ) -> None:
         self.field = field
         self.width = check_width(width)
@@ -86,6 +90,7 @@ class HorizonRenderer:
             (field.spacing_east_m, field.spacing_north_m),
             self.curvature.drop_per_m2,
             self.tolerance_px,
+            _check_reach(reach_m),
         )
         self._walker: Walker = (
             ComputeWalker(self._context, settings)
@@ -173,32 +178,32 @@ class HorizonRenderer:
         eyes = Eyes(self.field, viewpoints, heading, self.width)
         walker, shells = self._walker, _ranges(self.shell_edges_m)
         walker.begin((1 + len(shells)) * len(eyes))
-        for count, window in enumerate(eyes.nearest_first(self._windows)):
-            if count and not self._may_rise(window, eyes):
-                continue
-            self._walk(self._load(window), eyes, shells)
+        windows = eyes.nearest_first(self._windows)
+        for shell, shell_m in enumerate([None, *shells]):
+            for place, window in enumerate(windows):
+                if place == 0 or self._may_rise(window, eyes, shell_m):
+                    self._walk(window, eyes, Walk(shell_m=shell_m, first=place == 0), shell)
         return self._views(eyes, walker.read())
 
-    def _walk(self, window: WindowTextures, eyes: Eyes, shells: list[tuple[float, float]]) -> None:
-        """Raise the results of all views by one window."""
-        near = eyes.relative_to(window.window)
+    def _walk(self, window: Window, eyes: Eyes, walk: Walk, block: int) -> None:
+        """Raise a block of results, the skylines (0) or those of a shell, by one window."""
+        textures, near = self._load(window), eyes.relative_to(window)
         for rows, heading, double in eyes.groups():
-            walk, here = Walk(heading, double=double), near[rows]
-            self._walker.run(walk, window, here, rows.start)
-            for index, shell_m in enumerate(shells, start=1):
-                row = index * len(eyes) + rows.start
-                self._walker.run(replace(walk, shell_m=shell_m), window, here, row)
+            kind = replace(walk, heading=heading, double=double)
+            row = block * len(eyes) + rows.start
+            self._walker.run(kind, textures, near[rows], row, rows.start)
 
-    def _may_rise(self, window: Window, eyes: Eyes) -> bool:
-        """Return whether a window can raise any skyline found so far."""
+    def _may_rise(self, window: Window, eyes: Eyes, shell_m: tuple[float, float] | None) -> bool:
+        """Return whether a window can raise any skyline found so far, or holds any of a shell."""
+        nearest_m, farthest_m = eyes.depths_m(window)
+        if shell_m is not None:
+            return bool(((nearest_m < shell_m[1]) & (farthest_m >= shell_m[0])).any())
         rows = slice(window.row, window.row + window.rows)
         cols = slice(window.col, window.col + window.cols)
         highest_m = float(np.fmax.reduce(self.field.heights_m[rows, cols], axis=None))
         if np.isnan(highest_m):
             return False
-        if self.shell_edges_m is not None:
-            return True
-        least = self._walker.read().elevation_tan.min(axis=1)
+        least = self._walker.read().elevation_tan[: len(eyes)].min(axis=1)
         bound = eyes.greatest_tan(window, highest_m, self.curvature.drop_per_m2)
         return bool((bound > least).any())
 
@@ -261,6 +266,12 @@ def _check_shells(edges_m: ArrayLike | None) -> Float64Array | None:
             "increasing, the first at least 0"
         )
     return edges
+
+
+def _check_reach(reach_m: float) -> float:
+    if not reach_m > 0.0:
+        raise InputError(f"reach is {reach_m} m; expected metres above 0")
+    return float(reach_m)
 
 
 def _check_spacing(field: HeightField) -> None:

@@ -38,6 +38,7 @@ _DOUBLE_VERSION = 400
 _MAX_GROUPS = 65_535
 _MAX_RESULT_BYTES = 1 << 26
 _MANY_EYES = 16
+_ANY_REACH_M = 1e12
 
 _Program = Any
 """`moderngl.Program` or `moderngl.ComputeShader`."""
@@ -52,14 +53,17 @@ class Walk:
     ----------
     heading : int
     shell_m : (float, float), optional
-        Only terrain in this range of forward depth.
+        Only terrain in this range of forward depth, and only what could surface within the reach.
     double : bool
         Compute crossings in float64, where the OpenGL has it.
+    first : bool
+        Whether nothing was walked for these results before.
     """
 
-    heading: int
+    heading: int = 0
     shell_m: tuple[float, float] | None = None
     double: bool = False
+    first: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,12 +77,15 @@ class Settings:
         East, north.
     drop_per_m2 : float
     tolerance_px : float
+    reach_m : float
+        How far an eye may be displaced for which shells are kept.
     """
 
     width: int
     spacing_m: tuple[float, float]
     drop_per_m2: float
     tolerance_px: float
+    reach_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,10 +103,16 @@ class Walker(Protocol):
     max_rows: int
 
     def begin(self, rows: int) -> None:
-        """Make room for results, and clear it."""
+        """Make room for results; the first walk of each row writes it all."""
 
-    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int) -> None:
-        """Walk over a window from every eye; the first one's result is in ``row``."""
+    def run(
+        self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int, sky_row: int
+    ) -> None:
+        """Walk over a window from every eye.
+
+        The first eye's result is in ``row``, its skyline (which shells are held to) in
+        ``sky_row``.
+        """
 
     def read(self) -> Rows:
         """Return the results."""
@@ -122,15 +135,21 @@ class ComputeWalker:
         self._rows = 0
 
     def begin(self, rows: int) -> None:
-        """Make room for results, and clear it."""
+        """Make room for results; the first walk of each row writes it all."""
         self._free()
         self._rows = rows
         cells = rows * self._settings.width
-        for start in (NOTHING, np.float32(0.0), np.uint32(0)):
-            self._results.append(self._ctx.buffer(np.full(cells, start)))
+        # Zero rows need no memory, but OpenGL knows no empty buffer.
+        self._results = [self._ctx.buffer(reserve=max(4 * cells, 4)) for _ in range(3)]
 
-    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int) -> None:
-        """Walk over a window from every eye; the first one's result is in ``row``."""
+    def run(
+        self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int, sky_row: int
+    ) -> None:
+        """Walk over a window from every eye.
+
+        The first eye's result is in ``row``, its skyline (which shells are held to) in
+        ``sky_row``.
+        """
         program = self._programs.ready(walk, window, eyes)
         buffer = self._ctx.buffer(eyes.tobytes())
         for binding, bound in enumerate((buffer, *self._results)):
@@ -139,7 +158,8 @@ class ComputeWalker:
         groups = math.ceil(self._settings.width / (self._lanes * run))
         at_once = _MAX_GROUPS // groups
         for first in range(0, len(eyes), at_once):
-            set_uniforms(program, {"run": run, "first_eye": first, "first_row": row})
+            places = {"first_eye": first, "first_row": row, "first_sky_row": sky_row}
+            set_uniforms(program, {"run": run, **places})
             program.run(min(at_once, len(eyes) - first) * groups)
         self._ctx.memory_barrier()
         buffer.release()
@@ -147,7 +167,8 @@ class ComputeWalker:
     def read(self) -> Rows:
         """Return the results."""
         shape = (self._rows, self._settings.width)
-        tan, depth, flags = (result.read() for result in self._results)
+        size = 4 * self._rows * self._settings.width
+        tan, depth, flags = (result.read(size) for result in self._results)
         return Rows(
             np.frombuffer(tan, np.float32).reshape(shape),
             np.frombuffer(depth, np.float32).reshape(shape),
@@ -188,11 +209,17 @@ class FragmentWalker:
         self._results = _no_rows(0, settings.width)
 
     def begin(self, rows: int) -> None:
-        """Make room for results, and clear it."""
+        """Make room for results; the first walk of each row writes it all."""
         self._results = _no_rows(rows, self._settings.width)
 
-    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int) -> None:
-        """Walk over a window from every eye; the first one's result is in ``row``."""
+    def run(
+        self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int, sky_row: int
+    ) -> None:
+        """Walk over a window from every eye.
+
+        The first eye's result is in ``row``, its skyline (which shells are held to) in
+        ``sky_row``.
+        """
         program = self._programs.ready(walk, window, eyes)
         texels = np.concatenate([eyes[name] for name in EYE.names or ()], axis=1, dtype=np.float32)
         rows = slice(row, row + len(eyes))
@@ -205,11 +232,15 @@ class FragmentWalker:
                 held.enter_context(self._texture(size, 2, known, "f4")),
                 held.enter_context(self._texture(size, 1, results.flags[rows], "u1")),
             ]
+            if walk.shell_m is not None:
+                sky = slice(sky_row, sky_row + len(eyes))
+                lines = np.stack([results.elevation_tan[sky], results.depth_m[sky]], axis=-1)
+                sources.append(held.enter_context(self._texture(size, 2, lines, "f4")))
             skyline = held.enter_context(self._texture(size, 2, None, "f4"))
             flags = held.enter_context(self._texture(size, 1, None, "u1"))
             for unit, source in enumerate(sources, start=2):
                 source.use(unit)
-            set_uniforms(program, {"eyes": 2, "known": 3, "known_flags": 4})
+            set_uniforms(program, {"eyes": 2, "known": 3, "known_flags": 4, "sky": 5})
             self._draw(program, [skyline, flags])
             values = np.frombuffer(skyline.read(), np.float32).reshape(len(eyes), -1, 2)
             results.elevation_tan[rows], results.depth_m[rows] = values[..., 0], values[..., 1]
@@ -285,13 +316,14 @@ class _Programs:
             "slope_max": slope_max,
             "width": settings.width,
             "shell_m": walk.shell_m,
+            "reach_m": min(settings.reach_m, _ANY_REACH_M),
         }
         set_uniforms(program, values)
         window.heights.use(0)
         window.slabs.texture.use(1)
         if rims is not None:
-            rims.texture.use(5)
-            set_uniforms(program, {"rims": 5, "rim_levels": list(rims.levels[walk.heading])})
+            rims.texture.use(6)
+            set_uniforms(program, {"rims": 6, "rim_levels": list(rims.levels[walk.heading])})
         return program
 
     def release(self) -> None:
@@ -308,6 +340,7 @@ class _Programs:
             "HOLES": holes,
             "SHELLS": walk.shell_m is not None,
             "DANGLING": dangling,
+            "RAISE": not walk.first,
         }
         return {
             "HEADING": str(walk.heading),

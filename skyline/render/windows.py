@@ -83,7 +83,7 @@ class WindowTextures:
         heights = _with_apron(field, window)
         holes = np.isnan(heights)
         self.rims, self.dangling = None, False
-        if holes[1:-1, 1:-1].any():
+        if holes[1:-1, 1:-1].any() or min(window.rows, window.cols) < 2:
             triangles = Triangles.of(heights)
             holes |= ~triangles.samples
             self.dangling = triangles.has_dangling_edges
