@@ -60,6 +60,9 @@ Dems = Annotated[
 ]
 Output = Annotated[Path, typer.Option("--output", "-o", help="The store to write (HDF5).")]
 Width = Annotated[int, typer.Option(help="Columns of a 90 degree view.")]
+Tolerance = Annotated[
+    float, typer.Option("--tolerance-px", help="How far a skyline may fall short; 0 is exact.")
+]
 RefractionK = Annotated[float, typer.Option("--k", help="Refraction coefficient.")]
 NoCurvature = Annotated[bool, typer.Option("--no-curvature", help="Leave the Earth flat.")]
 Crs = Annotated[
@@ -86,6 +89,7 @@ def render(
         float | None, typer.Option(metavar="SPACING_M", help="A uniform grid over the DEM instead.")
     ] = None,
     width: Width = _DEFAULTS.width,
+    tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
     k: RefractionK = _DEFAULTS.curvature.refraction_k,
     no_curvature: NoCurvature = False,
     depth_images: Annotated[
@@ -98,7 +102,7 @@ def render(
     """Render the skylines of given viewpoints, four headings each, into a store."""
     if (viewpoints is None) == (grid is None):
         raise InputError("give one of --viewpoints FILE.csv and --grid SPACING_M")
-    config = _render_config(width, k, no_curvature)
+    config = _render_config(width, tolerance_px, k, no_curvature)
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
     if viewpoints is not None:
         eyes = read_viewpoints(viewpoints, terrain, config.eye_height_m)
@@ -119,6 +123,7 @@ def build(
     spacing: Annotated[float, typer.Option(help="Metres between viewpoints.")] = 1000.0,
     bounds: Bounds = None,
     width: Width = _DEFAULTS.width,
+    tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
     k: RefractionK = _DEFAULTS.curvature.refraction_k,
     no_curvature: NoCurvature = False,
     crs: Crs = None,
@@ -127,7 +132,7 @@ def build(
     """Build a reference store over an area. Stopped with Ctrl-C, the same command goes on."""
     if planner != "uniform":
         raise InputError(f"planner is {planner!r}; expected uniform")
-    config = _render_config(width, k, no_curvature)
+    config = _render_config(width, tolerance_px, k, no_curvature)
     corners = _parse_bounds(bounds)
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
     with _progress("rendering") as progress:
@@ -244,8 +249,9 @@ def _fail(message: str, code: int) -> None:
     sys.exit(code)
 
 
-def _render_config(width: int, k: float, no_curvature: bool) -> RenderConfig:
-    return RenderConfig(width=width, curvature=Curvature(refraction_k=k, enabled=not no_curvature))
+def _render_config(width: int, tolerance_px: float, k: float, no_curvature: bool) -> RenderConfig:
+    curvature = Curvature(refraction_k=k, enabled=not no_curvature)
+    return RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
 
 
 def _parse_bounds(text: str | None) -> tuple[float, float, float, float] | None:

@@ -17,6 +17,7 @@ from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays
 from skyline.photo import QuerySkyline, read_query
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
+from skyline.render.horizon import HorizonRenderer
 from skyline.report import save_depth_images
 from skyline.store import Store, StoreHeader, StoreWriter, create_store, open_for_append, open_store
 from skyline.terrain.heightfield import HeightField
@@ -26,7 +27,7 @@ from skyline.views import Views
 Progress = Callable[[int, int], None]
 """Called with the renderings done and the renderings there will be."""
 
-_VIEWPOINTS_A_COMMIT = 16
+_VIEWPOINTS_A_COMMIT = 64
 _ROWS_A_READ = 1024
 
 
@@ -38,6 +39,8 @@ class RenderConfig:
     ----------
     width : int
         Columns W of a view.
+    tolerance_px : float
+        How far a skyline may fall short of the exact one; 0 is exact but for float32.
     eye_height_m : float
         Eye above ground, where a viewpoint does not say.
     keypoint_tolerance_px : float
@@ -46,6 +49,7 @@ class RenderConfig:
     """
 
     width: int = DEFAULT_WIDTH
+    tolerance_px: float = 0.05
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
     keypoint_tolerance_px: float = 1.0
     curvature: Curvature = field(default_factory=Curvature)
@@ -74,7 +78,7 @@ def render_views(
 ) -> Views:
     """Render the skylines of viewpoints in all four headings (4 N views)."""
     config = config or RenderConfig()
-    with DepthRenderer(terrain, config.width, config.curvature) as renderer:
+    with _renderer(terrain, config) as renderer:
         return renderer.render(viewpoints)
 
 
@@ -98,7 +102,7 @@ def build_uniform(
         terrain, spacing_m, map_bounds(terrain, bounds_deg), config.eye_height_m
     )
     plan = {"planner": "uniform", "spacing_m": spacing_m, "bounds_deg": bounds_deg}
-    with DepthRenderer(terrain, config.width, config.curvature) as renderer:
+    with _renderer(terrain, config) as renderer:
         header = _header(terrain, renderer, config, plan)
         if not Path(path).exists():
             with create_store(path, header) as writer:
@@ -123,7 +127,7 @@ def render_to_store(
         Something is at ``path`` already.
     """
     config = config or RenderConfig()
-    with DepthRenderer(terrain, config.width, config.curvature) as renderer:
+    with _renderer(terrain, config) as renderer:
         header = _header(terrain, renderer, config, {"planner": "viewpoints"})
         with create_store(path, header) as writer:
             return _render_into(writer, renderer, viewpoints, config, progress)
@@ -146,14 +150,18 @@ def save_depth_pictures(
             save_depth_images(images, views, folder / f"{index:04d}.png")
 
 
+def _renderer(terrain: HeightField, config: RenderConfig) -> HorizonRenderer:
+    return HorizonRenderer(terrain, config.width, config.curvature, config.tolerance_px)
+
+
 def _header(
-    terrain: HeightField, renderer: DepthRenderer, config: RenderConfig, plan: dict[str, object]
+    terrain: HeightField, renderer: HorizonRenderer, config: RenderConfig, plan: dict[str, object]
 ) -> StoreHeader:
     return StoreHeader(
         frame_wkt=terrain.frame.wkt,
         dem_digest=terrain.digest,
         dem_files=terrain.provenance.files,
-        config={**plan, "rasterizer": "depth", **asdict(config)},
+        config={**plan, "rasterizer": "horizon", **asdict(config)},
         renderer=renderer.description,
         width=config.width,
     )
@@ -161,7 +169,7 @@ def _header(
 
 def _render_into(
     writer: StoreWriter,
-    renderer: DepthRenderer,
+    renderer: HorizonRenderer,
     viewpoints: Viewpoints,
     config: RenderConfig,
     progress: Progress | None,
