@@ -227,7 +227,8 @@ class HorizonRenderer:
         tan, depth = np.where(tan == NOTHING, nan, tan), np.where(tan == NOTHING, nan, depth)
         shells = None
         if self.shell_edges_m is not None:
-            stacks = (part[count:].reshape(-1, count, self.width) for part in (tan, depth))
+            shape = (len(self.shell_edges_m) - 1, count, self.width)
+            stacks = (part[count:].reshape(shape) for part in (tan, depth))
             shells = Shells(
                 self.shell_edges_m, *(np.ascontiguousarray(s.swapaxes(0, 1)) for s in stacks)
             )

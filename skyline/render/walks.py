@@ -168,7 +168,7 @@ class ComputeWalker:
         """Return the results."""
         shape = (self._rows, self._settings.width)
         size = 4 * self._rows * self._settings.width
-        tan, depth, flags = (result.read(size) for result in self._results)
+        tan, depth, flags = (result.read()[:size] for result in self._results)
         return Rows(
             np.frombuffer(tan, np.float32).reshape(shape),
             np.frombuffer(depth, np.float32).reshape(shape),

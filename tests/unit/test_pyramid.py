@@ -1,0 +1,76 @@
+"""The tree of slabs bounds what rays meet, and is not far above it."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scenes import fractal
+
+from skyline.terrain.pyramid import EMPTY, LEAF_STRIPS, SLABS, level_count, slab_levels
+
+
+def vertices_met(heights, start, slope, first, last):
+    """Greatest sample at the ends of the edges a ray crosses from line ``first`` to ``last``.
+
+    The ray passes column ``start`` at line 0.
+    """
+    greatest = EMPTY
+    for line in range(first, last):
+        here, there = sorted((start + slope * line, start + slope * (line + 1)))
+        low, high = int(np.floor(here)), int(np.ceil(there))
+        span = heights[line : line + 2, max(low, 0) : max(high + 1, 0)]
+        greatest = max(greatest, span.max(initial=EMPTY))
+    return greatest
+
+
+@given(
+    seed=st.integers(0, 1000),
+    lines=st.integers(2, 40),
+    columns=st.integers(2, 40),
+    steepest=st.sampled_from([0.4, 1.0, 2.5]),
+    place=st.floats(-0.2, 1.2),
+    turn=st.floats(-1.0, 1.0),
+)
+def test_no_ray_meets_more_than_its_bound(seed, lines, columns, steepest, place, turn):
+    heights = np.random.default_rng(seed).uniform(0, 100, (lines, columns)).astype(np.float32)
+    slopes = np.linspace(-steepest, steepest, 9)
+    slope = turn * steepest
+    index = min(int((turn + 1.0) / 2.0 * 8), 7)
+    start = place * columns
+    slab = LEAF_STRIPS
+    for level in slab_levels(heights, slopes, level_count(max(lines, columns) - 1)):
+        for band in range(level.maxima.shape[1]):
+            origin = band * SLABS * slab
+            block = int(np.floor((start + slope * origin) / slab)) + level.first_block
+            for child in range(SLABS):
+                first = origin + child * slab
+                last = min(first + slab, lines - 1)
+                met = vertices_met(heights, start, slope, first, last)
+                if met > EMPTY:
+                    assert level.maxima[index, band, block, child] >= met
+        slab *= SLABS
+
+
+def test_bounds_are_tight_for_a_leaf():
+    """A spike raises the bounds of the rays that pass it, and of few others."""
+    heights = np.zeros((64, 64), dtype=np.float32)
+    heights[32, 32] = 100.0
+    level = next(slab_levels(heights, np.linspace(-1.0, 1.0, 17), level_count(63)))
+    raised = (level.maxima > 50.0).mean()
+    assert 0.0 < raised < 0.02
+
+
+def test_marks_and_heights_give_the_same_tree():
+    rough = fractal(50, 70, seed=4)
+    marks = (rough > 100.0).astype(np.uint8)
+    heights = np.where(marks, np.float32(1.0), EMPTY)
+    slopes = np.linspace(-1.0, 1.0, 9)
+    for marked, high in zip(
+        slab_levels(marks, slopes, 2), slab_levels(heights, slopes, 2), strict=True
+    ):
+        np.testing.assert_array_equal(marked.maxima > 0, high.maxima > EMPTY)
+
+
+@pytest.mark.parametrize(("strips", "levels"), [(0, 1), (16, 1), (17, 2), (128, 2), (8192, 4)])
+def test_levels_hold_all_strips(strips, levels):
+    assert level_count(strips) == levels
