@@ -1,4 +1,4 @@
-"""The command line: ``skyline render build match extract info`` (DESIGN 8)."""
+"""The command line: ``skyline render build match extract info explain`` (DESIGN 8)."""
 
 import json
 import logging
@@ -19,6 +19,7 @@ from skyline.describe import (
     MatchRecord,
     describe_gl,
     describe_match,
+    describe_scene,
     describe_store,
     describe_terrain,
 )
@@ -35,10 +36,12 @@ from skyline.pipeline import (
     render_to_store,
     save_depth_pictures,
 )
+from skyline.pipeline import explain as explain_scene
 from skyline.planning.uniform import uniform_grid
 from skyline.store import is_store
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.viewpoint_csv import read_viewpoints
+from skyline.terrain.viewpoints import stand_on
 
 _DEFAULTS = RenderConfig()
 
@@ -201,13 +204,28 @@ def info(
             facts |= describe_store(path[0])
         else:
             facts |= describe_terrain(read_dem(path, DemOptions(crs=crs, reproject=reproject)))
-    if as_json:
-        typer.echo(json.dumps(facts))
-        return
-    for name, value in facts.items():
-        values = value if isinstance(value, list) else [value]
-        for line, item in enumerate(values):
-            typer.echo(f"{name if line == 0 else '':<22} {item}")
+    _say_facts(facts, as_json)
+
+
+@app.command()
+def explain(
+    dem: Dems,
+    at: Annotated[str, typer.Option(metavar="E,N", help="Easting and northing, metres.")],
+    width: Width = _DEFAULTS.width,
+    tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
+    k: RefractionK = _DEFAULTS.curvature.refraction_k,
+    no_curvature: NoCurvature = False,
+    crs: Crs = None,
+    reproject: Reproject = False,
+    as_json: AsJson = False,
+) -> None:
+    """Say what a viewpoint's skyline needs of the model, what is left out, and what that costs."""
+    config = _render_config(width, tolerance_px, k, no_curvature)
+    easting, northing = _parse_place(at)
+    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    eye = stand_on(terrain, easting, northing, config.eye_height_m)
+    needs, views = explain_scene(terrain, eye, config)
+    _say_facts(describe_scene(eye, config, needs, views), as_json)
 
 
 @app.callback(invoke_without_command=True)
@@ -266,6 +284,16 @@ def _parse_bounds(text: str | None) -> tuple[float, float, float, float] | None:
     return west, south, east, north
 
 
+def _parse_place(text: str) -> tuple[float, float]:
+    try:
+        easting, northing = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(
+            f"the place is `{text}`; expected easting and northing in metres, e.g. 601000,5179000"
+        ) from error
+    return easting, northing
+
+
 @contextmanager
 def _progress(what: str) -> Iterator[Progress]:
     """Show a bar on the terminal's error stream, and nothing where there is no terminal."""
@@ -280,6 +308,17 @@ def _progress(what: str) -> Iterator[Progress]:
     with bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _say_facts(facts: dict[str, object], as_json: bool) -> None:
+    if as_json:
+        typer.echo(json.dumps(facts))
+        return
+    for name, value in facts.items():
+        values = value if isinstance(value, list) else [value]
+        for line, item in enumerate(values):
+            shown = f"{item:.9g}" if isinstance(item, float) else item
+            typer.echo(f"{name if line == 0 else '':<24} {shown}")
 
 
 def _say_built(result: BuildResult, path: Path) -> None:

@@ -4,12 +4,16 @@ from typing import TypedDict
 
 import numpy as np
 
+from skyline.camera import pixel_size
 from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
-from skyline.pipeline import MatchResult
+from skyline.pipeline import MatchResult, RenderConfig
 from skyline.render.context import describe_context
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.scene import SceneNeeds
+from skyline.terrain.viewpoints import Viewpoints
+from skyline.views import Views
 
 Facts = dict[str, object]
 
@@ -95,6 +99,49 @@ def describe_terrain(field: HeightField) -> Facts:
         "despiked": field.provenance.despiked,
         "digest": field.digest,
     }
+
+
+def describe_scene(eye: Viewpoints, config: RenderConfig, needs: SceneNeeds, views: Views) -> Facts:
+    """Return what was modelled for one viewpoint, what was left out, and at what cost.
+
+    Parameters
+    ----------
+    eye : Viewpoints
+        One viewpoint.
+    config : RenderConfig
+    needs : SceneNeeds
+    views : Views
+        Its four views at tolerance 0, and then the same as configured.
+    """
+    curved = config.curvature.enabled
+    full, given = views.elevation_tan[:4], views.elevation_tan[4:]
+    short_px = np.nanmax(full - given, initial=0.0) / pixel_size(config.width)
+    depth_m = views.depth_m[:4]
+    flagged = float((views.flags[:4] != 0).mean())
+    facts: Facts = {
+        "easting_m": float(eye.easting_m[0]),
+        "northing_m": float(eye.northing_m[0]),
+        "eye_elevation_m": float(eye.eye_elevation_m[0]),
+        "width": config.width,
+        "tolerance_px": config.tolerance_px,
+        "skyline_depth_m": [float(v) for v in np.nanquantile(depth_m, [0.0, 0.5, 1.0])]
+        if np.isfinite(depth_m).any()
+        else [],
+        "flagged_columns": flagged,
+        "data_reach_m": needs.data_reach_m,
+        "sight_m": needs.sight_m,
+        "samples_beyond_sight": needs.beyond_sight,
+        "curvature": "modelled" if curved else "left out (--no-curvature)",
+        "curvature_bound_px": needs.curvature_px,
+        "passed_over_bound_px": config.tolerance_px,
+        "passed_over_measured_px": float(short_px),
+    }
+    for step in needs.steps:
+        facts[f"every_{step.step}_samples"] = (
+            f"deviates by {step.deviation_m:.1f} m in the median block; within the tolerance in "
+            f"{100.0 * step.share:.1f} % of blocks; not used: all samples are kept"
+        )
+    return facts
 
 
 def describe_store(path: str) -> Facts:

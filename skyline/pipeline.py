@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import cv2
@@ -21,6 +21,7 @@ from skyline.render.horizon import HorizonRenderer
 from skyline.report import save_depth_images
 from skyline.store import Store, StoreHeader, StoreWriter, create_store, open_for_append, open_store
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.scene import SceneNeeds, scene_needs
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 from skyline.views import Views
 
@@ -80,6 +81,21 @@ def render_views(
     config = config or RenderConfig()
     with _renderer(terrain, config) as renderer:
         return renderer.render(viewpoints)
+
+
+def explain(
+    terrain: HeightField, eye: Viewpoints, config: RenderConfig | None = None
+) -> tuple[SceneNeeds, Views]:
+    """Return what one viewpoint's skyline needs, and its views at tolerance 0 and as configured.
+
+    The four exact views come first, the four of the configuration after them.
+    """
+    config = config or RenderConfig()
+    # What the tolerance leaves out shows only in skylines that were rendered without it.
+    exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
+    given = render_views(terrain, eye, config)
+    needs = scene_needs(terrain, eye, config.width, config.tolerance_px, config.curvature)
+    return needs, Views.concatenate([exact, given])
 
 
 def build_uniform(

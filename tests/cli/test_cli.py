@@ -324,3 +324,21 @@ def test_the_python_interface_of_the_readme(store, photo):
     result = Matcher(store).match(photo, fov_deg=60.0)
     assert result.answer is not None
     assert result.answer == result.candidates[0]
+
+
+def test_explain_says_what_was_modelled_and_what_it_costs(dem, run):
+    west, south, east, north = read_dem([dem]).bounds_m
+    place = f"{(west + east) / 2},{(south + north) / 2}"
+    told = run("explain", dem, "--at", place, "--tolerance-px", "0.5", "--json")
+    facts = json.loads(told.out)
+    assert facts["curvature"] == "modelled"
+    assert 0.0 <= facts["passed_over_measured_px"] <= facts["passed_over_bound_px"] == 0.5
+    assert facts["data_reach_m"] > 0.0
+    assert "sight_m" in run("explain", dem, "--at", place).out
+
+
+@pytest.mark.parametrize(("place", "said"), [("5", "easting and northing"), ("0,0", "off the map")])
+def test_explain_refuses_bad_places(dem, run, place, said):
+    told = run("explain", dem, "--at", place)
+    assert told.code == 2
+    assert said in told.err

@@ -1,0 +1,92 @@
+"""The bounds of what a scene needs hold, and are broken by nothing tried here."""
+
+import numpy as np
+import pytest
+from scenes import field_from, field_of, fractal
+
+from skyline import oracle
+from skyline.camera import pixel_size
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.scene import (
+    BLOCK_CELLS,
+    coarser_deviation_m,
+    scene_needs,
+    sight_range_m,
+)
+from skyline.terrain.viewpoints import stand_on
+
+
+def test_leaving_curvature_out_costs_no_more_than_its_bound():
+    for seed in range(5):
+        field = field_of(fractal(64, 64, relief_m=900.0, seed=seed), 300.0)
+        eyes = stand_on(field, 9000.0, -9000.0)
+        mars = Curvature(radius_m=3_389_500.0, refraction_k=0.0)
+        needs = scene_needs(field, eyes, 160, 0.1, mars)
+        curved = oracle.skyline(field, eyes, 160, mars)
+        flat = oracle.skyline(field, eyes, 160, Curvature(enabled=False))
+        cost_px = np.abs(curved.elevation_tan - flat.elevation_tan).max() / pixel_size(160)
+        assert 0.1 * needs.curvature_px < cost_px <= needs.curvature_px
+
+
+@pytest.mark.parametrize("eye_height_m", [2.0, 300.0])
+def test_nothing_beyond_sight_shows(eye_height_m):
+    """A pillar of the greatest height shows just within the range of sight, not beyond it."""
+    moon = Curvature(radius_m=200_000.0, refraction_k=0.0)
+    for share, shows in ((0.98, True), (1.02, False)):
+        heights = np.zeros((5, 400), dtype=np.float32)
+        heights[:, -1] = 500.0
+        field = field_of(heights, 100.0)
+        sight_m = sight_range_m(field, eye_height_m, moon.drop_per_m2)
+        easting = (field.cols - 1) * 100.0 - share * sight_m
+        eye = stand_on(field, easting, -200.0, eye_height_m)
+        view = oracle.skyline(field, eye, 65, moon)
+        assert (view.depth_m[1, 32] > 0.97 * share * sight_m) == shows
+
+
+def test_no_sight_range_without_curvature():
+    field = field_of(fractal(8, 8), 30.0)
+    assert sight_range_m(field, 1e4, 0.0) == np.inf
+
+
+def test_share_beyond_sight_is_counted_right():
+    field = field_of(fractal(60, 50, seed=2), 2000.0)
+    eye = stand_on(field, 20_000.0, -30_000.0)
+    moon = Curvature(radius_m=200_000.0, refraction_k=0.0)
+    needs = scene_needs(field, eye, 64, 0.1, moon)
+    row, col = np.mgrid[:60, :50]
+    distance = np.hypot(col * 2000.0 - 20_000.0, row * 2000.0 - 30_000.0)
+    assert needs.beyond_sight == pytest.approx((distance > needs.sight_m).mean(), abs=1e-9)
+    assert 0.1 < needs.beyond_sight < 0.9
+
+
+@pytest.mark.parametrize("step", [2, 4, 8])
+def test_deviation_is_that_of_the_thinned_surface(step):
+    field = field_of(fractal(2 * BLOCK_CELLS + 5, 3 * BLOCK_CELLS + 1, seed=7), 30.0)
+    found = coarser_deviation_m(field, step)
+    thin = HeightField(
+        field.heights_m[::step, ::step],
+        field.west_m,
+        field.north_m,
+        30.0 * step,
+        30.0 * step,
+        field.frame,
+    )
+    row, col = np.mgrid[: 2 * BLOCK_CELLS, : 3 * BLOCK_CELLS]
+    deviation = np.abs(thin.height_at(*field.to_map(row, col)) - field.heights_m[row, col])
+    blocks = deviation.reshape(2, BLOCK_CELLS, 3, BLOCK_CELLS).max(axis=(1, 3))
+    np.testing.assert_allclose(found, blocks, rtol=1e-12, atol=1e-9)
+
+
+def test_a_plane_needs_no_fine_steps():
+    field = field_from(lambda east, north: 0.1 * east - 0.2 * north, 65, 30.0)
+    needs = scene_needs(field, stand_on(field, 0.0, 0.0), 640, 0.1)
+    assert [step.step for step in needs.steps] == [2, 4, 8]
+    assert all(step.share == 1.0 for step in needs.steps)
+
+
+def test_one_viewpoint_only():
+    field = field_of(fractal(20, 20), 30.0)
+    with pytest.raises(InputError, match="expected one"):
+        scene_needs(field, stand_on(field, [30.0, 60.0], -30.0), 640, 0.1)
