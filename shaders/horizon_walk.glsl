@@ -146,6 +146,13 @@ bool triangle_there(int s, int line, int family, bool beyond) {
     return height_at(p, w) > NOTHING;
 }
 
+// Whether both samples of an edge are there; a crossing at one of them does not show the other.
+bool edge_there(int s, int line, int family) {
+    ivec2 near = ivec2(family == 0 ? s + 1 : s, line + (family == 2 && !FORWARD ? 1 : 0));
+    ivec2 far = ivec2(s + 1, line + (family == 0 || (family == 2 && FORWARD) ? 1 : 0));
+    return min(height_at(near.x, near.y), height_at(far.x, far.y)) > NOTHING;
+}
+
 // The four samples of a cell, relative to the eye: near and far line, w and w + 1.
 vec4 corners(int s, int w) {
     int cell = FORWARD ? s : -1 - s;
@@ -199,7 +206,7 @@ void keep_all(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool 
 
 // Whether the surface begins again at this crossing: then v of the hit is set to 1.
 void keep_rim(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
-    if (there && v > REAL(DATA) && !triangle_there(s, int(line), family, false)
+    if (there && edge_there(s, int(line), family) && !triangle_there(s, int(line), family, false)
         && triangle_there(s, int(line), family, true)) hit.v = REAL(1);
 }
 
