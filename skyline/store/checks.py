@@ -52,6 +52,7 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
             renderer=_text(path, file, "renderer"),
             width=_row_length(path, file, VIEW_SPECS["elevation_tan"][0]),
             max_keypoints=_row_length(path, file, KEYPOINTS),
+            shell_edges_m=_shell_edges(path, file),
             package_version=_text(path, file, "package_version"),
         )
     except InputError as error:
@@ -98,6 +99,15 @@ def _text(path: Path, file: h5py.File, name: str) -> str:
     if not isinstance(value, str):
         raise StoreError(f"store {path} has an attribute {name!r} that is not text; {REBUILD}")
     return value
+
+
+def _shell_edges(path: Path, file: h5py.File) -> tuple[float, ...]:
+    if "shell_edges_m" not in file.attrs:
+        return ()
+    edges = file.attrs["shell_edges_m"]
+    if not isinstance(edges, np.ndarray) or edges.dtype.kind != "f":
+        raise StoreError(f"store {path} has shell_edges_m that are not numbers; {REBUILD}")
+    return tuple(edges.ravel().tolist())
 
 
 def _row_length(path: Path, file: h5py.File, name: str) -> int:

@@ -20,7 +20,7 @@ KeypointColumns = NDArray[np.uint16]
 
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """A row-aligned dataset: its type, and whether a row is W or K values instead of one."""
+    """A row-aligned dataset: its type, and whether a row is many values instead of one."""
 
     dtype: str
     per_row: str = "one"
@@ -39,7 +39,11 @@ VIEW_SPECS = {
 
 KEYPOINTS = "features/keypoint_column"
 
-SPECS = dict(VIEW_SPECS.values()) | {KEYPOINTS: Spec("<u2", "keypoints")}
+SHELL_SPECS = {
+    "elevation_tan": ("views/shell_tan", Spec("<f4", "shells")),
+    "depth_m": ("views/shell_depth_m", Spec("<f4", "shells")),
+}
+"""Field of `Shells` -> dataset and its layout, in stores that hold shells."""
 
 
 def package_version() -> str:
@@ -70,13 +74,16 @@ class StoreHeader:
         Columns W of a view.
     max_keypoints : int
         Keypoints K a row has room for.
+    shell_edges_m : tuple of float
+        Edges of the distance shells that are held beside each skyline; empty for none.
     package_version : str
         Release that created the store.
 
     Raises
     ------
     InputError
-        The width or the number of keypoints is out of range, or JSON cannot hold the config.
+        The width, the number of keypoints or the shells are out of range, or JSON cannot hold the
+        config.
     """
 
     frame_wkt: str
@@ -86,6 +93,7 @@ class StoreHeader:
     renderer: str
     width: int
     max_keypoints: int = DEFAULT_MAX_KEYPOINTS
+    shell_edges_m: tuple[float, ...] = ()
     package_version: str = field(default_factory=package_version, compare=False)
 
     def __post_init__(self) -> None:
@@ -95,6 +103,13 @@ class StoreHeader:
                 f"max_keypoints is {self.max_keypoints}; expected 2 to {NO_KEYPOINT - 1} "
                 f"(the default is {DEFAULT_MAX_KEYPOINTS})"
             )
+        edges = np.asarray(self.shell_edges_m, dtype=np.float64)
+        if edges.ndim != 1 or len(edges) == 1 or not (np.diff(edges) > 0.0).all():
+            raise InputError(
+                f"shell_edges_m are {self.shell_edges_m}; expected none, or two or more depths in "
+                "metres, increasing"
+            )
+        object.__setattr__(self, "shell_edges_m", tuple(edges.tolist()))
         try:
             plain = json.loads(json.dumps(dict(self.config), allow_nan=False))
         except (TypeError, ValueError) as error:
@@ -105,6 +120,17 @@ class StoreHeader:
         # As it will be read back, so that a stored and a requested config compare equal.
         object.__setattr__(self, "config", plain)
 
+    @property
+    def specs(self) -> dict[str, Spec]:
+        """The row-aligned datasets of this store, by name."""
+        held = dict(VIEW_SPECS.values()) | {KEYPOINTS: Spec("<u2", "keypoints")}
+        return held | dict(SHELL_SPECS.values()) if self.shell_edges_m else held
+
     def row_shape(self, per_row: str) -> tuple[int, ...]:
-        """Return the shape of one row of a dataset: (), (W,) or (K,)."""
-        return {"one": (), "width": (self.width,), "keypoints": (self.max_keypoints,)}[per_row]
+        """Return the shape of one row of a dataset: (), (W,), (keypoints,) or (shells, W)."""
+        return {
+            "one": (),
+            "width": (self.width,),
+            "keypoints": (self.max_keypoints,),
+            "shells": (max(len(self.shell_edges_m) - 1, 0), self.width),
+        }[per_row]

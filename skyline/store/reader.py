@@ -21,9 +21,15 @@ from skyline.errors import (
 from skyline.features import NO_KEYPOINT
 from skyline.store.checks import checked_dataset, read_committed, read_header
 from skyline.store.explain import REBUILD, UNREADABLE, explained
-from skyline.store.header import KEYPOINTS, SPECS, VIEW_SPECS, KeypointColumns, StoreHeader
+from skyline.store.header import (
+    KEYPOINTS,
+    SHELL_SPECS,
+    VIEW_SPECS,
+    KeypointColumns,
+    StoreHeader,
+)
 from skyline.store.superblock import WholeFile
-from skyline.views import Views
+from skyline.views import Shells, Views
 
 RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]
 
@@ -123,9 +129,16 @@ class Store:
         """
         rows = self._rows(index)
         held: Any = {field: self._read(spec[0], rows) for field, spec in VIEW_SPECS.items()}
-        views = Views(**held)
+        views = Views(**held, shells=self._shells(rows))
         self._check_headings(views.heading)
         return views
+
+    def _shells(self, rows: NDArray[np.intp]) -> Shells | None:
+        edges = self._header.shell_edges_m
+        if not edges:
+            return None
+        held: Any = {field: self._read(spec[0], rows) for field, spec in SHELL_SPECS.items()}
+        return Shells(edges_m=np.array(edges), **held)
 
     def iter_views(self, chunk_rows: int = 1024) -> Iterator[Views]:
         """Yield all views in order, ``chunk_rows`` at a time (the last time fewer)."""
@@ -188,7 +201,7 @@ class Store:
     def _open_datasets(self) -> dict[str, h5py.Dataset]:
         return {
             name: checked_dataset(self._path, self._file, name, spec, self._header)
-            for name, spec in SPECS.items()
+            for name, spec in self._header.specs.items()
         }
 
     def _check_committed(self) -> None:

@@ -7,6 +7,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -29,14 +30,14 @@ from skyline.store.header import (
     KEYPOINTS,
     SCHEMA,
     SCHEMA_VERSION,
-    SPECS,
+    SHELL_SPECS,
     VIEW_SPECS,
     KeypointColumns,
     StoreHeader,
 )
 from skyline.store.lock import complete_or_absent, writer_lock
 from skyline.store.reader import Store, open_store
-from skyline.views import Views
+from skyline.views import Shells, Views
 
 _log = logging.getLogger(__name__)
 
@@ -70,11 +71,11 @@ class StoreWriter:
         self._header = header
         self._file = file
         self._resources = resources
-        self._datasets = {name: self._file[name] for name in SPECS}
+        self._datasets = {name: self._file[name] for name in header.specs}
         self._marker = self._file["committed"]
         self._committed = int(self._marker[()])
         self._chunk_rows = int(self._datasets[KEYPOINTS].chunks[0])
-        self._pending = Views.empty(header.width)
+        self._pending = _no_rows(header)
         self._pending_keypoints = np.zeros((0, header.max_keypoints), dtype=np.uint16)
         self._failed = False
 
@@ -150,8 +151,14 @@ class StoreWriter:
             raise StoreError(f"the writer of {self._path} {state}; open the store for append again")
 
     def _check_rows(self, views: Views, keypoint_columns: KeypointColumns) -> None:
+        edges = () if views.shells is None else tuple(views.shells.edges_m.tolist())
+        if edges != self._header.shell_edges_m:
+            raise InputError(
+                f"views to append have shells at {edges or 'no'} edges; store {self._path} has "
+                f"{self._header.shell_edges_m or 'none'}: render them as the store was begun"
+            )
         for name, values in self._columns(views, keypoint_columns):
-            expected = (len(views), *self._header.row_shape(SPECS[name].per_row))
+            expected = (len(views), *self._header.row_shape(self._header.specs[name].per_row))
             if np.shape(values) != expected:
                 raise InputError(
                     f"{name} to append has shape {np.shape(values)}; store {self._path} expects "
@@ -208,7 +215,18 @@ class StoreWriter:
     ) -> Iterator[tuple[str, NDArray[Any]]]:
         for attribute, (name, _) in VIEW_SPECS.items():
             yield name, getattr(views, attribute)
+        if views.shells is not None:
+            for attribute, (name, _) in SHELL_SPECS.items():
+                yield name, getattr(views.shells, attribute)
         yield KEYPOINTS, keypoint_columns
+
+
+def _no_rows(header: StoreHeader) -> Views:
+    none = Views.empty(header.width)
+    if not header.shell_edges_m:
+        return none
+    nothing = np.zeros((0, *header.row_shape("shells")), dtype=np.float32)
+    return replace(none, shells=Shells(np.array(header.shell_edges_m), nothing, nothing))
 
 
 def create_store(
@@ -291,7 +309,7 @@ def _refuse_mismatch(path: Path, stored: StoreHeader, wanted: StoreHeader) -> No
         names = _frame_name(stored.frame_wkt), _frame_name(wanted.frame_wkt)
         pair = names if names[0] != names[1] else (stored.frame_wkt, wanted.frame_wkt)
         differences.append(("frame", *pair))
-    for name in ("dem_digest", "width", "max_keypoints"):
+    for name in ("dem_digest", "width", "max_keypoints", "shell_edges_m"):
         differences.append((name, getattr(stored, name), getattr(wanted, name)))
     for key in sorted({*stored.config, *wanted.config}):
         there, here = stored.config.get(key, "absent"), wanted.config.get(key, "absent")
@@ -347,7 +365,9 @@ def _lay_out(file: h5py.File, header: StoreHeader) -> None:
     file.attrs["config"] = json.dumps(header.config, sort_keys=True)
     file.attrs["renderer"] = header.renderer
     file.attrs["package_version"] = header.package_version
-    for name, spec in SPECS.items():
+    if header.shell_edges_m:
+        file.attrs["shell_edges_m"] = np.array(header.shell_edges_m)
+    for name, spec in header.specs.items():
         shape = header.row_shape(spec.per_row)
         rows, packing = (_WIDE_CHUNK_ROWS, _COMPRESSION) if shape else (_SCALAR_CHUNK_ROWS, {})
         file.create_dataset(
