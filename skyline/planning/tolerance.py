@@ -1,0 +1,132 @@
+"""Tolerance areas: where around a view its skyline still serves (paper 4.2)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.prediction import PREDICTORS, Predictor, displacements_m
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
+from skyline.views import Views
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+Ground = Callable[[Float64Array, Float64Array], Float64Array]
+"""Heights in metres at eastings and northings, NaN off the map and on holes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Neighbourhood:
+    """The locations around a view that are asked whether its skyline serves them.
+
+    Attributes
+    ----------
+    size : int
+        K: rows and columns of locations; 10 in the paper. The view is at [K // 2, K // 2].
+    pitch_m : float
+        Distance between neighbouring locations.
+    """
+
+    size: int = 10
+    pitch_m: float = 30.0
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.size <= 1001:
+            raise InputError(
+                f"neighbourhood is {self.size} locations wide; expected 1 to 1001 (the paper "
+                "takes 10)"
+            )
+        if not (np.isfinite(self.pitch_m) and self.pitch_m > 0.0):
+            raise InputError(
+                f"neighbourhood has a pitch of {self.pitch_m} m; expected a positive number"
+            )
+
+    @property
+    def centre(self) -> int:
+        """Row and column of the view itself."""
+        return self.size // 2
+
+    def offsets_m(self) -> tuple[Float64Array, Float64Array]:
+        """Return east and north of each location from the view, both (K, K).
+
+        Row 0 is the northernmost, column 0 the westernmost.
+        """
+        steps = (np.arange(self.size) - self.centre) * self.pitch_m
+        east, south = np.meshgrid(steps, steps)
+        return east, -south
+
+
+@dataclass(frozen=True, slots=True)
+class ToleranceMeter:
+    """Measures tolerance areas of views; a call returns `errors_px`.
+
+    Attributes
+    ----------
+    ground : callable
+        Heights at map coordinates: `HeightField.height_at`.
+    neighbourhood : Neighbourhood
+    predictor : Predictor
+        The paper's by default.
+    eye_height_m : float
+        Of the eyes at the other locations, above the ground.
+    """
+
+    ground: Ground
+    neighbourhood: Neighbourhood = Neighbourhood()
+    predictor: Predictor = PREDICTORS["affine-mean"]
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.eye_height_m) and self.eye_height_m >= 0.0):
+            raise InputError(f"eye height is {self.eye_height_m} m; expected at least 0")
+
+    def __call__(self, views: Views) -> Float32Array:
+        """Return `errors_px`."""
+        return self.errors_px(views)
+
+    def errors_px(self, views: Views) -> Float32Array:
+        """Return the reprojection errors of the neighbourhoods of N views.
+
+        Returns
+        -------
+        (N, K, K) float32
+            In px; row 0 is the northernmost, column 0 the westernmost, whatever the heading. inf
+            off the map, on holes and where the predictor has no answer; 0 at the view itself.
+
+        Raises
+        ------
+        InputError
+            Views without the shells that the predictor needs.
+        """
+        size, centre = self.neighbourhood.size, self.neighbourhood.centre
+        east, north = (offset.ravel() for offset in self.neighbourhood.offsets_m())
+        easting = views.easting_m[:, np.newaxis] + east
+        northing = views.northing_m[:, np.newaxis] + north
+        eye_elevation = self.ground(easting, northing) + self.eye_height_m
+        moved = displacements_m(views, easting, northing, eye_elevation)
+        errors = self.predictor.errors_px(views, moved).reshape(len(views), size, size)
+        errors[:, centre, centre] = 0.0
+        return errors
+
+    def areas(self, views: Views, threshold_px: float) -> BoolArray:
+        """Return the tolerance areas (N, K, K) bool: where the error is within a threshold.
+
+        Raises
+        ------
+        InputError
+            A threshold that is not above 0.
+        """
+        if not threshold_px > 0.0:
+            raise InputError(
+                f"threshold is {threshold_px} px; expected above 0 (the measurements use 3)"
+            )
+        return self.errors_px(views) <= threshold_px
+
+
+def area_sizes(areas: BoolArray) -> NDArray[np.intp]:
+    """Return how many locations each of N tolerance areas (N, K, K) holds, (N,)."""
+    return np.asarray(np.count_nonzero(areas, axis=(1, 2)), dtype=np.intp)

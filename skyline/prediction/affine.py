@@ -1,0 +1,256 @@
+"""Affine warps between two images of a skyline: Equation 4, least squares, and curve to curve.
+
+A warp is (2, 3): it takes (u, v, 1) to the abscissa and ordinate in the other image.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import columns_u, pixel_size
+
+FloatArray = NDArray[np.floating]
+Float64Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+SAFE_DEPTH_SHARE = 0.05
+"""z + k3T must stay above this share of z: nearer, a skyline has no warp to speak of."""
+
+IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+_DAMPING = 1e-3
+_RIDGE = 1e-9
+_STEEPEST = 0.3
+"""Least stretch of the abscissa that the slope of a warped curve is trusted for."""
+
+
+def equation_4(depth_m: FloatArray, displacements_m: FloatArray) -> Float64Array:
+    """Return the paper's warp A = [[s, 0, k1T / (z + k3T)], [0, s, k2T / (z + k3T)]].
+
+    Parameters
+    ----------
+    depth_m : (N,) floating
+        The representative depth z.
+    displacements_m : (N, C, 3) floating
+        Right, up, forward of the other eye; T is its negative.
+
+    Returns
+    -------
+    (N, C, 2, 3) float64
+        s = z / (z + k3T); NaN where z + k3T is not safely positive.
+    """
+    translation = -np.asarray(displacements_m, dtype=np.float64)
+    z = np.asarray(depth_m, dtype=np.float64)[:, np.newaxis]
+    moved = z + translation[..., 2]
+    moved = np.where(moved > SAFE_DEPTH_SHARE * z, moved, np.nan)
+    affine = np.zeros((*moved.shape, 2, 3))
+    affine[..., 0, 0] = affine[..., 1, 1] = z / moved
+    affine[..., 0, 2] = translation[..., 0] / moved
+    affine[..., 1, 2] = translation[..., 1] / moved
+    # A zero would hide that there is no warp.
+    affine[np.isnan(moved)] = np.nan
+    return affine
+
+
+def least_squares(
+    points_uv: Float64Array, there_uv: Float64Array, usable: BoolArray
+) -> Float64Array:
+    """Return the warps that take points nearest to their images elsewhere.
+
+    Where the points lie on a line, or are fewer than three, the one of the many that is nearest
+    to the identity.
+
+    Parameters
+    ----------
+    points_uv : (N, P, 2) float64
+    there_uv : (N, C, P, 2) float64
+        Finite where usable.
+    usable : (N, C, P) bool
+
+    Returns
+    -------
+    (N, C, 2, 3) float64
+    """
+    design = np.concatenate([points_uv, np.ones((*points_uv.shape[:2], 1))], axis=2)
+    design = np.nan_to_num(design)
+    products = design[:, :, :, np.newaxis] * design[:, :, np.newaxis, :]
+    weight = usable.astype(np.float64)
+    normal = np.einsum("ncp,npij->ncij", weight, products, optimize=True)
+    trace = np.trace(normal, axis1=2, axis2=3)[..., np.newaxis, np.newaxis]
+    normal += _RIDGE * (trace + 1.0) * np.eye(3)
+    moved = np.where(usable[..., np.newaxis], there_uv - points_uv[:, np.newaxis], 0.0)
+    right_side = np.einsum("npi,ncpk->ncik", design, moved, optimize=True)
+    change = np.linalg.solve(normal, right_side)
+    return np.asarray(IDENTITY + np.swapaxes(change, 2, 3), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class CurveFit:
+    """How a curve is warped onto another.
+
+    Attributes
+    ----------
+    rounds : int
+        Gauss-Newton steps.
+    max_change : float
+        Greatest change of the warp's linear part from the identity, each entry: a matcher that
+        takes any warp tells no two skylines apart.
+    min_share : float
+        Least share of the columns that must land on known columns of the other curve.
+    outlier_px : float
+        A column farther off than this counts by its distance, a nearer one by its square.
+    """
+
+    rounds: int = 3
+    max_change: float = 0.25
+    min_share: float = 0.5
+    outlier_px: float = 3.0
+
+    def distances_px(
+        self, curves: FloatArray, targets: FloatArray, starts: Float64Array, width: int
+    ) -> tuple[Float64Array, Float64Array]:
+        """Warp curves onto others as well as an affine map within bounds can.
+
+        Parameters
+        ----------
+        curves, targets : (B, Q) floating
+            elevation_tan at Q column centres; NaN is unknown.
+        starts : (B, S, 2, 3) float64
+            Warps to begin with: the best of them is improved. NaN is none.
+        width : int
+            Columns W of the view, which say what a px is.
+
+        Returns
+        -------
+        distances_px : (B,) float64
+            Mean vertical distance of the warped columns from the other curve, inf where too few
+            of them land on it.
+        affine : (B, 2, 3) float64
+        """
+        pair = _Pair(curves, targets, self, pixel_size(width))
+        bounds = pair.bounds
+        starts = np.clip(
+            np.where(np.isnan(starts), 0.0, starts).reshape(*starts.shape[:2], 6), *bounds
+        )
+        errors = np.stack([pair.state(start).error for start in np.moveaxis(starts, 1, 0)], axis=1)
+        state = pair.state(starts[np.arange(len(starts)), errors.argmin(axis=1)])
+        damping = np.full(len(starts), _DAMPING)
+        for _ in range(self.rounds):
+            trial = pair.state(pair.step(state, damping))
+            better = trial.error < state.error
+            state = state.replaced(trial, better)
+            damping = np.where(better, 0.3 * damping, 8.0 * damping)
+        return state.error / pixel_size(width), state.affine.reshape(-1, 2, 3)
+
+
+@dataclass(slots=True, eq=False)
+class _State:
+    """B warps and how the curves miss each other under them; arrays of columns are (B, Q)."""
+
+    affine: Float64Array
+    error: Float64Array
+    miss: Float64Array
+    slope: Float64Array
+    usable: BoolArray
+
+    def replaced(self, other: "_State", where: BoolArray) -> "_State":
+        rows = where[:, np.newaxis]
+        return _State(
+            np.where(rows, other.affine, self.affine),
+            np.where(where, other.error, self.error),
+            np.where(rows, other.miss, self.miss),
+            np.where(rows, other.slope, self.slope),
+            np.where(rows, other.usable, self.usable),
+        )
+
+
+class _Pair:
+    """B curves and what each is warped onto."""
+
+    def __init__(
+        self, curves: FloatArray, targets: FloatArray, settings: CurveFit, pixel: float
+    ) -> None:
+        self.columns = curves.shape[1]
+        self.u = columns_u(self.columns)
+        self.v = curves.astype(np.float64)
+        self.targets = targets.astype(np.float64)
+        self.least = settings.min_share * self.columns
+        self.outlier = settings.outlier_px * pixel
+        change = settings.max_change
+        free = [1.0, 1.0, np.inf, 1.0, 1.0, np.inf]
+        middle = IDENTITY.ravel()
+        self.bounds = middle - change * np.array(free), middle + change * np.array(free)
+        padded = np.concatenate([self.v[:, :1], self.v, self.v[:, -1:]], axis=1)
+        self.slope = (padded[:, 2:] - padded[:, :-2]) / (4.0 / self.columns)
+        known = np.nan_to_num(self.v)
+        self.design = np.stack(
+            [np.broadcast_to(self.u, known.shape), known, np.ones_like(known)], 1
+        )
+        self.row = np.arange(len(curves))[:, np.newaxis] * self.columns
+
+    def state(self, affine: Float64Array) -> _State:
+        a, b, c, d, e, f = affine.T[:, :, np.newaxis]
+        position = (a * self.u + b * self.v + (c + 1.0)) * (self.columns / 2.0) - 0.5
+        usable = (position >= 0.0) & (position <= self.columns - 1)
+        position = np.where(usable, position, 0.0)
+        left = np.minimum(position.astype(np.intp), self.columns - 2)
+        index = self.row + left
+        flat = self.targets.ravel()
+        begin = flat[index]
+        rise = flat[index + 1] - begin
+        miss = d * self.u + e * self.v + f - begin - (position - left) * rise
+        usable &= np.isfinite(miss)
+        miss, rise = np.where(usable, miss, 0.0), np.where(usable, rise, 0.0)
+        count = usable.sum(axis=1)
+        error = np.abs(miss).sum(axis=1) / np.maximum(count, 1)
+        error[count < self.least] = np.inf
+        return _State(affine, error, miss, rise * (self.columns / 2.0), usable)
+
+    def step(self, state: _State, damping: Float64Array) -> Float64Array:
+        """Return warps one damped Gauss-Newton step on, inside the bounds.
+
+        The slope is the mean of the two curves', as in efficient second-order minimization: it
+        needs a third of the rounds that the other curve's alone does.
+        """
+        a, b, _, d, e, _ = state.affine.T[:, :, np.newaxis]
+        stretch = np.maximum(a + b * self.slope, _STEEPEST)
+        warped_slope = np.where(state.usable, (d + e * self.slope) / stretch, 0.0)
+        slope = 0.5 * (state.slope + np.nan_to_num(warped_slope))
+        weight = state.usable / np.maximum(np.abs(state.miss), self.outlier)
+        change = np.concatenate([-slope[:, np.newaxis] * self.design, self.design], axis=1)
+        weighted = change * weight[:, np.newaxis]
+        normal = weighted @ change.transpose(0, 2, 1)
+        gradient = (weighted @ state.miss[:, :, np.newaxis])[:, :, 0]
+        diagonal = np.einsum("bii->bi", normal)
+        diagonal += damping[:, np.newaxis] * diagonal
+        diagonal += _RIDGE * (1.0 + diagonal.max(axis=1, keepdims=True))
+        return _bounded_step(state.affine, normal, gradient, self.bounds)
+
+
+def _bounded_step(
+    affine: Float64Array,
+    normal: Float64Array,
+    gradient: Float64Array,
+    bounds: tuple[Float64Array, Float64Array],
+) -> Float64Array:
+    """Return affine - normal^-1 gradient, entries that would leave the bounds held at them.
+
+    Only clipping would leave the other entries where the ones that were clipped wanted them.
+    """
+    moved = affine - np.linalg.solve(normal, gradient[:, :, np.newaxis])[:, :, 0]
+    held = np.zeros(affine.shape, dtype=bool)
+    for _ in range(2):
+        outside = (moved < bounds[0]) | (moved > bounds[1])
+        held |= outside
+        rows = np.flatnonzero(outside.any(axis=1))
+        if not rows.size:
+            break
+        fixed = held[rows]
+        fixed_step = np.where(fixed, affine[rows] - np.clip(moved[rows], *bounds), 0.0)
+        free = ~(fixed[:, :, np.newaxis] | fixed[:, np.newaxis, :])
+        system = normal[rows] * free + fixed[:, :, np.newaxis] * np.eye(6)
+        rest = gradient[rows] - (normal[rows] @ fixed_step[:, :, np.newaxis])[:, :, 0]
+        step = np.linalg.solve(system, np.where(fixed, fixed_step, rest)[:, :, np.newaxis])
+        moved[rows] = affine[rows] - step[:, :, 0]
+    return np.clip(moved, *bounds)

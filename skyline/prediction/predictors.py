@@ -1,0 +1,259 @@
+"""How far the skyline at a displaced eye is from that of a stored view: the reprojection error.
+
+Two kinds, one interface. The paper's move the points of the stored skyline and ask how far a
+warp misses their images; `Reprojection` has its four variants. `Resemblance` predicts the curve
+the displaced eye sees, the upper envelope of the displaced skyline or distance shells, and warps
+the stored skyline onto it, which is what a matcher will do with the true one.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import columns_u
+from skyline.errors import InputError
+from skyline.prediction.affine import (
+    IDENTITY,
+    SAFE_DEPTH_SHARE,
+    CurveFit,
+    equation_4,
+    least_squares,
+)
+from skyline.prediction.curves import Scenery, block_means, seen_from
+from skyline.prediction.displacement import check_displacements, reach_m
+from skyline.views import Views
+
+FloatArray = NDArray[np.floating]
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_AT_ONCE = 1 << 18
+"""Projected points evaluated together, to stay in the processor's cache."""
+
+_FITS_AT_ONCE = 1600
+"""Curves warped together: enough that numpy's calls cost little, few enough for the cache."""
+
+
+class Predictor(Protocol):
+    """Says how far from a view its skyline still serves."""
+
+    @property
+    def needs_shells(self) -> bool:
+        """Whether views must carry distance shells."""
+
+    def errors_px(self, views: Views, displacements_m: FloatArray) -> Float32Array:
+        """Return reprojection errors of candidates, paper 4.2.
+
+        Parameters
+        ----------
+        views : Views
+            N views.
+        displacements_m : (N, C, 3) floating
+            Right, up, forward of C candidate eyes in each view's own axes; NaN is no eye.
+
+        Returns
+        -------
+        (N, C) float32
+            Mean distance in px (2 / W in v); inf where the view predicts nothing: no warp, too
+            little of the skyline in frame, no eye.
+
+        Raises
+        ------
+        InputError
+            Displacements of another shape, or views without the shells the predictor needs.
+        """
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Projected:
+    """P skyline points of N views and their images at C displaced eyes."""
+
+    points_uv: Float64Array
+    there_uv: Float64Array
+    usable: BoolArray
+    depth_m: FloatArray
+    displacements_m: Float64Array
+
+
+Warp = Callable[[_Projected], Float64Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Reprojection:
+    """Mean distance between warped points and their true images, over those in front and in frame.
+
+    Attributes
+    ----------
+    warp : callable
+        Returns the warps (N, C, 2, 3), NaN where there is none.
+    columns : int
+        At most so many points a view, evenly spread. On Davos, 80 decide as 640 do.
+    min_points : int
+        Fewer in frame are no answer.
+    """
+
+    warp: Warp
+    columns: int = 80
+    min_points: int = 3
+
+    @property
+    def needs_shells(self) -> bool:
+        """False: the skyline and its depth suffice."""
+        return False
+
+    def errors_px(self, views: Views, displacements_m: FloatArray) -> Float32Array:
+        """See `Predictor.errors_px`."""
+        check_displacements(views, displacements_m)
+        candidates = displacements_m.shape[1]
+        errors = np.empty((len(views), candidates), dtype=np.float32)
+        some = max(1, _AT_ONCE // max(1, candidates * min(self.columns, views.width)))
+        for begin in range(0, len(views), some):
+            part = slice(begin, begin + some)
+            errors[part] = self._errors_px(views[part], displacements_m[part])
+        return errors
+
+    def _errors_px(self, views: Views, displacements_m: FloatArray) -> FloatArray:
+        projected = self._project(views, displacements_m)
+        affine = self.warp(projected)
+        warped = projected.points_uv[:, np.newaxis] @ np.swapaxes(affine[..., :2], 2, 3)
+        warped += affine[..., np.newaxis, :, 2]
+        usable = projected.usable
+        missed = np.where(usable[..., np.newaxis], warped - projected.there_uv, 0.0)
+        count = usable.sum(axis=2)
+        mean = np.hypot(missed[..., 0], missed[..., 1]).sum(axis=2) / np.maximum(count, 1)
+        answered = (count >= self.min_points) & np.isfinite(mean)
+        return np.where(answered, mean * (views.width / 2.0), np.inf)
+
+    def _project(self, views: Views, displacements_m: FloatArray) -> _Projected:
+        # Points of the skyline itself, not means: a mean of two ridges is on neither.
+        stride = slice(0, None, -(-views.width // self.columns))
+        u = columns_u(views.width)[stride]
+        v = views.elevation_tan[:, stride].astype(np.float64)
+        depth = views.depth_m[:, stride].astype(np.float64)
+        moved = np.asarray(displacements_m, dtype=np.float64)[:, :, np.newaxis]
+        z = depth[:, np.newaxis]
+        ahead = z - moved[..., 2]
+        usable = (ahead > SAFE_DEPTH_SHARE * z) & np.isfinite(v)[:, np.newaxis]
+        ahead = np.where(usable, ahead, 1.0)
+        right = (u * z - moved[..., 0]) / ahead
+        usable &= np.abs(right) <= 1.0
+        up = (v[:, np.newaxis] * z - moved[..., 1]) / ahead
+        points = np.stack([np.broadcast_to(u, v.shape), v], axis=-1)
+        return _Projected(points, np.stack([right, up], axis=-1), usable, depth, moved[:, :, 0])
+
+
+def _no_warp(projected: _Projected) -> Float64Array:
+    return np.broadcast_to(IDENTITY, (*projected.usable.shape[:2], 2, 3))
+
+
+def _mean_depth_warp(projected: _Projected) -> Float64Array:
+    return equation_4(_mean_depth_m(projected.depth_m), projected.displacements_m)
+
+
+def _median_depth_warp(projected: _Projected) -> Float64Array:
+    return equation_4(_median_depth_m(projected.depth_m), projected.displacements_m)
+
+
+def _least_squares_warp(projected: _Projected) -> Float64Array:
+    return least_squares(projected.points_uv, projected.there_uv, projected.usable)
+
+
+def _mean_depth_m(depth_m: FloatArray) -> Float64Array:
+    """Return the mean depth of each view (N, P), NaN where it has none."""
+    known = np.isfinite(depth_m)
+    count = known.sum(axis=1)
+    total = np.where(known, depth_m, 0.0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _median_depth_m(depth_m: FloatArray) -> Float64Array:
+    ordered = np.sort(depth_m, axis=1).astype(np.float64)  # NaN come last
+    count = np.isfinite(ordered).sum(axis=1)
+    row = np.arange(len(ordered))
+    return np.asarray(
+        0.5 * (ordered[row, np.maximum(count - 1, 0) // 2] + ordered[row, count // 2 * (count > 0)])
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Resemblance:
+    """Mean distance of the stored skyline, warped as well as can be, from the predicted curve.
+
+    Attributes
+    ----------
+    use_shells : bool
+        Predict from the distance shells, so that hidden terrain can appear, or from the skyline.
+    columns : int
+        Columns of both curves, means over runs of the view's own. Few are no loss: on Davos 40
+        rank the candidates better than 640, since the warp finds its way over a smoother curve.
+    fit : CurveFit
+    """
+
+    use_shells: bool
+    columns: int = 40
+    fit: CurveFit = field(default_factory=CurveFit)
+
+    @property
+    def needs_shells(self) -> bool:
+        """Whether the prediction is from distance shells."""
+        return self.use_shells
+
+    def errors_px(self, views: Views, displacements_m: FloatArray) -> Float32Array:
+        """See `Predictor.errors_px`."""
+        check_displacements(views, displacements_m)
+        if self.use_shells and views.shells is None:
+            raise InputError(
+                "the shell predictor needs distance shells, but the views have none; render them "
+                "with shell_edges_m, or use a predictor that does without, such as affine-mean"
+            )
+        scenery = Scenery.of(views, self.columns, self.use_shells)
+        curves = block_means(views.elevation_tan, self.columns)
+        candidates = displacements_m.shape[1]
+        errors = np.empty((len(views), candidates), dtype=np.float32)
+        some = max(1, _FITS_AT_ONCE // max(1, candidates))
+        for begin in range(0, len(views), some):
+            part = range(begin, min(begin + some, len(views)))
+            moved = displacements_m[part.start : part.stop]
+            seen = [
+                seen_from(scenery.polylines(view, reach_m(there)), there, curves.shape[1])
+                for view, there in zip(part, moved, strict=True)
+            ]
+            depth = _median_depth_m(views.depth_m[part.start : part.stop])
+            warps = equation_4(depth, moved)
+            starts = np.stack([np.broadcast_to(IDENTITY, warps.shape), warps], axis=2)
+            distances_px, _ = self.fit.distances_px(
+                np.repeat(curves[part.start : part.stop], candidates, axis=0),
+                np.concatenate(seen),
+                starts.reshape(-1, 2, 2, 3),
+                views.width,
+            )
+            errors[part.start : part.stop] = distances_px.reshape(len(part), -1)
+        return errors
+
+
+PREDICTORS: Mapping[str, Predictor] = MappingProxyType(
+    {
+        "non-affine": Reprojection(_no_warp),
+        "affine-mean": Reprojection(_mean_depth_warp),
+        "affine-median": Reprojection(_median_depth_warp),
+        "affine-least-squares": Reprojection(_least_squares_warp),
+        "curve": Resemblance(use_shells=False, columns=160),
+        "shells": Resemblance(use_shells=True),
+    }
+)
+"""Predictors by name; the paper's is ``affine-mean``."""
+
+
+def predictor_named(name: str) -> Predictor:
+    """Return a predictor by its name; raises `InputError` for one that is not known."""
+    try:
+        return PREDICTORS[name]
+    except KeyError as error:
+        raise InputError(
+            f"predictor is {name!r}; expected one of {', '.join(PREDICTORS)}"
+        ) from error
