@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import columns_u
-from skyline.prediction.displacement import NO_VIEW, flanks
+from skyline.prediction.displacement import NO_VIEW, Reach, flanks
 from skyline.views import Views
 
 FloatArray = NDArray[np.floating]
@@ -34,12 +34,8 @@ the true skyline is missing, at 1.05 2 % of the columns."""
 MIN_DEPTH_M = 1.0
 """What comes nearer than this to the eye's own plane, or behind it, is not seen."""
 
-_SURFACING = 0.5
-"""How much of the reach counts where hidden terrain could surface.
-
-Two points at depths a and b, seen from an eye that moves by r, move against each other by at
-most r (1 + |v|) (1 / a + 1 / b) in v. On Davos, half of that loses nothing: no decision of the
-shell predictor changes, with 12 or with 24 shells; a quarter costs it 1 % of its recall."""
+_STEEPNESS = 0.5
+"""How steep in the image a skyline is taken to be where an eye moves sideways along it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,8 +89,8 @@ class Scenery:
         """Number of layers K."""
         return int(self.elevation_tan.shape[1])
 
-    def polylines(self, view: int, reach_m: float) -> Polylines:
-        """Return what may be seen from within a horizontal reach of a view's eye.
+    def polylines(self, view: int, reach: "Reach") -> Polylines:
+        """Return what may be seen from within reach of a view's eye.
 
         Terrain is left out that stays outside the frame wherever the eye goes, and terrain that
         the rest of its column hides by more than moving so far can undo.
@@ -113,8 +109,8 @@ class Scenery:
 
         known = np.isfinite(tan) & np.isfinite(depth)
         # The frame's sides are diagonals, so an eye moves at most sqrt(2) reach against them.
-        in_frame = np.abs(right_m) - forward_m <= np.sqrt(2.0) * reach_m
-        wanted = known & in_frame & _surfacing(np.where(known, tan, -np.inf), depth, reach_m)
+        in_frame = np.abs(right_m) - forward_m <= np.sqrt(2.0) * reach.horizontal_m
+        wanted = known & in_frame & _surfacing(np.where(known, tan, -np.inf), depth, reach)
         ratio = depth[:, 1:] / depth[:, :-1]
         joined = np.zeros(tan.shape, dtype=bool)
         joined[:, :-1] = (
@@ -202,7 +198,8 @@ class Samples:
 def sample(polylines: Polylines, displacements_m: FloatArray, columns: int) -> Samples:
     """Project polylines for displaced eyes and sample their segments at the column centres."""
     right, up, forward = displacements_m.astype(np.float32).T[:, :, np.newaxis]
-    depth = polylines.forward_m - forward
+    # An eye that is nowhere has everything behind it.
+    depth = polylines.forward_m - np.where(np.isfinite(up), forward, np.float32(np.inf))
     nearness = 1.0 / np.where(depth > MIN_DEPTH_M, depth, np.float32(np.nan))
     position = (polylines.right_m - right) * nearness
     position *= np.float32(columns / 2.0)
@@ -243,14 +240,18 @@ def sample(polylines: Polylines, displacements_m: FloatArray, columns: int) -> S
     )
 
 
-def _surfacing(tan: Float32Array, depth_m: Float32Array, reach_m: float) -> BoolArray:
-    """Return which points (K, Q), -inf where unknown, could rise over the rest of their column."""
+def _surfacing(tan: Float32Array, depth_m: Float32Array, reach: Reach) -> BoolArray:
+    """Return which points (K, Q), -inf where unknown, could rise over the rest of their column.
+
+    Moving by t changes the v of a point at depth z by (v t_forward - t_up) / z, and shifts it
+    sideways along what is in front of it.
+    """
     highest = tan.argmax(axis=0)
     column = np.arange(tan.shape[1])
     nearness = 1.0 / depth_m
-    against = np.nan_to_num(nearness[highest, column], nan=np.inf)
-    gain = _SURFACING * reach_m * (1.0 + np.abs(tan)) * (nearness + against)
-    return np.asarray(tan + gain >= tan[highest, column])
+    against = nearness[highest, column]
+    gain_m = reach.vertical_m + reach.horizontal_m * (np.abs(tan) + _STEEPNESS)
+    return np.asarray(tan + gain_m * (nearness + against) >= tan[highest, column])
 
 
 def _own(u: Float32Array, depth_m: Float32Array) -> tuple[Float32Array, Float32Array]:

@@ -1,5 +1,7 @@
 """From eyes on the map to displacements in a view's axes, and which views share an eye."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -58,10 +60,19 @@ def check_displacements(views: Views, displacements_m: NDArray[np.floating]) -> 
         )
 
 
-def reach_m(displacements_m: NDArray[np.floating]) -> float:
-    """Return the greatest horizontal length of displacements (C, 3), NaN left out; 0 for none."""
-    length = np.hypot(displacements_m[:, 0], displacements_m[:, 2])
-    return float(np.fmax.reduce(length, initial=0.0))
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How far some eyes are from a view's own, at most."""
+
+    horizontal_m: float
+    vertical_m: float
+
+    @classmethod
+    def of(cls, displacements_m: NDArray[np.floating]) -> "Reach":
+        """Return the reach of displacements (C, 3), NaN left out; 0 for none."""
+        right, up, forward = np.asarray(displacements_m, dtype=np.float64).T
+        horizontal = np.fmax.reduce(np.hypot(right, forward), initial=0.0)
+        return cls(float(horizontal), float(np.fmax.reduce(np.abs(up), initial=0.0)))
 
 
 def flanks(views: Views) -> IntArray:
@@ -75,8 +86,8 @@ def flanks(views: Views) -> IntArray:
     """
     eyes = np.stack([views.easting_m, views.northing_m, views.eye_elevation_m], axis=1)
     eye = np.unique(eyes, axis=0, return_inverse=True)[1].reshape(-1)
-    table = np.full((len(views), len(HEADINGS)), NO_VIEW, dtype=np.intp)
-    backwards = np.arange(len(views))[::-1]
-    table[eye[::-1], views.heading[::-1]] = backwards
     heading = views.heading.astype(np.intp)
+    seen, first = np.unique(eye * len(HEADINGS) + heading, return_index=True)
+    table = np.full((len(views), len(HEADINGS)), NO_VIEW, dtype=np.intp)
+    table.ravel()[seen] = first
     return np.stack([table[eye, (heading - 1) % 4], table[eye, (heading + 1) % 4]], axis=1)

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError
 from skyline.prediction.curves import Samples, Scenery, sample
-from skyline.prediction.displacement import displacements_m, reach_m
+from skyline.prediction.displacement import Reach, displacements_m
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_NO_DATA, Shells, Views
 
@@ -64,7 +64,7 @@ def predict(
             targets.northing_m[np.newaxis, rows],
             targets.eye_elevation_m[np.newaxis, rows],
         )[0]
-        polylines = scenery.polylines(int(view), reach_m(there))
+        polylines = scenery.polylines(int(view), Reach.of(there))
         tan[rows], depth[rows] = _highest(
             sample(polylines, there, width), (len(rows), layers, width)
         )
@@ -107,10 +107,10 @@ def _highest(samples: Samples, shape: tuple[int, int, int]) -> tuple[Float32Arra
     """Return the highest samples' elevation_tan and depth in each (eye, layer, column)."""
     _, layers, columns = shape
     cell = (samples.eye * layers + samples.layer) * columns + samples.column
-    # The last of several that are written to one cell stays.
-    order = np.argsort(samples.elevation_tan, kind="stable")
-    tan = np.full(np.prod(shape), np.nan, dtype=np.float32)
-    depth = np.full_like(tan, np.nan)
-    tan[cell[order]] = samples.elevation_tan[order]
-    depth[cell[order]] = 1.0 / samples.nearness_per_m[order]
-    return tan.reshape(shape), depth.reshape(shape)
+    tan = np.full(np.prod(shape), -np.inf, dtype=np.float32)
+    np.maximum.at(tan, cell, samples.elevation_tan)
+    highest = samples.elevation_tan == tan[cell]
+    nearness = np.full_like(tan, np.nan)
+    np.fmax.at(nearness, cell[highest], samples.nearness_per_m[highest])
+    tan[np.isneginf(tan)] = np.nan
+    return tan.reshape(shape), (1.0 / nearness).reshape(shape)

@@ -24,7 +24,7 @@ from skyline.prediction.affine import (
     least_squares,
 )
 from skyline.prediction.curves import Scenery, block_means, seen_from
-from skyline.prediction.displacement import check_displacements, reach_m
+from skyline.prediction.displacement import Reach, check_displacements
 from skyline.views import Views
 
 FloatArray = NDArray[np.floating]
@@ -220,7 +220,7 @@ class Resemblance:
             part = range(begin, min(begin + some, len(views)))
             moved = displacements_m[part.start : part.stop]
             seen = [
-                seen_from(scenery.polylines(view, reach_m(there)), there, curves.shape[1])
+                seen_from(scenery.polylines(view, Reach.of(there)), there, curves.shape[1])
                 for view, there in zip(part, moved, strict=True)
             ]
             depth = _median_depth_m(views.depth_m[part.start : part.stop])

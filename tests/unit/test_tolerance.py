@@ -1,0 +1,103 @@
+"""Tolerance areas: where they lie, what the ground does to them, and what they refuse."""
+
+import numpy as np
+import pytest
+from prediction_scenes import WIDTH, U, mountains, views_of
+from scenes import field_from
+
+from skyline import oracle
+from skyline.errors import InputError
+from skyline.planning.tolerance import Neighbourhood, ToleranceMeter, area_sizes
+from skyline.prediction import PREDICTORS
+from skyline.terrain.viewpoints import stand_on
+
+
+def level(easting, northing):
+    return np.zeros(np.broadcast(easting, northing).shape)
+
+
+def plateau(easting, northing):
+    """Level ground, a hole to the east of 1000 m, a step up north of 2000 m."""
+    return np.where(easting > 1000.0, np.nan, np.where(northing > 2000.0, 50.0, 0.0))
+
+
+def view_at(heading=0, depth_m=1500.0, east=990.0, north=1990.0):
+    return views_of(mountains(U), depth_m, heading, east, north, eye=2.0)
+
+
+def test_rows_go_south_and_columns_east():
+    east, north = Neighbourhood(4, 25.0).offsets_m()
+    np.testing.assert_array_equal(east[0], [-50.0, -25.0, 0.0, 25.0])
+    np.testing.assert_array_equal(north[:, 0], [50.0, 25.0, 0.0, -25.0])
+
+
+@pytest.mark.parametrize("heading", range(4))
+def test_ground_is_looked_up_on_the_map_whatever_the_heading(heading):
+    meter = ToleranceMeter(plateau, Neighbourhood(5, 20.0), PREDICTORS["non-affine"])
+    errors = meter.errors_px(view_at(heading))[0]
+    assert np.isinf(errors[:, 3:]).all()
+    assert np.isfinite(errors[:, :3]).all()
+    # 50 m up moves the skyline by a thirtieth of the image plane at least.
+    assert (errors[:2, 1:3] > 50.0 / 1500.0 * WIDTH / 2.0 - 0.1).all()
+    assert errors[2, 2] == 0.0
+    assert errors.dtype == np.float32
+
+
+@pytest.mark.parametrize("heading", range(4))
+def test_moving_towards_the_mountains_is_along_the_heading(heading):
+    meter = ToleranceMeter(level, Neighbourhood(3, 400.0), PREDICTORS["affine-mean"])
+    errors = meter.errors_px(view_at(heading, depth_m=300.0))[0]
+    north, east, south, west = errors[0, 1], errors[1, 2], errors[2, 1], errors[1, 0]
+    around = np.roll([north, east, south, west], -heading)
+    # Ahead of the view the mountains are passed.
+    np.testing.assert_array_equal(np.isinf(around), [True, False, False, False])
+
+
+def test_areas_hold_the_errors_within_the_threshold():
+    meter = ToleranceMeter(level, Neighbourhood(9, 60.0))
+    views = views_of(np.tile(mountains(U), (2, 1)), [[800.0], [6000.0]] * (1.0 + 0.3 * U), eye=2.0)
+    errors, areas = meter(views), meter.areas(views, 1.0)
+    np.testing.assert_array_equal(areas, errors <= 1.0)
+    near, far = area_sizes(areas)
+    assert 1 <= near < far <= 81
+    np.testing.assert_array_equal(area_sizes(areas), areas.reshape(2, -1).sum(axis=1))
+    assert (area_sizes(meter.areas(views, 2.0)) >= area_sizes(areas)).all()
+
+
+def test_far_mountains_tolerate_every_move_and_near_ones_few():
+    def bowl(radius_m):
+        def height(east, north):
+            distance, bearing = np.hypot(east, north), np.arctan2(east, north)
+            ridge = np.exp(-(((distance - radius_m) / (0.25 * radius_m)) ** 2))
+            return 0.3 * radius_m * ridge * (1.2 + np.sin(6.0 * bearing + distance / radius_m))
+
+        return field_from(height, 121, radius_m / 40.0)
+
+    sizes = []
+    for radius_m in (400.0, 8000.0):
+        field = bowl(radius_m)
+        views = oracle.skyline(field, stand_on(field, 0.0, 0.0), 128)
+        meter = ToleranceMeter(field.height_at, Neighbourhood(11, 25.0))
+        sizes.append(area_sizes(meter.areas(views, 1.5)))
+    assert (sizes[1] == 121).all()
+    assert (sizes[0] < 100).all()
+
+
+def test_a_location_alone_is_its_own_neighbourhood():
+    meter = ToleranceMeter(level, Neighbourhood(1, 30.0))
+    np.testing.assert_array_equal(meter.areas(view_at(), 3.0), [[[True]]])
+
+
+def test_bad_settings_say_what_is_wrong():
+    with pytest.raises(InputError, match="0 locations wide; expected 1"):
+        Neighbourhood(0)
+    for pitch in (0.0, -3.0, np.nan, np.inf):
+        with pytest.raises(InputError, match=r"pitch of .* m; expected a positive"):
+            Neighbourhood(10, pitch)
+    with pytest.raises(InputError, match="eye height is -1"):
+        ToleranceMeter(level, eye_height_m=-1.0)
+    for threshold in (0.0, -1.0, np.nan):
+        with pytest.raises(InputError, match=r"threshold is .* px; expected above 0"):
+            ToleranceMeter(level).areas(view_at(), threshold)
+    with pytest.raises(InputError, match="shell_edges_m"):
+        ToleranceMeter(level, predictor=PREDICTORS["shells"]).areas(view_at(), 3.0)
