@@ -110,7 +110,7 @@ class Scenery:
         known = np.isfinite(tan) & np.isfinite(depth)
         # The frame's sides are diagonals, so an eye moves at most sqrt(2) reach against them.
         in_frame = np.abs(right_m) - forward_m <= np.sqrt(2.0) * reach.horizontal_m
-        wanted = known & in_frame & _surfacing(np.where(known, tan, -np.inf), depth, reach)
+        wanted = known & in_frame & _surfacing(np.where(known, tan, np.nan), depth, reach)
         ratio = depth[:, 1:] / depth[:, :-1]
         joined = np.zeros(tan.shape, dtype=bool)
         joined[:, :-1] = (
@@ -241,12 +241,12 @@ def sample(polylines: Polylines, displacements_m: FloatArray, columns: int) -> S
 
 
 def _surfacing(tan: Float32Array, depth_m: Float32Array, reach: Reach) -> BoolArray:
-    """Return which points (K, Q), -inf where unknown, could rise over the rest of their column.
+    """Return which points (K, Q), NaN where unknown, could rise over the rest of their column.
 
     Moving by t changes the v of a point at depth z by (v t_forward - t_up) / z, and shifts it
     sideways along what is in front of it.
     """
-    highest = tan.argmax(axis=0)
+    highest = np.where(np.isnan(tan), -np.inf, tan).argmax(axis=0)
     column = np.arange(tan.shape[1])
     nearness = 1.0 / depth_m
     against = nearness[highest, column]
