@@ -53,6 +53,24 @@ def equation_4(depth_m: FloatArray, displacements_m: FloatArray) -> Float64Array
     return affine
 
 
+def mean_depth_m(depth_m: FloatArray) -> Float64Array:
+    """Return the mean depth of each view (N, P), NaN where it has none."""
+    known = np.isfinite(depth_m)
+    count = known.sum(axis=1)
+    total = np.where(known, depth_m, 0.0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def median_depth_m(depth_m: FloatArray) -> Float64Array:
+    """Return the median depth of each view (N, P), NaN where it has none."""
+    ordered = np.sort(depth_m, axis=1).astype(np.float64)  # NaN come last
+    count = np.isfinite(ordered).sum(axis=1)
+    row = np.arange(len(ordered))
+    return np.asarray(
+        0.5 * (ordered[row, np.maximum(count - 1, 0) // 2] + ordered[row, count // 2 * (count > 0)])
+    )
+
+
 def least_squares(
     points_uv: Float64Array, there_uv: Float64Array, usable: BoolArray
 ) -> Float64Array:

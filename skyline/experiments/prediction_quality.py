@@ -1,0 +1,274 @@
+"""How good the predictors are on real terrain, held to renderings.
+
+Views are rendered at random viewpoints, and again at random displacements from them. What a
+predictor says of a displacement is compared with `true_errors_px`: the stored skyline against the
+rendered one after the best affine warp.
+"""
+
+import logging
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+from skyline.errors import InputError
+from skyline.prediction import PREDICTORS, Predictor, displacements_m, true_errors_px
+from skyline.render.horizon import HorizonRenderer
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.views import Views
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_log = logging.getLogger(__name__)
+
+_RESAMPLES = 1000
+_TIMED = 100
+
+
+@dataclass(frozen=True, slots=True)
+class QualitySetup:
+    """What is measured.
+
+    Attributes
+    ----------
+    viewpoints : int
+        Random viewpoints; each has four views.
+    displacements : int
+        Other eyes around each, uniform in a disc.
+    reach_m : float
+        Radius of the disc.
+    threshold_px : float
+        Two skylines are alike within this.
+    margin_m : float
+        Least distance of a viewpoint from the map's border.
+    shells : tuple of int
+        Numbers of distance shells: 0, then from 60 m to 45 km in a geometric series.
+    seed : int
+    """
+
+    viewpoints: int = 200
+    displacements: int = 12
+    reach_m: float = 300.0
+    threshold_px: float = 3.0
+    margin_m: float = 3000.0
+    shells: tuple[int, ...] = (24, 12)
+    seed: int = 41
+
+
+@dataclass(frozen=True, slots=True)
+class QualityRow:
+    """What one predictor got right; precision and recall with 95 % intervals over viewpoints.
+
+    Attributes
+    ----------
+    predictor : str
+    shells : int
+        0 where the predictor needs none.
+    flanks : bool
+        Whether the neighbouring headings were there.
+    precision, recall : float
+        Of "alike within the threshold"; precision is NaN where nothing was predicted alike.
+    precision_interval, recall_interval : (low, high)
+    rank_correlation : float
+        Spearman's, of predicted and true errors.
+    answered : float
+        Share of displacements the predictor had a finite error for.
+    ms_per_area : float
+        Processor time for a view and 100 displacements.
+    """
+
+    predictor: str
+    shells: int
+    flanks: bool
+    precision: float
+    precision_interval: tuple[float, float]
+    recall: float
+    recall_interval: tuple[float, float]
+    rank_correlation: float
+    answered: float
+    ms_per_area: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QualityPairs:
+    """N views, M displaced eyes of each, and how far apart the skylines truly are.
+
+    Attributes
+    ----------
+    eyes : Viewpoints
+        Of the views; the four headings of an eye follow one another.
+    displacements_m : (N, M, 3) float64
+    true_px : (N, M) float32
+    """
+
+    eyes: Viewpoints
+    displacements_m: Float64Array
+    true_px: Float32Array
+
+
+def shell_edges_m(shells: int) -> Float64Array:
+    """Return the edges of shells: 0, then 60 m to 45 km in a geometric series."""
+    return np.concatenate([[0.0], np.geomspace(60.0, 45_000.0, shells)])
+
+
+def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:
+    """Choose eyes and displacements, render both ends and measure the true errors.
+
+    Raises
+    ------
+    InputError
+        A map too small for the margin and the reach, or mostly holes.
+    """
+    eyes, others = _choose_eyes(field, setup)
+    with HorizonRenderer(field) as renderer:
+        stored, rendered = renderer.render(eyes), renderer.render(others)
+    count, moves = len(eyes), setup.displacements
+    # Rows of `rendered` run over eyes, moves, headings; pairs over eyes, headings, moves.
+    order = np.arange(len(rendered)).reshape(count, moves, 4).swapaxes(1, 2).ravel()
+    there = rendered[order]
+    true_px = true_errors_px(stored[np.repeat(np.arange(len(stored)), moves)], there)
+    shape = (len(stored), moves)
+    moved = displacements_m(
+        stored,
+        there.easting_m.reshape(shape),
+        there.northing_m.reshape(shape),
+        there.eye_elevation_m.reshape(shape),
+    )
+    return QualityPairs(eyes, moved, true_px.reshape(shape))
+
+
+def prediction_quality(field: HeightField, setup: QualitySetup) -> list[QualityRow]:
+    """Measure every predictor on one terrain; see `QualityRow`."""
+    pairs = quality_pairs(field, setup)
+    _log.info("alike within the threshold: %.3f", (pairs.true_px <= setup.threshold_px).mean())
+    rows = []
+    for shells in (0, *setup.shells):
+        edges = shell_edges_m(shells) if shells else None
+        with HorizonRenderer(field, shell_edges_m=edges) as renderer:
+            views = renderer.render(pairs.eyes)
+        for name, predictor in PREDICTORS.items():
+            if predictor.needs_shells != bool(shells):
+                continue
+            rows.append(_row(name, shells, views, pairs, setup))
+            if name in ("curve", "shells"):
+                rows.append(_row(name, shells, _kept_apart(views), pairs, setup, flanks=False))
+    return rows
+
+
+def _row(
+    name: str,
+    shells: int,
+    views: Views,
+    pairs: QualityPairs,
+    setup: QualitySetup,
+    flanks: bool = True,
+) -> QualityRow:
+    errors = PREDICTORS[name].errors_px(views, pairs.displacements_m)
+    claimed, alike = errors <= setup.threshold_px, pairs.true_px <= setup.threshold_px
+    precision, recall = _precision_recall(claimed, alike)
+    intervals = _intervals(claimed, alike, setup.seed)
+    row = QualityRow(
+        name,
+        shells,
+        flanks and name in ("curve", "shells"),
+        precision,
+        intervals[0],
+        recall,
+        intervals[1],
+        _rank_correlation(errors, pairs.true_px),
+        float(np.isfinite(errors).mean()),
+        _ms_per_area(PREDICTORS[name], views, pairs),
+    )
+    _log.info("%s", row)
+    return row
+
+
+def _ms_per_area(predictor: Predictor, views: Views, pairs: QualityPairs) -> float:
+    """Return the processor time of one area of 100 candidates, all of a batch of views."""
+    some = slice(0, _TIMED)
+    candidates = np.resize(np.arange(pairs.displacements_m.shape[1]), 100)
+    moved = pairs.displacements_m[some][:, candidates]
+    started = time.process_time()
+    predictor.errors_px(views[some], moved)
+    return 1e3 * (time.process_time() - started) / len(moved)
+
+
+def _choose_eyes(field: HeightField, setup: QualitySetup) -> tuple[Viewpoints, Viewpoints]:
+    """Return the viewpoints, and all displaced ones in rows of `setup.displacements`."""
+    generator = np.random.default_rng(setup.seed)
+    west, south, east, north = field.bounds_m
+    margin = setup.margin_m + setup.reach_m
+    if not (east - west > 2.0 * margin and north - south > 2.0 * margin):
+        raise InputError(
+            f"the map is {(east - west) / 1e3:.1f} x {(north - south) / 1e3:.1f} km; expected more "
+            f"than {2e-3 * margin:.1f} km either way, or a smaller margin and reach"
+        )
+    tried = 10 * setup.viewpoints
+    easting = generator.uniform(west + margin, east - margin, tried)[:, np.newaxis]
+    northing = generator.uniform(south + margin, north - margin, tried)[:, np.newaxis]
+    radius = setup.reach_m * np.sqrt(generator.random((tried, setup.displacements)))
+    bearing = generator.uniform(0.0, 2.0 * np.pi, radius.shape)
+    there = easting + radius * np.sin(bearing), northing + radius * np.cos(bearing)
+    on_ground = ~np.isnan(field.height_at(*there)).any(axis=1)
+    on_ground &= ~np.isnan(field.height_at(easting, northing))[:, 0]
+    chosen = np.flatnonzero(on_ground)[: setup.viewpoints]
+    if len(chosen) < setup.viewpoints:
+        raise InputError(
+            f"only {len(chosen)} of {tried} random viewpoints have ground all around; the map is "
+            "mostly holes: choose another"
+        )
+    eyes = stand_on(field, easting[chosen, 0], northing[chosen, 0])
+    return eyes, stand_on(field, there[0][chosen].ravel(), there[1][chosen].ravel())
+
+
+def _kept_apart(views: Views) -> Views:
+    """Return the views with their eyes a micrometre apart, so that none flanks another."""
+    lifted = views.eye_elevation_m + 1e-6 * np.arange(len(views))
+    return Views(
+        views.easting_m,
+        views.northing_m,
+        lifted,
+        views.heading,
+        views.elevation_tan,
+        views.depth_m,
+        views.flags,
+        views.shells,
+    )
+
+
+def _precision_recall(claimed: BoolArray, alike: BoolArray) -> tuple[float, float]:
+    right = float(np.count_nonzero(claimed & alike))
+    claims, truths = np.count_nonzero(claimed), np.count_nonzero(alike)
+    return right / claims if claims else np.nan, right / truths if truths else np.nan
+
+
+def _intervals(
+    claimed: BoolArray, alike: BoolArray, seed: int
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return 95 % intervals of precision and recall, viewpoints drawn anew with replacement."""
+    generator = np.random.default_rng(seed)
+    eyes = len(claimed) // 4
+    right, claims, truths = (
+        np.count_nonzero(part.reshape(eyes, -1), axis=1)
+        for part in (claimed & alike, claimed, alike)
+    )
+    drawn = generator.integers(0, eyes, (_RESAMPLES, eyes))
+    low_high = []
+    for total in (claims, truths):
+        among = np.maximum(total[drawn].sum(axis=1), 1)
+        low, high = np.quantile(right[drawn].sum(axis=1) / among, [0.025, 0.975])
+        low_high.append((float(low), float(high)))
+    return low_high[0], low_high[1]
+
+
+def _rank_correlation(predicted: Float32Array, true: Float32Array) -> float:
+    """Return Spearman's rank correlation; infinite errors are the largest, and equal."""
+    ranks = np.stack([rankdata(predicted.ravel()), rankdata(true.ravel())])
+    ranks -= ranks.mean(axis=1, keepdims=True)
+    spread = np.sqrt((ranks**2).sum(axis=1)).prod()
+    return float(ranks.prod(axis=0).sum() / spread) if spread else np.nan
