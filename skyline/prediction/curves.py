@@ -89,6 +89,11 @@ class Scenery:
         """Number of layers K."""
         return int(self.elevation_tan.shape[1])
 
+    @property
+    def columns(self) -> int:
+        """Number of columns Q."""
+        return int(self.elevation_tan.shape[2])
+
     def polylines(self, view: int, reach: "Reach") -> Polylines:
         """Return what may be seen from within reach of a view's eye.
 
@@ -103,7 +108,7 @@ class Scenery:
             sides.append((int(right), _right))
         tan = np.concatenate([self.elevation_tan[index] for index, _ in sides], axis=1)
         depth = np.concatenate([self.depth_m[index] for index, _ in sides], axis=1)
-        u = columns_u(self.depth_m.shape[2]).astype(np.float32)
+        u = columns_u(self.columns).astype(np.float32)
         ground = [turn(u, self.depth_m[index]) for index, turn in sides]
         right_m, forward_m = (np.concatenate(part, axis=1) for part in zip(*ground, strict=True))
 
@@ -170,74 +175,102 @@ def seen_from(polylines: Polylines, displacements_m: FloatArray, columns: int) -
     (C, Q) float32
         elevation_tan at the column centres, NaN where no polyline passes.
     """
-    samples = sample(polylines, displacements_m, columns)
+    image = Image.of(polylines, displacements_m, columns)
     envelope = np.full(len(displacements_m) * columns, -np.inf, dtype=np.float32)
-    np.maximum.at(envelope, samples.eye * columns + samples.column, samples.elevation_tan)
+    np.maximum.at(envelope, image.cell(), image.elevation_tan())
     envelope[np.isneginf(envelope)] = np.nan
     return envelope.reshape(len(displacements_m), columns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
-    """S places where a segment passes a column centre in the image of a displaced eye.
+class Image:
+    """Where the segments of polylines pass column centres in the images of C displaced eyes.
+
+    There are P passing segments, and S places where one passes a column.
 
     Attributes
     ----------
-    eye, column, layer : (S,) intp
-    elevation_tan, nearness_per_m : (S,) float32
-        Image-plane ordinate, and the inverse of the depth.
+    start : (P,) intp
+        The segment's first point: its eye times M plus its index.
+    segment : (S,) intp
+        Which of the segments passes.
+    eye, column : (S,) intp
+    along : (S,) float32
+        How far along the segment, in the image.
+    height_tan, nearness_per_m : (C, M) float32
+        Image-plane ordinate and inverse depth of the points.
+    columns : int
     """
 
+    start: IntArray
+    segment: IntArray
     eye: IntArray
     column: IntArray
-    layer: IntArray
-    elevation_tan: Float32Array
+    along: Float32Array
+    height_tan: Float32Array
     nearness_per_m: Float32Array
+    columns: int
 
+    @classmethod
+    def of(cls, polylines: Polylines, displacements_m: FloatArray, columns: int) -> "Image":
+        """Project polylines for displaced eyes (C, 3)."""
+        right, up, forward = displacements_m.astype(np.float32).T[:, :, np.newaxis]
+        # An eye that is nowhere has everything behind it.
+        depth = polylines.forward_m - np.where(np.isfinite(up), forward, np.float32(np.inf))
+        nearness = 1.0 / np.where(depth > MIN_DEPTH_M, depth, np.float32(np.nan))
+        position = (polylines.right_m - right) * nearness
+        position *= np.float32(columns / 2.0)
+        position += np.float32((columns - 1) / 2.0)
 
-def sample(polylines: Polylines, displacements_m: FloatArray, columns: int) -> Samples:
-    """Project polylines for displaced eyes and sample their segments at the column centres."""
-    right, up, forward = displacements_m.astype(np.float32).T[:, :, np.newaxis]
-    # An eye that is nowhere has everything behind it.
-    depth = polylines.forward_m - np.where(np.isfinite(up), forward, np.float32(np.inf))
-    nearness = 1.0 / np.where(depth > MIN_DEPTH_M, depth, np.float32(np.nan))
-    position = (polylines.right_m - right) * nearness
-    position *= np.float32(columns / 2.0)
-    position += np.float32((columns - 1) / 2.0)
-    ends = position[:, :-1], position[:, 1:]
-    first = np.ceil(np.maximum(np.minimum(*ends), 0.0))
-    last = np.floor(np.minimum(np.maximum(*ends), np.float32(columns - 1)))
-    passes = np.zeros(position.shape, dtype=bool)
-    np.logical_and(first <= last, polylines.joined[:-1], out=passes[:, :-1])
+        flat = position.ravel()
+        first = np.ceil(np.maximum(np.minimum(flat[:-1], flat[1:]), 0.0))
+        last = np.floor(np.minimum(np.maximum(flat[:-1], flat[1:]), np.float32(columns - 1)))
+        passes = np.zeros(position.shape, dtype=bool)
+        passes.ravel()[:-1] = first <= last
+        passes &= polylines.joined
+        start = np.flatnonzero(passes)
 
-    start = np.flatnonzero(passes)
-    eye, point = np.divmod(start, position.shape[1])
-    unpadded = start - eye  # `first` and `last` have one column fewer
-    first, last = first.ravel()[unpadded], last.ravel()[unpadded]
-    count = (last - first).astype(np.intp) + 1
-    segment = np.repeat(np.arange(len(start)), count)
-    column = np.arange(len(segment)) - np.repeat(
-        np.cumsum(count) - count - first.astype(np.intp), count
-    )
+        first = first[start]
+        count = (last[start] - first).astype(np.intp) + 1
+        segment = np.repeat(np.arange(len(start)), count)
+        skipped = np.cumsum(count) - count - first.astype(np.intp)
+        column = np.arange(len(segment)) - skipped[segment]
+        span = flat[start + 1] - flat[start]
+        # A segment seen end on counts as its beginning.
+        rate = np.divide(1.0, span, out=np.zeros_like(span), where=np.abs(span) > 1e-6)
+        along = (column.astype(np.float32) - flat[start][segment]) * rate[segment]
+        return cls(
+            start,
+            segment,
+            (start // max(len(polylines.joined), 1))[segment],
+            column,
+            along,
+            np.asarray((polylines.up_m - up) * nearness, dtype=np.float32),
+            np.asarray(nearness, dtype=np.float32),
+            columns,
+        )
 
-    flat = position.ravel()
-    span = (flat[start + 1] - flat[start])[segment]
-    # A segment seen end on has its whole length above one place.
-    along = np.where(span == 0.0, 0.0, (column - flat[start][segment]) / np.where(span, span, 1.0))
-    along = along.astype(np.float32)
+    def cell(self, layer: IntArray | int = 0, layers: int = 1) -> IntArray:
+        """Return the cells (S,) of an array (C, layers, columns) that the places fall in."""
+        return np.asarray((self.eye * layers + layer) * self.columns + self.column)
 
-    def between(values: FloatArray) -> Float32Array:
-        begin = values.ravel()[start]
-        rise = values.ravel()[start + 1] - begin
-        return np.asarray(begin[segment] + along * rise[segment], dtype=np.float32)
+    def point(self) -> IntArray:
+        """Return the first point of the passing segment, (S,)."""
+        return np.asarray((self.start % max(self.height_tan.shape[1], 1))[self.segment])
 
-    return Samples(
-        eye[segment],
-        column,
-        polylines.layer[point][segment],
-        between((polylines.up_m - up) * nearness),
-        between(nearness),
-    )
+    def elevation_tan(self) -> Float32Array:
+        """Return the ordinates at the column centres, (S,)."""
+        return self._between(self.height_tan)
+
+    def depth_m(self) -> Float32Array:
+        """Return the depths at the column centres, (S,)."""
+        return np.asarray(1.0 / self._between(self.nearness_per_m), dtype=np.float32)
+
+    def _between(self, values: Float32Array) -> Float32Array:
+        flat = values.ravel()
+        begin = flat[self.start]
+        rise = flat[self.start + 1] - begin
+        return np.asarray(begin[self.segment] + self.along * rise[self.segment], dtype=np.float32)
 
 
 def _surfacing(tan: Float32Array, depth_m: Float32Array, reach: Reach) -> BoolArray:

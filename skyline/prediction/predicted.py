@@ -4,13 +4,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError
-from skyline.prediction.curves import Samples, Scenery, sample
+from skyline.prediction.curves import Image, Polylines, Scenery
 from skyline.prediction.displacement import Reach, displacements_m
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_NO_DATA, Shells, Views
 
 Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]
+
+_POINTS_AT_ONCE = 1 << 18
+"""Points projected together, which bounds the memory in use."""
 
 
 def predict(
@@ -53,23 +57,24 @@ def predict(
     source = np.asarray(source)
     _check(stored, source, targets, with_shells)
     scenery = Scenery.of(stored, columns or stored.width, use_shells=True)
-    width, layers = scenery.elevation_tan.shape[2], scenery.layers
-    tan = np.full((len(source), layers, width), np.nan, dtype=np.float32)
-    depth = np.full_like(tan, np.nan)
-    for view in np.unique(source):
-        rows = np.flatnonzero(source == view)
+    layers, width = (scenery.layers if with_shells else 1), scenery.columns
+    tan = np.empty((len(source), layers, width), dtype=np.float32)
+    depth = np.empty_like(tan)
+    for rows in _rows_of_sources(source):
+        view = int(source[rows[0]])
         there = displacements_m(
-            stored[np.full(1, view)],
+            stored[view : view + 1],
             targets.easting_m[np.newaxis, rows],
             targets.northing_m[np.newaxis, rows],
             targets.eye_elevation_m[np.newaxis, rows],
         )[0]
-        polylines = scenery.polylines(int(view), Reach.of(there))
-        tan[rows], depth[rows] = _highest(
-            sample(polylines, there, width), (len(rows), layers, width)
-        )
-    skyline = np.where(np.isnan(tan), -np.inf, tan).argmax(axis=1)[:, np.newaxis]
-    elevation_tan = np.take_along_axis(tan, skyline, axis=1)[:, 0]
+        polylines = scenery.polylines(view, Reach.of(there))
+        some = max(1, _POINTS_AT_ONCE // max(1, len(polylines.up_m)))
+        for begin in range(0, len(rows), some):
+            part = slice(begin, begin + some)
+            tan[rows[part]], depth[rows[part]] = _highest(polylines, there[part], layers, width)
+    highest = np.where(np.isnan(tan), -np.inf, tan).argmax(axis=1)[:, np.newaxis]
+    elevation_tan = np.take_along_axis(tan, highest, axis=1)[:, 0]
     shells = stored.shells if with_shells else None
     return Views(
         targets.easting_m,
@@ -77,10 +82,17 @@ def predict(
         targets.eye_elevation_m,
         stored.heading[source],
         elevation_tan,
-        np.take_along_axis(depth, skyline, axis=1)[:, 0],
+        np.take_along_axis(depth, highest, axis=1)[:, 0],
         np.where(np.isnan(elevation_tan), FLAG_NO_DATA, 0).astype(np.uint8),
         Shells(shells.edges_m, tan, depth) if shells is not None else None,
     )
+
+
+def _rows_of_sources(source: NDArray[np.integer]) -> list[IntArray]:
+    """Return, for each source in use, which targets have it."""
+    order = np.argsort(source, kind="stable")
+    ends = np.flatnonzero(np.diff(source[order])) + 1
+    return [rows for rows in np.split(order, ends) if rows.size]
 
 
 def _check(
@@ -103,14 +115,21 @@ def _check(
         )
 
 
-def _highest(samples: Samples, shape: tuple[int, int, int]) -> tuple[Float32Array, Float32Array]:
-    """Return the highest samples' elevation_tan and depth in each (eye, layer, column)."""
-    _, layers, columns = shape
-    cell = (samples.eye * layers + samples.layer) * columns + samples.column
-    tan = np.full(np.prod(shape), -np.inf, dtype=np.float32)
-    np.maximum.at(tan, cell, samples.elevation_tan)
-    highest = samples.elevation_tan == tan[cell]
-    nearness = np.full_like(tan, np.nan)
-    np.fmax.at(nearness, cell[highest], samples.nearness_per_m[highest])
+def _highest(
+    polylines: Polylines, displacements_m: Float64Array, layers: int, columns: int
+) -> tuple[Float32Array, Float32Array]:
+    """Return what is highest for C eyes in each layer, or in the only one: tan and depth.
+
+    Both are (C, layers, columns).
+    """
+    image = Image.of(polylines, displacements_m, columns)
+    layer = polylines.layer[image.point()] if layers > 1 else 0
+    cell, elevation_tan = image.cell(layer, layers), image.elevation_tan()
+    tan = np.full(len(displacements_m) * layers * columns, -np.inf, dtype=np.float32)
+    np.maximum.at(tan, cell, elevation_tan)
+    highest = elevation_tan == tan[cell]
+    depth = np.full_like(tan, np.nan)
+    np.fmin.at(depth, cell[highest], image.depth_m()[highest])
     tan[np.isneginf(tan)] = np.nan
-    return tan.reshape(shape), (1.0 / nearness).reshape(shape)
+    shape = (len(displacements_m), layers, columns)
+    return tan.reshape(shape), depth.reshape(shape)
