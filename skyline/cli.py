@@ -1,20 +1,14 @@
 """The command line: ``skyline render build match extract info explain`` (DESIGN 8)."""
 
 import json
-import logging
 import math
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as ProgressBar
 
 from skyline import __version__
+from skyline.console import progress_bar, run_app
 from skyline.describe import (
     MatchRecord,
     describe_gl,
@@ -23,14 +17,13 @@ from skyline.describe import (
     describe_store,
     describe_terrain,
 )
-from skyline.errors import InputError, SkylineError
+from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.matching import MATCHERS
 from skyline.photo import extract_photo, write_overlay, write_trace
 from skyline.pipeline import (
     BuildResult,
     Matcher,
-    Progress,
     RenderConfig,
     build_uniform,
     render_to_store,
@@ -44,12 +37,6 @@ from skyline.terrain.viewpoint_csv import read_viewpoints
 from skyline.terrain.viewpoints import stand_on
 
 _DEFAULTS = RenderConfig()
-
-# Typer brings click under one name or another, by its version; this one name is public in all.
-_UsageError: Any = typer.BadParameter.__base__
-
-_INTERRUPTED = 130
-"""Exit code of a command stopped with Ctrl-C, which newer typers return instead of raising."""
 
 app = typer.Typer(
     name="skyline",
@@ -111,7 +98,7 @@ def render(
         eyes = read_viewpoints(viewpoints, terrain, config.eye_height_m)
     else:
         eyes = uniform_grid(terrain, grid or 0.0, eye_height_m=config.eye_height_m)
-    with _progress("rendering") as progress:
+    with progress_bar("rendering") as progress:
         result = render_to_store(terrain, eyes, output, config, progress)
     if depth_images is not None:
         save_depth_pictures(terrain, eyes, depth_images, config)
@@ -138,7 +125,7 @@ def build(
     config = _render_config(width, tolerance_px, k, no_curvature)
     corners = _parse_bounds(bounds)
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-    with _progress("rendering") as progress:
+    with progress_bar("rendering") as progress:
         result = build_uniform(terrain, output, spacing, corners, config, progress)
     _say_built(result, output)
 
@@ -244,27 +231,7 @@ def options(
 
 def main() -> None:
     """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
-    try:
-        code = app(standalone_mode=False)
-        if code == _INTERRUPTED:
-            raise KeyboardInterrupt
-        sys.exit(code)
-    except SkylineError as error:
-        _fail(str(error), error.exit_code)
-    except _UsageError as error:
-        _fail(error.format_message(), 2)
-    except (KeyboardInterrupt, typer.Abort):
-        _fail("stopped; what was committed is kept, the same build goes on from it", _INTERRUPTED)
-    except MemoryError:
-        _fail("out of memory; choose a smaller area (--bounds) or a larger spacing", 1)
-    except OSError as error:
-        _fail(f"the system said: {error}", 1)
-
-
-def _fail(message: str, code: int) -> None:
-    print("error: " + " ".join(message.split()), file=sys.stderr)
-    sys.exit(code)
+    run_app(app, "stopped; what was committed is kept, the same build goes on from it")
 
 
 def _render_config(width: int, tolerance_px: float, k: float, no_curvature: bool) -> RenderConfig:
@@ -292,22 +259,6 @@ def _parse_place(text: str) -> tuple[float, float]:
             f"the place is `{text}`; expected easting and northing in metres, e.g. 601000,5179000"
         ) from error
     return easting, northing
-
-
-@contextmanager
-def _progress(what: str) -> Iterator[Progress]:
-    """Show a bar on the terminal's error stream, and nothing where there is no terminal."""
-    bar = ProgressBar(
-        TextColumn(what),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=Console(stderr=True),
-        disable=not sys.stderr.isatty(),
-    )
-    with bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def _say_facts(facts: dict[str, object], as_json: bool) -> None:

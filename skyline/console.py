@@ -1,0 +1,69 @@
+"""What the command lines share: an error is one line and an exit code; progress is a bar."""
+
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBar
+
+from skyline.errors import SkylineError
+from skyline.pipeline import Progress
+
+# Typer brings click under one name or another, by its version; this one name is public in all.
+_UsageError: Any = typer.BadParameter.__base__
+
+_INTERRUPTED = 130
+"""Exit code of a command stopped with Ctrl-C, which newer typers return instead of raising."""
+
+
+def run_app(app: typer.Typer, stopped: str) -> None:
+    """Run a command line; every error is one line, exit code 2 for bad input, 1 for failure.
+
+    Parameters
+    ----------
+    app : typer.Typer
+    stopped : str
+        What to say after Ctrl-C.
+    """
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    try:
+        code = app(standalone_mode=False)
+        if code == _INTERRUPTED:
+            raise KeyboardInterrupt
+        sys.exit(code)
+    except SkylineError as error:
+        _fail(str(error), error.exit_code)
+    except _UsageError as error:
+        _fail(error.format_message(), 2)
+    except (KeyboardInterrupt, typer.Abort):
+        _fail(stopped, _INTERRUPTED)
+    except MemoryError:
+        _fail("out of memory; choose a smaller area or a larger spacing", 1)
+    except OSError as error:
+        _fail(f"the system said: {error}", 1)
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Progress]:
+    """Show a bar on the terminal's error stream, and nothing where there is no terminal."""
+    bar = ProgressBar(
+        TextColumn(what),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+        disable=not sys.stderr.isatty(),
+    )
+    with bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def _fail(message: str, code: int) -> None:
+    print("error: " + " ".join(message.split()), file=sys.stderr)
+    sys.exit(code)
