@@ -4,9 +4,6 @@ Prints a table and writes bench/results/pipeline_speed.json with machine, driver
 on shared machines wander: compare stages of one run, not runs.
 """
 
-import datetime
-import json
-import platform
 import sys
 import tempfile
 import time
@@ -21,12 +18,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 from demo import BOUNDS_DEG, take_pictures, write_dem
 
 from skyline import oracle
+from skyline.experiments.record import write_record
 from skyline.features import polyline_keypoints
 from skyline.matching import MATCHERS
 from skyline.photo import read_query
 from skyline.pipeline import Matcher, build_uniform
 from skyline.planning.uniform import map_bounds, uniform_grid
-from skyline.render.context import acquire_context
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem
 
@@ -78,17 +75,8 @@ def measure(folder: Path) -> list[dict[str, object]]:
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         rows = measure(Path(folder))
-    context = acquire_context()
-    machine = {
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "processor": platform.processor() or platform.machine(),
-        "python": platform.python_version(),
-        "renderer": context.renderer,
-        "driver": context.version,
-    }
-    result = {"bench": "pipeline-speed", "machine": machine, "rows": rows}
     RESULT.parent.mkdir(exist_ok=True)
-    RESULT.write_text(json.dumps(result, indent=1) + "\n")
+    write_record(RESULT, "pipeline-speed", rows)
     print(f"written to {RESULT}")
 
 

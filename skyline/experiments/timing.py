@@ -1,0 +1,72 @@
+"""Fair times: all cores for everyone, warmed up, taken in turns."""
+
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from skyline.terrain.viewpoints import Viewpoints
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Medians over the repeats of one piece of work.
+
+    Attributes
+    ----------
+    seconds : float
+        By the clock on the wall.
+    cpu_seconds : float
+        Processor time of the whole process, all its threads.
+    """
+
+    seconds: float
+    cpu_seconds: float
+
+
+def core_count() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def over_cores(
+    work: Callable[[Viewpoints], Result], viewpoints: Viewpoints, viewpoints_a_call: int
+) -> list[Result]:
+    """Share viewpoints out among as many threads as there are cores; results in order."""
+    parts = [
+        viewpoints[start : start + viewpoints_a_call]
+        for start in range(0, len(viewpoints), viewpoints_a_call)
+    ]
+    with ThreadPoolExecutor(core_count()) as pool:
+        return list(pool.map(work, parts))
+
+
+def in_turns(
+    works: Sequence[Callable[[], object]],
+    repeats: int,
+    tick: Callable[[], object] = lambda: None,
+) -> list[Timing]:
+    """Time each piece of work, in turns so that what else the machine does hits all alike.
+
+    Everything runs once before the first of ``repeats`` timed rounds; ``tick`` is called after
+    each run, outside the time.
+    """
+    rounds = [[_timed(work, tick) for work in works] for _ in range(repeats + 1)]
+    medians = np.median(np.array(rounds[1:]).reshape(repeats, len(works), 2), axis=0)
+    return [Timing(float(wall), float(cpu)) for wall, cpu in medians]
+
+
+def _timed(work: Callable[[], object], tick: Callable[[], object]) -> tuple[float, float]:
+    wall, cpu = time.perf_counter(), time.process_time()
+    work()
+    taken = time.perf_counter() - wall, time.process_time() - cpu
+    tick()
+    return taken
