@@ -1,11 +1,12 @@
 """A small DEM on disk, and the command line run in this process."""
 
 from dataclasses import dataclass
+from functools import partial
 
 import pytest
 from scenes import fractal, write_dem
 
-from skyline import build_uniform, cli, read_dem
+from skyline import bench, build_uniform, cli, read_dem
 
 
 @dataclass(frozen=True)
@@ -18,14 +19,26 @@ class Result:
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
+def run(run_main):
     """Return a function that runs ``skyline ARGS...``."""
+    return partial(run_main, cli.main, "skyline")
 
-    def run_command(*arguments):
-        monkeypatch.setattr("sys.argv", ["skyline", *map(str, arguments)])
+
+@pytest.fixture
+def run_bench(run_main):
+    """Return a function that runs ``skyline-bench ARGS...``."""
+    return partial(run_main, bench.main, "skyline-bench")
+
+
+@pytest.fixture
+def run_main(monkeypatch, capsys):
+    """Return a function that runs a command's main with arguments."""
+
+    def run_command(main, name, *arguments):
+        monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
         capsys.readouterr()
         with pytest.raises(SystemExit) as stop:
-            cli.main()
+            main()
         printed = capsys.readouterr()
         return Result(int(stop.value.code or 0), printed.out, printed.err)
 

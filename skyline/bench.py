@@ -1,0 +1,128 @@
+"""The command line of benchmarks: ``skyline-bench speed-error`` (DESIGN 8)."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from skyline import __version__
+from skyline.console import progress_bar, run_app
+from skyline.errors import InputError
+from skyline.experiments.record import Row, machine, write_record
+from skyline.experiments.speed_error import SpeedErrorConfig, measure
+from skyline.experiments.speed_error_plot import save_speed_error
+from skyline.terrain.dem import DemOptions, read_dem
+
+_PLOT_SUFFIXES = (".png", ".pdf", ".svg")
+_SPEED_ERROR = SpeedErrorConfig()
+
+app = typer.Typer(
+    name="skyline-bench",
+    help="Measure Skyline: speeds with their errors, on this machine.",
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+Dems = Annotated[
+    list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
+]
+JsonFile = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write rows and machine as JSON.")
+]
+PlotFile = Annotated[
+    Path | None, typer.Option("--plot", metavar="FILE", help="Draw them: PNG, PDF or SVG.")
+]
+Seed = Annotated[int, typer.Option(help="Of whatever is drawn at random.")]
+Quick = Annotated[bool, typer.Option("--quick", help="A smaller version, in seconds.")]
+Crs = Annotated[
+    str | None, typer.Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")
+]
+
+
+@app.command("speed-error")
+def speed_error(
+    dem: Dems,
+    viewpoints: Annotated[
+        int, typer.Option(help="Viewpoints of a batch, on a 100 m grid in the DEM's middle.")
+    ] = _SPEED_ERROR.viewpoints,
+    width: Annotated[
+        int, typer.Option(help="Columns of all but the depth path.")
+    ] = _SPEED_ERROR.width,
+    json_file: JsonFile = None,
+    plot: PlotFile = None,
+    seed: Seed = _SPEED_ERROR.seed,
+    quick: Quick = False,
+    crs: Crs = None,
+) -> None:
+    """Every way to a skyline: milliseconds a viewpoint against error from the oracle."""
+    config = replace(_SPEED_ERROR, viewpoints=viewpoints, width=width, seed=seed)
+    _check_outputs(json_file, plot)
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    with progress_bar("measuring") as progress:
+        rows = measure(terrain, config.quick() if quick else config, progress)
+    columns = {
+        "path": "path",
+        "setting": "setting",
+        "viewpoints_per_s": "a second",
+        "ms_per_viewpoint": "ms",
+        "ms_alone": "alone",
+        "rms_px": "rms px",
+        "max_px": "max px",
+        "missing": "missing",
+    }
+    _print_rows(rows, columns)
+    if json_file is not None:
+        write_record(json_file, "speed-error", rows)
+    if plot is not None:
+        save_speed_error(rows, machine(), plot)
+
+
+@app.callback(invoke_without_command=True)
+def options(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """Measure Skyline: speeds with their errors, on this machine."""
+    if version:
+        typer.echo(f"skyline {__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit(2)
+
+
+def main() -> None:
+    """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
+    run_app(app, "stopped; nothing was written")
+
+
+def _check_outputs(json_file: Path | None, plot: Path | None) -> None:
+    """Refuse files that could not be written, before the measurement and not after it."""
+    for option, path in (("--json", json_file), ("--plot", plot)):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise InputError(f"{option} {path}: there is no folder {path.parent}; make it first")
+    if plot is not None and plot.suffix.lower() not in _PLOT_SUFFIXES:
+        raise InputError(
+            f"--plot {plot}: cannot draw {plot.suffix!r}; expected {', '.join(_PLOT_SUFFIXES)}"
+        )
+
+
+def _print_rows(rows: Sequence[Row], columns: dict[str, str]) -> None:
+    """Print rows as a table; ``columns`` are the keys shown, with their headings."""
+    table = Table()
+    for key, heading in columns.items():
+        words = any(isinstance(row.get(key), str) for row in rows)
+        table.add_column(heading, justify="left" if words else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*(_cell(row.get(key)) for key in columns))
+    Console().print(table)
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
