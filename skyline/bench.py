@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -67,7 +68,7 @@ def speed_error(
     columns = {
         "path": "path",
         "setting": "setting",
-        "viewpoints_per_s": "a second",
+        "viewpoints_per_s": "per s",
         "ms_per_viewpoint": "ms",
         "ms_alone": "alone",
         "rms_px": "rms px",
@@ -113,7 +114,7 @@ def _check_outputs(json_file: Path | None, plot: Path | None) -> None:
 
 def _print_rows(rows: Sequence[Row], columns: dict[str, str]) -> None:
     """Print rows as a table; ``columns`` are the keys shown, with their headings."""
-    table = Table()
+    table = Table(box=SIMPLE_HEAD)
     for key, heading in columns.items():
         words = any(isinstance(row.get(key), str) for row in rows)
         table.add_column(heading, justify="left" if words else "right", no_wrap=True)
@@ -125,4 +126,6 @@ def _print_rows(rows: Sequence[Row], columns: dict[str, str]) -> None:
 def _cell(value: Any) -> str:
     if value is None:
         return "-"
-    return f"{value:.3g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+    return str(value)
