@@ -73,7 +73,7 @@ def speed_error(
         "ms_alone": "alone",
         "rms_px": "rms px",
         "max_px": "max px",
-        "missing": "missing",
+        "missing": "lost",
     }
     _print_rows(rows, columns)
     if json_file is not None:
