@@ -25,6 +25,7 @@ from skyline.geodesy import Curvature
 from skyline.pipeline import Progress
 from skyline.planning.uniform import uniform_grid
 from skyline.render.depth import DepthRenderer
+from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
@@ -43,6 +44,8 @@ class SpeedErrorConfig:
     width : int
         Columns W of all paths but the depth path.
     depth_widths : tuple of int
+    tolerances_px : tuple of float
+        Of the horizon path.
     bisections : tuple of Bisection
         Settings of the Embree peer.
     viewpoints : int
@@ -59,6 +62,7 @@ class SpeedErrorConfig:
 
     width: int = DEFAULT_WIDTH
     depth_widths: tuple[int, ...] = (160, 320, 640, 1280, 2560)
+    tolerances_px: tuple[float, ...] = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0)
     bisections: tuple[Bisection, ...] = tuple(
         Bisection(depth, start) for start in STARTS for depth in (7, 9, 11, 13, 15, 18)
     )
@@ -86,6 +90,7 @@ class SpeedErrorConfig:
         return replace(
             self,
             depth_widths=(160, 320),
+            tolerances_px=(0.0, 0.1),
             bisections=tuple(Bisection(depth) for depth in (11, 15)),
             viewpoints=min(self.viewpoints, 64),
             slow_viewpoints=2,
@@ -176,6 +181,21 @@ def _contenders(
         depth = held.enter_context(DepthRenderer(terrain, width, config.curvature))
         build_s = time.perf_counter() - started
         yield _Contender("depth", width, f"W = {width}", build_s, few, depth.render)
+    for tolerance_px in config.tolerances_px:
+        started = time.perf_counter()
+        horizon = held.enter_context(
+            HorizonRenderer(terrain, config.width, config.curvature, tolerance_px)
+        )
+        build_s = time.perf_counter() - started
+        yield _Contender(
+            "horizon",
+            config.width,
+            f"{tolerance_px:g} px",
+            build_s,
+            batch,
+            horizon.render,
+            {"tolerance_px": tolerance_px},
+        )
     if is_installed():
         started = time.perf_counter()
         peer = EmbreePeer(terrain, config.width, config.curvature)

@@ -37,7 +37,7 @@ def test_speed_error_measures_every_path(measured):
     rows = record["rows"]
     assert all(row.keys() >= KEYS for row in rows)
     paths = {row["path"] for row in rows}
-    assert paths >= {"depth", "oracle"}
+    assert paths >= {"depth", "horizon", "oracle"}
     assert ("embree" in paths) == is_installed()
     for row in rows:
         assert row["path"] in done.out
@@ -56,6 +56,8 @@ def test_speed_error_finds_the_errors_there_are(measured):
         elif row["path"] == "depth":
             # Half a pixel of its own width, in px of W = 640.
             assert 0.2 < row["max_px"] * row["width"] / 640.0 < 0.51
+        elif row["path"] == "horizon":
+            assert row["rms_px"] <= row["max_px"] <= row["tolerance_px"] + 0.01
         elif row["path"] == "embree":
             assert row["rms_px"] < row["max_px"] < 320.0 / 2.0 ** row["bisections"] + 0.01
 
@@ -68,7 +70,8 @@ def test_without_embree_the_rest_is_measured(run_bench, dem, tmp_path, monkeypat
     )
     assert done.code == 0, done.err
     assert "skyline[peers]" in caplog.text
-    assert {"depth", "oracle"} <= {row["path"] for row in json.loads(record.read_text())["rows"]}
+    rows = json.loads(record.read_text())["rows"]
+    assert {row["path"] for row in rows} == {"depth", "horizon", "oracle"}
 
 
 def test_bad_options_are_one_line_and_write_nothing(run_bench, dem, tmp_path):
