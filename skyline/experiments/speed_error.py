@@ -64,11 +64,11 @@ class SpeedErrorConfig:
     depth_widths: tuple[int, ...] = (160, 320, 640, 1280, 2560)
     tolerances_px: tuple[float, ...] = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0)
     bisections: tuple[Bisection, ...] = tuple(
-        Bisection(depth, start) for start in STARTS for depth in (7, 9, 11, 13, 15, 18)
+        Bisection(depth, start) for start in STARTS for depth in (9, 11, 13, 15, 18)
     )
     viewpoints: int = 400
     spacing_m: float = 100.0
-    slow_viewpoints: int = 4
+    slow_viewpoints: int = 2
     compared_viewpoints: int = 24
     repeats: int = 5
     seed: int = 0
