@@ -5,17 +5,15 @@ greatest resident memory, which must stay under 4 GiB.
 """
 
 import argparse
-import datetime
 import json
-import platform
 import resource
 import time
 from pathlib import Path
 
 import numpy as np
 
+from skyline.experiments.record import write_record
 from skyline.geodesy import Frame
-from skyline.render.context import acquire_context
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on
@@ -60,16 +58,7 @@ def main() -> None:
         row["greatest_depth_m"] = float(np.nanmax(views.depth_m))
     row["dem_bytes"] = field.heights_m.nbytes
     row["peak_resident_bytes"] = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    context = acquire_context()
-    machine = {
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "processor": platform.processor() or platform.machine(),
-        "renderer": context.renderer,
-        "driver": context.version,
-    }
-    RESULT.write_text(
-        json.dumps({"bench": "large-dem", "machine": machine, "rows": [row]}, indent=1) + "\n"
-    )
+    write_record(RESULT, "large-dem", [row])
     print(json.dumps(row, indent=1))
 
 
