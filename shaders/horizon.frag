@@ -3,6 +3,7 @@
 //
 // What earlier windows of a large field left comes in as a texture.
 #version 330 core
+#extension GL_ARB_gpu_shader_fp64 : enable
 #define PRECISE
 #include "horizon_walk.glsl"
 
@@ -33,7 +34,7 @@ void main() {
     vec2 sky_here = texelFetch(sky, ivec2(gl_FragCoord.xy), 0).xy;
     best = max(best, surfacing_tan(sky_here.x, sky_here.y, shell_m.x));
 #endif
-    best = (best - 1e-6 * abs(best)) * metres_per_strip;
+    best = max((best - 1e-6 * abs(best)) * metres_per_strip, NOTHING);
     walk_heights(live, bin, s_first, s_last, NO_STRIP, best, winner);
     Hit hit = Hit(REAL(NOTHING), REAL(1e30), 0, 0);
     resolve(winner, winner != NO_STRIP, hit);
