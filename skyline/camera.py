@@ -53,8 +53,12 @@ def rotation(heading: int) -> Float64Array:
 
 def ground_directions(heading: int, width: int) -> Float64Array:
     """Return (width, 2): east and north covered per metre of forward depth in each column."""
+    return directions_at(heading, columns_u(width))
+
+
+def directions_at(heading: int, u: Float64Array) -> Float64Array:
+    """Return (W, 2): east and north covered per metre of forward depth at abscissas u (W,)."""
     turn = rotation(heading)
-    u = columns_u(width)
     right, forward = turn[0, [0, 2]], turn[2, [0, 2]]
     return np.asarray(forward + u[:, np.newaxis] * right, dtype=np.float64)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, ground_directions
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, directions_at, ground_directions
 from skyline.geodesy import Curvature
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.triangles import Triangles
@@ -96,6 +96,50 @@ def skyline(
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Rivals:
+    """What decides a column's flags, (N, W) each; N views, the four headings of an eye together.
+
+    Attributes
+    ----------
+    inner_tan, border_tan : float64
+        Greatest v over the crossings beyond which the surface goes on, and over those where it
+        ends; -inf where there are none. The greater of the two is the skyline.
+    hole : bool
+        Whether the column passes over a hole with data behind it.
+    """
+
+    inner_tan: Float64Array
+    border_tan: Float64Array
+    hole: BoolArray
+
+
+def rivals(
+    field: HeightField, viewpoints: Viewpoints, u: Float64Array, curvature: Curvature
+) -> Rivals:
+    """Compute by how much flags are decided, in columns at any abscissas.
+
+    Parameters
+    ----------
+    field : HeightField
+    viewpoints : Viewpoints
+    u : (W,) float64
+        Abscissas of the columns, increasing, of magnitude at most 1.
+    curvature : Curvature
+    """
+    triangles = Triangles.of(field.heights_m)
+    shape = (len(viewpoints), len(HEADINGS), len(u))
+    inner, border, hole = np.empty(shape), np.empty(shape), np.empty(shape, dtype=bool)
+    for index in range(len(viewpoints)):
+        scene = _Scene(field, triangles, viewpoints, index, curvature)
+        for heading in HEADINGS:
+            inner[index, heading], border[index, heading], hole[index, heading] = scene.rivals(
+                directions_at(heading, u)
+            )
+    rows = (-1, len(u))
+    return Rivals(inner.reshape(rows), border.reshape(rows), hole.reshape(rows))
+
+
 class _Scene:
     """The surface as one eye sees it: heights relative to the eye, curvature dropped."""
 
@@ -155,6 +199,23 @@ class _Scene:
         )
         return tan, depth, flags.astype(np.uint8)
 
+    def rivals(self, directions: Float64Array) -> tuple[Float64Array, Float64Array, BoolArray]:
+        """Return the fields of `Rivals` for the columns with these ground directions."""
+        width = len(directions)
+        inner, border = np.full((2, width), -np.inf)
+        hole = np.zeros(width, dtype=bool)
+        col_rate = directions[:, 0] / self.field.spacing_east_m
+        row_rate = -directions[:, 1] / self.field.spacing_north_m
+        for start, stop in _runs(col_rate, row_rate, self.field.rows + self.field.cols):
+            part = slice(start, stop)
+            for crossings in self._families(col_rate[part], row_rate[part]):
+                v = self._v(crossings)
+                for best, among in ((inner, crossings.far), (border, ~crossings.far)):
+                    greatest = np.where(among, v, -np.inf).max(axis=1)
+                    best[part] = np.maximum(best[part], greatest)
+                hole[part] |= (~crossings.near & crossings.far).any(axis=1)
+        return inner, border, hole
+
     def _families(self, col_rate: Float64Array, row_rate: Float64Array) -> Iterator[_Crossings]:
         """Yield the crossings with each family; the rays' rates must not differ in sign."""
         rows, cols = self.field.rows, self.field.cols
@@ -197,6 +258,12 @@ class _Scene:
 
     def _greatest(self, crossings: _Crossings) -> tuple[IntArray, Float64Array]:
         """Return, for each ray, the index of its highest crossing and that crossing's v."""
+        v = self._v(crossings)
+        best = v.argmax(axis=1)
+        return best, v[np.arange(len(v)), best]
+
+    def _v(self, crossings: _Crossings) -> Float64Array:
+        """Return v of every crossing, -inf where there is no edge."""
         row, col = np.maximum(crossings.row, 0), np.maximum(crossings.col, 0)
         first = self.up_m[row, col]
         second = self.up_m[
@@ -206,9 +273,7 @@ class _Scene:
         # A dangling edge, whose triangles both miss a sample, is not part of the surface.
         exists = crossings.near | crossings.far
         up = first + crossings.fraction * (second - first)
-        v = np.where(exists, up / crossings.depth_m, -np.inf)
-        best = v.argmax(axis=1)
-        return best, v[np.arange(len(v)), best]
+        return np.where(exists, up / crossings.depth_m, -np.inf)
 
 
 def _split(position: Float64Array, samples: int) -> tuple[IntArray, Float64Array]:
