@@ -3,7 +3,6 @@
 //
 // With RAISE, results stay where an earlier window of a large field left higher ones.
 #version 430
-#define GATHER
 #define PRECISE precise
 layout(local_size_x = LANES) in;
 #include "horizon_walk.glsl"

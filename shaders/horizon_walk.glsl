@@ -25,9 +25,10 @@ struct Eye {
 
 uniform sampler2D heights_m;      // the window's samples with an apron of one; holes HOLE_M
 uniform usampler2D slabs;         // the tree of heights: eight codes of 16 bits a texel
+uniform sampler2D columns_m;      // the samples again: a texel is a leaf's three of one column
+uniform ivec2 columns_end;        // its last texel
 uniform ivec2 samples;            // columns, rows of the window
 uniform vec2 spacing_m;           // east, north
-uniform vec2 texel;               // 1 / size of heights_m
 uniform float drop_per_m2;        // Curvature.drop_per_m2
 uniform float slack_m;            // more than any rounding of y
 uniform float tolerance;          // how far v may fall short of the skyline
@@ -46,6 +47,7 @@ const float HOLE_M = -3e38;
 const float NOTHING = -1e30;
 const float DATA = -1e15;         // below every v there is, above every crossing with a hole
 const float STRIP_SLACK = 1e-5;   // more than rounding of a distance, relative
+const int COLUMN_APRON = 4;       // empty ones beside the samples, in columns_m
 const int NO_STRIP = 0x7ffffff0;
 
 const bool ALONG_COLUMNS = (HEADING & 1) == 1;             // strips are columns of cells
@@ -153,22 +155,11 @@ bool edge_there(int s, int line, int family) {
     return min(height_at(near.x, near.y), height_at(far.x, far.y)) > NOTHING;
 }
 
-// The four samples of a cell, relative to the eye: near and far line, w and w + 1.
-vec4 corners(int s, int w) {
-    int cell = FORWARD ? s : -1 - s;
-    ivec2 at = ALONG_COLUMNS ? ivec2(cell, w) : ivec2(w, cell);
-#ifdef GATHER
-    vec4 g = textureGather(heights_m, vec2(at + 2) * texel);
-#else
-    ivec2 near = clamp(at + 1, ivec2(0), samples), far = near + 1;
-    vec4 g = vec4(texelFetch(heights_m, ivec2(near.x, far.y), 0).x,
-                  texelFetch(heights_m, far, 0).x,
-                  texelFetch(heights_m, ivec2(far.x, near.y), 0).x,
-                  texelFetch(heights_m, near, 0).x);
-#endif
-    g -= eye_high_m;
-    if (ALONG_COLUMNS) return FORWARD ? g.wxzy : g.zywx;
-    return FORWARD ? g.wzxy : g.xywz;
+// The three samples of column w on the lines of a leaf's strips, s and s + 1, relative to the eye.
+vec3 column(int s, int w) {
+    ivec2 at = ivec2(iw + w, FORWARD ? s >> 1 : -1 - (s >> 1)) + ivec2(COLUMN_APRON, 0);
+    vec3 h = texelFetch(columns_m, clamp(at, ivec2(0), columns_end), 0).xyz - eye_high_m;
+    return FORWARD ? h : h.zyx;
 }
 
 // v of a crossing at distance z, at fraction f between samples h0 and h1. Curvature applies to
@@ -210,45 +201,87 @@ void keep_rim(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool 
         && triangle_there(s, int(line), family, true)) hit.v = REAL(1);
 }
 
-// The crossings in strip s: lateral lines, diagonals, and the far row; the near row belongs to the
-// strip before. No branches: both sides of one would be executed.
-#define STRIP(NAME, KEEP)                                                                          \
-void NAME(int s, bool on, inout Hit hit) {                                                         \
-    REAL z0 = REAL(s - ip) - fp, zf = REAL(s + 1 - ip) - fp;                                       \
-    REAL xn = fw + k * max(z0, REAL(0)), xf = fw + k * zf;                                         \
-    REAL least = min(xn, xf), top = floor(max(xn, xf));                                            \
-    REAL first = REAL(w_first), last = REAL(w_last);                                               \
-    REAL diagonal = REAL(FORWARD ? ip - s : s + 1 - ip);                                           \
-    REAL jf = clamp(floor(xf), first, last);                                                       \
-    vec4 far = vec4(0.0);                                                                          \
-    for (int i = 0; i < CELLS; ++i) {                                                              \
-        REAL line = top - REAL(i), j = clamp(line, first, last);                                   \
-        vec4 h = corners(s, iw + int(j));                                                          \
-        far = i == 0 || j == jf ? h : far;                                                         \
-        if (i < CELLS - 1) {                                                                       \
-            REAL z = (line - fw) * inverse_k;                                                      \
-            bool border = line > last;                                                             \
-            KEEP(hit, s, crossing(border ? h.y : h.x, border ? h.w : h.z,                          \
-                 clamp(z - z0, REAL(0), REAL(1)), z, sag_m.y), z, line, 1,                         \
-                 on && line > least && line >= first && line <= last + REAL(1) && z > REAL(0));    \
-        }                                                                                          \
-        REAL z = (j + diagonal - fd) * inverse_rate, f = z - z0;                                   \
-        KEEP(hit, s, crossing(FORWARD ? h.x : h.y, FORWARD ? h.w : h.z, f, z, sag_m.z), z, j, 2,   \
-             on && f >= REAL(0) && f <= REAL(1) && z > REAL(0));                                   \
-    }                                                                                              \
-    KEEP(hit, s, crossing(far.z, far.w, clamp(xf - jf, REAL(0), REAL(1)), zf, sag_m.x), zf, jf, 0, \
-         on && xf >= first && xf <= last + REAL(1));                                               \
+// Where the ray is on the near and far line of strip s, and the greater of the cells there.
+void span(int s, out REAL xn, out REAL xf, out int top) {
+    xn = fw + k * max(REAL(s - ip) - fp, REAL(0));
+    xf = fw + k * (REAL(s + 1 - ip) - fp);
+    top = int(floor(clamp(max(xn, xf), REAL(w_first - 2), REAL(w_last + 2))));
 }
 
-STRIP(strip, keep_v)
-STRIP(resolve, keep_all)
-STRIP(find_rim, keep_rim)
+// The crossings in strip s: lateral lines, diagonals, and the far row; the near row belongs to the
+// strip before. h holds the near and far samples of columns top + 1 - CELLS to top + 1. No branches:
+// both sides of one would be executed.
+#define STRIP(NAME, KEEP)                                                                          \
+void NAME(int s, bool on, REAL xn, REAL xf, int top, vec2 h[CELLS + 1], inout Hit hit) {           \
+    REAL z0 = REAL(s - ip) - fp, zf = REAL(s + 1 - ip) - fp;                                       \
+    REAL least = min(xn, xf), jf = floor(xf);                                                      \
+    REAL diagonal = REAL(FORWARD ? ip - s : s + 1 - ip);                                           \
+    vec2 far = vec2(0.0);                                                                          \
+    for (int i = 0; i < CELLS; ++i) {                                                              \
+        vec2 left = h[CELLS - 1 - i], right = h[CELLS - i];                                        \
+        REAL line = REAL(top - i);                                                                 \
+        far = i == 0 || line == jf ? vec2(left.y, right.y) : far;                                  \
+        if (i < CELLS - 1) {                                                                       \
+            REAL z = (line - fw) * inverse_k;                                                      \
+            KEEP(hit, s, crossing(left.x, left.y, clamp(z - z0, REAL(0), REAL(1)), z, sag_m.y),    \
+                 z, line, 1, on && line > least && z > REAL(0));                                   \
+        }                                                                                          \
+        REAL z = (line + diagonal - fd) * inverse_rate, f = z - z0;                                \
+        float from = FORWARD ? left.x : right.x, to = FORWARD ? right.y : left.y;                  \
+        KEEP(hit, s, crossing(from, to, f, z, sag_m.z), z, line, 2,                                \
+             on && f >= REAL(0) && f <= REAL(1) && z > REAL(0));                                   \
+    }                                                                                              \
+    KEEP(hit, s, crossing(far.x, far.y, clamp(xf - jf, REAL(0), REAL(1)), zf, sag_m.x), zf, jf, 0, \
+         on);                                                                                      \
+}
+
+STRIP(strip_v, keep_v)
+STRIP(strip_all, keep_all)
+STRIP(strip_rim, keep_rim)
+
+// A strip on its own.
+#define ALONE(NAME, STRIP_NAME)                                                                    \
+void NAME(int s, bool on, inout Hit hit) {                                                         \
+    REAL xn, xf;                                                                                   \
+    int top;                                                                                       \
+    span(s, xn, xf, top);                                                                          \
+    vec2 h[CELLS + 1];                                                                             \
+    for (int i = 0; i <= CELLS; ++i) {                                                             \
+        vec3 three = column(s, top + 1 - CELLS + i);                                               \
+        h[i] = (s & 1) == 0 ? three.xy : three.yz;                                                 \
+    }                                                                                              \
+    STRIP_NAME(s, on, xn, xf, top, h, hit);                                                        \
+}
+
+ALONE(resolve, strip_all)
+ALONE(find_rim, strip_rim)
 
 // The two strips of a leaf, s and s + 1; of equal crossings the nearer strip is kept.
 void leaf(int s, int s_first, int s_last, inout float best, inout int best_s) {
     Hit near = Hit(REAL(2.0 * NOTHING), REAL(1e30), 0, 0), far = near;
-    strip(s, s >= s_first && s <= s_last, near);
-    strip(s + 1, s + 1 >= s_first && s + 1 <= s_last, far);
+    REAL xn, xm, xf;
+    int top_near, top_far;
+    span(s, xn, xm, top_near);
+    span(s + 1, xm, xf, top_far);
+    vec3 three[CELLS + 1];
+    vec2 h[CELLS + 1];
+    for (int i = 0; i <= CELLS; ++i) {
+        three[i] = column(s, top_near + 1 - CELLS + i);
+        h[i] = three[i].xy;
+    }
+    strip_v(s, s >= s_first && s <= s_last, xn, xm, top_near, h, near);
+#if CELLS == 2
+    // The far strip needs one column more at most.
+    top_far = clamp(top_far, top_near - 1, top_near + 1);
+    bool left = top_far < top_near, right = top_far > top_near;
+    vec2 fourth = column(s, left ? top_near - 2 : top_near + 2).yz;
+    h[0] = left ? fourth : right ? three[1].yz : three[0].yz;
+    h[1] = left ? three[0].yz : right ? three[2].yz : three[1].yz;
+    h[2] = left ? three[1].yz : right ? fourth : three[2].yz;
+#else
+    for (int i = 0; i <= CELLS; ++i) h[i] = column(s, top_far + 1 - CELLS + i).yz;
+#endif
+    strip_v(s + 1, s + 1 >= s_first && s + 1 <= s_last, xm, xf, top_far, h, far);
     float v = float(near.v);
     bool take = v > best || (v == best && s < best_s);
     best_s = take ? s : best_s;
@@ -302,7 +335,7 @@ uint higher_slabs(int s, int log_slab, int level, int bin, float best) {
 }
 
 int lowest_bit(uint bits) {
-#ifdef GATHER
+#if __VERSION__ >= 400
     return findLSB(bits);
 #else
     return (floatBitsToInt(float(bits & (~bits + 1u))) >> 23) - 127;
@@ -351,8 +384,9 @@ void walk_heights(
     bool live, int bin, int s_first, int s_last, int done, inout float best, inout int best_s
 ) {
 #define OPEN(s, log_slab, level)                                                                   \
-    (higher_slabs(s, log_slab, level, bin, best) & slabs_between(s, log_slab, s_first, s_last))
-    WALK(OPEN, leaf(s, s == done ? NO_STRIP : s_first, s_last, best, best_s);)
+    (higher_slabs(s, log_slab, level, bin, best) & slabs_between(s, log_slab, s_first, s_last)     \
+     & ~(level == 0 && ((s ^ done) & ~15) == 0 ? 1u << uint((done & 15) >> 1) : 0u))
+    WALK(OPEN, leaf(s, s_first, s_last, best, best_s);)
 #undef OPEN
 }
 

@@ -294,6 +294,7 @@ class _Programs:
     def ready(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void]) -> _Program:
         """Return the program for a walk, its uniforms set and the window's textures bound."""
         slope_max = window.slope_max[walk.heading % 2]
+        columns = window.columns[walk.heading % 2]
         rims = window.rims if walk.shell_m is None else None
         defines = self._defines(walk, slope_max, window.dangling, rims is not None)
         key = frozenset(defines.items())
@@ -305,7 +306,8 @@ class _Programs:
             "slabs": 1,
             "samples": (window.window.cols, window.window.rows),
             "spacing_m": settings.spacing_m,
-            "texel": (1.0 / window.heights.width, 1.0 / window.heights.height),
+            "columns_m": 7,
+            "columns_end": (columns.width - 1, columns.height - 1),
             "drop_per_m2": settings.drop_per_m2,
             "slack_m": _slack_m(window, eyes, settings),
             "tolerance": settings.tolerance_px * pixel_size(settings.width),
@@ -321,6 +323,7 @@ class _Programs:
         set_uniforms(program, values)
         window.heights.use(0)
         window.slabs.texture.use(1)
+        columns.use(7)
         if rims is not None:
             rims.texture.use(6)
             set_uniforms(program, {"rims": 6, "rim_levels": list(rims.levels[walk.heading])})

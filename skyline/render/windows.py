@@ -24,6 +24,10 @@ MAX_WINDOW_CELLS = 2048
 """Cells along a side of the windows of larger fields."""
 
 
+_COLUMN_APRON = 4
+"""As COLUMN_APRON of the shaders."""
+
+
 @dataclass(frozen=True, slots=True)
 class Window:
     """A rectangle of samples: rows ``row`` to ``row + rows - 1``, and columns likewise."""
@@ -61,6 +65,8 @@ class WindowTextures:
     ----------
     heights : moderngl.Texture
         float32 metres with an apron of one sample, `EMPTY` for holes and off the map.
+    columns : 2 moderngl.Texture
+        The samples again, for headings 0, 2 and 1, 3: a texel is three neighbours along the axis.
     code : HeightCode
     slabs : Trees
         Upper bounds of the heights, in this code.
@@ -96,11 +102,14 @@ class WindowTextures:
             self.lowest_m = self.highest_m = 0.0
         self.code = HeightCode.over(self.lowest_m, self.highest_m)
         self.heights = upload(ctx, heights[..., np.newaxis], "f4")
+        self.columns = tuple(_columns(ctx, seen) for seen in (inner, inner.T))
         self.slabs = Trees.of_heights(ctx, inner, self.code, self.slope_max, levels)
 
     def release(self) -> None:
         """Free the textures."""
         self.heights.release()
+        for texture in self.columns:
+            texture.release()
         self.slabs.texture.release()
         if self.rims is not None:
             self.rims.texture.release()
@@ -114,3 +123,13 @@ def _with_apron(field: HeightField, window: Window) -> NDArray[np.float32]:
     part = field.heights_m[row : top + window.rows + 2, col : left + window.cols + 2]
     heights[row - top :, col - left :][: part.shape[0], : part.shape[1]] = part
     return heights
+
+
+def _columns(ctx: moderngl.Context, heights: NDArray[np.float32]) -> moderngl.Texture:
+    """Upload heights seen along their first axis: texel m of a column has lines 2 m to 2 m + 2."""
+    lines, columns = heights.shape
+    leaves = max(-(-(lines - 1) // 2), 1)
+    padded = np.full((2 * leaves + 2, columns + 2 * _COLUMN_APRON), EMPTY, dtype=np.float32)
+    padded[:lines, _COLUMN_APRON:-_COLUMN_APRON] = heights
+    texels = np.stack([padded[line : line + 2 * leaves : 2] for line in (0, 1, 2, 2)], axis=-1)
+    return upload(ctx, texels, "f4")
