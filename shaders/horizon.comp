@@ -15,9 +15,6 @@ layout(std430, binding = 3) buffer Flags { uint flags[]; };
 uniform int run;                  // columns a lane takes
 uniform int first_eye;
 uniform int first_row;            // of the results, the first eye's
-#ifdef SHELLS
-uniform int first_sky_row;        // of the skylines of the same eyes
-#endif
 
 const uint TRUNCATED = 1u, HOLE = 2u;
 
@@ -33,22 +30,14 @@ void main() {
         int q = first + i * LANES;
         int at = row * width + min(q, width - 1);
         int s_first, s_last, bin;
-        bool live = aim(q, s_first, s_last, bin);
+        aim(q, bin);
+        bool live = strips(s_first, s_last);
         // First bounds: the leaf that won the last column, and what else is known, a little lowered
         // so that an equal crossing is still found.
         float known = NOTHING;
 #ifdef RAISE
         float tan_before = elevation_tan[at], depth_before_m = depth_m[at];
         known = tan_before;
-#endif
-#ifdef SHELLS
-        int sky = (first_sky_row + index) * width + min(q, width - 1);
-        float sky_tan = elevation_tan[sky], sky_depth_m = depth_m[sky];
-        known = max(known, surfacing_tan(sky_tan, sky_depth_m, shell_m.x));
-        // The shell that holds the skyline is known already.
-        bool holds_sky = sky_tan > DATA && sky_depth_m >= shell_m.x && sky_depth_m < shell_m.y;
-        live = live && !holds_sky;
-        s_last = holds_sky ? s_first - 1 : s_last;
 #endif
         int done = winner & ~1;
         float best = NOTHING;
@@ -63,34 +52,22 @@ void main() {
         bool found = float(hit.v) > DATA;
         float tan_here = found ? float(hit.v) / metres_per_strip : NOTHING;
         float depth_here_m = found ? float(hit.z) * metres_per_strip : 0.0;
-#ifdef SHELLS
-        tan_here = holds_sky ? sky_tan : tan_here;
-        depth_here_m = holds_sky ? sky_depth_m : depth_here_m;
-        winner = holds_sky ? done : winner;
-        found = tan_here > surfacing_tan(sky_tan, sky_depth_m, depth_here_m);
-        tan_here = found ? tan_here : NOTHING;
-#else
         uint flag_here = found && !triangle_there(winner, hit.line, hit.family, true) ? TRUNCATED : 0u;
 #ifdef HOLES
         flag_here |= over_hole(live, bin, s_first, s_last) ? HOLE : 0u;
-#endif
 #endif
 #ifdef RAISE
         bool higher = tan_here > tan_before
             || (tan_here == tan_before && depth_here_m < depth_before_m);
         tan_here = higher ? tan_here : tan_before;
         depth_here_m = higher ? depth_here_m : depth_before_m;
-#ifndef SHELLS
         uint flag = flags[at];
         flag_here = (higher ? flag_here & TRUNCATED : flag & TRUNCATED) | ((flag | flag_here) & HOLE);
-#endif
 #endif
         if (q < width) {
             elevation_tan[at] = tan_here;
             depth_m[at] = depth_here_m;
-#ifndef SHELLS
             flags[at] = flag_here;
-#endif
         }
     }
 }

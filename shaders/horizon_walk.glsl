@@ -13,8 +13,8 @@
 // absolute is used: the eye is its nearest sample in whole numbers and an offset from that.
 //
 // Defines: HEADING 0..3; CELLS, how many cells of a strip a ray can cross; REAL, float or double;
-// DANGLING where edges without triangles exist; SHELLS to look at one range of depth alone; HOLES
-// to find the columns that look over one.
+// DANGLING where edges without triangles exist; SHELLS to look at ranges of depth; HOLES to find the
+// columns that look over one.
 
 struct Eye {
     ivec2 nearest;     // row, column of a sample
@@ -63,11 +63,16 @@ int w_first, w_last;               // cells of the window, relative to iw
 int s_begin, s_end;                // strips of the window that lie ahead
 REAL k, rate, inverse_k, inverse_rate;
 float drop_per_strip2;
+float z_enter, z_leave;            // distances between which the ray is beside cells of the window
+float z_low = 0.0, z_high = 1e30;  // distances that count
 #ifdef SHELLS
-uniform vec2 shell_m;             // forward depths that count
-uniform float reach_m;            // of a displaced eye that what is kept may surface for
+uniform float reach_m;             // of a displaced eye that what is kept may surface for
+#define PLACE float                // of the best: its distance
+const float NO_PLACE = 1e30;
+#else
+#define PLACE int                  // of the best: its strip
+const int NO_PLACE = 0x7ffffff0;
 #endif
-float z_low, z_high;               // the same in strips
 
 struct Hit { REAL v, z; int line, family; };   // family: 0 row, 1 lateral, 2 diagonal
 
@@ -94,37 +99,35 @@ void face(Eye eye) {
     w_last = lines.y - 2 - iw;
     s_begin = max(ip + int(floor(fp)), FORWARD ? 0 : 1 - lines.x);
     s_end = FORWARD ? lines.x - 1 : 0;
-#ifdef SHELLS
-    z_low = shell_m.x / metres_per_strip;
-    z_high = shell_m.y / metres_per_strip;
-#else
-    z_low = 0.0;
-    z_high = 1e30;
-#endif
 }
 
-// Aim at column q; returns whether its ray meets the window.
-bool aim(int q, out int s_first, out int s_last, out int bin) {
+// Aim at column q; bin is that of its slope.
+void aim(int q, out int bin) {
     REAL u = REAL(2 * q + 1 - width) / REAL(width);
     k = REAL(HEADING < 2 ? 1 : -1) * u * REAL(metres_per_strip) / REAL(metres_across);
     rate = k - REAL(SIGN);
     inverse_k = REAL(1) / k;
     inverse_rate = REAL(1) / rate;
     drop_per_strip2 = drop_per_m2 * metres_per_strip * metres_per_strip * float(REAL(1) + u * u);
-    // Strips between which the ray is beside no cell of the window, rounded outwards.
     float low = float(w_first) - float(fw), high = float(w_last + 1) - float(fw);
-    float slope = float(k), enter = 0.0, leave = 1e8;
-    if (slope > 0.0) { enter = low / slope; leave = high / slope; }
-    if (slope < 0.0) { enter = high / slope; leave = low / slope; }
-    if (slope == 0.0 && (low > 0.0 || high < 0.0)) leave = -1.0;
-    enter = clamp(max(enter, z_low), 0.0, 1e8);
-    leave = min(min(leave, z_high), 1e8);
-    s_first = max(s_begin, ip + int(floor(float(fp) + enter - STRIP_SLACK * (1.0 + enter))));
-    leave = max(leave, -1.0);
-    s_last = min(s_end - 1, ip + int(floor(float(fp) + leave + STRIP_SLACK * (1.0 + leave))));
+    float slope = float(k);
+    z_enter = 0.0;
+    z_leave = q < width ? 1e8 : -1.0;
+    if (slope > 0.0) { z_enter = low / slope; z_leave = min(z_leave, high / slope); }
+    if (slope < 0.0) { z_enter = high / slope; z_leave = min(z_leave, low / slope); }
+    if (slope == 0.0 && (low > 0.0 || high < 0.0)) z_leave = -1.0;
     bin = int(floor((slope * float(SIGN) / slope_max + 1.0) * 0.5 * float(bins)));
     bin = clamp(bin, 0, bins - 1);
-    bool meets = q < width && leave >= 0.0 && s_last >= s_first;
+}
+
+// The strips where the ray meets the window at distances that count, rounded outwards; returns
+// whether there are any.
+bool strips(out int s_first, out int s_last) {
+    float enter = clamp(max(z_enter, z_low), 0.0, 1e8);
+    float leave = clamp(min(z_leave, z_high), -1.0, 1e8);
+    s_first = max(s_begin, ip + int(floor(float(fp) + enter - STRIP_SLACK * (1.0 + enter))));
+    s_last = min(s_end - 1, ip + int(floor(float(fp) + leave + STRIP_SLACK * (1.0 + leave))));
+    bool meets = leave >= 0.0 && s_last >= s_first;
     if (!meets) s_last = s_first - 1;
     return meets;
 }
@@ -235,7 +238,11 @@ void NAME(int s, bool on, REAL xn, REAL xf, int top, vec2 h[CELLS + 1], inout Hi
          on);                                                                                      \
 }
 
-STRIP(strip_v, keep_v)
+#ifdef SHELLS
+STRIP(strip_best, keep_all)
+#else
+STRIP(strip_best, keep_v)
+#endif
 STRIP(strip_all, keep_all)
 STRIP(strip_rim, keep_rim)
 
@@ -256,8 +263,21 @@ void NAME(int s, bool on, inout Hit hit) {                                      
 ALONE(resolve, strip_all)
 ALONE(find_rim, strip_rim)
 
-// The two strips of a leaf, s and s + 1; of equal crossings the nearer strip is kept.
-void leaf(int s, int s_first, int s_last, inout float best, inout int best_s) {
+// Take what a strip holds if it is higher than the best, or as high and nearer.
+void raise(inout float best, inout PLACE place, Hit hit, int s) {
+    float v = float(hit.v);
+    #ifdef SHELLS
+    PLACE here = float(hit.z);
+#else
+    PLACE here = s;
+#endif
+    bool take = v > best || (v == best && here < place);
+    place = take ? here : place;
+    best = take ? v : best;
+}
+
+// The two strips of a leaf, s and s + 1.
+void leaf(int s, int s_first, int s_last, inout float best, inout PLACE place) {
     Hit near = Hit(REAL(2.0 * NOTHING), REAL(1e30), 0, 0), far = near;
     REAL xn, xm, xf;
     int top_near, top_far;
@@ -269,7 +289,7 @@ void leaf(int s, int s_first, int s_last, inout float best, inout int best_s) {
         three[i] = column(s, top_near + 1 - CELLS + i);
         h[i] = three[i].xy;
     }
-    strip_v(s, s >= s_first && s <= s_last, xn, xm, top_near, h, near);
+    strip_best(s, s >= s_first && s <= s_last, xn, xm, top_near, h, near);
 #if CELLS == 2
     // The far strip needs one column more at most.
     top_far = clamp(top_far, top_near - 1, top_near + 1);
@@ -281,15 +301,9 @@ void leaf(int s, int s_first, int s_last, inout float best, inout int best_s) {
 #else
     for (int i = 0; i <= CELLS; ++i) h[i] = column(s, top_far + 1 - CELLS + i).yz;
 #endif
-    strip_v(s + 1, s + 1 >= s_first && s + 1 <= s_last, xm, xf, top_far, h, far);
-    float v = float(near.v);
-    bool take = v > best || (v == best && s < best_s);
-    best_s = take ? s : best_s;
-    best = take ? v : best;
-    v = float(far.v);
-    take = v > best || (v == best && s + 1 < best_s);
-    best_s = take ? s + 1 : best_s;
-    best = take ? v : best;
+    strip_best(s + 1, s + 1 >= s_first && s + 1 <= s_last, xm, xf, top_far, h, far);
+    raise(best, place, near, s);
+    raise(best, place, far, s + 1);
 }
 
 // Where the texel of the band that begins at strip s lies: of the block of columns in which the
@@ -313,9 +327,9 @@ uint slabs_between(int s, int log_slab, int s_first, int s_last) {
 // Which of a band's slabs of 2^log_slab strips can rise above the best so far. v is greatest at a
 // slab's near end where y is positive, at its far end where it is negative.
 uint higher_slabs(int s, int log_slab, int level, int bin, float best) {
-    ivec2 place = texel_of(levels[level], s, log_slab, bin);
-    if (place.x < 0 || place.x >= textureSize(slabs, 0).x) return 0u;
-    uvec4 codes = texelFetch(slabs, place, 0);
+    ivec2 at = texel_of(levels[level], s, log_slab, bin);
+    if (at.x < 0 || at.x >= textureSize(slabs, 0).x) return 0u;
+    uvec4 codes = texelFetch(slabs, at, 0);
     if (!FORWARD) { codes = codes.wzyx; codes = (codes >> 16) | (codes << 16); }
     float slab = float(1 << log_slab), z0 = float(s - ip) - float(fp);
     float base = code_m.x - (eye_high_m - slack_m);
@@ -381,20 +395,20 @@ float surfacing_tan(float sky_tan, float sky_depth_m, float at_depth_m) {
 
 // Raise best to the column's greatest v, but for the leaf that is done already.
 void walk_heights(
-    bool live, int bin, int s_first, int s_last, int done, inout float best, inout int best_s
+    bool live, int bin, int s_first, int s_last, int done, inout float best, inout PLACE place
 ) {
 #define OPEN(s, log_slab, level)                                                                   \
     (higher_slabs(s, log_slab, level, bin, best) & slabs_between(s, log_slab, s_first, s_last)     \
      & ~(level == 0 && ((s ^ done) & ~15) == 0 ? 1u << uint((done & 15) >> 1) : 0u))
-    WALK(OPEN, leaf(s, s_first, s_last, best, best_s);)
+    WALK(OPEN, leaf(s, s_first, s_last, best, place);)
 #undef OPEN
 }
 
 #ifdef HOLES
 uint marked_slabs(int s, int log_slab, int level, int bin) {
-    ivec2 place = texel_of(rim_levels[level], s, log_slab, bin);
-    if (place.x < 0 || place.x >= textureSize(rims, 0).x) return 0u;
-    uint bits = texelFetch(rims, place, 0).x;
+    ivec2 at = texel_of(rim_levels[level], s, log_slab, bin);
+    if (at.x < 0 || at.x >= textureSize(rims, 0).x) return 0u;
+    uint bits = texelFetch(rims, at, 0).x;
     if (FORWARD) return bits;
     bits = ((bits & 0xf0u) >> 4) | ((bits & 0x0fu) << 4);
     bits = ((bits & 0xccu) >> 2) | ((bits & 0x33u) << 2);

@@ -19,7 +19,7 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 _ROUNDING = 3.0 * 2.0**-24
 """Of a crossing's height in float32, relative to the heights about it."""
 
-_NEAR_ERROR_PX = 0.004
+_NEAR_ERROR_PX = 0.02
 """What rounding may cost near the eye before float64 is used."""
 
 

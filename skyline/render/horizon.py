@@ -23,6 +23,7 @@ from skyline.render.walks import (
     NOTHING,
     ComputeWalker,
     FragmentWalker,
+    Place,
     Rows,
     Settings,
     Walk,
@@ -90,6 +91,7 @@ class HorizonRenderer:
             (field.spacing_east_m, field.spacing_north_m),
             self.curvature.drop_per_m2,
             self.tolerance_px,
+            len(_ranges(self.shell_edges_m)),
             _check_reach(reach_m),
         )
         self._walker: Walker = (
@@ -179,25 +181,27 @@ class HorizonRenderer:
         walker, shells = self._walker, _ranges(self.shell_edges_m)
         walker.begin((1 + len(shells)) * len(eyes))
         windows = eyes.nearest_first(self._windows)
-        for shell, shell_m in enumerate([None, *shells]):
+        for place, window in enumerate(windows):
+            if place == 0 or self._may_rise(window, eyes):
+                self._walk(window, eyes, Walk(first=place == 0))
+        if shells:
             for place, window in enumerate(windows):
-                if place == 0 or self._may_rise(window, eyes, shell_m):
-                    self._walk(window, eyes, Walk(shell_m=shell_m, first=place == 0), shell)
+                held = shells if place == 0 else _held(shells, *eyes.depths_m(window))
+                if held:
+                    walk = Walk(shells_m=tuple(held), first=place == 0)
+                    self._walk(window, eyes, walk, shells.index(held[0]))
         return self._views(eyes, walker.read())
 
-    def _walk(self, window: Window, eyes: Eyes, walk: Walk, block: int) -> None:
-        """Raise a block of results, the skylines (0) or those of a shell, by one window."""
+    def _walk(self, window: Window, eyes: Eyes, walk: Walk, shell: int = 0) -> None:
+        """Raise the skylines, or shells from a first one on, by one window."""
         textures, near = self._load(window), eyes.relative_to(window)
         for rows, heading, double in eyes.groups():
             kind = replace(walk, heading=heading, double=double)
-            row = block * len(eyes) + rows.start
-            self._walker.run(kind, textures, near[rows], row, rows.start)
+            place = Place(rows.start, (1 + shell) * len(eyes) + rows.start, len(eyes))
+            self._walker.run(kind, textures, near[rows], place)
 
-    def _may_rise(self, window: Window, eyes: Eyes, shell_m: tuple[float, float] | None) -> bool:
-        """Return whether a window can raise any skyline found so far, or holds any of a shell."""
-        nearest_m, farthest_m = eyes.depths_m(window)
-        if shell_m is not None:
-            return bool(((nearest_m < shell_m[1]) & (farthest_m >= shell_m[0])).any())
+    def _may_rise(self, window: Window, eyes: Eyes) -> bool:
+        """Return whether a window can raise any skyline found so far."""
         rows = slice(window.row, window.row + window.rows)
         cols = slice(window.col, window.col + window.cols)
         highest_m = float(np.fmax.reduce(self.field.heights_m[rows, cols], axis=None))
@@ -247,6 +251,18 @@ class HorizonRenderer:
 
 def _ranges(edges_m: Float64Array | None) -> list[tuple[float, float]]:
     return [] if edges_m is None else list(itertools.pairwise(edges_m.tolist()))
+
+
+def _held(
+    shells_m: list[tuple[float, float]], nearest_m: Float64Array, farthest_m: Float64Array
+) -> list[tuple[float, float]]:
+    """Return the shells, adjoining ones, in which eyes (N,) see any of a window."""
+    seen = [
+        index
+        for index, (low_m, high_m) in enumerate(shells_m)
+        if ((nearest_m < high_m) & (farthest_m >= low_m)).any()
+    ]
+    return shells_m[min(seen) : max(seen) + 1] if seen else []
 
 
 def _check_tolerance(tolerance_px: float) -> float:

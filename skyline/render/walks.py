@@ -6,7 +6,7 @@ Both read the same windows and eyes and give the same skylines: `horizon_walk.gl
 import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import moderngl
@@ -52,8 +52,9 @@ class Walk:
     Attributes
     ----------
     heading : int
-    shell_m : (float, float), optional
-        Only terrain in this range of forward depth, and only what could surface within the reach.
+    shells_m : tuple of (float, float)
+        Adjoining ranges of forward depth. Where there are any, what is looked for is the terrain
+        of each that could surface within the reach; else the skyline.
     double : bool
         Compute crossings in float64, where the OpenGL has it.
     first : bool
@@ -61,7 +62,7 @@ class Walk:
     """
 
     heading: int = 0
-    shell_m: tuple[float, float] | None = None
+    shells_m: tuple[tuple[float, float], ...] = ()
     double: bool = False
     first: bool = True
 
@@ -77,6 +78,8 @@ class Settings:
         East, north.
     drop_per_m2 : float
     tolerance_px : float
+    shells : int
+        The most shells a walk has.
     reach_m : float
         How far an eye may be displaced for which shells are kept.
     """
@@ -85,7 +88,27 @@ class Settings:
     spacing_m: tuple[float, float]
     drop_per_m2: float
     tolerance_px: float
+    shells: int
     reach_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where among the results those of a walk are.
+
+    Attributes
+    ----------
+    row : int
+        Of the first eye's skyline.
+    shell_row : int
+        Of its first shell.
+    rows_a_shell : int
+        From a shell to the next.
+    """
+
+    row: int
+    shell_row: int
+    rows_a_shell: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,14 +128,8 @@ class Walker(Protocol):
     def begin(self, rows: int) -> None:
         """Make room for results; the first walk of each row writes it all."""
 
-    def run(
-        self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int, sky_row: int
-    ) -> None:
-        """Walk over a window from every eye.
-
-        The first eye's result is in ``row``, its skyline (which shells are held to) in
-        ``sky_row``.
-        """
+    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], place: Place) -> None:
+        """Walk over a window from every eye; shells are held to the skylines."""
 
     def read(self) -> Rows:
         """Return the results."""
@@ -142,14 +159,8 @@ class ComputeWalker:
         # Zero rows need no memory, but OpenGL knows no empty buffer.
         self._results = [self._ctx.buffer(reserve=max(4 * cells, 4)) for _ in range(3)]
 
-    def run(
-        self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int, sky_row: int
-    ) -> None:
-        """Walk over a window from every eye.
-
-        The first eye's result is in ``row``, its skyline (which shells are held to) in
-        ``sky_row``.
-        """
+    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], place: Place) -> None:
+        """Walk over a window from every eye; shells are held to the skylines."""
         program = self._programs.ready(walk, window, eyes)
         buffer = self._ctx.buffer(eyes.tobytes())
         for binding, bound in enumerate((buffer, *self._results)):
@@ -158,8 +169,14 @@ class ComputeWalker:
         groups = math.ceil(self._settings.width / (self._lanes * run))
         at_once = _MAX_GROUPS // groups
         for first in range(0, len(eyes), at_once):
-            places = {"first_eye": first, "first_row": row, "first_sky_row": sky_row}
-            set_uniforms(program, {"run": run, **places})
+            values: dict[str, object] = {
+                "run": run,
+                "first_eye": first,
+                "first_row": place.row,
+                "first_shell_row": place.shell_row,
+                "rows_a_shell": place.rows_a_shell,
+            }
+            set_uniforms(program, values)
             program.run(min(at_once, len(eyes) - first) * groups)
         self._ctx.memory_barrier()
         buffer.release()
@@ -192,7 +209,8 @@ class ComputeWalker:
         self._results = []
 
     def _compile(self, defines: dict[str, str]) -> moderngl.ComputeShader:
-        return compile_compute(self._ctx, "horizon.comp", {"LANES": str(self._lanes), **defines})
+        name = "horizon_shells.comp" if "SHELLS" in defines else "horizon.comp"
+        return compile_compute(self._ctx, name, {"LANES": str(self._lanes), **defines})
 
 
 class FragmentWalker:
@@ -212,14 +230,18 @@ class FragmentWalker:
         """Make room for results; the first walk of each row writes it all."""
         self._results = _no_rows(rows, self._settings.width)
 
-    def run(
+    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], place: Place) -> None:
+        """Walk over a window from every eye; shells are held to the skylines."""
+        if not walk.shells_m:
+            self._walk(walk, window, eyes, place.row, place.row)
+        for index, shell_m in enumerate(walk.shells_m):
+            row = place.shell_row + index * place.rows_a_shell
+            self._walk(replace(walk, shells_m=(shell_m,)), window, eyes, row, place.row)
+
+    def _walk(
         self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int, sky_row: int
     ) -> None:
-        """Walk over a window from every eye.
-
-        The first eye's result is in ``row``, its skyline (which shells are held to) in
-        ``sky_row``.
-        """
+        """Draw one row an eye: of skylines, or of one shell."""
         program = self._programs.ready(walk, window, eyes)
         texels = np.concatenate([eyes[name] for name in EYE.names or ()], axis=1, dtype=np.float32)
         rows = slice(row, row + len(eyes))
@@ -232,7 +254,7 @@ class FragmentWalker:
                 held.enter_context(self._texture(size, 2, known, "f4")),
                 held.enter_context(self._texture(size, 1, results.flags[rows], "u1")),
             ]
-            if walk.shell_m is not None:
+            if walk.shells_m:
                 sky = slice(sky_row, sky_row + len(eyes))
                 lines = np.stack([results.elevation_tan[sky], results.depth_m[sky]], axis=-1)
                 sources.append(held.enter_context(self._texture(size, 2, lines, "f4")))
@@ -295,7 +317,7 @@ class _Programs:
         """Return the program for a walk, its uniforms set and the window's textures bound."""
         slope_max = window.slope_max[walk.heading % 2]
         columns = window.columns[walk.heading % 2]
-        rims = window.rims if walk.shell_m is None else None
+        rims = None if walk.shells_m else window.rims
         defines = self._defines(walk, slope_max, window.dangling, rims is not None)
         key = frozenset(defines.items())
         if key not in self._compiled:
@@ -317,7 +339,7 @@ class _Programs:
             "bins": SLOPE_BINS,
             "slope_max": slope_max,
             "width": settings.width,
-            "shell_m": walk.shell_m,
+            **self._shells(walk),
             "reach_m": min(settings.reach_m, _ANY_REACH_M),
         }
         set_uniforms(program, values)
@@ -335,13 +357,24 @@ class _Programs:
             program.release()
         self._compiled = {}
 
+    def _shells(self, walk: Walk) -> dict[str, object]:
+        if not walk.shells_m:
+            return {}
+        edges_m = [walk.shells_m[0][0], *(high_m for _, high_m in walk.shells_m)]
+        # Uniform arrays are set as a whole.
+        edges_m += edges_m[-1:] * (self._settings.shells + 1 - len(edges_m))
+        return {
+            "shells": len(walk.shells_m),
+            "shell_edges_m": edges_m,
+            "shell_m": walk.shells_m[0],
+        }
+
     def _defines(self, walk: Walk, slope_max: float, dangling: bool, holes: bool) -> dict[str, str]:
         width = self._settings.width
         # A ray falls short of slope_max by a column's half: at equal spacings two cells do.
         cells = math.ceil(slope_max * (width - 1) / width) + 1
         switches = {
             "HOLES": holes,
-            "SHELLS": walk.shell_m is not None,
             "DANGLING": dangling,
             "RAISE": not walk.first,
         }
@@ -349,6 +382,7 @@ class _Programs:
             "HEADING": str(walk.heading),
             "CELLS": str(cells),
             "REAL": "double" if walk.double and self._has_double else "float",
+            **({"SHELLS": str(self._settings.shells)} if walk.shells_m else {}),
             **{name: "" for name, on in switches.items() if on},
         }
 
