@@ -1,4 +1,4 @@
-"""The command line of benchmarks: ``skyline-bench speed-error`` (DESIGN 8)."""
+"""The command line of benchmarks: ``skyline-bench speed-error stability table1`` (DESIGN 8)."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,9 +13,14 @@ from rich.table import Table
 from skyline import __version__
 from skyline.console import progress_bar, run_app
 from skyline.errors import InputError
+from skyline.experiments.agreement import DEPTH, HORIZON
 from skyline.experiments.record import Row, machine, write_record
 from skyline.experiments.speed_error import SpeedErrorConfig, measure
 from skyline.experiments.speed_error_plot import save_speed_error
+from skyline.experiments.stability import measure as measure_stability
+from skyline.experiments.table1 import SEEDS, conclusions
+from skyline.experiments.table1 import measure as measure_table1
+from skyline.experiments.table1 import plot as plot_table1
 from skyline.terrain.dem import DemOptions, read_dem
 
 _PLOT_SUFFIXES = (".png", ".pdf", ".svg")
@@ -80,6 +85,55 @@ def speed_error(
         write_record(json_file, "speed-error", rows)
     if plot is not None:
         save_speed_error(rows, machine(), plot)
+
+
+@app.command()
+def stability(
+    json_file: JsonFile = None,
+    quick: Quick = False,
+) -> None:
+    """Run the hard cases along both rasterizers: error, what is allowed, and a verdict."""
+    _check_outputs(json_file, None)
+    rows: list[Row] = []
+    for path in (HORIZON, DEPTH):
+        rows += [dict(row) for row in measure_stability(path, quick)]
+    columns = {"case": "case", "path": "path", "error_px": "px", "bound_px": "bound", "ok": "ok"}
+    _print_rows(rows, columns)
+    failed = [row for row in rows if not row["ok"]]
+    typer.echo(f"{len(rows) - len(failed)} of {len(rows)} cases hold")
+    if json_file is not None:
+        write_record(json_file, "stability", rows)
+    if failed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def table1(
+    seeds: Annotated[int, typer.Option(help="How many seeds, from 0 on.")] = SEEDS,
+    json_file: JsonFile = None,
+    plot: PlotFile = None,
+    quick: Quick = False,
+) -> None:
+    """Repeat the paper's simulation: viewpoints and overlap of every strategy, its own and ours."""
+    _check_outputs(json_file, plot)
+    rows = measure_table1(seeds, quick)
+    columns = {
+        "row": "row",
+        "strategy": "strategy",
+        "A": "(A)",
+        "A_std": "+-",
+        "B": "(B)",
+        "mean_area": "mean area",
+        "bound": "bound",
+        "seconds": "s",
+    }
+    _print_rows(rows, columns)
+    for said, holds in conclusions(rows).items():
+        typer.echo(f"{'holds' if holds else 'does not hold':<14} {said}")
+    if json_file is not None:
+        write_record(json_file, "table1", rows)
+    if plot is not None:
+        plot_table1(plot)
 
 
 @app.callback(invoke_without_command=True)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +31,9 @@ from skyline.pipeline import (
     save_depth_pictures,
 )
 from skyline.pipeline import explain as explain_scene
+from skyline.planned_build import PlannedResult, build_planned
+from skyline.planning.loop import PlanConfig
+from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
 from skyline.store import is_store
 from skyline.terrain.dem import DemOptions, read_dem
@@ -37,6 +41,7 @@ from skyline.terrain.viewpoint_csv import read_viewpoints
 from skyline.terrain.viewpoints import stand_on
 
 _DEFAULTS = RenderConfig()
+_PLANNED = PlanConfig()
 
 app = typer.Typer(
     name="skyline",
@@ -109,8 +114,22 @@ def render(
 def build(
     dem: Dems,
     output: Output,
-    planner: Annotated[str, typer.Option(help="How viewpoints are chosen: uniform.")] = "uniform",
-    spacing: Annotated[float, typer.Option(help="Metres between viewpoints.")] = 1000.0,
+    planner: Annotated[
+        str, typer.Option(help=f"How viewpoints are chosen: uniform, {', '.join(STRATEGIES)}.")
+    ] = "uniform",
+    spacing: Annotated[
+        float, typer.Option(help="Metres between viewpoints; a planner's coarse grid.")
+    ] = _PLANNED.spacing.coarse_m,
+    pitch: Annotated[
+        float, typer.Option(help="Metres between a planner's candidates.")
+    ] = _PLANNED.spacing.pitch_m,
+    threshold_px: Annotated[
+        float, typer.Option("--threshold-px", help="What a covered location may differ by.")
+    ] = _PLANNED.threshold_px,
+    coverage: Annotated[
+        float, typer.Option(help="Share of the candidates a planner covers.")
+    ] = _PLANNED.coverage,
+    seed: Annotated[int, typer.Option(help="Of a planner's random choices.")] = _PLANNED.seed,
     bounds: Bounds = None,
     width: Width = _DEFAULTS.width,
     tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
@@ -120,14 +139,36 @@ def build(
     reproject: Reproject = False,
 ) -> None:
     """Build a reference store over an area. Stopped with Ctrl-C, the same command goes on."""
-    if planner != "uniform":
-        raise InputError(f"planner is {planner!r}; expected uniform")
+    if planner != "uniform" and planner not in STRATEGIES:
+        raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
     config = _render_config(width, tolerance_px, k, no_curvature)
     corners = _parse_bounds(bounds)
-    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-    with progress_bar("rendering") as progress:
-        result = build_uniform(terrain, output, spacing, corners, config, progress)
-    _say_built(result, output)
+    dem_options = DemOptions(crs=crs, reproject=reproject)
+    if planner == "uniform":
+        terrain = read_dem(dem, dem_options)
+        with progress_bar("rendering") as progress:
+            result = build_uniform(terrain, output, spacing, corners, config, progress)
+        _say_built(result, output)
+        return
+    planned = PlanConfig(
+        planner,
+        replace(_PLANNED.spacing, coarse_m=spacing, pitch_m=pitch),
+        threshold_px,
+        coverage,
+        seed=seed,
+    )
+    terrain = read_dem(dem, dem_options)
+    with progress_bar("covering, %") as percent:
+        done = build_planned(
+            terrain,
+            output,
+            planned,
+            corners,
+            config,
+            lambda now: percent(int(100 * now.coverage), 100),
+        )
+    _say_built(done.built, output)
+    _say_planned(done)
 
 
 @app.command()
@@ -277,6 +318,17 @@ def _say_built(result: BuildResult, path: Path) -> None:
     typer.echo(
         f"{path}: {result.renderings} renderings, {result.rendered} of them new in "
         f"{result.seconds:.1f} s ({rate:.0f}/s), {path.stat().st_size / 1e6:.1f} MB"
+    )
+
+
+def _say_planned(done: PlannedResult) -> None:
+    proof, made = done.verification, done.plan.progress
+    typer.echo(
+        f"coverage {100 * proof.predicted:.1f} % predicted, {100 * proof.verified:.1f} % verified "
+        f"by rendering ({proof.sampled} covered locations: {100 * proof.share:.1f} % hold, 95 % "
+        f"interval {100 * proof.low:.1f} to {100 * proof.high:.1f}); overlap {made.overlap}, "
+        f"{made.batches} batches, rendering {done.plan.render_s:.1f} s, planning "
+        f"{done.plan.plan_s:.1f} s"
     )
 
 

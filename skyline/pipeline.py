@@ -85,7 +85,7 @@ def render_views(
 ) -> Views:
     """Render the skylines of viewpoints in all four headings (4 N views)."""
     config = config or RenderConfig()
-    with _renderer(terrain, config) as renderer:
+    with make_renderer(terrain, config) as renderer:
         return renderer.render(viewpoints)
 
 
@@ -124,8 +124,8 @@ def build_uniform(
         terrain, spacing_m, map_bounds(terrain, bounds_deg), config.eye_height_m
     )
     plan = {"planner": "uniform", "spacing_m": spacing_m, "bounds_deg": bounds_deg}
-    with _renderer(terrain, config) as renderer:
-        header = _header(terrain, renderer, config, plan)
+    with make_renderer(terrain, config) as renderer:
+        header = store_header(terrain, renderer, config, plan)
         if not Path(path).exists():
             with create_store(path, header) as writer:
                 return _render_into(writer, renderer, viewpoints, config, progress)
@@ -149,8 +149,8 @@ def render_to_store(
         Something is at ``path`` already.
     """
     config = config or RenderConfig()
-    with _renderer(terrain, config) as renderer:
-        header = _header(terrain, renderer, config, {"planner": "viewpoints"})
+    with make_renderer(terrain, config) as renderer:
+        header = store_header(terrain, renderer, config, {"planner": "viewpoints"})
         with create_store(path, header) as writer:
             return _render_into(writer, renderer, viewpoints, config, progress)
 
@@ -172,7 +172,8 @@ def save_depth_pictures(
             save_depth_images(images, views, folder / f"{index:04d}.png")
 
 
-def _renderer(terrain: HeightField, config: RenderConfig) -> HorizonRenderer:
+def make_renderer(terrain: HeightField, config: RenderConfig) -> HorizonRenderer:
+    """Return the renderer a configuration asks for."""
     return HorizonRenderer(
         terrain,
         config.width,
@@ -183,9 +184,10 @@ def _renderer(terrain: HeightField, config: RenderConfig) -> HorizonRenderer:
     )
 
 
-def _header(
+def store_header(
     terrain: HeightField, renderer: HorizonRenderer, config: RenderConfig, plan: dict[str, object]
 ) -> StoreHeader:
+    """Return the header of a store that a renderer fills by a plan."""
     return StoreHeader(
         frame_wkt=terrain.frame.wkt,
         dem_digest=terrain.digest,

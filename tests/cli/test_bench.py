@@ -6,7 +6,7 @@ import cv2
 import pytest
 
 from skyline import bench
-from skyline.experiments import speed_error
+from skyline.experiments import speed_error, stability
 from skyline.experiments.embree import is_installed
 
 KEYS = {"path", "width", "tolerance_px", "ms_per_viewpoint", "rms_px", "max_px"}
@@ -103,3 +103,26 @@ def test_ctrl_c_ends_in_one_line(run_bench, dem, monkeypatch):
     done = run_bench("speed-error", dem, "--quick")
     assert done.code == 130
     assert done.err == "error: stopped; nothing was written\n"
+
+
+def test_stability_says_which_cases_hold(run_bench, tmp_path, monkeypatch):
+    monkeypatch.setattr(stability, "HARD_CASES", stability.HARD_CASES[:2])
+    monkeypatch.setattr(stability.measure, "__defaults__", (False, stability.HARD_CASES))
+    done = run_bench("stability", "--quick", "--json", tmp_path / "record.json")
+    assert done.code == 0, done.err
+    assert "4 of 4 cases hold" in done.out
+    rows = json.loads((tmp_path / "record.json").read_text())["rows"]
+    assert all(row.keys() >= {"case", "error_px", "ok"} for row in rows)
+
+
+def test_table1_compares_the_strategies(run_bench, tmp_path):
+    done = run_bench("table1", "--seeds", 1, "--json", tmp_path / "record.json")
+    assert done.code == 0, done.err
+    rows = json.loads((tmp_path / "record.json").read_text())["rows"]
+    keys = {"row", "strategy", "A", "B", "mean_area", "seconds"}
+    assert len(rows) == 18
+    assert all(row.keys() >= keys for row in rows)
+    for number in (1, 2, 3):
+        needed = {row["strategy"]: row["A"] for row in rows if row["row"] == number}
+        assert min(needed, key=lambda name: needed[name]) == "cover"
+    assert run_bench("table1", "--seeds", 0).code == 2

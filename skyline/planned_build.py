@@ -1,0 +1,141 @@
+"""A build whose viewpoints a planner chooses: pipeline's part that ties planner and renderer."""
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from skyline.features import polyline_keypoints
+from skyline.pipeline import BuildResult, RenderConfig, make_renderer, store_header
+from skyline.planning.candidates import lay_out
+from skyline.planning.loop import Oracles, Plan, PlanConfig, PlanProgress, plan
+from skyline.planning.requests import Headings
+from skyline.planning.tolerance import Neighbourhood, ToleranceMeter
+from skyline.planning.uniform import map_bounds
+from skyline.planning.verify import Checks, Verification, verify_coverage
+from skyline.prediction import PREDICTORS, predict, true_errors_px
+from skyline.render.horizon import HorizonRenderer
+from skyline.store import StoreWriter, create_store, open_for_append, open_store
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+from skyline.views import Views
+
+SHELL_EDGES_M = (0.0, *np.geomspace(60.0, 45_000.0, 12).tolist())
+"""Twelve shells, near ones narrow: what `cover` predicts from."""
+
+PREDICTING = ("rov", "cover")
+"""Strategies that compute the areas of candidates; the others interpolate them."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedResult:
+    """What a planned build did.
+
+    Attributes
+    ----------
+    built : BuildResult
+    plan : Plan
+    verification : Verification
+        The predicted coverage held to renderings.
+    """
+
+    built: BuildResult
+    plan: Plan
+    verification: Verification
+
+
+def build_planned(
+    terrain: HeightField,
+    path: str | Path,
+    planned: PlanConfig,
+    bounds_deg: tuple[float, float, float, float] | None = None,
+    config: RenderConfig | None = None,
+    progress: Callable[[PlanProgress], None] | None = None,
+) -> PlannedResult:
+    """Let a planner choose viewpoints until the area is covered; store what it has rendered.
+
+    `cover` plans by distance shells, which are kept in the store; the paper's strategies plan by
+    Equation 4 with the mean depth. A build that was stopped goes on: its plan is followed again,
+    and what the store holds is not rendered again.
+
+    Parameters
+    ----------
+    terrain : HeightField
+    path : str or Path
+        The store.
+    planned : PlanConfig
+    bounds_deg : tuple, optional
+        W, S, E, N in degrees; by default all of the terrain.
+    config : RenderConfig, optional
+    progress : callable, optional
+        Called after each batch.
+
+    Raises
+    ------
+    InputError
+        An area that cannot be planned.
+    StoreMismatchError
+        The store at ``path`` was built from another DEM or with another configuration.
+    """
+    config = config or RenderConfig()
+    planned = replace(planned, eye_height_m=config.eye_height_m)
+    if planned.strategy == "cover" and not config.shell_edges_m:
+        config = replace(config, shell_edges_m=SHELL_EDGES_M, reach_m=planned.spacing.reach_m)
+    started = time.perf_counter()
+    settings: dict[str, object] = {
+        "planner": planned.strategy,
+        "plan": asdict(planned),
+        "bounds_deg": bounds_deg,
+    }
+    area = map_bounds(terrain, bounds_deg)
+    # An area that cannot be planned is refused before a store is made for it.
+    lay_out(terrain, planned.spacing, area, planned.eye_height_m)
+    with make_renderer(terrain, config) as renderer, ExitStack() as held:
+        header = store_header(terrain, renderer, config, settings)
+        there: Views | None = None
+        if Path(path).exists():
+            with open_store(path) as store:
+                there = store.views()
+            writer = held.enter_context(open_for_append(path, header))
+        else:
+            writer = held.enter_context(create_store(path, header))
+        before = len(writer)
+        oracles = _oracles(terrain, planned, partial(_render_and_keep, renderer, writer, config))
+        done = plan(terrain, oracles, planned, area, there, progress)
+        writer.flush()
+        built = BuildResult(len(writer), len(writer) - before, time.perf_counter() - started)
+        # Stored views are rendered again rather than held: a rendering costs less than its memory.
+        checks = Checks(renderer.render, renderer.render, true_errors_px)
+        return PlannedResult(built, done, verify_coverage(done, checks, planned.threshold_px))
+
+
+def _oracles(
+    terrain: HeightField, planned: PlanConfig, render: Callable[[Viewpoints, Headings], Views]
+) -> Oracles:
+    spacing = planned.spacing
+    size = 2 * int(spacing.reach_m // spacing.pitch_m) + 1
+    shells = planned.strategy == "cover"
+    meter = ToleranceMeter(
+        terrain.height_at,
+        Neighbourhood(size, spacing.pitch_m),
+        PREDICTORS["shells" if shells else "affine-mean"],
+        planned.eye_height_m,
+    )
+    foresee = partial(predict, with_shells=shells) if planned.strategy in PREDICTING else None
+    return Oracles(render, meter, foresee)
+
+
+def _render_and_keep(
+    renderer: HorizonRenderer,
+    writer: StoreWriter,
+    config: RenderConfig,
+    viewpoints: Viewpoints,
+    heading: Headings,
+) -> Views:
+    views = renderer.render(viewpoints, heading)
+    writer.append(views, polyline_keypoints(views, config.keypoint_tolerance_px))
+    return views

@@ -1,0 +1,155 @@
+"""Where viewpoints may stand on real terrain: candidates on a dense grid of the map."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.planning.coverage import BoolArray, CandidateGrid, IntArray
+from skyline.planning.uniform import MapBounds
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+
+Float64Array = NDArray[np.float64]
+
+_MOST_CANDIDATES = 20_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Spacing:
+    """Distances between viewpoints, metres.
+
+    Attributes
+    ----------
+    coarse_m : float
+        Of the grid that is rendered to begin with; a whole multiple of ``pitch_m``.
+    pitch_m : float
+        Of the candidates.
+    reach_m : float
+        How far a tolerance area may extend from its view.
+
+    Raises
+    ------
+    InputError
+        Distances that are not positive or do not fit each other.
+    """
+
+    coarse_m: float = 1000.0
+    pitch_m: float = 50.0
+    reach_m: float = 300.0
+
+    def __post_init__(self) -> None:
+        for name, value in (("coarse", self.coarse_m), ("candidate", self.pitch_m)):
+            if not 0.0 < value < np.inf:
+                raise InputError(
+                    f"{name} spacing is {value} m; expected a positive number of metres"
+                )
+        if not self.pitch_m <= self.reach_m < np.inf:
+            raise InputError(
+                f"reach is {self.reach_m} m; expected at least the candidates' {self.pitch_m} m"
+            )
+        if abs(self.coarse_m / self.pitch_m - self.stride) > 1e-9 * self.stride:
+            raise InputError(
+                f"spacing of {self.coarse_m} m is no whole multiple of the candidates' "
+                f"{self.pitch_m} m; choose one that is, for example {self.stride * self.pitch_m} m"
+            )
+
+    @property
+    def stride(self) -> int:
+        """Candidates from one viewpoint of the coarse grid to the next."""
+        return max(1, round(self.coarse_m / self.pitch_m))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CandidateMap:
+    """Candidates at whole multiples of the pitch, in the frame of a field.
+
+    Attributes
+    ----------
+    field : HeightField
+    grid : CandidateGrid
+        Valid where an eye can stand off the holes and off the map's border.
+    easting_m : (cols,) float64
+    northing_m : (rows,) float64
+        Descending.
+    square : (rows, cols) int64
+        Which square of the coarse grid a candidate lies in.
+    coarse : (N,) int64
+        The valid candidates on the coarse grid.
+    eye_height_m : float
+    """
+
+    field: HeightField
+    grid: CandidateGrid
+    easting_m: Float64Array
+    northing_m: Float64Array
+    square: IntArray
+    coarse: IntArray
+    eye_height_m: float
+
+    def viewpoints(self, candidates: IntArray) -> Viewpoints:
+        """Return viewpoints at candidates (N)."""
+        row, col = self.grid.row_col(candidates)
+        return stand_on(self.field, self.easting_m[col], self.northing_m[row], self.eye_height_m)
+
+
+def lay_out(
+    field: HeightField,
+    spacing: Spacing,
+    bounds_m: MapBounds | None = None,
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
+) -> CandidateMap:
+    """Lay candidates over an area.
+
+    Raises
+    ------
+    InputError
+        A spacing larger than the area, or an area wholly in holes.
+    """
+    west, south, east, north = bounds_m or field.bounds_m
+    if spacing.coarse_m > max(east - west, north - south):
+        raise InputError(
+            f"spacing of {spacing.coarse_m:g} m is larger than the area of {east - west:.0f} x "
+            f"{north - south:.0f} m; choose a smaller spacing or a larger area"
+        )
+    pitch = spacing.pitch_m
+    col = np.arange(np.ceil(west / pitch), np.floor(east / pitch) + 1.0)
+    row = np.arange(np.floor(north / pitch), np.ceil(south / pitch) - 1.0, -1.0)
+    if len(row) * len(col) > _MOST_CANDIDATES:
+        raise InputError(
+            f"{len(row) * len(col)} candidates {pitch:g} m apart are too many to plan at once; "
+            "plan smaller bounds one after the other, or put the candidates further apart"
+        )
+    easting, northing = np.meshgrid(col * pitch, row * pitch)
+    grid = CandidateGrid(_can_stand(field, easting, northing), int(spacing.reach_m // pitch))
+    stride = spacing.stride
+    on_coarse = (row[:, None] % stride == 0) & (col % stride == 0) & grid.valid
+    if not on_coarse.any():
+        raise InputError(
+            f"no viewpoint of the {spacing.coarse_m:g} m grid falls on the surface in easting "
+            f"{west:.0f} to {east:.0f}, northing {south:.0f} to {north:.0f}; choose a smaller "
+            "spacing or a larger area"
+        )
+    square_row, square_col = row // stride, col // stride
+    square = (square_row[:, None] - square_row[-1]) * (square_col[-1] - square_col[0] + 1.0)
+    square = square + square_col - square_col[0]
+    return CandidateMap(
+        field,
+        grid,
+        col * pitch,
+        row * pitch,
+        square.astype(np.int64),
+        np.flatnonzero(on_coarse),
+        eye_height_m,
+    )
+
+
+def _can_stand(field: HeightField, easting: Float64Array, northing: Float64Array) -> BoolArray:
+    """Return where the surface goes on for a sample to every side."""
+    ground = field.height_at(easting, northing)
+    for east, north in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        ground = ground + field.height_at(
+            easting + east * field.spacing_east_m, northing + north * field.spacing_north_m
+        )
+    return ~np.isnan(ground)

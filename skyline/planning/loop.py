@@ -1,0 +1,339 @@
+"""The planning loop on real terrain (paper 4): strategies ask, a renderer renders, areas grow.
+
+Every heading is a problem of its own. The paper's strategies run in every square of the coarse
+grid, ours over the whole area; all run in step, so that what they ask for in a round goes to the
+renderer as one batch. What comes back is put in order by where it was rendered, so the order it
+comes back in makes no difference. Nothing is random but what the seed says: given the views of a
+plan that was stopped, the same plan asks for the same views again, is handed those there are, and
+goes on where they end.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from skyline.camera import HEADINGS
+from skyline.errors import InputError
+from skyline.planning.candidates import CandidateMap, Spacing, lay_out
+from skyline.planning.coverage import (
+    AreaModel,
+    BoolArray,
+    Coverage,
+    Float32Array,
+    IntArray,
+    Problem,
+    check_target,
+    check_threshold,
+)
+from skyline.planning.models import Archive, InterpolatedModel, Measure, Predict, PredictedModel
+from skyline.planning.requests import Headings, Render, in_order, places, rows_by_place
+from skyline.planning.strategies import STRATEGIES
+from skyline.planning.uniform import MapBounds
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
+from skyline.views import Views
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class PlanConfig:
+    """What to plan.
+
+    Attributes
+    ----------
+    strategy : str
+        A name of `skyline.planning.strategies.STRATEGIES`.
+    spacing : Spacing
+    threshold_px : float
+        A location is covered where some view's skyline is predicted within this.
+    coverage : float
+        Share of the candidates to cover in each heading, in (0, 1].
+    eye_height_m : float
+    seed : int
+
+    Raises
+    ------
+    InputError
+        No such strategy, a coverage outside (0, 1] or a threshold that is not positive.
+    """
+
+    strategy: str = "cover"
+    spacing: Spacing = field(default_factory=Spacing)
+    threshold_px: float = 3.0
+    coverage: float = 0.98
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.strategy not in STRATEGIES:
+            raise InputError(
+                f"strategy is {self.strategy!r}; expected one of {', '.join(STRATEGIES)}"
+            )
+        check_target(self.coverage)
+        check_threshold(self.threshold_px)
+
+
+@dataclass(frozen=True, slots=True)
+class Oracles:
+    """What the loop asks others for.
+
+    Attributes
+    ----------
+    render : Render
+    measure : Measure
+        Tolerance areas of rendered views.
+    predict : Predict, optional
+        Views at candidates that have not been rendered. Without it, areas of candidates are
+        interpolated from those of the rendered views around.
+    measure_predicted : Measure, optional
+        Tolerance areas of predicted views; by default ``measure``.
+    """
+
+    render: Render
+    measure: Measure
+    predict: Predict | None = None
+    measure_predicted: Measure | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PlanProgress:
+    """How far a plan has come: after each batch.
+
+    Attributes
+    ----------
+    coverage : float
+        Share of the candidates covered, over all headings.
+    renderings : int
+        Views so far, those handed in at the start included.
+    overlap : int
+        Inclusions in tolerance areas less covered candidates, over all headings.
+    renderings_per_s : float
+    batches : int
+        So far.
+    """
+
+    coverage: float
+    renderings: int
+    overlap: int
+    renderings_per_s: float
+    batches: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plan:
+    """What was planned and rendered.
+
+    Attributes
+    ----------
+    candidates : CandidateMap
+    coverages : tuple of Coverage
+        One a heading: its viewpoints and their tolerance areas.
+    progress : PlanProgress
+        At the end.
+    render_s, plan_s : float
+        Seconds spent in the renderer, and on everything else.
+    """
+
+    candidates: CandidateMap
+    coverages: tuple[Coverage, ...]
+    progress: PlanProgress
+    render_s: float
+    plan_s: float
+
+    @property
+    def coverage(self) -> float:
+        """Predicted coverage over all headings."""
+        return self.progress.coverage
+
+
+class _Model(AreaModel, Protocol):
+    def learn(self, candidates: IntArray, views: Views, errors: Float32Array) -> None: ...
+
+
+_Pending = tuple[Generator[IntArray, Float32Array, None], IntArray]
+"""A strategy at work and the candidates it is waiting for."""
+
+
+def plan(
+    terrain: HeightField,
+    oracles: Oracles,
+    config: PlanConfig | None = None,
+    bounds_m: MapBounds | None = None,
+    rendered: Views | None = None,
+    progress: Callable[[PlanProgress], None] | None = None,
+) -> Plan:
+    """Choose viewpoints and have them rendered until the coverage asked for is reached.
+
+    Parameters
+    ----------
+    terrain : HeightField
+    oracles : Oracles
+    config : PlanConfig, optional
+    bounds_m : tuple, optional
+        West, south, east, north of the area, by default all of the terrain.
+    rendered : Views, optional
+        Views of the same plan, stopped earlier; they are not rendered again.
+    progress : callable, optional
+        Called with a `PlanProgress` after each batch.
+
+    Raises
+    ------
+    InputError
+        A spacing larger than the area, an area wholly in holes, or a renderer that does not
+        return what it was asked for.
+    """
+    config = config or PlanConfig()
+    candidates = lay_out(terrain, config.spacing, bounds_m, config.eye_height_m)
+    loop = _Loop(candidates, oracles, config, rendered, progress)
+    loop.run()
+    return loop.result()
+
+
+class _Loop:
+    def __init__(
+        self,
+        candidates: CandidateMap,
+        oracles: Oracles,
+        config: PlanConfig,
+        rendered: Views | None,
+        progress: Callable[[PlanProgress], None] | None,
+    ) -> None:
+        self._candidates = candidates
+        self._oracles = oracles
+        self._config = config
+        self._rendered = rendered
+        self._at = {} if rendered is None else rows_by_place(rendered)
+        self._progress = progress
+        self._coverages = tuple(Coverage(candidates.grid) for _ in HEADINGS)
+        self._archive = Archive()
+        self._models = tuple(self._model(heading) for heading in HEADINGS)
+        self._started = time.perf_counter()
+        self._render_s = 0.0
+        self._fresh = 0
+        self._batches = 0
+
+    def run(self) -> None:
+        """Render the coarse grid, then what the strategies ask for."""
+        coarse = self._candidates.coarse
+        self._batch([coarse for _ in HEADINGS], list(HEADINGS))
+        waiting = [self._start(heading) for heading in HEADINGS]
+        while any(waiting):
+            asked = [(heading, one) for heading in HEADINGS for one in waiting[heading]]
+            errors = self._batch([one[1] for _, one in asked], [heading for heading, _ in asked])
+            waiting = [[] for _ in HEADINGS]
+            for (heading, (requests, _)), answer in zip(asked, errors, strict=True):
+                if self._coverages[heading].fraction() >= self._config.coverage:
+                    requests.close()
+                    continue
+                try:
+                    waiting[heading].append((requests, requests.send(answer)))
+                except StopIteration:
+                    continue
+
+    def result(self) -> Plan:
+        """Return the plan as it stands."""
+        whole_s = time.perf_counter() - self._started
+        return Plan(
+            self._candidates,
+            self._coverages,
+            self._now(),
+            self._render_s,
+            whole_s - self._render_s,
+        )
+
+    def _model(self, heading: int) -> _Model:
+        oracles = self._oracles
+        if oracles.predict is None:
+            return InterpolatedModel(self._candidates)
+        measure = oracles.measure_predicted or oracles.measure
+        return PredictedModel(self._candidates, heading, oracles.predict, measure, self._archive)
+
+    def _start(self, heading: int) -> list[_Pending]:
+        """Start the strategy, in every square or over the whole, up to the first requests."""
+        config = self._config
+        waiting = []
+        for number, region in enumerate(self._regions()):
+            problem = Problem(
+                self._coverages[heading],
+                self._models[heading],
+                config.threshold_px,
+                config.coverage,
+                region,
+            )
+            generator = np.random.default_rng([config.seed, heading, number])
+            requests = STRATEGIES[config.strategy](problem, generator)
+            asked = next(requests, None)
+            if asked is not None:
+                waiting.append((requests, asked))
+        return waiting
+
+    def _regions(self) -> list[BoolArray]:
+        valid = self._candidates.grid.valid
+        if self._config.strategy == "cover":
+            return [valid]
+        squares = np.unique(self._candidates.square[valid])
+        return [valid & (self._candidates.square == square) for square in squares]
+
+    def _batch(self, asked: list[IntArray], headings: list[int]) -> list[Float32Array]:
+        """Render requests, add their areas to the coverage, and return their errors."""
+        heading = np.repeat(np.array(headings, np.uint8), [len(one) for one in asked])
+        candidates = np.concatenate(asked)
+        views = self._views(self._candidates.viewpoints(candidates), heading)
+        errors = self._oracles.measure(views)
+        window = self._candidates.grid.window
+        if errors.shape != (len(views), window, window):
+            raise InputError(
+                f"measured errors have shape {errors.shape}; expected "
+                f"{(len(views), window, window)}: a neighbourhood of {window} x {window} "
+                f"candidates {self._config.spacing.pitch_m:g} m apart"
+            )
+        if self._oracles.predict is not None:
+            self._archive.add(candidates, views)
+        for one in HEADINGS:
+            rows = np.flatnonzero(heading == one)
+            if rows.size:
+                areas = errors[rows] <= self._config.threshold_px
+                self._coverages[one].add(candidates[rows], areas)
+                self._models[one].learn(candidates[rows], views[rows], errors[rows])
+        self._report()
+        return np.split(errors, np.cumsum([len(one) for one in asked])[:-1])
+
+    def _views(self, viewpoints: Viewpoints, heading: Headings) -> Views:
+        """Return views of requests in their order: those there are already, the others rendered."""
+        asked = places(viewpoints, heading)
+        held = np.array([place in self._at for place in asked])
+        parts = []
+        if held.any() and self._rendered is not None:
+            stored = [self._at[place] for place, there in zip(asked, held, strict=True) if there]
+            parts.append(self._rendered[np.array(stored)])
+        if not held.all():
+            started = time.perf_counter()
+            parts.append(self._oracles.render(viewpoints[~held], heading[~held]))
+            self._render_s += time.perf_counter() - started
+            self._fresh += int(np.count_nonzero(~held))
+        return in_order(Views.concatenate(parts), asked)
+
+    def _report(self) -> None:
+        self._batches += 1
+        now = self._now()
+        _log.info(
+            "batch %d: coverage %.4f, %d renderings, overlap %d, %.0f renderings/s",
+            *(now.batches, now.coverage, now.renderings, now.overlap, now.renderings_per_s),
+        )
+        if self._progress:
+            self._progress(now)
+
+    def _now(self) -> PlanProgress:
+        seconds = max(time.perf_counter() - self._started, 1e-9)
+        return PlanProgress(
+            coverage=float(np.mean([one.fraction() for one in self._coverages])),
+            renderings=sum(len(one.viewpoints) for one in self._coverages),
+            overlap=sum(one.overlap for one in self._coverages),
+            renderings_per_s=self._fresh / seconds,
+            batches=self._batches,
+        )

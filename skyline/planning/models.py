@@ -1,0 +1,138 @@
+"""What is known of tolerance areas on real terrain before a view is rendered."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from skyline.planning.candidates import CandidateMap
+from skyline.planning.coverage import Float32Array, IntArray
+from skyline.terrain.viewpoints import Viewpoints
+from skyline.views import Views
+
+Measure = Callable[[Views], Float32Array]
+"""Reprojection errors of views over their neighbourhoods: (N, K, K) px, rows southward.
+
+`inf` where a view says nothing; the view's own cell is 0.
+"""
+
+Predict = Callable[[Views, IntArray, Viewpoints], Views]
+"""Views predicted at viewpoints (M), each from one of the stored views (M indices)."""
+
+_PREDICTED_AT_ONCE = 256
+
+
+class InterpolatedModel:
+    """Interpolates errors between the nearest views rendered in one heading.
+
+    What is averaged, weighted by inverse distance, is the inverse of the error: how far one can
+    go for one pixel. So a location that one view says nothing about does not spoil the others.
+
+    Parameters
+    ----------
+    candidates : CandidateMap
+    nearest : int
+        How many views an error is interpolated from.
+    """
+
+    def __init__(self, candidates: CandidateMap, nearest: int = 4) -> None:
+        self._grid = candidates.grid
+        self._nearest = nearest
+        window = candidates.grid.window
+        self._viewpoints = np.zeros(0, dtype=np.int64)
+        self._inverse = np.zeros((0, window, window), dtype=np.float32)
+
+    def learn(self, candidates: IntArray, views: Views, errors: Float32Array) -> None:
+        """Add views rendered at candidates (N) and their errors (N, K, K)."""
+        with np.errstate(divide="ignore"):
+            inverse = np.float32(1.0) / errors
+        self._inverse = np.concatenate([self._inverse, inverse])
+        self._viewpoints = np.concatenate([self._viewpoints, candidates])
+
+    def predict_errors(self, candidates: IntArray) -> Float32Array:
+        """Return predicted reprojection errors of views at candidates (N), (N, K, K) px."""
+        chosen, apart = self._grid.nearest(candidates, self._viewpoints, self._nearest)
+        weight = 1.0 / np.maximum(apart, 0.5)
+        weight = (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
+        inverse = np.zeros((len(candidates), *self._inverse.shape[1:]), dtype=np.float32)
+        for place in range(chosen.shape[1]):
+            inverse += self._inverse[chosen[:, place]] * weight[:, place, None, None]
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.float32(1.0) / inverse, dtype=np.float32)
+
+
+class PredictedModel:
+    """Measures views predicted from the nearest view rendered in one heading.
+
+    Parameters
+    ----------
+    candidates : CandidateMap
+    heading : int
+    predict : Predict
+    measure : Measure
+        Of predicted views; may be a cheaper one than that of rendered views.
+    archive : Archive
+        The views rendered in all headings.
+    """
+
+    def __init__(
+        self,
+        candidates: CandidateMap,
+        heading: int,
+        predict: Predict,
+        measure: Measure,
+        archive: "Archive",
+    ) -> None:
+        self._candidates = candidates
+        self._heading = heading
+        self._predict = predict
+        self._measure = measure
+        self._archive = archive
+        self._viewpoints = np.zeros(0, dtype=np.int64)
+
+    def learn(self, candidates: IntArray, views: Views, errors: Float32Array) -> None:
+        """Add views rendered at candidates (N)."""
+        self._viewpoints = np.concatenate([self._viewpoints, candidates])
+
+    def predict_errors(self, candidates: IntArray) -> Float32Array:
+        """Return predicted reprojection errors of views at candidates (N), (N, K, K) px."""
+        chosen, _ = self._candidates.grid.nearest(candidates, self._viewpoints, 1)
+        source = self._viewpoints[chosen[:, 0]]
+        window = self._candidates.grid.window
+        errors = np.empty((len(candidates), window, window), dtype=np.float32)
+        # Neighbours share their sources, so that few stored views are gathered at a time.
+        order = np.argsort(source, kind="stable")
+        for start in range(0, len(order), _PREDICTED_AT_ONCE):
+            part = order[start : start + _PREDICTED_AT_ONCE]
+            stored, rows = self._archive.at(source[part], self._heading)
+            targets = self._candidates.viewpoints(candidates[part])
+            errors[part] = self._measure(self._predict(stored, rows, targets))
+        return errors
+
+
+class Archive:
+    """Rendered views by candidate and heading, for predictions to start from."""
+
+    def __init__(self) -> None:
+        self._views: dict[tuple[int, int], Views] = {}
+
+    def add(self, candidates: IntArray, views: Views) -> None:
+        """Add views rendered at candidates (N)."""
+        for row, key in enumerate(zip(candidates.tolist(), views.heading.tolist(), strict=True)):
+            self._views[key] = views[row : row + 1]
+
+    def at(self, candidates: IntArray, heading: int) -> tuple[Views, IntArray]:
+        """Return views and, for each candidate (N), the row of its view in a heading.
+
+        The other headings rendered there come along: they show what enters at the sides.
+        """
+        places, place_of = np.unique(candidates, return_inverse=True)
+        parts: list[Views] = []
+        row_of = np.zeros(len(places), dtype=np.int64)
+        for place, candidate in enumerate(places.tolist()):
+            for other in range(4):
+                view = self._views.get((candidate, other))
+                if view is not None:
+                    if other == heading:
+                        row_of[place] = len(parts)
+                    parts.append(view)
+        return Views.concatenate(parts), row_of[place_of]

@@ -1,0 +1,75 @@
+"""Our own strategy: a whole layout planned by prediction, corrected as the truth arrives."""
+
+import numpy as np
+
+from skyline.planning.coverage import Problem
+from skyline.planning.forecast import Forecast
+from skyline.planning.layout import Annealing, Areas, Layout
+from skyline.planning.strategies.base import Requests
+
+_SKETCH = Annealing(sweeps=20)
+_RENEWAL = Annealing(sweeps=40, hot=0.15)
+_PLAN = Annealing(sweeps=160)
+_REVISION = Annealing(sweeps=12, hot=0.04)
+
+_PROBES = 4
+"""How many views are rendered before a forecast is first compared with the truth."""
+
+_MISFIT = 0.05
+"""Share by which predicted areas may miss the true ones for the forecast to be trusted."""
+
+
+def cover(problem: Problem, generator: np.random.Generator) -> Requests:
+    """Plan the fewest areas that cover what is asked, render those that do not touch, revise.
+
+    The whole layout is planned with predicted areas (`skyline.planning.layout`), since a rendering
+    cannot be taken back. A few views of a rough sketch are rendered first, for the prediction to
+    go by; then the plan is worked out. Requests go out together where their predicted areas do not
+    touch, so that none could have been placed better for knowing another's true area. What comes
+    back is compared with what was predicted, the forecast learns from it
+    (`skyline.planning.forecast`), and what is left of the layout is revised on top of what is truly
+    covered.
+    """
+    if problem.done:
+        return
+    reach = problem.grid.reach
+    forecast = Forecast(problem, step=1 + reach // 2)
+    areas = _areas(problem, forecast)
+    layout = _layout(problem, areas, generator)
+    layout.start_greedily()
+    layout.anneal(_SKETCH)
+    allowed, planned, due = _PROBES, False, 0
+    while not problem.done:
+        batch = layout.sites[layout.apart()[:allowed]]
+        errors = yield batch
+        misfit = forecast.learn(batch, errors)
+        left = layout.sites[~np.isin(layout.sites, batch)]
+        rendered = len(problem.coverage.viewpoints)
+        annealing = _REVISION
+        if not planned or (misfit > _MISFIT and rendered >= due and len(left) > len(batch)):
+            # The next forecast waits for twice the views, so there are few of them.
+            due = 2 * rendered
+            forecast.refresh(step=1 + reach // 3)
+            areas = _areas(problem, forecast)
+            trusted = misfit <= _MISFIT or allowed > _PROBES
+            annealing = _PLAN if trusted and not planned else _RENEWAL
+            planned = planned or trusted
+            allowed = len(areas.size) if planned else _PROBES**2
+        layout = _layout(problem, areas, generator)
+        layout.place(left)
+        layout.start_greedily()
+        layout.anneal(annealing)
+
+
+def _areas(problem: Problem, forecast: Forecast) -> Areas:
+    worth = (problem.region & problem.grid.valid).ravel().astype(np.int32)
+    return Areas(problem.grid, forecast.areas, worth)
+
+
+def _layout(problem: Problem, areas: Areas, generator: np.random.Generator) -> Layout:
+    covered = ~problem.coverage.uncovered.ravel()
+    rendered = np.zeros(covered.size, dtype=bool)
+    rendered[problem.coverage.viewpoints] = True
+    asked = int(np.ceil(problem.target * areas.weight.sum() - 1e-9))
+    target = asked - int(areas.weight[covered].sum())
+    return Layout(areas, covered, rendered, target, generator)

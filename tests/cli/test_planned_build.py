@@ -1,0 +1,119 @@
+"""Builds whose viewpoints a planner chooses, the whole way."""
+
+import json
+
+import numpy as np
+import pytest
+from scenes import field_of, fractal
+
+from skyline.errors import InputError
+from skyline.pipeline import RenderConfig
+from skyline.planned_build import build_planned
+from skyline.planning.candidates import Spacing
+from skyline.planning.loop import PlanConfig
+from skyline.store import open_store
+
+SMALL = Spacing(coarse_m=400.0, pitch_m=100.0, reach_m=200.0)
+NARROW = RenderConfig(width=64)
+
+
+def planned(strategy, **options):
+    return PlanConfig(strategy, SMALL, threshold_px=1.0, coverage=0.9, **options)
+
+
+@pytest.fixture(scope="module")
+def valley():
+    return field_of(fractal(50, 50, relief_m=300.0, seed=6), 40.0)
+
+
+def rows_of(path):
+    with open_store(path) as store:
+        views = store.views()
+    return list(zip(views.easting_m, views.northing_m, views.heading, strict=True)), views
+
+
+@pytest.mark.parametrize("strategy", ["lpov", "cover"])
+def test_covers_what_was_asked_and_says_what_holds(valley, tmp_path, strategy):
+    result = build_planned(valley, tmp_path / "s.h5", planned(strategy), config=NARROW)
+    assert result.plan.coverage >= 0.9
+    proof = result.verification
+    assert proof.predicted == result.plan.coverage
+    assert 0.5 < proof.low <= proof.share <= proof.high <= 1.0
+    places, views = rows_of(tmp_path / "s.h5")
+    assert len(places) == len(set(places)) == result.built.renderings
+    assert (views.shells is not None) == (strategy == "cover")
+
+
+def test_cover_needs_fewer_renderings_than_lpov(valley, tmp_path):
+    lpov, cover = (
+        build_planned(valley, tmp_path / f"{name}.h5", planned(name), config=NARROW)
+        for name in ("lpov", "cover")
+    )
+    assert cover.built.renderings < 0.7 * lpov.built.renderings
+
+
+@pytest.mark.parametrize("strategy", ["lpov", "cover"])
+def test_a_stopped_build_goes_on_to_the_same_store(valley, tmp_path, strategy):
+    whole, broken = tmp_path / "whole.h5", tmp_path / "broken.h5"
+    build_planned(valley, whole, planned(strategy), config=NARROW)
+
+    def stop(now):
+        if now.batches == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build_planned(valley, broken, planned(strategy), config=NARROW, progress=stop)
+    kept = len(rows_of(broken)[0])
+    again = build_planned(valley, broken, planned(strategy), config=NARROW)
+    assert again.built.rendered == again.built.renderings - kept
+    assert rows_of(broken)[0] == rows_of(whole)[0]
+
+
+def test_a_plain_needs_a_handful(tmp_path):
+    plain = field_of(np.zeros((50, 50), dtype=np.float32), 40.0)
+    result = build_planned(plain, tmp_path / "s.h5", planned("lpov"), config=NARROW)
+    rough = field_of(fractal(50, 50, relief_m=600.0, seed=2), 40.0)
+    many = build_planned(rough, tmp_path / "t.h5", planned("lpov"), config=NARROW)
+    assert result.built.renderings < 0.5 * many.built.renderings
+
+
+def test_seeds_decide_and_nothing_else(valley, tmp_path):
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        path = tmp_path / f"{name}.h5"
+        build_planned(valley, path, planned("arov", seed=seed), config=NARROW)
+    a, b, c = (rows_of(tmp_path / f"{name}.h5")[0] for name in "abc")
+    assert a == b != c
+
+
+def test_command_line(dem, run, tmp_path):
+    told = run(
+        *("build", dem, "-o", tmp_path / "s.h5", "--planner", "lpov", "--spacing", 1000),
+        *("--pitch", 250, "--threshold-px", 3, "--coverage", 0.9, "--width", 64),
+    )
+    assert told.code == 0, told.err
+    assert "verified by rendering" in told.out
+    facts = json.loads(run("info", tmp_path / "s.h5", "--json").out)
+    assert facts["config"]["planner"] == "lpov"
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--planner", "best"], "planner is 'best'"),
+        (["--planner", "lpov", "--coverage", 1.5], "coverage is 1.5"),
+        (["--planner", "lpov", "--threshold-px", 0], "threshold is 0"),
+        (["--planner", "cover", "--spacing", 50_000], "larger than the area"),
+    ],
+)
+def test_bad_plans_are_refused(dem, run, tmp_path, options, said):
+    told = run("build", dem, "-o", tmp_path / "s.h5", *options)
+    assert told.code == 2
+    assert said in told.err
+    assert not (tmp_path / "s.h5").exists()
+
+
+def test_an_area_wholly_in_holes_is_refused(tmp_path):
+    heights = np.full((50, 50), np.nan, dtype=np.float32)
+    heights[0, :2] = heights[1, :2] = 5.0
+    with pytest.raises(InputError, match="can be stood on"):
+        build_planned(field_of(heights, 40.0), tmp_path / "s.h5", planned("lpov"), config=NARROW)
