@@ -2,6 +2,7 @@
 
 import datetime
 import json
+import math
 import platform
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -40,16 +41,18 @@ def machine() -> dict[str, object]:
 def write_record(path: Path, bench: str, rows: Sequence[Row]) -> None:
     """Write rows and the machine they come from as JSON, whole or not at all.
 
-    Raises
-    ------
-    ValueError
-        A value that JSON has no word for, such as NaN: rows say None.
+    Numbers that are not finite, for which JSON has no word, are written as null.
     """
-    record = {"bench": bench, "machine": machine(), "rows": list(rows)}
+    finite = [{key: _finite(value) for key, value in row.items()} for row in rows]
+    record = {"bench": bench, "machine": machine(), "rows": finite}
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
     partial = path.with_name(path.name + ".partial")
     partial.write_text(text, encoding="utf-8")
     partial.replace(path)
+
+
+def _finite(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _processor() -> str:

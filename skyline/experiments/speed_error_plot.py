@@ -39,7 +39,7 @@ def save_speed_error(
         axis.set(
             xscale="log",
             yscale="log",
-            xlim=(min(times_ms) / 2.5, max(times_ms) * 2.5),
+            xlim=(min(times_ms) / 2.5, max(times_ms) * 4.0),
             xlabel="ms per viewpoint (four views), all cores",
             ylabel=f"{name} against the oracle (px of W = 640)",
         )

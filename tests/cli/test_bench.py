@@ -74,6 +74,48 @@ def test_without_embree_the_rest_is_measured(run_bench, dem, tmp_path, monkeypat
     assert {row["path"] for row in rows} == {"depth", "horizon", "oracle"}
 
 
+@pytest.fixture
+def three_cases(monkeypatch):
+    """Only three hard cases, since all of them are tested one by one elsewhere."""
+    cases = stability.HARD_CASES[:3]
+    monkeypatch.setattr(stability, "HARD_CASES", cases)
+    return cases
+
+
+def test_stability_says_what_holds(run_bench, three_cases, tmp_path):
+    record, plot = tmp_path / "record.json", tmp_path / "plot.png"
+    done = run_bench("stability", "--quick", "--json", record, "--plot", plot)
+    assert done.code == 0, done.err
+    written = json.loads(record.read_text())
+    assert written["bench"] == "stability"
+    assert {row["case"] for row in written["rows"]} == {case.name for case in three_cases}
+    assert {row["path"] for row in written["rows"]} == {"horizon", "depth"}
+    for row in written["rows"]:
+        assert row["case"] in done.out
+        assert row["ok"]
+        assert 0.0 <= row["error_px"] <= row["bound_px"]
+    assert cv2.imread(str(plot)) is not None
+
+
+def test_a_case_that_fails_ends_in_exit_code_1(run_bench, three_cases, tmp_path, monkeypatch):
+    measured = stability.measure
+
+    def spoiled(*arguments):
+        rows = measured(*arguments)
+        return [{**row, "ok": row["path"] == "depth", "error_px": float("inf")} for row in rows]
+
+    monkeypatch.setattr(stability, "measure", spoiled)
+    record, plot = tmp_path / "record.json", tmp_path / "plot.png"
+    done = run_bench("stability", "--quick", "--json", record, "--plot", plot)
+    assert done.code == 1
+    assert done.err.startswith("error: 3 of ")
+    assert f"{three_cases[0].name} (horizon)" in done.err
+    assert done.err.count("\n") == 1
+    assert "FAILS" in done.out
+    assert all(row["error_px"] is None for row in json.loads(record.read_text())["rows"])
+    assert cv2.imread(str(plot)) is not None
+
+
 def test_bad_options_are_one_line_and_write_nothing(run_bench, dem, tmp_path):
     record = tmp_path / "record.json"
     for arguments, message in [
@@ -103,16 +145,6 @@ def test_ctrl_c_ends_in_one_line(run_bench, dem, monkeypatch):
     done = run_bench("speed-error", dem, "--quick")
     assert done.code == 130
     assert done.err == "error: stopped; nothing was written\n"
-
-
-def test_stability_says_which_cases_hold(run_bench, tmp_path, monkeypatch):
-    monkeypatch.setattr(stability, "HARD_CASES", stability.HARD_CASES[:2])
-    monkeypatch.setattr(stability.measure, "__defaults__", (False, stability.HARD_CASES))
-    done = run_bench("stability", "--quick", "--json", tmp_path / "record.json")
-    assert done.code == 0, done.err
-    assert "4 of 4 cases hold" in done.out
-    rows = json.loads((tmp_path / "record.json").read_text())["rows"]
-    assert all(row.keys() >= {"case", "error_px", "ok"} for row in rows)
 
 
 def test_table1_compares_the_strategies(run_bench, tmp_path):

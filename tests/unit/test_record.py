@@ -33,10 +33,17 @@ def test_a_record_that_cannot_be_written_leaves_the_old_one(tmp_path):
     path = tmp_path / "record.json"
     write_record(path, "stability", [])
     before = path.read_bytes()
-    with pytest.raises(ValueError, match="JSON"):
-        write_record(path, "stability", [{"error_px": float("nan")}])
+    with pytest.raises(TypeError, match="JSON"):
+        write_record(path, "stability", [{"error_px": object()}])
     assert path.read_bytes() == before
     assert [each.name for each in tmp_path.iterdir()] == ["record.json"]
+
+
+def test_numbers_that_json_cannot_say_are_null(tmp_path):
+    path = tmp_path / "record.json"
+    write_record(path, "stability", [{"error_px": float("inf"), "bound_px": float("nan"), "n": 1}])
+    rows = json.loads(path.read_text())["rows"]
+    assert rows == [{"error_px": None, "bound_px": None, "n": 1}]
 
 
 def test_a_machine_without_opengl_is_described(monkeypatch):
