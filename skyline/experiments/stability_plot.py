@@ -28,10 +28,10 @@ def save_stability(rows: Sequence[Row], path: Path) -> None:
         colours = ["tab:green" if row["ok"] else "crimson" for row in mine]
         axis.scatter(bound, place, marker="|", color="black", label="bound")
         axis.scatter(error, place, marker="o", s=14, c=colours, label="greatest error")
-        axis.set(xscale="log", xlabel="px", title=f"{name} path")
+        axis.set(xscale="log", xlabel="px (0 at 1e-8)", title=f"{name} path")
         axis.grid(alpha=0.25)
-        axis.legend(loc="lower left", fontsize=8)
     panels[0].set_yticks(range(len(cases)), cases, fontsize=7)
     panels[0].set_ylim(len(cases) - 0.5, -0.5)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
