@@ -198,8 +198,9 @@ void keep_all(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool 
     }
 }
 
-// Whether the surface begins again at this crossing: then v of the hit is set to 1.
+// Whether the window's surface begins again at this crossing: then v of the hit is set to 1.
 void keep_rim(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
+    there = there && line >= REAL(w_first) && line <= REAL(w_last + (family == 1 ? 1 : 0));
     if (there && edge_there(s, int(line), family) && !triangle_there(s, int(line), family, false)
         && triangle_there(s, int(line), family, true)) hit.v = REAL(1);
 }

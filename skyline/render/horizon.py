@@ -41,7 +41,7 @@ _log = logging.getLogger(__name__)
 MAX_SPACING_RATIO = 64.0
 
 _RESIDENT_SAMPLES = 1 << 24
-"""Samples whose windows stay on the GPU, some 28 bytes each."""
+"""Samples whose windows stay on the GPU, some 43 bytes each."""
 
 
 class HorizonRenderer:
