@@ -54,11 +54,12 @@ class Forecast:
         errors = np.minimum(
             problem.model.predict_errors(lattice[known]), _CAP * np.float32(problem.threshold_px)
         )
-        nearest = self._nearest_known(known)
+        nearest = grid.nearest(lattice, lattice[known], 1)[0][:, 0]
         self._sources = problem.coverage.viewpoints.copy()
-        self._lattice = errors[nearest].reshape(
-            len(self._rows), len(self._cols), grid.window, grid.window
-        )
+        shape = (len(self._rows), len(self._cols), grid.window, grid.window)
+        self._lattice = errors[nearest].reshape(shape)
+        scale = np.exp(self._correction(lattice)).astype(np.float32)
+        self._corrected = self._lattice * scale.reshape(*shape[:2], 1, 1)
         self.areas = self._predict_areas()
         self.sizes = np.count_nonzero(self.areas, axis=(1, 2))
 
@@ -74,7 +75,7 @@ class Forecast:
         predicted, true = self.areas[candidates], errors <= threshold_px
         ratio = [
             _log_ratio(one, other, threshold_px)
-            for one, other in zip(errors, self._interpolate(candidates), strict=True)
+            for one, other in zip(errors, self._interpolate(self._lattice, candidates), strict=True)
         ]
         self._seen = np.concatenate([self._seen, candidates])
         self._log_ratio = np.concatenate([self._log_ratio, ratio])
@@ -85,24 +86,23 @@ class Forecast:
         problem, grid = self._problem, self._problem.grid
         areas = np.zeros((grid.valid.size, grid.window, grid.window), dtype=bool)
         chosen = np.flatnonzero(grid.valid & problem.region)
-        threshold = (problem.threshold_px * np.exp(-self._correction(chosen))).astype(np.float32)
         # A row of candidates at a time, so that the errors stay in the processor's cache.
         for part in np.split(np.arange(len(chosen)), np.arange(128, len(chosen), 128)):
-            errors = self._interpolate(chosen[part])
-            areas[chosen[part]] = errors <= threshold[part, None, None]
+            errors = self._interpolate(self._corrected, chosen[part])
+            areas[chosen[part]] = errors <= problem.threshold_px
         areas[chosen, grid.reach, grid.reach] = True
         return areas
 
-    def _interpolate(self, candidates: IntArray) -> Float32Array:
-        """Return errors of candidates (N), capped and not corrected, (N, K, K) px."""
+    def _interpolate(self, lattice: Float32Array, candidates: IntArray) -> Float32Array:
+        """Return errors of candidates (N) between those of the lattice, (N, K, K) px."""
         row, col = self._problem.grid.row_col(candidates)
         top, bottom, down = _between(self._rows, row)
         left, right, across = _between(self._cols, col)
         down, across = down[:, None, None], across[:, None, None]
-        errors = self._lattice[top, left] * ((1 - down) * (1 - across))
-        errors += self._lattice[top, right] * ((1 - down) * across)
-        errors += self._lattice[bottom, left] * (down * (1 - across))
-        errors += self._lattice[bottom, right] * (down * across)
+        errors = lattice[top, left] * ((1 - down) * (1 - across))
+        errors += lattice[top, right] * ((1 - down) * across)
+        errors += lattice[bottom, left] * (down * (1 - across))
+        errors += lattice[bottom, right] * (down * across)
         return np.asarray(errors, dtype=np.float32)
 
     def _correction(self, candidates: IntArray) -> Float64Array:
@@ -119,13 +119,6 @@ class Forecast:
             return np.zeros(len(candidates))
         apart = self._problem.grid.apart(candidates, self._sources)
         return np.asarray(apart.min(axis=1), dtype=np.float64)
-
-    def _nearest_known(self, known: BoolArray) -> IntArray:
-        """Return for each place of the lattice the nearest one that could be predicted."""
-        row, col = np.divmod(np.arange(len(known)), len(self._cols))
-        row, col = self._rows[row], self._cols[col]
-        apart = (row[:, None] - row[known]) ** 2 + (col[:, None] - col[known]) ** 2
-        return np.asarray(np.argmin(apart, axis=1), dtype=np.int64)
 
 
 def _between(marks: IntArray, value: IntArray) -> tuple[IntArray, IntArray, Float32Array]:

@@ -23,8 +23,8 @@ _SLACK = 1
 _OVERLAP_COST = 0.05
 """What covering a candidate once more costs: between equals, the layout that overlaps less."""
 
-_SWEEPS_A_GROUPING = 4
-_SWEEPS_A_RELOCATION = 2
+_SWEEPS_A_GROUPING = 8
+_SWEEPS_A_RELOCATION = 4
 _LOOKED_AT_AGAIN = 16
 _STEPS = np.array([(0, 0), (-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)])
 

@@ -9,7 +9,7 @@ from skyline.planning.strategies.base import Requests
 
 _SKETCH = Annealing(sweeps=20)
 _RENEWAL = Annealing(sweeps=40, hot=0.15)
-_PLAN = Annealing(sweeps=160)
+_PLAN = Annealing(sweeps=240)
 _REVISION = Annealing(sweeps=12, hot=0.04)
 
 _PROBES = 4
@@ -17,6 +17,9 @@ _PROBES = 4
 
 _MISFIT = 0.05
 """Share by which predicted areas may miss the true ones for the forecast to be trusted."""
+
+_TAIL = 0.02
+"""When no more than this share of the views is still to be asked for, all of it is."""
 
 
 def cover(problem: Problem, generator: np.random.Generator) -> Requests:
@@ -40,7 +43,8 @@ def cover(problem: Problem, generator: np.random.Generator) -> Requests:
     layout.anneal(_SKETCH)
     allowed, planned, due = _PROBES, False, 0
     while not problem.done:
-        batch = layout.sites[layout.apart()[:allowed]]
+        few = len(layout.sites) <= _TAIL * len(problem.coverage.viewpoints)
+        batch = layout.sites if few else layout.sites[layout.apart()[:allowed]]
         errors = yield batch
         misfit = forecast.learn(batch, errors)
         left = layout.sites[~np.isin(layout.sites, batch)]
