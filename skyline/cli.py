@@ -25,16 +25,18 @@ from skyline.photo import extract_photo, write_overlay, write_trace
 from skyline.pipeline import (
     BuildResult,
     Matcher,
+    PlannedResult,
     RenderConfig,
+    build_planned,
     build_uniform,
     render_to_store,
     save_depth_pictures,
 )
 from skyline.pipeline import explain as explain_scene
-from skyline.planned_build import PlannedResult, build_planned
 from skyline.planning.loop import PlanConfig
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
+from skyline.prediction import shell_edges_m
 from skyline.store import is_store
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.viewpoint_csv import read_viewpoints
@@ -130,6 +132,10 @@ def build(
         float, typer.Option(help="Share of the candidates a planner covers.")
     ] = _PLANNED.coverage,
     seed: Annotated[int, typer.Option(help="Of a planner's random choices.")] = _PLANNED.seed,
+    shells: Annotated[
+        int | None,
+        typer.Option(help="Distance shells kept beside each skyline; cover keeps 12 by itself."),
+    ] = None,
     bounds: Bounds = None,
     width: Width = _DEFAULTS.width,
     tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
@@ -141,7 +147,10 @@ def build(
     """Build a reference store over an area. Stopped with Ctrl-C, the same command goes on."""
     if planner != "uniform" and planner not in STRATEGIES:
         raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
-    config = _render_config(width, tolerance_px, k, no_curvature)
+    config = replace(
+        _render_config(width, tolerance_px, k, no_curvature),
+        shell_edges_m=shell_edges_m(shells) if shells else (),
+    )
     corners = _parse_bounds(bounds)
     dem_options = DemOptions(crs=crs, reproject=reproject)
     if planner == "uniform":

@@ -8,10 +8,11 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from skyline.matching.correlation import CorrelationMatcher
+from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.paper import PaperMatcher
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import Attitudes, QueryRays
 from skyline.matching.ranking import Candidate, Matcher
-from skyline.matching.verify import PaperMatcher
 
 MATCHERS: Mapping[str, Callable[[], Matcher]] = MappingProxyType(
     {"paper": PaperMatcher, "correlation": CorrelationMatcher}
@@ -23,6 +24,7 @@ __all__ = [
     "Attitudes",
     "Candidate",
     "CorrelationMatcher",
+    "Hypotheses",
     "Matcher",
     "PaperMatcher",
     "Profiles",

@@ -7,8 +7,7 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.errors import InputError
-from skyline.pipeline import RenderConfig
-from skyline.planned_build import build_planned
+from skyline.pipeline import RenderConfig, build_planned
 from skyline.planning.candidates import Spacing
 from skyline.planning.loop import PlanConfig
 from skyline.store import open_store

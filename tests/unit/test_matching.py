@@ -10,9 +10,9 @@ from skyline.features import polyline_keypoints
 from skyline.matching.alignment import align_curves
 from skyline.matching.chamfer import chamfer_px
 from skyline.matching.correlation import CorrelationMatcher
+from skyline.matching.paper import PaperMatcher
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays, level
-from skyline.matching.verify import PaperMatcher
 from skyline.planning.uniform import uniform_grid
 
 LEVEL = Attitudes(pitch_deg=(0.0,))

@@ -1,4 +1,4 @@
-"""A build whose viewpoints a planner chooses: pipeline's part that ties planner and renderer."""
+"""A build whose viewpoints a planner chooses."""
 
 import time
 from collections.abc import Callable
@@ -7,25 +7,24 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-
 from skyline.features import polyline_keypoints
-from skyline.pipeline import BuildResult, RenderConfig, make_renderer, store_header
+from skyline.pipeline.build import BuildResult
+from skyline.pipeline.config import RenderConfig, make_renderer, store_header
 from skyline.planning.candidates import lay_out
 from skyline.planning.loop import Oracles, Plan, PlanConfig, PlanProgress, plan
 from skyline.planning.requests import Headings
 from skyline.planning.tolerance import Neighbourhood, ToleranceMeter
 from skyline.planning.uniform import map_bounds
 from skyline.planning.verify import Checks, Verification, verify_coverage
-from skyline.prediction import PREDICTORS, predict, true_errors_px
+from skyline.prediction import PREDICTORS, predict, shell_edges_m, true_errors_px
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import StoreWriter, create_store, open_for_append, open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
-SHELL_EDGES_M = (0.0, *np.geomspace(60.0, 45_000.0, 12).tolist())
-"""Twelve shells, near ones narrow: what `cover` predicts from."""
+_SHELLS = 12
+"""What `cover` predicts from."""
 
 PREDICTING = ("rov", "cover")
 """Strategies that compute the areas of candidates; the others interpolate them."""
@@ -84,7 +83,9 @@ def build_planned(
     config = config or RenderConfig()
     planned = replace(planned, eye_height_m=config.eye_height_m)
     if planned.strategy == "cover" and not config.shell_edges_m:
-        config = replace(config, shell_edges_m=SHELL_EDGES_M, reach_m=planned.spacing.reach_m)
+        config = replace(
+            config, shell_edges_m=shell_edges_m(_SHELLS), reach_m=planned.spacing.reach_m
+        )
     started = time.perf_counter()
     settings: dict[str, object] = {
         "planner": planned.strategy,

@@ -1,0 +1,84 @@
+"""Hypotheses: arrays of camera poses a query may have, and how a spread-out few are drawn."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+
+Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+Index = slice | NDArray[np.integer] | NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypotheses:
+    """M poses of the camera that took a query.
+
+    Attributes
+    ----------
+    easting_m, northing_m, eye_elevation_m : (M,) float64
+        The eye, in the store's frame and above the DEM's datum.
+    heading_deg : (M,) float64
+        Grid azimuth of the optical axis, in [0, 360).
+    pitch_deg, roll_deg, fov_deg : (M,) float64
+        Optical axis above the horizon; camera turned clockwise as seen from behind; horizontal
+        field of view.
+    score : (M,) float64
+        Lower is better; its unit is that of the step that gave it. Infinite where nothing fits.
+    """
+
+    easting_m: Float64Array
+    northing_m: Float64Array
+    eye_elevation_m: Float64Array
+    heading_deg: Float64Array
+    pitch_deg: Float64Array
+    roll_deg: Float64Array
+    fov_deg: Float64Array
+    score: Float64Array
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    def __getitem__(self, index: Index) -> "Hypotheses":
+        rows: Any = {f.name: getattr(self, f.name)[index] for f in fields(self)}
+        return Hypotheses(**rows)
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Hypotheses"]) -> "Hypotheses":
+        """Join hypotheses in order; at least one part."""
+        rows: Any = {
+            f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)
+        }
+        return cls(**rows)
+
+    def spread(self, count: int, separation_m: float, turn_deg: float = 360.0) -> IntArray:
+        """Return the indices of the best that differ from one another, best first.
+
+        A hypothesis is left out where a better one lies nearer than ``separation_m`` and looks
+        within ``turn_deg`` of the same way. Equal scores keep their order; what fits nowhere is
+        left out.
+
+        Raises
+        ------
+        InputError
+            ``count`` is below 1.
+        """
+        if count < 1:
+            raise InputError(f"count is {count}; expected at least 1 hypothesis")
+        place = self.easting_m + 1j * self.northing_m
+        left = np.isfinite(self.score)
+        chosen: list[int] = []
+        for index in np.argsort(self.score, kind="stable"):
+            if len(chosen) == count:
+                break
+            if not left[index]:
+                continue
+            chosen.append(int(index))
+            turn = np.abs((self.heading_deg - self.heading_deg[index] + 180.0) % 360.0 - 180.0)
+            left &= (np.abs(place - place[index]) >= separation_m) | (turn > turn_deg)
+            left[index] = False
+        return np.array(chosen, dtype=np.intp)

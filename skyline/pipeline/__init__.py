@@ -1,0 +1,29 @@
+"""The one place that ties renderer, store, planner, photo and matcher together."""
+
+from skyline.pipeline.build import (
+    BuildResult,
+    Progress,
+    build_uniform,
+    explain,
+    render_to_store,
+    render_views,
+    save_depth_pictures,
+)
+from skyline.pipeline.config import RenderConfig
+from skyline.pipeline.match import Matcher, MatchResult
+from skyline.pipeline.planned import PlannedResult, build_planned
+
+__all__ = [
+    "BuildResult",
+    "MatchResult",
+    "Matcher",
+    "PlannedResult",
+    "Progress",
+    "RenderConfig",
+    "build_planned",
+    "build_uniform",
+    "explain",
+    "render_to_store",
+    "render_views",
+    "save_depth_pictures",
+]

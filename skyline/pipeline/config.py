@@ -1,0 +1,67 @@
+"""How skylines are rendered, and the renderer and the store header that this asks for."""
+
+from dataclasses import asdict, dataclass, field
+
+from skyline.camera import DEFAULT_WIDTH
+from skyline.geodesy import Curvature
+from skyline.render.horizon import HorizonRenderer
+from skyline.store import StoreHeader
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
+
+
+@dataclass(frozen=True, slots=True)
+class RenderConfig:
+    """How skylines are rendered.
+
+    Attributes
+    ----------
+    width : int
+        Columns W of a view.
+    tolerance_px : float
+        How far a skyline may fall short of the exact one; 0 is exact but for float32.
+    eye_height_m : float
+        Eye above ground, where a viewpoint does not say.
+    shell_edges_m : tuple of float
+        Edges of distance shells to render and keep beside the skylines; empty for none.
+    reach_m : float
+        Shells keep what could surface within this distance of a viewpoint.
+    keypoint_tolerance_px : float
+        How far a skyline may be from the polyline whose vertices are its keypoints.
+    curvature : Curvature
+    """
+
+    width: int = DEFAULT_WIDTH
+    tolerance_px: float = 0.05
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    shell_edges_m: tuple[float, ...] = ()
+    reach_m: float = 300.0
+    keypoint_tolerance_px: float = 1.0
+    curvature: Curvature = field(default_factory=Curvature)
+
+
+def make_renderer(terrain: HeightField, config: RenderConfig) -> HorizonRenderer:
+    """Return the renderer a configuration asks for."""
+    return HorizonRenderer(
+        terrain,
+        config.width,
+        config.curvature,
+        config.tolerance_px,
+        config.shell_edges_m or None,
+        config.reach_m,
+    )
+
+
+def store_header(
+    terrain: HeightField, renderer: HorizonRenderer, config: RenderConfig, plan: dict[str, object]
+) -> StoreHeader:
+    """Return the header of a store that a renderer fills by a plan."""
+    return StoreHeader(
+        frame_wkt=terrain.frame.wkt,
+        dem_digest=terrain.digest,
+        dem_files=terrain.provenance.files,
+        config={**plan, "rasterizer": "horizon", **asdict(config)},
+        renderer=renderer.description,
+        width=config.width,
+        shell_edges_m=config.shell_edges_m,
+    )
