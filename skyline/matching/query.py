@@ -1,6 +1,6 @@
 """The query's skyline as rays, and what it looks like at an assumed pitch and roll."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,17 +22,21 @@ class QueryRays:
         How far each ray is trusted, at least 0; only ratios matter.
     fov_deg : float
         Horizontal field of view that u and v were made with.
+    fov_range_deg : (float, float), optional
+        Between which the true field of view lies; by default it is `fov_deg` exactly.
 
     Raises
     ------
     InputError
-        Lengths differ, a value is not finite, a weight is negative or all are 0.
+        Lengths differ, a value is not finite, a weight is negative or all are 0, or the range
+        does not hold the field of view.
     """
 
     u: Float64Array
     v: Float64Array
     weight: Float64Array
     fov_deg: float
+    fov_range_deg: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         if not self.u.shape == self.v.shape == self.weight.shape or self.u.ndim != 1:
@@ -44,6 +48,22 @@ class QueryRays:
             raise InputError("a query ray is not finite; leave untrusted columns out")
         if (self.weight < 0.0).any() or not self.weight.any():
             raise InputError("query weights must be at least 0 with some above; nothing to match")
+        low, high = self.fov_bounds_deg
+        if not 0.0 < low <= self.fov_deg <= high < 180.0:
+            raise InputError(
+                f"the field of view, {self.fov_deg:g} degrees, is not in its range, {low:g} to "
+                f"{high:g}; expected a range within 0 to 180 degrees that holds it"
+            )
+
+    @property
+    def fov_bounds_deg(self) -> tuple[float, float]:
+        """The least and the greatest field of view to consider."""
+        return self.fov_range_deg or (self.fov_deg, self.fov_deg)
+
+    def with_fov(self, fov_deg: float) -> "QueryRays":
+        """Return the same photo's rays for another field of view, degrees, within the range."""
+        scale = np.tan(np.radians(fov_deg) / 2.0) / np.tan(np.radians(self.fov_deg) / 2.0)
+        return replace(self, u=self.u * scale, v=self.v * scale, fov_deg=fov_deg)
 
     @classmethod
     def equally_trusted(cls, u: Float64Array, v: Float64Array, fov_deg: float) -> "QueryRays":
