@@ -1,11 +1,15 @@
 """How skylines are rendered, and the renderer and the store header that this asks for."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
 from skyline.camera import DEFAULT_WIDTH
+from skyline.errors import StoreMismatchError
 from skyline.geodesy import Curvature
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import StoreHeader
+from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 
@@ -60,8 +64,44 @@ def store_header(
         frame_wkt=terrain.frame.wkt,
         dem_digest=terrain.digest,
         dem_files=terrain.provenance.files,
-        config={**plan, "rasterizer": "horizon", **asdict(config)},
+        config={
+            **plan,
+            "rasterizer": "horizon",
+            **asdict(config),
+            "dem_options": dict(terrain.provenance.options),
+        },
         renderer=renderer.description,
         width=config.width,
         shell_edges_m=config.shell_edges_m,
     )
+
+
+def read_dem_of(header: StoreHeader, paths: Sequence[str | Path] = ()) -> HeightField:
+    """Read the DEM a store was built from, as it was read then.
+
+    Parameters
+    ----------
+    header : StoreHeader
+    paths : sequence of paths, optional
+        Where the DEM lies now; by default where it lay.
+
+    Raises
+    ------
+    StoreMismatchError
+        What lies there is another DEM.
+    MissingFileError
+        Nothing lies there.
+    """
+    options = DemOptions.from_json(header.config.get("dem_options"))
+    terrain = read_dem(list(paths) or list(header.dem_files), options)
+    check_dem(header, terrain)
+    return terrain
+
+
+def check_dem(header: StoreHeader, terrain: HeightField) -> None:
+    """Raise `StoreMismatchError` unless a store was built from this terrain."""
+    if terrain.digest != header.dem_digest:
+        raise StoreMismatchError(
+            f"the DEM's digest is {terrain.digest[:12]}, the store was built from "
+            f"{header.dem_digest[:12]} ({', '.join(header.dem_files) or 'no file'}); give that DEM"
+        )

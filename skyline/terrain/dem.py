@@ -2,8 +2,8 @@
 
 import logging
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +66,34 @@ class DemOptions:
                 f"least spike is {self.spike_m} m; expected a positive number of metres"
             )
 
+    def to_json(self) -> dict[str, object]:
+        """Return the options by name, as JSON can hold them: an infinite spike is null."""
+        return asdict(self) | ({"spike_m": None} if math.isinf(self.spike_m) else {})
+
+    @classmethod
+    def from_json(cls, options: object) -> "DemOptions":
+        """Return the options that `to_json` gave; the defaults for None.
+
+        Raises
+        ------
+        InputError
+            Not such a mapping.
+        """
+        if options is None:
+            return cls()
+        if not isinstance(options, Mapping) or not set(options) <= {f.name for f in fields(cls)}:
+            raise InputError(
+                f"DEM options are {options!r}; expected names among "
+                f"{', '.join(f.name for f in fields(cls))}"
+            )
+        given = dict(options)
+        if "spike_m" in given and given["spike_m"] is None:
+            given["spike_m"] = math.inf
+        try:
+            return cls(**given)
+        except TypeError as error:
+            raise InputError(f"DEM options are {options!r}; {error}") from error
+
 
 def read_dem(
     paths: str | Path | Sequence[str | Path], options: DemOptions = DemOptions()
@@ -113,7 +141,7 @@ def read_dem(
         frame = Frame.from_crs(crs)
         _warn_of_distortion(grid, frame)
         counts = _clean(heights, files, max(grid.step_east, grid.step_north), options)
-        return _field(heights, grid, frame, Provenance(files, "none", *counts))
+        return _field(heights, grid, frame, Provenance(files, "none", *counts, options.to_json()))
     frame = local_frame(grid, crs)
     ground_spacing = ground_spacing_m(grid, crs, frame)
     counts = _clean(heights, files, max(ground_spacing), options)
@@ -123,7 +151,8 @@ def read_dem(
         f"cubic, once, from {crs.name} ({ground_spacing[0]:.2f} x {ground_spacing[1]:.2f} m at "
         f"the centre) to {spacing_m:g} m in the local conformal frame"
     )
-    return _field(heights, warped_grid, frame, Provenance(files, resampling, *counts))
+    provenance = Provenance(files, resampling, *counts, options.to_json())
+    return _field(heights, warped_grid, frame, provenance)
 
 
 def _parse_crs(text: str | None) -> CRS | None:

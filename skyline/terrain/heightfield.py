@@ -5,6 +5,7 @@ south-east samples. A triangle with a hole (NaN) among its samples is not part o
 """
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -29,6 +30,8 @@ class Provenance:
         ``"none"`` where the file's own grid is used, else the method and the source CRS.
     filled, hollow, despiked : int
         Void samples filled by interpolation, left as holes, and spikes removed.
+    options : mapping
+        How the files were read: `skyline.terrain.dem.DemOptions.to_json`.
     """
 
     files: tuple[str, ...] = ()
@@ -36,6 +39,7 @@ class Provenance:
     filled: int = 0
     hollow: int = 0
     despiked: int = 0
+    options: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,5 @@
 import gzip
+import json
 import subprocess
 import sys
 import tracemalloc
@@ -664,3 +665,16 @@ def test_a_metric_dem_is_read_in_little_more_than_its_samples(
     tracemalloc.stop()
     assert field.provenance.despiked == 400
     assert peak < 1.25 * field.heights_m.nbytes
+
+
+@pytest.mark.parametrize("spike_m", [80.0, np.inf])
+def test_options_survive_json(spike_m: float) -> None:
+    options = DemOptions(crs="EPSG:32632", reproject=True, spike_m=spike_m)
+    assert DemOptions.from_json(json.loads(json.dumps(options.to_json()))) == options
+    assert DemOptions.from_json(None) == DemOptions()
+
+
+@pytest.mark.parametrize("options", [{"shell": "rm"}, ["crs"], 5, {"max_void_samples": "x"}])
+def test_foreign_options_are_refused(options: object) -> None:
+    with pytest.raises(InputError, match="DEM options are"):
+        DemOptions.from_json(options)
