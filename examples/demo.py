@@ -18,7 +18,8 @@ from rasterio.transform import from_bounds
 from rich.console import Console
 from rich.table import Table
 
-from skyline.experiments.photographs import Camera, photograph
+from skyline.experiments.photographs import photograph
+from skyline.experiments.pinhole import Camera
 from skyline.matching import MATCHERS
 from skyline.photo import write_overlay
 from skyline.pipeline import (

@@ -4,13 +4,11 @@ They are the queries of demos and benchmarks. The terrain is looked up in depth 
 by its slope, veiled by haze and put under a sky; nothing of the pose is left in the picture.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS, rotation
-from skyline.errors import InputError
+from skyline.experiments.pinhole import Camera
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -21,53 +19,6 @@ _SUN = np.array([-0.55, 0.62, 0.55]) / np.linalg.norm([-0.55, 0.62, 0.55])
 _GROUND_RGB = np.array([[74.0, 96.0, 58.0], [120.0, 112.0, 96.0], [150.0, 146.0, 142.0]])
 _HAZE_RGB = np.array([176.0, 196.0, 219.0])
 _ZENITH_RGB = np.array([84.0, 134.0, 205.0])
-
-
-@dataclass(frozen=True, slots=True)
-class Camera:
-    """A pin-hole camera with square pixels.
-
-    Attributes
-    ----------
-    heading_deg : float
-        Grid azimuth of the optical axis.
-    pitch_deg : float
-        Optical axis above the horizon.
-    fov_deg : float
-        Horizontal field of view.
-    width_px, height_px : int
-    """
-
-    heading_deg: float
-    pitch_deg: float = 0.0
-    fov_deg: float = 60.0
-    width_px: int = 960
-    height_px: int = 640
-
-    def __post_init__(self) -> None:
-        if not 1.0 <= self.fov_deg <= 120.0 or abs(self.pitch_deg) > 20.0:
-            raise InputError(
-                f"field of view {self.fov_deg} and pitch {self.pitch_deg} degrees; expected 1 to "
-                "120 and within 20, or the picture leaves the depth images"
-            )
-
-    def rays(self) -> Float64Array:
-        """Return (H, W, 3) directions east, up, north of the pixel centres."""
-        tangent = np.tan(np.radians(self.fov_deg) / 2.0)
-        right = ((2.0 * np.arange(self.width_px) + 1.0) / self.width_px - 1.0) * tangent
-        rows = self.height_px - 1.0 - 2.0 * np.arange(self.height_px)
-        above = rows / self.width_px * tangent
-        pitch, heading = np.radians(self.pitch_deg), np.radians(self.heading_deg)
-        forward = np.cos(pitch) - above * np.sin(pitch)
-        up = np.sin(pitch) + above * np.cos(pitch)
-        shape = (self.height_px, self.width_px)
-        right, forward, up = (
-            np.broadcast_to(part, shape)
-            for part in (right[np.newaxis, :], forward[:, np.newaxis], up[:, np.newaxis])
-        )
-        east = right * np.cos(heading) + forward * np.sin(heading)
-        north = forward * np.cos(heading) - right * np.sin(heading)
-        return np.stack([east, up, north], axis=-1)
 
 
 def photograph(

@@ -12,7 +12,8 @@ from PIL import Image
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
 from skyline import Matcher, build_uniform, cli, oracle, read_dem, stand_on
-from skyline.experiments.photographs import Camera, photograph
+from skyline.experiments.photographs import photograph
+from skyline.experiments.pinhole import Camera
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
 

@@ -1,0 +1,138 @@
+"""A pin-hole camera held at any heading, pitch and roll, and the skyline on its image."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+
+Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+_MIN_FORWARD = 0.05
+"""Rays that point further aside of the optical axis are not drawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A pin-hole camera with square pixels; angles as in `matching.query.level`.
+
+    Attributes
+    ----------
+    heading_deg : float
+        Grid azimuth of the optical axis.
+    pitch_deg : float
+        Optical axis above the horizon.
+    roll_deg : float
+        Camera turned clockwise as seen from behind it.
+    fov_deg : float
+        Horizontal field of view.
+    width_px, height_px : int
+    """
+
+    heading_deg: float
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+    fov_deg: float = 60.0
+    width_px: int = 960
+    height_px: int = 640
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.fov_deg <= 120.0 or max(abs(self.pitch_deg), abs(self.roll_deg)) > 20.0:
+            raise InputError(
+                f"field of view {self.fov_deg}, pitch {self.pitch_deg} and roll {self.roll_deg} "
+                "degrees; expected 1 to 120, within 20 and within 20"
+            )
+        if min(self.width_px, self.height_px) < 2:
+            raise InputError(
+                f"image is {self.width_px} x {self.height_px} px; expected at least 2 x 2"
+            )
+
+    @property
+    def focal_px(self) -> float:
+        """Focal length in pixels."""
+        return self.width_px / 2.0 / float(np.tan(np.radians(self.fov_deg) / 2.0))
+
+    def rays(self) -> Float64Array:
+        """Return (H, W, 3) directions east, up, north of the pixel centres, optical axis 1."""
+        columns, rows = np.arange(self.width_px), np.arange(self.height_px)
+        u = ((columns - (self.width_px - 1) / 2.0) / self.focal_px)[np.newaxis, :]
+        v = (((self.height_px - 1) / 2.0 - rows) / self.focal_px)[:, np.newaxis]
+        roll, pitch, heading = np.radians([self.roll_deg, self.pitch_deg, self.heading_deg])
+        right = u * np.cos(roll) + v * np.sin(roll)
+        above = v * np.cos(roll) - u * np.sin(roll)
+        forward = np.cos(pitch) - above * np.sin(pitch)
+        up = np.sin(pitch) + above * np.cos(pitch)
+        east = right * np.cos(heading) + forward * np.sin(heading)
+        north = forward * np.cos(heading) - right * np.sin(heading)
+        return np.stack([east, up, north], axis=-1)
+
+    def skyline(
+        self, azimuth_deg: Float64Array, elevation_tan: Float64Array
+    ) -> tuple[Float64Array, IntArray]:
+        """Project a skyline all the way round into the image.
+
+        Parameters
+        ----------
+        azimuth_deg : (N,) float64
+            Grid azimuths, ascending over one turn.
+        elevation_tan : (N,) float64
+            Tangent of the elevation angle, up over *horizontal* distance; NaN where not known.
+
+        Returns
+        -------
+        row_px : (W,) float64
+            Topmost row of the curve at each column's centre; it may lie outside the image, and
+            is NaN where nothing is known. Straight between the curve's samples.
+        sample : (W,) intp
+            The curve's sample just left of that point; -1 where the row is NaN.
+        """
+        turned = np.mod(azimuth_deg - self.heading_deg + 180.0, 360.0) - 180.0
+        first = int(np.argmin(turned))
+        column, row, ahead = self._project(
+            np.radians(np.roll(turned, -first)), np.roll(elevation_tan, -first)
+        )
+        row_px, segment = _topmost(column, row, ahead, self.width_px)
+        sample = np.where(segment >= 0, (segment + first) % len(azimuth_deg), -1)
+        return row_px, sample
+
+    def _project(
+        self, azimuth_rad: Float64Array, elevation_tan: Float64Array
+    ) -> tuple[Float64Array, Float64Array, NDArray[np.bool_]]:
+        """Return column, row and whether it is drawn, of directions relative to the heading."""
+        roll, pitch = np.radians([self.roll_deg, self.pitch_deg])
+        right, level = np.sin(azimuth_rad), np.cos(azimuth_rad)
+        forward = level * np.cos(pitch) + elevation_tan * np.sin(pitch)
+        above = elevation_tan * np.cos(pitch) - level * np.sin(pitch)
+        ahead = forward > _MIN_FORWARD
+        scale = self.focal_px / np.where(ahead, forward, 1.0)
+        column = (right * np.cos(roll) - above * np.sin(roll)) * scale + (self.width_px - 1) / 2.0
+        row = (self.height_px - 1) / 2.0 - (right * np.sin(roll) + above * np.cos(roll)) * scale
+        return column, row, ahead
+
+
+def _topmost(
+    column: Float64Array, row: Float64Array, drawn: NDArray[np.bool_], width: int
+) -> tuple[Float64Array, IntArray]:
+    """Return a polyline's topmost row at each whole column (W,), and the segment it is on.
+
+    A rolled camera sees cliffs lean over, so several segments may cross one column.
+    """
+    usable = drawn[:-1] & drawn[1:]
+    left = np.where(usable, np.minimum(column[:-1], column[1:]), 0.0)
+    right = np.where(usable, np.maximum(column[:-1], column[1:]), -1.0)
+    first = np.clip(np.ceil(left), 0, width).astype(np.intp)
+    crossed = np.clip(np.floor(right), -1, width - 1).astype(np.intp) - first + 1
+    segment = np.repeat(np.arange(len(first)), np.maximum(crossed, 0))
+    start = np.searchsorted(segment, segment)
+    at = first[segment] + np.arange(len(segment)) - start
+    run = column[segment + 1] - column[segment]
+    share = np.where(run == 0.0, 0.0, (at - column[segment]) / np.where(run == 0.0, 1.0, run))
+    crossing = row[segment] + share * (row[segment + 1] - row[segment])
+    known = np.flatnonzero(np.isfinite(crossing))
+    # Lowest rows first, so that the last one written to a column is the topmost.
+    known = known[np.argsort(-crossing[known], kind="stable")]
+    row_px, which = np.full(width, np.nan), np.full(width, -1, dtype=np.intp)
+    row_px[at[known]], which[at[known]] = crossing[known], segment[known]
+    return row_px, which
