@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from skyline import __version__
-from skyline.console import progress_bar, run_app
+from skyline.console import parse_bounds, progress_bar, run_app
 from skyline.describe import (
     MatchRecord,
     describe_gl,
@@ -151,7 +151,7 @@ def build(
         _render_config(width, tolerance_px, k, no_curvature),
         shell_edges_m=shell_edges_m(shells) if shells else (),
     )
-    corners = _parse_bounds(bounds)
+    corners = parse_bounds(bounds)
     dem_options = DemOptions(crs=crs, reproject=reproject)
     if planner == "uniform":
         terrain = read_dem(dem, dem_options)
@@ -287,18 +287,6 @@ def main() -> None:
 def _render_config(width: int, tolerance_px: float, k: float, no_curvature: bool) -> RenderConfig:
     curvature = Curvature(refraction_k=k, enabled=not no_curvature)
     return RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
-
-
-def _parse_bounds(text: str | None) -> tuple[float, float, float, float] | None:
-    if text is None:
-        return None
-    try:
-        west, south, east, north = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(
-            f"bounds are `{text}`; expected four numbers W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
-        ) from error
-    return west, south, east, north
 
 
 def _parse_place(text: str) -> tuple[float, float]:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
-from skyline.errors import SkylineError
+from skyline.errors import InputError, SkylineError
 from skyline.pipeline import Progress
 
 # Typer brings click under one name or another, by its version; this one name is public in all.
@@ -62,6 +62,19 @@ def progress_bar(what: str) -> Iterator[Progress]:
     with bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def parse_bounds(text: str | None) -> tuple[float, float, float, float] | None:
+    """Read bounds given as ``W,S,E,N`` in degrees; raises `InputError` where they are not."""
+    if text is None:
+        return None
+    try:
+        west, south, east, north = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise InputError(
+            f"bounds are `{text}`; expected four numbers W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
+        ) from error
+    return west, south, east, north
 
 
 def _fail(message: str, code: int) -> None:

@@ -1,0 +1,114 @@
+"""The stores of a comparison: built once in a folder and used again, or given as files."""
+
+import json
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+from skyline.errors import InputError, MissingFileError
+from skyline.pipeline import BuildResult, RenderConfig, build_uniform
+from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
+from skyline.store import open_store
+from skyline.terrain.heightfield import HeightField
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceStore:
+    """A store and what it cost.
+
+    Attributes
+    ----------
+    name : str
+    path : Path
+    renderings, size_bytes : int
+    build_s : float or None
+        Over all the runs it was built in; None where that was not noted.
+    """
+
+    name: str
+    path: Path
+    renderings: int
+    size_bytes: int
+    build_s: float | None
+
+
+def check_spacing(terrain: HeightField, spacing_m: float, bounds_deg: MapBounds | None) -> None:
+    """Refuse a uniform grid that does not fit an area.
+
+    Raises
+    ------
+    InputError
+        A spacing that is not positive, or wider than the area.
+    """
+    bounds = map_bounds(terrain, bounds_deg)
+    uniform_grid(terrain, spacing_m, bounds)
+    width, height = bounds[2] - bounds[0], bounds[3] - bounds[1]
+    if min(width, height) < spacing_m:
+        raise InputError(
+            f"the area is {width:.0f} x {height:.0f} m, too small for a grid of {spacing_m:g} m; "
+            "choose larger bounds or a smaller spacing"
+        )
+
+
+def uniform_store(
+    terrain: HeightField,
+    folder: Path,
+    spacing_m: float,
+    bounds_deg: tuple[float, float, float, float] | None,
+    config: RenderConfig,
+) -> ReferenceStore:
+    """Return a uniform store in a folder, built as far as it is not there yet.
+
+    Raises
+    ------
+    StoreMismatchError
+        The folder has one of that name from another DEM, area or configuration.
+    """
+    shells = max(len(config.shell_edges_m) - 1, 0)
+    name = f"uniform-{spacing_m:g}" + (f"-{shells}" if shells else "")
+    path = folder / f"{name}.h5"
+    noted, was_there = path.with_suffix(".build.json"), path.exists()
+    built = build_uniform(terrain, path, spacing_m, bounds_deg, config)
+    _log.info("%s: %d of %d renderings now", name, built.rendered, built.renderings)
+    before_s = json.loads(noted.read_text())["build_s"] if noted.exists() else None
+    build_s = _all_runs_s(built, was_there, before_s)
+    if build_s is not None:
+        noted.write_text(json.dumps({"build_s": build_s}) + "\n")
+    else:
+        noted.unlink(missing_ok=True)
+    return ReferenceStore(name, path, built.renderings, path.stat().st_size, build_s)
+
+
+def _all_runs_s(built: BuildResult, was_there: bool, before_s: float | None) -> float | None:
+    """Return what a store took over all runs; None where one of them was not noted."""
+    if not was_there:
+        return built.seconds
+    if not built.rendered:
+        return before_s
+    return None if before_s is None else before_s + built.seconds
+
+
+def given_store(terrain: HeightField, path: Path) -> ReferenceStore:
+    """Return a store that is there already, under its file's name.
+
+    Raises
+    ------
+    MissingFileError
+        There is no such file.
+    InputError
+        It lies in another frame than the terrain, so that its places cannot be compared.
+    StoreError
+        It cannot be read.
+    """
+    if not path.is_file():
+        raise MissingFileError(f"{path} does not exist; give a store that `skyline build` made")
+    with open_store(path) as store:
+        renderings, frame_wkt = store.committed, store.header.frame_wkt
+    if frame_wkt != terrain.frame.wkt:
+        raise InputError(
+            f"{path} lies in another frame than the DEM, {terrain.frame.name}; give the DEM that "
+            "the store was built from"
+        )
+    return ReferenceStore(path.stem, path, renderings, path.stat().st_size, None)

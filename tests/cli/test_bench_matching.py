@@ -1,0 +1,112 @@
+"""``skyline-bench matching`` as a user meets it."""
+
+import csv
+import json
+
+import cv2
+import pytest
+
+KEYS = {
+    "store", "matcher", "queries", "n", "within_200m", "mean_m", "median_m", "p90_m",
+    "heading_median_deg", "answered", "query_ms", "renderings", "bytes", "build_s",
+}  # fmt: skip
+TIMES = ("query_ms", "build_s")
+
+
+@pytest.fixture(scope="module")
+def stores(tmp_path_factory):
+    """A folder in which stores are kept."""
+    return tmp_path_factory.mktemp("stores")
+
+
+@pytest.fixture
+def measure(run_bench, dem, stores, tmp_path):
+    """Return a function that runs the command and gives its record and what it printed."""
+
+    def run(*arguments):
+        record = tmp_path / "record.json"
+        done = run_bench(
+            "matching", dem, "--spacing", 600, "--spacing", 300, "--shells", 0, "--folder", stores,
+            "--matcher", "correlation", "--queries", 5, "--json", record, *arguments,
+        )  # fmt: skip
+        assert done.code == 0, done.err
+        return json.loads(record.read_text()), done.out
+
+    return run
+
+
+def test_stores_matchers_and_queries_are_compared(measure, tmp_path):
+    plot, candidates = tmp_path / "plot.png", tmp_path / "candidates.csv"
+    record, printed = measure("--plot", plot, "--per-query", candidates)
+    assert record["bench"] == "matching"
+    rows = record["rows"]
+    assert [(row["store"], row["queries"]) for row in rows] == [
+        (store, kind)
+        for store in ("uniform-600", "uniform-300")
+        for kind in ("plain", "other-dem", "occluded")
+    ]
+    for row in rows:
+        assert row.keys() >= KEYS
+        assert row["n"] == 5
+        assert 0.0 <= row["within_200m_low"] <= row["within_200m"] <= row["within_200m_high"] <= 1.0
+        assert row["median_m"] <= row["p90_m"] < 5000.0
+        assert row["build_s"] > 0.0
+        assert row["store"] in printed
+    assert rows[0]["renderings"] < rows[-1]["renderings"]
+    assert rows[0]["bytes"] < rows[-1]["bytes"]
+    assert cv2.imread(str(plot)) is not None
+    with candidates.open() as file:
+        listed = list(csv.DictReader(file))
+    best = [row for row in listed if row["rank"] in ("1", "")]
+    assert len(best) == 6 * 5
+    assert {row["queries"] for row in listed} == {"plain", "other-dem", "occluded"}
+
+
+def test_the_same_seed_gives_the_same_table(measure):
+    first, again, other = (
+        measure("--kind", "plain", "--seed", seed)[0]["rows"] for seed in (7, 7, 8)
+    )
+    for rows in (first, again, other):
+        for row in rows:
+            # A store that is found again took what it took.
+            assert row["build_s"] > 0.0
+            for time in TIMES:
+                del row[time]
+    assert first == again != other
+
+
+def test_stores_that_are_there_are_measured(run_bench, dem, store, tmp_path):
+    record = tmp_path / "record.json"
+    done = run_bench(
+        "matching", dem, "--store", store, "--queries", 3, "--kind", "plain", "--json", record
+    )
+    assert done.code == 0, done.err
+    rows = json.loads(record.read_text())["rows"]
+    assert {row["store"] for row in rows} == {"store"}
+    assert {row["matcher"] for row in rows} >= {"paper", "correlation"}
+    assert all(row["build_s"] is None for row in rows)
+
+
+def test_bad_options_are_one_line_and_write_nothing(run_bench, dem, tmp_path):
+    record = tmp_path / "record.json"
+    for arguments, message in [
+        (["--queries", "0"], "queries is 0"),
+        (["--seed", "-1"], "seed is -1"),
+        (["--bounds", "40,10,41,11"], "do not meet the DEM"),
+        (["--bounds", "40,10,41"], "W,S,E,N"),
+        (["--spacing", "3400"], "too small for a grid"),
+        (["--spacing", "0"], "spacing is 0"),
+        (["--shells", "1"], "1 distance shells"),
+        (["--matcher", "best"], "matcher is 'best'"),
+        (["--kind", "easy"], "kind of queries is 'easy'"),
+        (["--store", tmp_path / "no.h5"], "does not exist"),
+        (["--store", dem], "dem.tif"),
+        (["--per-query", tmp_path / "no" / "rows.csv"], "no folder"),
+    ]:
+        done = run_bench("matching", dem, "--quick", "--json", record, *arguments)
+        assert done.code == 2, done
+        assert message in done.err
+        assert done.err.startswith("error: ")
+        assert done.err.count("\n") == 1
+        assert done.out == ""
+    assert not list(tmp_path.iterdir())
