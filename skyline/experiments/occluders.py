@@ -15,6 +15,7 @@ _KINDS = ("tree", "tree", "building", "person")
 _WIDTH_SHARE = {"tree": (0.02, 0.10), "building": (0.06, 0.20), "person": (0.015, 0.04)}
 _RISE_SHARE = {"tree": (0.05, 0.25), "building": (0.03, 0.15), "person": (0.03, 0.12)}
 """How wide they are, and how far above the skyline they reach, as shares of the image's width."""
+_NARROWEST_SHARE = 0.015
 _ROUGHNESS = {"tree": 0.25, "building": 0.0, "person": 0.03}
 
 
@@ -62,7 +63,10 @@ def random_occluders(
     lengths: list[int] = []
     while left > 0:
         kind = _KINDS[generator.integers(len(_KINDS))]
-        length = min(max(round(generator.uniform(*_WIDTH_SHARE[kind]) * width), 1), left)
+        length = round(generator.uniform(*_WIDTH_SHARE[kind]) * width)
+        # No sliver is left for a last one.
+        if left - length < _NARROWEST_SHARE * width:
+            length = left
         kinds.append(kind)
         lengths.append(length)
         left -= length

@@ -4,25 +4,36 @@ They are the queries of demos and benchmarks. The terrain is looked up in depth 
 by its slope, veiled by haze and put under a sky; nothing of the pose is left in the picture.
 """
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, TiffImagePlugin
+from PIL.ExifTags import IFD, Base
+from scipy import ndimage
 
 from skyline.camera import HEADINGS, rotation
 from skyline.experiments.pinhole import Camera
+from skyline.experiments.queries import MadeQuery
+from skyline.experiments.scenery import Scenery, ground_rgb, put_in_front, sky_rgb
 from skyline.render.depth import DepthRenderer
-from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 Float64Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
-_SUN = np.array([-0.55, 0.62, 0.55]) / np.linalg.norm([-0.55, 0.62, 0.55])
-_GROUND_RGB = np.array([[74.0, 96.0, 58.0], [120.0, 112.0, 96.0], [150.0, 146.0, 142.0]])
-_HAZE_RGB = np.array([176.0, 196.0, 219.0])
-_ZENITH_RGB = np.array([84.0, 134.0, 205.0])
+_BLUR_PX = 0.6
+_NOISE = 3.0
+_SENSOR_WIDTH_MM = 36.0
 
 
 def photograph(
-    renderer: DepthRenderer, viewpoints: Viewpoints, index: int, camera: Camera, seed: int
+    renderer: DepthRenderer,
+    viewpoints: Viewpoints,
+    index: int,
+    camera: Camera,
+    seed: int,
+    scenery: Scenery | None = None,
 ) -> NDArray[np.uint8]:
     """Return an RGB photograph (H, W, 3) taken from one viewpoint.
 
@@ -32,16 +43,107 @@ def photograph(
     generator = np.random.default_rng(seed)
     rays = camera.rays()
     distance = _distance(renderer.depth_images(viewpoints, index), rays)
+    eye = float(viewpoints.easting_m[index]), float(viewpoints.northing_m[index])
     ground = np.isfinite(distance)
-    picture = _sky(rays, generator)
-    points = rays[ground] * distance[ground, np.newaxis]
-    easting = viewpoints.easting_m[index] + points[:, 0]
-    northing = viewpoints.northing_m[index] + points[:, 2]
-    colour = _shaded(renderer.field, easting, northing)
-    veil = np.exp(-np.linalg.norm(points, axis=1) / 25_000.0)[:, np.newaxis]
-    picture[ground] = colour * veil + _HAZE_RGB * (1.0 - veil)
-    picture += generator.normal(0.0, 4.0, picture.shape)
-    return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
+    picture = _scene(renderer, eye, rays, distance, ground.astype(float), scenery, generator)
+    return _exposed(picture, generator)
+
+
+def draw_photo(
+    renderer: DepthRenderer, query: MadeQuery, seed: int, scenery: Scenery | None = None
+) -> NDArray[np.uint8]:
+    """Return the RGB photograph (H, W, 3) of a made query, its occluders in front.
+
+    Sky and ground meet exactly at ``query.row_px``, the border pixels mixed from both; the depth
+    images behind decide only what the ground looks like. ``renderer`` must draw the terrain the
+    query was made from.
+    """
+    generator, truth = np.random.default_rng(seed), query.truth
+    size = query.skyline.width_px, query.skyline.height_px
+    camera = Camera(truth.heading_deg, truth.pitch_deg, truth.roll_deg, truth.fov_deg, *size)
+    viewpoint = Viewpoints(
+        *(np.array([x]) for x in (truth.easting_m, truth.northing_m, truth.eye_elevation_m))
+    )
+    rays = camera.rays()
+    distance = _distance(renderer.depth_images(viewpoint, 0), rays)
+    rows = np.arange(camera.height_px)[:, np.newaxis]
+    # Pixel r spans r - 0.5 to r + 0.5.
+    below = np.clip(rows + 0.5 - query.row_px, 0.0, 1.0)
+    share = np.where(np.isfinite(query.row_px), below, np.isfinite(distance))
+    eye = truth.easting_m, truth.northing_m
+    picture = _scene(renderer, eye, rays, distance, share, scenery, generator)
+    for occluder in query.occluders:
+        put_in_front(picture, occluder, generator)
+    return _exposed(picture, generator)
+
+
+def save_photo(
+    path: str | Path, picture: NDArray[np.uint8], fov_deg: float | None, quality: int = 90
+) -> None:
+    """Save a picture (H, W, 3) as JPEG, with the field of view in EXIF as cameras note it.
+
+    Parameters
+    ----------
+    path : str or Path
+    picture : (H, W, 3) uint8
+    fov_deg : float or None
+        Horizontal field of view to note, as focal length and sensor resolution; None for none.
+    quality : int
+        Of the JPEG, 1 to 95.
+    """
+    exif = Image.Exif()
+    if fov_deg is not None:
+        width_px = picture.shape[1]
+        tags = exif.get_ifd(IFD.Exif)
+        focal_mm = _SENSOR_WIDTH_MM / 2.0 / np.tan(np.radians(fov_deg) / 2.0)
+        tags[Base.FocalLength] = TiffImagePlugin.IFDRational(round(1000.0 * focal_mm), 1000)
+        tags[Base.FocalPlaneXResolution] = TiffImagePlugin.IFDRational(
+            10 * width_px, round(_SENSOR_WIDTH_MM)
+        )
+        tags[Base.FocalPlaneResolutionUnit] = 3
+    Image.fromarray(picture).save(path, format="JPEG", quality=quality, exif=exif)
+
+
+def _scene(
+    renderer: DepthRenderer,
+    eye_m: tuple[float, float],
+    rays: Float64Array,
+    distance: Float64Array,
+    ground_share: Float64Array,
+    scenery: Scenery | None,
+    generator: np.random.Generator,
+) -> Float64Array:
+    """Return ground and sky (H, W, 3), mixed by the share of ground in each pixel."""
+    scenery = scenery or Scenery()
+    shown = ground_share > 0.0
+    distance = _carried_up(distance)
+    ridge_row = np.where(shown.any(axis=0), np.argmax(shown, axis=0), len(shown) - 1)
+    sky = sky_rgb(rays, ridge_row.astype(np.float64), scenery, generator)
+    shown &= np.isfinite(distance)
+    points = rays[shown] * distance[shown, np.newaxis]
+    place = eye_m[0] + points[:, 0], eye_m[1] + points[:, 2]
+    ground = sky.copy()
+    ground[shown] = ground_rgb(
+        renderer.field, place, np.linalg.norm(points, axis=1), scenery, generator
+    )
+    share = ground_share[..., np.newaxis]
+    return np.asarray(sky * (1.0 - share) + ground * share, dtype=np.float64)
+
+
+def _carried_up(distance: Float64Array) -> Float64Array:
+    """Return distances (H, W) with those of the sky taken from the nearest ground below."""
+    height, width = distance.shape
+    rows = np.arange(height)[:, np.newaxis]
+    found = np.where(np.isfinite(distance), rows, height - 1)
+    nearest = np.minimum.accumulate(found[::-1], axis=0)[::-1]
+    return np.asarray(distance[nearest, np.arange(width)], dtype=np.float64)
+
+
+def _exposed(picture: Float64Array, generator: np.random.Generator) -> NDArray[np.uint8]:
+    """Return 8 bits (H, W, 3) through a lens that blurs a little and a sensor that is noisy."""
+    blurred = ndimage.gaussian_filter(picture, (_BLUR_PX, _BLUR_PX, 0.0))
+    noisy = blurred + generator.normal(0.0, _NOISE, picture.shape)
+    return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
 def _distance(depth_m: NDArray[np.float32], rays: Float64Array) -> Float64Array:
@@ -55,47 +157,3 @@ def _distance(depth_m: NDArray[np.float32], rays: Float64Array) -> Float64Array:
     inside = (row >= 0) & (row < size)
     depth = depth_m[heading, row.clip(0, size - 1), column.clip(0, size - 1)]
     return np.where(inside, depth / forward, np.inf)
-
-
-def _shaded(field: HeightField, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
-    """Return RGB (M, 3) of the ground at map coordinates, lit by the sun."""
-    row, col = field.to_grid(easting_m, northing_m)
-    near_row = np.rint(row).astype(int).clip(1, max(field.rows - 2, 1))
-    near_col = np.rint(col).astype(int).clip(1, max(field.cols - 2, 1))
-    heights = field.heights_m
-    slope_east = (heights[near_row, near_col + 1] - heights[near_row, near_col - 1]) / (
-        2.0 * field.spacing_east_m
-    )
-    slope_north = (heights[near_row - 1, near_col] - heights[near_row + 1, near_col]) / (
-        2.0 * field.spacing_north_m
-    )
-    normal = np.stack([-slope_east, np.ones_like(slope_east), -slope_north], axis=-1)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    light = 0.45 + 0.65 * np.clip(np.nan_to_num(normal) @ _SUN, 0.0, 1.0)
-    low, high = field.height_range_m
-    share = (np.nan_to_num(heights[near_row, near_col], nan=low) - low) / max(high - low, 1.0)
-    steep = np.hypot(slope_east, slope_north)
-    rank = np.clip(1.2 * share + 0.8 * np.nan_to_num(steep), 0.0, 2.0)
-    colour = np.stack(
-        [np.interp(rank, [0.0, 1.0, 2.0], _GROUND_RGB[:, band]) for band in range(3)], axis=-1
-    )
-    return np.asarray(colour * light[:, np.newaxis], dtype=np.float64)
-
-
-def _sky(rays: Float64Array, generator: np.random.Generator) -> Float64Array:
-    """Return a sky (H, W, 3), paler towards the horizon, with soft clouds."""
-    up = rays[..., 1] / np.linalg.norm(rays, axis=-1)
-    share = np.clip(up * 2.2, 0.0, 1.0)[..., np.newaxis]
-    sky = _HAZE_RGB * 1.08 * (1.0 - share) + _ZENITH_RGB * share
-    along = (rays[..., 0] + 0.7 * rays[..., 2]) / np.linalg.norm(rays, axis=-1)
-    cloud = np.zeros(up.shape)
-    for octave in range(1, 5):
-        phase = generator.uniform(0.0, 2.0 * np.pi, 2)
-        frequency = 3.0 * 1.9**octave
-        cloud += (
-            np.sin(along * frequency + phase[0] + 2.0 * up)
-            * np.sin(up * frequency * 4.0 + phase[1])
-            / 1.5**octave
-        )
-    cover = np.clip(cloud - 0.25, 0.0, 0.5)[..., np.newaxis]
-    return np.asarray(sky + cover * (np.array([248.0, 248.0, 250.0]) - sky), dtype=np.float64)
