@@ -125,6 +125,36 @@ def level(
     return np.arctan2(right, forward), up / np.hypot(right, forward)
 
 
+def project(
+    azimuth_rad: Float64Array, y: Float64Array, pitch_deg: float, roll_deg: float
+) -> tuple[Float64Array, Float64Array]:
+    """Return where a pitched and rolled camera sees directions: the inverse of `level`.
+
+    Parameters
+    ----------
+    azimuth_rad : (...) float64
+        Clockwise from the vertical plane of the optical axis.
+    y : (...) float64
+        Tangent of the elevation angle.
+    pitch_deg, roll_deg : float
+        As in `Attitudes`.
+
+    Returns
+    -------
+    u, v : (...) float64
+        Rays (u, v, 1) in the camera's frame; NaN for directions that are not in front of it.
+    """
+    pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
+    right, ahead = np.sin(azimuth_rad), np.cos(azimuth_rad)
+    forward = ahead * np.cos(pitch) + y * np.sin(pitch)
+    forward = np.where(forward > 0.0, forward, np.nan)
+    up = y * np.cos(pitch) - ahead * np.sin(pitch)
+    return (
+        (right * np.cos(roll) - up * np.sin(roll)) / forward,
+        (right * np.sin(roll) + up * np.cos(roll)) / forward,
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class QueryCurves:
     """A query on the azimuth bins of a profile, one row per assumed attitude.

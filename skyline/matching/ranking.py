@@ -34,6 +34,10 @@ class Candidate:
         Probability that the answer is right, where something has estimated it.
     refined : bool
         Whether the pose was fitted by rendering again.
+    covariance_m2 : ((float, float), (float, float)) or None
+        Covariance of easting and northing, square metres, where something has estimated it.
+    eye_elevation_m : float or None
+        Of the camera, above the DEM's datum, where it is known.
     """
 
     location: int
@@ -46,6 +50,8 @@ class Candidate:
     score: float
     confidence: float | None = None
     refined: bool = False
+    covariance_m2: tuple[tuple[float, float], tuple[float, float]] | None = None
+    eye_elevation_m: float | None = None
 
 
 class Matcher(Protocol):

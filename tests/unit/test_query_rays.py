@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from skyline.errors import InputError
 from skyline.matching import QueryRays
+from skyline.matching.query import level, project
 
 
 def _rays(fov_range_deg: tuple[float, float] | None = None) -> QueryRays:
@@ -28,3 +31,22 @@ def test_a_known_field_of_view_is_its_own_range() -> None:
 def test_a_range_without_the_field_of_view_is_refused(fov_range_deg: tuple[float, float]) -> None:
     with pytest.raises(InputError, match="range"):
         _rays(fov_range_deg)
+
+
+@given(pitch_deg=st.floats(-60.0, 60.0), roll_deg=st.floats(-180.0, 180.0))
+def test_what_is_levelled_projects_back_to_where_it_was(pitch_deg: float, roll_deg: float) -> None:
+    u, v = np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-0.3, 0.3, 5))
+    back = project(*level(u, v, pitch_deg, roll_deg), pitch_deg, roll_deg)
+    np.testing.assert_allclose(back, (u, v), rtol=0.0, atol=1e-10)
+
+
+def test_a_camera_that_looks_up_sees_the_horizon_low_and_nothing_behind() -> None:
+    u, v = project(np.radians([0.0, 45.0, 180.0]), np.zeros(3), 10.0, 0.0)
+    np.testing.assert_allclose(v[0], -np.tan(np.radians(10.0)))
+    np.testing.assert_allclose(u[1], 1.0 / np.cos(np.radians(10.0)))
+    assert np.isnan([u[2], v[2]]).all()
+
+
+def test_a_camera_turned_clockwise_sees_the_right_hand_horizon_high() -> None:
+    _, v = project(np.radians([-20.0, 20.0]), np.zeros(2), 0.0, 5.0)
+    assert v[0] < 0.0 < v[1]
