@@ -11,7 +11,6 @@ import typer
 from skyline import __version__
 from skyline.console import parse_bounds, progress_bar, run_app
 from skyline.describe import (
-    MatchRecord,
     describe_gl,
     describe_match,
     describe_scene,
@@ -37,6 +36,7 @@ from skyline.planning.loop import PlanConfig
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
 from skyline.prediction import shell_edges_m
+from skyline.report.records import MatchRecord
 from skyline.store import is_store
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.viewpoint_csv import read_viewpoints

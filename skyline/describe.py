@@ -1,14 +1,12 @@
 """What a DEM, a store, an answer or the OpenGL at hand is, as facts to print or to parse."""
 
-from typing import TypedDict
-
 import numpy as np
 
 from skyline.camera import pixel_size
 from skyline.geodesy import Frame
-from skyline.matching.ranking import Candidate
 from skyline.pipeline import MatchResult, RenderConfig
 from skyline.render.context import describe_context
+from skyline.report.records import MatchRecord, describe_candidates
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.scene import SceneNeeds
@@ -18,57 +16,14 @@ from skyline.views import Views
 Facts = dict[str, object]
 
 
-class CandidateRecord(TypedDict):
-    """One candidate as ``skyline match --json`` prints it; the heading is from true north."""
-
-    easting: float
-    northing: float
-    lon: float
-    lat: float
-    heading_deg: float
-    pitch_deg: float
-    roll_deg: float
-    fov_deg: float
-    score: float
-    confidence: float | None
-    refined: bool
-
-
-class MatchRecord(TypedDict):
-    """One query as ``skyline match --json`` prints it."""
-
-    query: str
-    answer: CandidateRecord | None
-    candidates: list[CandidateRecord]
-    seconds: float
-
-
 def describe_match(query: str, result: MatchResult, frame: Frame) -> MatchRecord:
     """Return what was found for a query, in the public JSON's terms (DESIGN 8)."""
-    candidates = [_describe_candidate(candidate, frame) for candidate in result.candidates]
+    candidates = describe_candidates(result.candidates, frame)
     return MatchRecord(
         query=query,
         answer=candidates[0] if candidates else None,
         candidates=candidates,
         seconds=result.seconds,
-    )
-
-
-def _describe_candidate(candidate: Candidate, frame: Frame) -> CandidateRecord:
-    place = candidate.easting_m, candidate.northing_m
-    lon, lat = frame.to_lonlat(*place)
-    return CandidateRecord(
-        easting=candidate.easting_m,
-        northing=candidate.northing_m,
-        lon=float(lon),
-        lat=float(lat),
-        heading_deg=float((candidate.heading_deg + frame.convergence_deg(*place)) % 360.0),
-        pitch_deg=candidate.pitch_deg,
-        roll_deg=candidate.roll_deg,
-        fov_deg=candidate.fov_deg,
-        score=candidate.score,
-        confidence=candidate.confidence,
-        refined=candidate.refined,
     )
 
 

@@ -64,6 +64,22 @@ def extract_photo(
     return decoded.rgb, replace(query, fov_deg=decoded.fov_deg if fov_deg is None else fov_deg)
 
 
+def read_picture(path: str | Path) -> UInt8Array | None:
+    """Return a query's photo (H, W, 3) uint8 RGB, upright; None for a trace or a sky mask.
+
+    Raises
+    ------
+    MissingFileError
+        There is no such file.
+    InputError
+        It cannot be decoded.
+    """
+    if Path(path).suffix.lower() == ".csv":
+        return None
+    image = decode_image(path).rgb
+    return None if is_sky_mask(image) else image
+
+
 def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> None:
     """Write a photo (H, W, 3) uint8 RGB as PNG with the skyline's trusted columns drawn on it.
 

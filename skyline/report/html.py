@@ -1,0 +1,231 @@
+"""Pages of text, tables and pictures in one HTML file that asks nothing of any network."""
+
+import base64
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from numbers import Real
+from pathlib import Path
+
+from skyline.errors import InputError
+from skyline.report.files import write_whole
+
+_MIME_OF_HEAD = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
+_NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?")
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+_STYLE = """
+:root { color-scheme: light dark; --page: #fbfbf9; --ink: #1b1e22; --faint: #62686f;
+  --line: #d9dcdf; --card: #ffffff; --mark: #b3123a; }
+@media (prefers-color-scheme: dark) {
+  :root { --page: #15181b; --ink: #e6e8ea; --faint: #9aa1a8; --line: #343a40; --card: #1d2125;
+    --mark: #ff6d92; } }
+* { box-sizing: border-box; }
+body { margin: 0 auto; max-width: 76rem; padding: 1.5rem 1.25rem 4rem; background: var(--page);
+  color: var(--ink); font: 16px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; }
+h1 { font-size: 1.6rem; line-height: 1.25; margin: 0.2rem 0 0.3rem; }
+h2 { font-size: 1.2rem; margin: 2.2rem 0 0.5rem; padding-top: 1rem;
+  border-top: 1px solid var(--line); overflow-wrap: anywhere; }
+p { margin: 0.5rem 0; max-width: 60rem; }
+.lead, figcaption, caption, footer { color: var(--faint); }
+.result { font-size: 1.05rem; font-weight: 600; border-left: 4px solid var(--mark);
+  padding-left: 0.7rem; }
+.figures { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 1rem;
+  align-items: start; margin: 1rem 0; }
+figure { margin: 0; padding: 0.5rem; background: var(--card); border: 1px solid var(--line);
+  border-radius: 6px; }
+figure.wide { grid-column: 1 / -1; }
+figure img { display: block; width: 100%; height: auto; background: #ffffff; }
+figcaption { font-size: 0.88rem; padding-top: 0.4rem; }
+.scroll { overflow-x: auto; margin: 0.8rem 0; }
+table { border-collapse: collapse; font-size: 0.92rem; }
+caption { text-align: left; padding-bottom: 0.3rem; }
+th, td { padding: 0.3rem 0.75rem; border-bottom: 1px solid var(--line); text-align: left;
+  vertical-align: top; overflow-wrap: anywhere; }
+thead th { white-space: nowrap; border-bottom: 2px solid var(--line); }
+.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
+footer { margin-top: 3rem; font-size: 0.85rem; }
+@media (max-width: 52rem) { .figures { grid-template-columns: minmax(0, 1fr); } }
+@media print { body { max-width: none; } figure { break-inside: avoid; } }
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Text:
+    """A paragraph; ``is_result`` sets it off as the thing looked for."""
+
+    text: str
+    is_result: bool = False
+
+    def html(self) -> str:
+        """Return the paragraph's HTML."""
+        return f"<p{' class=result' if self.is_result else ''}>{escape(self.text)}</p>"
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of plain values under named columns; numbers are set to the right.
+
+    Attributes
+    ----------
+    columns : sequence of str
+    rows : sequence of sequence of object
+        One value a column; None is a dash, floats have six digits unless they are text already.
+    caption : str
+    """
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    caption: str = ""
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise InputError(
+                    f"a table's row has {len(row)} values; expected {len(self.columns)} for "
+                    f"{', '.join(self.columns)}"
+                )
+
+    @classmethod
+    def of_records(
+        cls, rows: Sequence[Mapping[str, object]], columns: Sequence[str] = (), caption: str = ""
+    ) -> "Table":
+        """Make a table of rows by name, of all their names or the ones given."""
+        names = columns or list(dict.fromkeys(name for row in rows for name in row))
+        return cls(names, [[row.get(name) for name in names] for row in rows], caption)
+
+    @classmethod
+    def of_facts(cls, facts: Mapping[str, object], caption: str = "") -> "Table":
+        """Make a table of named facts, one a row."""
+        return cls(("", ""), [[name, str(value)] for name, value in facts.items()], caption)
+
+    def html(self) -> str:
+        """Return the table's HTML."""
+        aligned = [_is_numeric([row[at] for row in self.rows]) for at in range(len(self.columns))]
+        head = "".join(
+            _cell("th", name, right) for name, right in zip(self.columns, aligned, strict=True)
+        )
+        body = "".join(
+            "<tr>"
+            + "".join(_cell("td", _shown(v), r) for v, r in zip(row, aligned, strict=True))
+            + "</tr>\n"
+            for row in self.rows
+        )
+        caption = f"<caption>{escape(self.caption)}</caption>" if self.caption else ""
+        thead = f"<thead><tr>{head}</tr></thead>" if any(self.columns) else ""
+        return f"<div class=scroll><table>{caption}{thead}<tbody>\n{body}</tbody></table></div>"
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A PNG or JPEG; ``wide`` gives it the whole width of the page."""
+
+    data: bytes = field(repr=False)
+    caption: str
+    wide: bool = True
+
+    @classmethod
+    def read(cls, path: Path, caption: str, wide: bool = True) -> "Picture":
+        """Read a picture from a file; raises `InputError` where it is neither PNG nor JPEG."""
+        try:
+            return cls(path.read_bytes(), caption, wide)
+        except OSError as error:
+            raise InputError(f"picture {path} cannot be read ({error.strerror})") from error
+
+    def __post_init__(self) -> None:
+        if self._mime is None:
+            raise InputError(f"picture {self.caption!r} is neither PNG nor JPEG; save it as PNG")
+
+    @property
+    def _mime(self) -> str | None:
+        known = (mime for head, mime in _MIME_OF_HEAD.items() if self.data.startswith(head))
+        return next(known, None)
+
+    def html(self) -> str:
+        """Return the figure's HTML, the picture in it."""
+        data = base64.b64encode(self.data).decode()
+        return (
+            f"<figure{' class=wide' if self.wide else ''}>"
+            f'<img src="data:{self._mime};base64,{data}" alt="{escape(self.caption)}">'
+            f"<figcaption>{escape(self.caption)}</figcaption></figure>"
+        )
+
+
+Part = Text | Table | Picture
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A headed part of a page; pictures that follow one another share a grid."""
+
+    title: str
+    parts: Sequence[Part]
+
+    def html(self) -> str:
+        """Return the section's HTML."""
+        lines = [f"<section><h2>{escape(self.title)}</h2>"]
+        in_grid = False
+        for part in self.parts:
+            if isinstance(part, Picture) != in_grid:
+                in_grid = not in_grid
+                lines.append("<div class=figures>" if in_grid else "</div>")
+            lines.append(part.html())
+        return "\n".join([*lines, *(["</div>"] if in_grid else []), "</section>"])
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A report: any text in it, file names among them, is shown as it is and never as HTML.
+
+    Attributes
+    ----------
+    title : str
+    lead : str
+        What the report is about, in a sentence or two.
+    sections : sequence of Section
+    foot : str
+        What made it, and when.
+    """
+
+    title: str
+    lead: str
+    sections: Sequence[Section]
+    foot: str = ""
+
+    def html(self) -> str:
+        """Return the whole page."""
+        sections = "\n".join(section.html() for section in self.sections)
+        return (
+            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
+            f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<title>{escape(self.title)}</title>\n<style>{_STYLE}</style></head>\n<body>\n"
+            f"<h1>{escape(self.title)}</h1>\n<p class=lead>{escape(self.lead)}</p>\n{sections}\n"
+            f"<footer>{escape(self.foot)}</footer>\n</body></html>\n"
+        )
+
+    def write(self, path: Path) -> None:
+        """Write the page to a file; raises `InputError` where it cannot be written."""
+        write_whole(path, self.html().encode("utf-8", "replace"))
+
+
+def _is_numeric(values: Sequence[object]) -> bool:
+    """Whether a column holds some numbers, written out or not, and nothing but them and dashes."""
+    given = [value for value in values if value is not None]
+    return bool(given) and all(
+        (isinstance(value, Real) and not isinstance(value, bool))
+        or (isinstance(value, str) and _NUMBER.fullmatch(value))
+        for value in given
+    )
+
+
+def _shown(value: object) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _cell(tag: str, text: str, right: bool) -> str:
+    return f"<{tag}{' class=n' if right else ''}>{escape(text)}</{tag}>"

@@ -1,0 +1,64 @@
+"""Where labels stand so that none hides another or another's leader line."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A label in a band of rows above a picture; its leader line falls from it at ``anchor_px``.
+
+    Attributes
+    ----------
+    index : int
+        Which label.
+    anchor_px, left_px, right_px : float
+    row : int
+        0 is the lowest, next to the picture.
+    """
+
+    index: int
+    anchor_px: float
+    left_px: float
+    right_px: float
+    row: int
+
+    def disturbs(self, other: "Placed") -> bool:
+        """Whether two labels overlap, or the leader of one runs through the other."""
+        if self.row == other.row:
+            return self.left_px < other.right_px and other.left_px < self.right_px
+        low, high = (self, other) if self.row < other.row else (other, self)
+        return low.left_px <= high.anchor_px <= low.right_px
+
+
+def place_labels(
+    anchors_px: Sequence[float],
+    widths_px: Sequence[float],
+    picture_px: float,
+    rows: int,
+    gap_px: float = 8.0,
+) -> list[Placed]:
+    """Place labels centred on their anchors, within the picture, the lowest row first.
+
+    Labels are placed in the order given; one that fits in none of the rows is left out.
+
+    Parameters
+    ----------
+    anchors_px, widths_px : sequence of float
+        Where each leader meets its target, and how wide each text is.
+    picture_px : float
+        Width of the picture.
+    rows : int
+        How many rows there are.
+    gap_px : float
+        Kept free to either side of a text.
+    """
+    placed: list[Placed] = []
+    for index, (anchor, width) in enumerate(zip(anchors_px, widths_px, strict=True)):
+        half = width / 2.0 + gap_px
+        middle = min(max(anchor, half), max(picture_px - half, half))
+        tries = (Placed(index, anchor, middle - half, middle + half, row) for row in range(rows))
+        free = (new for new in tries if not any(new.disturbs(old) for old in placed))
+        if (first := next(free, None)) is not None:
+            placed.append(first)
+    return placed

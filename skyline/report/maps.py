@@ -1,0 +1,228 @@
+"""Maps: a match's candidates on the terrain, and many queries' true and found places."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from matplotlib.patheffects import withStroke
+
+from skyline.matching.ranking import Candidate
+from skyline.report.peaks import Sighting
+from skyline.report.pictures import save_figure
+from skyline.report.relief import Area, draw_bearings, draw_relief
+from skyline.report.shapes import Ellipse, view_wedge_m
+from skyline.report.surroundings import Surroundings
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+
+BEST_COLOUR, OTHER_COLOUR = "#d1103d", "#1f5fbf"
+
+_LEAST_SIDE_M = 2000.0
+_MARGIN = 0.2
+_WEDGE_SHARE = 0.16
+_MOST_PEAKS = 12
+_NEAR_BORDER = 0.2
+"""Share of the map in which a label would run over its border, were it centred."""
+_WIDTH_IN = 5.8
+_HALO = [withStroke(linewidth=2.5, foreground="white")]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A query on a map: where it was taken, where it was put (grid coordinates and azimuths)."""
+
+    name: str
+    true_m: tuple[float, float] | None
+    found_m: tuple[float, float] | None
+    true_heading_deg: float | None = None
+    found_heading_deg: float | None = None
+
+
+def overview_area(candidates: Sequence[Candidate], surroundings: Surroundings) -> Area:
+    """Return the area that shows all candidates and what of the store lies around them."""
+    easting = [candidate.easting_m for candidate in candidates]
+    northing = [candidate.northing_m for candidate in candidates]
+    if not candidates:
+        easting, northing = (
+            list(surroundings.viewpoints.easting_m),
+            list(surroundings.viewpoints.northing_m),
+        )
+    area = Area.around(easting, northing, _MARGIN, 2.0 * _LEAST_SIDE_M)
+    return area if surroundings.terrain is None else area.within(surroundings.terrain)
+
+
+def detail_area(candidate: Candidate, surroundings: Surroundings) -> Area:
+    """Return the area a kilometre or so around one candidate, more where it is less certain."""
+    ellipse = Ellipse.of(candidate)
+    side_m = _LEAST_SIDE_M if ellipse is None else max(_LEAST_SIDE_M, 4.0 * ellipse.semi_major_m)
+    area = Area.around([candidate.easting_m], [candidate.northing_m], _MARGIN, side_m)
+    return area if surroundings.terrain is None else area.within(surroundings.terrain)
+
+
+def draw_match_map(
+    candidates: Sequence[Candidate],
+    surroundings: Surroundings,
+    area: Area,
+    sightings: Sequence[Sighting] = (),
+) -> Figure:
+    """Draw candidates, numbered from 1, with their views and 95 % ellipses.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+        Best first.
+    surroundings : Surroundings
+    area : Area
+    sightings : sequence of Sighting
+        Peaks that the best candidate sees.
+    """
+    figure = Figure(
+        figsize=(_WIDTH_IN, _WIDTH_IN * area.height_m / area.width_m + 0.5), layout="constrained"
+    )
+    axis = figure.subplots()
+    draw_relief(axis, surroundings.terrain, area)
+    places = surroundings.viewpoints
+    shown = _draw_viewpoints(axis, places, area)
+    reach_m = _WEDGE_SHARE * max(area.width_m, area.height_m)
+    for rank, candidate in reversed(list(enumerate(candidates, start=1))):
+        _draw_candidate(axis, candidate, rank, reach_m)
+    _draw_peaks(axis, [peak for peak in sightings if _is_in(area, peak)][:_MOST_PEAKS], area)
+    axis.autoscale(False)
+    draw_bearings(axis, surroundings.frame, area)
+    axis.set_title(f"{shown} viewpoints of the store (dots)", fontsize=9, loc="left")
+    return figure
+
+
+def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Area) -> int:
+    """Draw the store's locations in an area; return how many there are."""
+    easting, northing = np.unique(
+        np.stack([viewpoints.easting_m, viewpoints.northing_m]), axis=1
+    ).reshape(2, -1)
+    inside = (abs(easting - area.centre_m[0]) <= area.width_m / 2.0) & (
+        abs(northing - area.centre_m[1]) <= area.height_m / 2.0
+    )
+    axis.plot(easting[inside], northing[inside], ".", color="black", markersize=2.5, alpha=0.7)
+    return int(inside.sum())
+
+
+def _draw_candidate(axis: Axes, candidate: Candidate, rank: int, reach_m: float) -> None:
+    best = rank == 1
+    colour = BEST_COLOUR if best else OTHER_COLOUR
+    order = 4.0 if best else 3.0
+    reach_m *= 1.0 if best else 0.6
+    wedge = Polygon(view_wedge_m(candidate, reach_m), closed=True, zorder=order)
+    wedge.set(facecolor=(colour, 0.22), edgecolor=(colour, 0.9), linewidth=1.2)
+    axis.add_patch(wedge)
+    ellipse = Ellipse.of(candidate)
+    if ellipse is not None:
+        outline = ellipse.outline_m()
+        axis.plot(*outline.T, color="white", linewidth=3.0, zorder=order + 0.1)
+        axis.plot(*outline.T, color=colour, linewidth=1.4, zorder=order + 0.2)
+    axis.annotate(
+        str(rank),
+        (candidate.easting_m, candidate.northing_m),
+        ha="center",
+        va="center",
+        fontsize=9 if best else 8,
+        fontweight="bold",
+        color="white",
+        zorder=order + 0.5,
+        bbox={"boxstyle": "circle,pad=0.22", "fc": colour, "ec": "white", "lw": 1.0},
+        annotation_clip=True,
+    )
+
+
+def _is_in(area: Area, peak: Sighting) -> bool:
+    return (
+        area.west_m <= peak.easting_m <= area.east_m
+        and area.south_m <= peak.northing_m <= area.north_m
+    )
+
+
+def _draw_peaks(axis: Axes, peaks: Sequence[Sighting], area: Area) -> None:
+    for peak in peaks:
+        across = (peak.easting_m - area.west_m) / area.width_m
+        near_west, near_east = across < _NEAR_BORDER, across > 1.0 - _NEAR_BORDER
+        side = "left" if near_west else "right" if near_east else "center"
+        place = peak.easting_m, peak.northing_m
+        axis.plot(*place, "^", color="black", markeredgecolor="white", markersize=7, zorder=5)
+        axis.annotate(
+            peak.label,
+            place,
+            xytext=(0, -6),
+            textcoords="offset points",
+            ha=side,
+            va="top",
+            fontsize=8,
+            path_effects=_HALO,
+            parse_math=False,
+            annotation_clip=True,
+            zorder=5,
+        )
+
+
+def save_map(
+    terrain: HeightField, viewpoints: Viewpoints | None, found: Sequence[Found], path: Path
+) -> None:
+    """Save the terrain shaded from above, with viewpoints and true and found positions."""
+    figure = Figure(figsize=(9, 9), layout="constrained")
+    axis = figure.subplots()
+    area = Area.of(terrain)
+    if viewpoints is not None and len(viewpoints):
+        places = viewpoints.easting_m, viewpoints.northing_m
+        area = Area.around(*places, _MARGIN, _LEAST_SIDE_M).within(terrain)
+    draw_relief(axis, terrain, area)
+    if viewpoints is not None and len(viewpoints):
+        axis.plot(*places, ".", color="black", markersize=2, label=f"{len(viewpoints)} viewpoints")
+    for index, query in enumerate(found):
+        _draw_found(axis, query, first=index == 0)
+    axis.autoscale(False)
+    draw_bearings(axis, terrain.frame, area)
+    if axis.get_legend_handles_labels()[0]:
+        axis.legend(loc="upper right", framealpha=0.9)
+    save_figure(figure, path)
+
+
+def _draw_found(axis: Axes, query: Found, first: bool) -> None:
+    places = (
+        (query.true_m, query.true_heading_deg, "o", "tab:blue", "true position"),
+        (query.found_m, query.found_heading_deg, "X", "crimson", "found position"),
+    )
+    arrow_m = 0.06 * float(np.ptp(axis.get_xlim()))
+    if query.true_m and query.found_m:
+        pair = np.array([query.true_m, query.found_m])
+        axis.plot(pair[:, 0], pair[:, 1], "-", color="crimson", linewidth=1.0)
+    for place, heading_deg, marker, colour, label in places:
+        if place is None:
+            continue
+        axis.plot(
+            *place,
+            marker,
+            color=colour,
+            markeredgecolor="white",
+            markersize=9,
+            label=label if first else None,
+        )
+        if heading_deg is not None:
+            turn = np.radians(heading_deg)
+            axis.annotate(
+                "",
+                xytext=place,
+                xy=(place[0] + arrow_m * np.sin(turn), place[1] + arrow_m * np.cos(turn)),
+                arrowprops={"arrowstyle": "->", "color": colour},
+            )
+    anchor = query.true_m or query.found_m
+    if anchor is not None:
+        axis.annotate(
+            query.name,
+            anchor,
+            xytext=(6, 6),
+            textcoords="offset points",
+            fontsize=8,
+            parse_math=False,
+            bbox={"boxstyle": "round,pad=0.15", "fc": "white", "alpha": 0.7, "lw": 0},
+        )

@@ -1,0 +1,249 @@
+"""What a person sees of matches: a folder with one page, its pictures, and GeoJSON."""
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import HEADINGS
+from skyline.geodesy import Frame
+from skyline.matching.ranking import Candidate
+from skyline.photo import QuerySkyline
+from skyline.report.files import write_whole
+from skyline.report.geojson import write_geojson
+from skyline.report.html import Page, Part, Picture, Section, Table, Text
+from skyline.report.maps import detail_area, draw_match_map, overview_area
+from skyline.report.overlay import Overlay
+from skyline.report.peaks import HIDDEN_DEG, Sighting, visible_peaks
+from skyline.report.pictures import encode_figure
+from skyline.report.projection import Panorama, median_gap_deg
+from skyline.report.records import CandidateRecord, describe_candidates
+from skyline.report.shapes import Ellipse
+from skyline.report.surroundings import Surroundings
+
+_MAP_DPI = 150.0
+_DETAIL_SHARE = 0.4
+"""A second map is drawn where it shows less than this share of the first one's side."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matched:
+    """One query and what was found for it.
+
+    Attributes
+    ----------
+    name : str
+        What the user calls the query: its file.
+    query : QuerySkyline
+    candidates : sequence of Candidate
+        Best first.
+    seconds : float
+    is_answered : bool
+        Whether the best candidate is given as the answer.
+    photo : (H, W, 3) uint8, optional
+        RGB, of the query's size; None for a trace or a mask.
+    done : sequence of str
+        What was done to find it, a sentence each.
+    """
+
+    name: str
+    query: QuerySkyline
+    candidates: Sequence[Candidate]
+    seconds: float
+    is_answered: bool = True
+    photo: NDArray[np.uint8] | None = None
+    done: Sequence[str] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _BestView:
+    """What the best candidate sees."""
+
+    panorama: Panorama | None = None
+    sightings: Sequence[Sighting] = ()
+
+
+def write_match_report(
+    folder: Path, matches: Sequence[Matched], surroundings: Surroundings, made_by: str = ""
+) -> Path:
+    """Write ``index.html``, its pictures as files, and ``matches.geojson`` into a folder.
+
+    The page holds its pictures itself, so that it can be sent as one file. A photo's own
+    position, should it be in its EXIF, does not get into any of them.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if need be; files of the same names are replaced.
+    matches : sequence of Matched
+    surroundings : Surroundings
+    made_by : str
+        The program and its version.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    sections = [
+        _section(folder, number, matched, surroundings)
+        for number, matched in enumerate(matches, start=1)
+    ]
+    answered = sum(matched.is_answered and bool(matched.candidates) for matched in matches)
+    lead = f"{answered} of {len(matches)} queries answered. " + _about(surroundings)
+    today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
+    page = Page("Where these were taken", lead, sections, f"{made_by} {today}".strip())
+    write_match_geojson(folder / "matches.geojson", matches, surroundings.frame)
+    path = folder / "index.html"
+    page.write(path)
+    return path
+
+
+def write_match_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
+    """Write all candidates of matches as GeoJSON; see `skyline.report.geojson`."""
+    write_geojson(path, [(matched.name, matched.candidates) for matched in matches], frame)
+
+
+def _about(surroundings: Surroundings) -> str:
+    if surroundings.terrain is None:
+        return (
+            "There was no elevation model at hand: the maps have no relief, no skyline could be "
+            "rendered for the candidates and no peak is named (give --dem)."
+        )
+    if surroundings.peaks is None:
+        return "No gazetteer was given, so no peak is named (--peaks FILE.csv)."
+    return (
+        f"Of {len(surroundings.peaks)} peaks given, those are named that the best candidate sees: "
+        "nothing on the line to them stands more than "
+        f"{HIDDEN_DEG:g}° above them in the elevation model."
+    )
+
+
+def _section(folder: Path, number: int, matched: Matched, surroundings: Surroundings) -> Section:
+    best = matched.candidates[0] if matched.candidates else None
+    view = _BestView() if best is None else _view_of(best, surroundings)
+    overlay = Overlay(matched.query, matched.photo, best, view.panorama, view.sightings)
+    parts: list[Part] = [
+        Text(_result(matched, surroundings.frame), is_result=True),
+        Picture(
+            _keep(folder / f"{number:02d}-overlay.jpg", overlay.jpeg()),
+            _overlay_caption(overlay),
+        ),
+        *_maps(folder, number, matched.candidates, surroundings, view),
+    ]
+    if matched.candidates:
+        parts.append(_candidate_table(matched.candidates, surroundings.frame))
+    done = " ".join(matched.done)
+    parts.append(
+        Text(f"What was done: {done} It took {matched.seconds:.2f} s.".replace(":  ", ": "))
+    )
+    return Section(Path(matched.name).name or matched.name, parts)
+
+
+def _keep(path: Path, picture: bytes) -> bytes:
+    write_whole(path, picture)
+    return picture
+
+
+def _view_of(best: Candidate, surroundings: Surroundings) -> _BestView:
+    """Render what a candidate sees, as far as there is something to render it with."""
+    eye = surroundings.eye_of(best)
+    if eye is None or surroundings.terrain is None:
+        return _BestView()
+    panorama, sightings = None, []
+    if surroundings.render is not None:
+        four = eye[np.zeros(len(HEADINGS), dtype=np.intp)]
+        panorama = Panorama.of(surroundings.render(four, HEADINGS))
+    if surroundings.peaks is not None:
+        sightings = visible_peaks(
+            surroundings.terrain, eye, surroundings.peaks, surroundings.curvature
+        )
+    return _BestView(panorama, sightings)
+
+
+def _maps(
+    folder: Path,
+    number: int,
+    candidates: Sequence[Candidate],
+    surroundings: Surroundings,
+    view: _BestView,
+) -> list[Picture]:
+    """Draw all candidates, and the best one from nearby where that shows more."""
+    whole = overview_area(candidates, surroundings)
+    areas = [("map", whole, "Candidates, the best first; wedges show their fields of view")]
+    if candidates:
+        near = detail_area(candidates[0], surroundings)
+        if near.width_m < _DETAIL_SHARE * whole.width_m:
+            ellipse = ", its ellipse 95 % of where it may be" if candidates[0].covariance_m2 else ""
+            areas.append(("detail", near, f"The best candidate from nearby{ellipse}"))
+    pictures = []
+    for name, area, caption in areas:
+        figure = draw_match_map(candidates, surroundings, area, view.sightings)
+        data = _keep(folder / f"{number:02d}-{name}.png", encode_figure(figure, dpi=_MAP_DPI))
+        pictures.append(Picture(data, f"{caption}. The arrow points to true north.", wide=False))
+    return pictures
+
+
+def _result(matched: Matched, frame: Frame) -> str:
+    if not matched.candidates:
+        return "No place fits."
+    best = describe_candidates(matched.candidates[:1], frame)[0]
+    sure = "" if best["confidence"] is None else f", confidence {100.0 * best['confidence']:.0f} %"
+    place = (
+        f"latitude {best['lat']:.5f}°, longitude {best['lon']:.5f}°, looking "
+        f"{best['heading_deg']:.1f}° from true north{sure}"
+    )
+    if not matched.is_answered:
+        return f"Not answered: the best candidate is not sure enough ({place})."
+    return f"Taken at {place}{'' if best['refined'] else ' (not refined by rendering)'}."
+
+
+def _overlay_caption(overlay: Overlay) -> str:
+    trusted = 100.0 * float(overlay.query.trusted.mean())
+    caption = f"Skyline found in {trusted:.0f} % of the columns"
+    pose = overlay.pose
+    if pose is None or overlay.panorama is None:
+        return f"{caption}; no skyline was rendered to compare it with."
+    gap_deg = median_gap_deg(pose, overlay.query, overlay.panorama)
+    return (
+        f"{caption}, and the skyline rendered at the best candidate; they are {gap_deg:.2f}° apart "
+        "in the median column, up or down."
+    )
+
+
+def _candidate_table(candidates: Sequence[Candidate], frame: Frame) -> Table:
+    records = describe_candidates(candidates, frame)
+    columns = (
+        "#", "latitude °", "longitude °", "heading °", "pitch °", "roll °", "FOV °", "score",
+        "confidence", "refined", "95 % ellipse, m",
+    )  # fmt: skip
+    rows = [
+        _candidate_row(rank, record, Ellipse.of(candidate))
+        for rank, (record, candidate) in enumerate(zip(records, candidates, strict=True), start=1)
+    ]
+    return Table(columns, rows, "Candidates; headings from true north, a lower score is better")
+
+
+def _candidate_row(rank: int, record: CandidateRecord, ellipse: Ellipse | None) -> list[object]:
+    sure = record["confidence"]
+    return [
+        rank,
+        f"{record['lat']:.5f}",
+        f"{record['lon']:.5f}",
+        f"{record['heading_deg']:.2f}",
+        f"{record['pitch_deg']:.2f}",
+        f"{record['roll_deg']:.2f}",
+        f"{record['fov_deg']:.2f}",
+        f"{record['score']:.4f}",
+        None if sure is None else f"{sure:.2f}",
+        record["refined"],
+        None if ellipse is None else f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}",
+    ]

@@ -1,0 +1,219 @@
+"""A query's picture with the skyline found in it, the candidate's rendered one, and peaks."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from numpy.typing import ArrayLike, NDArray
+
+from skyline.matching.ranking import Candidate
+from skyline.photo import QuerySkyline
+from skyline.report.labels import Placed, place_labels
+from skyline.report.peaks import Sighting
+from skyline.report.pictures import encode_figure
+from skyline.report.projection import Panorama, PosedPicture
+
+UInt8Array = NDArray[np.uint8]
+Float64Array = NDArray[np.float64]
+
+FOUND_COLOUR, RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
+
+_LONGEST_PX, _NARROWEST_PX = 1600.0, 700.0
+_DPI = 100.0
+_ROW_PX = 21.0
+_LABEL_POINTS = 10.0
+_MOST_ROWS = 6
+_KEY_ROW_PX = 23.0
+_FOUR_KEYS_PX = 1200.0
+_AROUND = 0.52
+"""How far from the middle, in widths, the rendered skyline is drawn: a little beyond the border."""
+_CANVAS_RGB = (239, 241, 238)
+_HALO = [withStroke(linewidth=3.2, foreground="black", alpha=0.55)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overlay:
+    """What is drawn over one query's picture.
+
+    Attributes
+    ----------
+    query : QuerySkyline
+    photo : (H, W, 3) uint8, optional
+        RGB, of the query's size; None draws on a blank canvas.
+    candidate : Candidate, optional
+        The pose to draw from.
+    panorama : Panorama, optional
+        The rendered skyline of the candidate.
+    sightings : sequence of Sighting
+        Peaks that the candidate sees, most important first.
+    """
+
+    query: QuerySkyline
+    photo: UInt8Array | None = None
+    candidate: Candidate | None = None
+    panorama: Panorama | None = None
+    sightings: Sequence[Sighting] = ()
+
+    @property
+    def pose(self) -> PosedPicture | None:
+        """The picture as the candidate takes it."""
+        if self.candidate is None:
+            return None
+        return PosedPicture(self.query.width_px, self.query.height_px, self.candidate)
+
+    def jpeg(self) -> bytes:
+        """Return the drawn picture, the query's at most 1600 px wide and high in it."""
+        with warnings.catch_warnings():
+            # A name in a script that the font lacks is drawn as boxes; that is worth no warning.
+            warnings.filterwarnings("ignore", message=r"Glyph .* missing from", append=False)
+            return encode_figure(_draw(self), "jpeg", _DPI)
+
+
+def _draw(overlay: Overlay) -> Figure:
+    query = overlay.query
+    scale = min(
+        _LONGEST_PX / max(query.width_px, query.height_px),
+        max(1.0, _NARROWEST_PX / query.width_px),
+    )
+    width, height = (max(8.0, side * scale) for side in (query.width_px, query.height_px))
+    figure = Figure(dpi=_DPI)
+    FigureCanvasAgg(figure)
+    peaks = _peaks_in_picture(overlay, scale)
+    texts = [sighting.label for sighting, _, _ in peaks]
+    labels = place_labels(
+        [at for _, at, _ in peaks], _text_widths(figure, texts), width, _MOST_ROWS
+    )
+    band = _ROW_PX * (1 + max((label.row for label in labels), default=-1)) + (
+        10.0 if labels else 0
+    )
+    keys_across = 4 if width >= _FOUR_KEYS_PX else 2
+    foot = _KEY_ROW_PX * 4 / keys_across
+    figure.set_size_inches(width / _DPI, (height + band + foot) / _DPI)
+    axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axis.set_axis_off()
+    axis.set(xlim=(0.0, width), ylim=(height + foot, -band))
+    axis.autoscale(False)
+    _draw_photo(axis, overlay, width, height)
+    _draw_masked(axis, query, scale, height)
+    _draw_rendered(axis, overlay, scale)
+    axis.plot(
+        _drawn(np.arange(query.width_px), scale),
+        _drawn(query.row_px, scale),
+        color=FOUND_COLOUR,
+        linewidth=1.6,
+        path_effects=_HALO,
+        label="skyline found in the query",
+    )
+    for label in labels:
+        sighting, column, row = peaks[label.index]
+        _draw_label(axis, sighting.label, label, (column, row))
+    axis.legend(loc="lower left", fontsize=9, frameon=False, ncols=keys_across, borderpad=0.1)
+    return figure
+
+
+def _drawn(pixel: ArrayLike, scale: float) -> Float64Array:
+    """Turn pixel centres of the query to coordinates of the drawn picture."""
+    return (np.asarray(pixel, dtype=np.float64) + 0.5) * scale
+
+
+def _draw_photo(axis: Axes, overlay: Overlay, width: float, height: float) -> None:
+    if overlay.photo is None:
+        picture = np.full((2, 2, 3), _CANVAS_RGB, dtype=np.uint8)
+    else:
+        size = round(width), max(1, round(height))
+        picture = np.asarray(cv2.resize(overlay.photo, size, interpolation=cv2.INTER_AREA))
+    axis.imshow(picture, extent=(0.0, width, height, 0.0), aspect="auto")
+
+
+def _draw_masked(axis: Axes, query: QuerySkyline, scale: float, height: float) -> None:
+    """Veil the columns in which no skyline is trusted."""
+    untrusted = np.concatenate([[False], ~query.trusted, [False]])
+    edges = np.flatnonzero(np.diff(untrusted.astype(np.int8))).reshape(-1, 2)
+    spans = [(start * scale, (end - start) * scale) for start, end in edges]
+    if spans:
+        axis.broken_barh(
+            spans,
+            (0.0, height),
+            facecolor=(0.2, 0.2, 0.25, 0.38),
+            hatch="//",
+            edgecolor=(1.0, 1.0, 1.0, 0.25),
+            linewidth=0.0,
+            label="columns not trusted, left out",
+        )
+
+
+def _draw_rendered(axis: Axes, overlay: Overlay, scale: float) -> None:
+    """Draw the rendered skyline, dotted where the data's border may hide what is farther."""
+    pose = overlay.pose
+    if pose is None or overlay.panorama is None:
+        return
+    panorama = overlay.panorama.from_azimuth(pose.candidate.heading_deg + 180.0)
+    column, row = pose.pixels(panorama.azimuth_deg, panorama.elevation_tan)
+    near = np.abs(column - pose.width_px / 2.0) <= _AROUND * pose.width_px
+    for sure, style, label in (
+        (True, "-", "skyline rendered at the best candidate"),
+        (False, ":", "the same, where the elevation data end"),
+    ):
+        drawn = near & (panorama.is_sure == sure)
+        if np.isfinite(row[drawn]).any():
+            axis.plot(
+                _drawn(column, scale),
+                np.where(drawn, _drawn(row, scale), np.nan),
+                style,
+                color=RENDERED_COLOUR,
+                linewidth=1.5,
+                path_effects=_HALO,
+                label=label,
+            )
+
+
+def _peaks_in_picture(overlay: Overlay, scale: float) -> list[tuple[Sighting, float, float]]:
+    """Return the sighted peaks that fall into the picture, and where they are drawn."""
+    pose = overlay.pose
+    if pose is None or not overlay.sightings:
+        return []
+    column, row = pose.pixels(
+        [sighting.azimuth_deg for sighting in overlay.sightings],
+        [sighting.elevation_tan for sighting in overlay.sightings],
+    )
+    inside = (np.abs(column - pose.width_px / 2.0) <= pose.width_px / 2.0) & (
+        np.abs(row - pose.height_px / 2.0) <= pose.height_px / 2.0
+    )
+    return [
+        (sighting, float(_drawn(column[index], scale)), float(_drawn(row[index], scale)))
+        for index, sighting in enumerate(overlay.sightings)
+        if inside[index]
+    ]
+
+
+def _text_widths(figure: Figure, texts: Sequence[str]) -> list[float]:
+    """Return how wide texts are drawn, px."""
+    widths = []
+    for text in texts:
+        drawn = figure.text(0.0, 0.0, text, fontsize=_LABEL_POINTS, parse_math=False)
+        widths.append(float(drawn.get_window_extent().width))
+        drawn.remove()
+    return widths
+
+
+def _draw_label(axis: Axes, text: str, label: Placed, peak_px: tuple[float, float]) -> None:
+    column, row = peak_px
+    foot = -8.0 - label.row * _ROW_PX
+    leader = [withStroke(linewidth=2.0, foreground="black", alpha=0.55)]
+    axis.plot([column, column], [foot, row - 3.0], "-w", linewidth=0.9, path_effects=leader)
+    axis.plot(column, row, "v", color="white", markeredgecolor="black", markersize=6)
+    axis.text(
+        (label.left_px + label.right_px) / 2.0,
+        foot,
+        text,
+        fontsize=_LABEL_POINTS,
+        ha="center",
+        va="bottom",
+        parse_math=False,
+    )

@@ -1,0 +1,88 @@
+"""Pictures of what was rendered: depth images with their skyline, and panoramas."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from skyline.camera import HEADINGS
+from skyline.report.files import write_whole
+from skyline.views import Views
+
+_HEADING_NAMES = ("north", "east", "south", "west")
+_DPI = 110
+_JPEG = {"quality": 88, "subsampling": 0}
+"""Full colour resolution, or thin coloured lines fade."""
+
+
+def save_depth_images(images: NDArray[np.float32], views: Views, path: Path) -> None:
+    """Save the four depth images of one viewpoint side by side, their skylines drawn.
+
+    Parameters
+    ----------
+    images : (4, W, W) float32, metres, top row first, inf = sky
+    views : Views
+        The four views of that viewpoint, in order of heading.
+    path : Path
+        A PNG.
+    """
+    size = images.shape[-1]
+    finite = images[np.isfinite(images)]
+    low, high = np.log10(np.percentile(finite, [1, 99])) if finite.size else (0.0, 1.0)
+    figure = Figure(figsize=(16, 4.6), layout="constrained")
+    axes = figure.subplots(1, len(HEADINGS))
+    for heading, axis in enumerate(axes):
+        depth = np.where(np.isfinite(images[heading]), images[heading], np.nan)
+        shown = axis.imshow(
+            np.log10(depth), cmap="viridis_r", vmin=low, vmax=high, interpolation="nearest"
+        )
+        axis.set_facecolor("#dfe9f5")
+        rows = (1.0 - views.elevation_tan[heading]) * size / 2.0 - 0.5
+        axis.plot(np.arange(size), rows, color="crimson", linewidth=1.0)
+        axis.set(xlim=(-0.5, size - 0.5), ylim=(size - 0.5, -0.5), xticks=[], yticks=[])
+        axis.set_title(f"heading {heading}: {_HEADING_NAMES[heading]}")
+    bar = figure.colorbar(shown, ax=axes, shrink=0.9, pad=0.01)
+    ticks = np.array([10, 30, 100, 300, 1e3, 3e3, 1e4, 3e4, 1e5])
+    ticks = ticks[(np.log10(ticks) >= low) & (np.log10(ticks) <= high)]
+    bar.set_ticks(np.log10(ticks), labels=[f"{tick:g} m" for tick in ticks])
+    bar.set_label("forward depth")
+    save_figure(figure, path)
+
+
+def save_panorama(views: Views, convergence_deg: float, path: Path) -> None:
+    """Save the skyline of one viewpoint all the way round, from true north, coloured by depth."""
+    azimuth = (views.azimuth_deg() + convergence_deg) % 360.0
+    order = np.argsort(azimuth, axis=None)
+    azimuth, elevation = azimuth.ravel()[order], views.elevation_deg().ravel()[order]
+    depth_km = views.depth_m.ravel()[order] / 1000.0
+    figure = Figure(figsize=(14, 3.6), layout="constrained")
+    axis = figure.subplots()
+    floor = np.nanmin(elevation) - 1.0 if np.isfinite(elevation).any() else -1.0
+    axis.fill_between(azimuth, floor, elevation, color="#c9c3b8", linewidth=0)
+    dots = axis.scatter(azimuth, elevation, c=depth_km, s=3, cmap="viridis_r")
+    axis.set(
+        xlim=(0, 360),
+        xticks=np.arange(0, 361, 45),
+        xlabel="azimuth from true north (degrees)",
+        ylabel="elevation (degrees)",
+    )
+    axis.set_ylim(bottom=floor)
+    axis.grid(alpha=0.3)
+    figure.colorbar(dots, ax=axis, label="forward depth (km)", pad=0.01)
+    save_figure(figure, path)
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Save a figure as PNG, with the folders it needs; raises `InputError` where it cannot."""
+    write_whole(path, encode_figure(figure))
+
+
+def encode_figure(figure: Figure, kind: str = "png", dpi: float = _DPI) -> bytes:
+    """Return a figure's picture as ``png`` or ``jpeg``."""
+    FigureCanvasAgg(figure)
+    picture = io.BytesIO()
+    figure.savefig(picture, format=kind, dpi=dpi, pil_kwargs=_JPEG if kind == "jpeg" else {})
+    return picture.getvalue()

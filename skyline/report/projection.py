@@ -1,0 +1,112 @@
+"""From a candidate's pose to pixels of the query's picture and back."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skyline.matching.query import level, project
+from skyline.matching.ranking import Candidate
+from skyline.photo import QuerySkyline
+from skyline.views import Views
+
+Float64Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class PosedPicture:
+    """A picture of known size, taken as a candidate says.
+
+    Attributes
+    ----------
+    width_px, height_px : int
+    candidate : Candidate
+    """
+
+    width_px: int
+    height_px: int
+    candidate: Candidate
+
+    @property
+    def _px_per_unit(self) -> float:
+        """Pixels per unit of u or v."""
+        return self.width_px / 2.0 / float(np.tan(np.radians(self.candidate.fov_deg) / 2.0))
+
+    def pixels(
+        self, azimuth_deg: ArrayLike, elevation_tan: ArrayLike
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return columns and rows at which directions are seen; NaN where not in front.
+
+        Parameters
+        ----------
+        azimuth_deg : (...) array_like
+            Grid azimuth.
+        elevation_tan : (...) array_like
+            Tangent of the elevation angle: up over horizontal distance.
+        """
+        pose = self.candidate
+        turn = np.radians(np.asarray(azimuth_deg, dtype=np.float64) - pose.heading_deg)
+        y = np.asarray(elevation_tan, dtype=np.float64)
+        u, v = project(turn, y, pose.pitch_deg, pose.roll_deg)
+        return (
+            u * self._px_per_unit + (self.width_px - 1.0) / 2.0,
+            (self.height_px - 1.0) / 2.0 - v * self._px_per_unit,
+        )
+
+    def directions(self, query: QuerySkyline) -> tuple[Float64Array, Float64Array]:
+        """Return grid azimuths, degrees, and elevation tangents of the trusted columns."""
+        u, v = query.image_plane(self.candidate.fov_deg)
+        turn, y = level(u, v, self.candidate.pitch_deg, self.candidate.roll_deg)
+        return (np.degrees(turn) + self.candidate.heading_deg) % 360.0, y
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Panorama:
+    """One eye's skyline by azimuth.
+
+    Attributes
+    ----------
+    azimuth_deg : (C,) float64
+        Grid azimuths, increasing, in [0, 360).
+    elevation_tan : (C,) float64
+        Tangent of the elevation angle; NaN where there is no data.
+    is_sure : (C,) bool
+        False where the data's border or a hole may hide what is farther.
+    """
+
+    azimuth_deg: Float64Array
+    elevation_tan: Float64Array
+    is_sure: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, views: Views) -> "Panorama":
+        """Join the views of one eye."""
+        azimuth = views.azimuth_deg().ravel()
+        order = np.argsort(azimuth)
+        elevation = np.tan(np.radians(views.elevation_deg())).ravel()
+        return cls(azimuth[order], elevation[order], (views.flags.ravel() == 0)[order])
+
+    def from_azimuth(self, start_deg: float) -> "Panorama":
+        """Return the same, starting at another azimuth, so that a view is one unbroken run."""
+        first = int(np.searchsorted(self.azimuth_deg, start_deg % 360.0))
+        return Panorama(
+            np.roll(self.azimuth_deg, -first),
+            np.roll(self.elevation_tan, -first),
+            np.roll(self.is_sure, -first),
+        )
+
+    def at(self, azimuth_deg: Float64Array) -> Float64Array:
+        """Return elevation tangents at azimuths, interpolated between columns."""
+        known = np.isfinite(self.elevation_tan)
+        if not known.any():
+            return np.full_like(azimuth_deg, np.nan)
+        return np.interp(
+            azimuth_deg, self.azimuth_deg[known], self.elevation_tan[known], period=360.0
+        )
+
+
+def median_gap_deg(picture: PosedPicture, query: QuerySkyline, panorama: Panorama) -> float:
+    """Return the median angle between found and rendered skyline, up or down, degrees."""
+    azimuth_deg, y = picture.directions(query)
+    gap = np.arctan(panorama.at(azimuth_deg)) - np.arctan(y)
+    return float(np.degrees(np.median(np.abs(gap))))

@@ -1,0 +1,60 @@
+"""What a report knows of the place it speaks of, beside the matches themselves."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from skyline.errors import OffMapError
+from skyline.geodesy import Curvature, Frame
+from skyline.matching.ranking import Candidate
+from skyline.report.peaks import Peaks
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.views import Views
+
+Render = Callable[[Viewpoints, Sequence[int]], Views]
+"""Renders N eyes with one heading each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """The place a store describes.
+
+    Attributes
+    ----------
+    frame : Frame
+        Of the store, and so of every candidate.
+    viewpoints : Viewpoints
+        The store's.
+    terrain : HeightField, optional
+        Without it there is no relief, no rendered skyline and no peak.
+    render : Render, optional
+        How the candidates' skylines are made; goes with ``terrain``.
+    peaks : Peaks, optional
+        Names to put to summits.
+    curvature : Curvature
+    """
+
+    frame: Frame
+    viewpoints: Viewpoints
+    terrain: HeightField | None = None
+    render: Render | None = None
+    peaks: Peaks | None = None
+    curvature: Curvature = field(default_factory=Curvature)
+
+    def eye_of(self, candidate: Candidate) -> Viewpoints | None:
+        """Return a candidate's eye; None without terrain there.
+
+        An eye that is not known stands at the usual height; one below the ground is lifted to it.
+        """
+        if self.terrain is None:
+            return None
+        try:
+            eye = stand_on(self.terrain, candidate.easting_m, candidate.northing_m)
+            ground = stand_on(self.terrain, candidate.easting_m, candidate.northing_m, 0.0)
+        except OffMapError:
+            return None
+        if candidate.eye_elevation_m is None:
+            return eye
+        known = max(candidate.eye_elevation_m, float(ground.eye_elevation_m[0]))
+        eye.eye_elevation_m[0] = known
+        return eye

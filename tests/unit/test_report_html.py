@@ -1,0 +1,105 @@
+"""Pages hold what they are told, escaped, and ask nothing of any network."""
+
+import base64
+import re
+from html.parser import HTMLParser
+
+import cv2
+import numpy as np
+import pytest
+
+from skyline.errors import InputError
+from skyline.report.html import Page, Picture, Section, Table, Text
+
+HOSTILE = "<script>alert('x')</script> & \"quoted\" 'too'"
+PNG = cv2.imencode(".png", np.zeros((4, 6, 3), np.uint8))[1].tobytes()
+JPEG = cv2.imencode(".jpg", np.zeros((4, 6, 3), np.uint8))[1].tobytes()
+
+
+class Reader(HTMLParser):
+    """The tags of a page, their attributes and its text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.links, self.text, self.open = [], [], [], []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.links += [(name, value) for name, value in attrs if name in {"src", "href"}]
+        if tag not in {"meta", "img"}:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def page(text=HOSTILE):
+    parts = [
+        Text(text, is_result=True),
+        Picture(PNG, text),
+        Picture(JPEG, text, wide=False),
+        Table((text, "b"), [(text, 1.5), (None, 22)], text),
+        Table.of_facts({text: text}),
+    ]
+    return Page(text, text, [Section(text, parts), Section("empty", [])], text)
+
+
+def test_every_text_is_escaped():
+    html = page().html()
+    seen = Reader(html)
+    assert not seen.open
+    assert "script" not in seen.tags
+    assert seen.text.count(HOSTILE) == 13
+    assert "<script>" not in html
+
+
+def test_pictures_are_inside_and_nothing_is_outside():
+    html = page().html()
+    sources = Reader(html).links
+    assert [name for name, _ in sources] == ["src", "src"]
+    assert base64.b64decode(sources[0][1].removeprefix("data:image/png;base64,")) == PNG
+    assert base64.b64decode(sources[1][1].removeprefix("data:image/jpeg;base64,")) == JPEG
+    assert not re.search(
+        r"https?:|//|url\(|@import|<link|<iframe", re.sub(r"base64,[^\"]*", "", html)
+    )
+    assert "default-src 'none'" in html
+
+
+def test_a_table_shows_numbers_to_the_right_and_dashes_for_nothing():
+    table = Table(
+        ("n", "text", "flag"), [(1 / 3, "a", True), (None, "2", False), ("-4.50", "x", None)]
+    )
+    html = table.html()
+    assert "<th class=n>n</th><th>text</th><th>flag</th>" in html
+    assert "<td class=n>0.333333</td><td>a</td><td>yes</td>" in html
+    assert "<td class=n>–</td><td>2</td><td>no</td>" in html
+    assert "<td class=n>-4.50</td><td>x</td><td>–</td>" in html
+
+
+def test_a_table_of_records_has_every_name_once():
+    table = Table.of_records([{"a": 1, "b": 2}, {"b": 3, "c": 4}])
+    assert list(table.columns) == ["a", "b", "c"]
+    assert table.rows == [[1, 2, None], [None, 3, 4]]
+    assert Table.of_records([{"a": 1, "b": 2}], ["b"]).rows == [[2]]
+
+
+def test_what_is_no_table_and_no_picture_is_refused(tmp_path):
+    with pytest.raises(InputError, match="2 values; expected 1"):
+        Table(("a",), [(1, 2)])
+    with pytest.raises(InputError, match="neither PNG nor JPEG"):
+        Picture(b"<svg/>", "drawing")
+    with pytest.raises(InputError, match="cannot be read"):
+        Picture.read(tmp_path / "none.png", "none")
+    (tmp_path / "a.png").write_bytes(PNG)
+    assert Picture.read(tmp_path / "a.png", "a").data == PNG
+
+
+def test_a_page_is_written_whole_with_any_name(tmp_path):
+    page("photo\udce9.jpg").write(tmp_path / "new" / "index.html")
+    assert "photo?.jpg" in (tmp_path / "new" / "index.html").read_text(encoding="utf-8")
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["index.html"]

@@ -1,0 +1,196 @@
+"""What a person sees of a match: looked at as pixels, as text and in a browser."""
+
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from scenes import field_of, fractal
+
+from skyline import oracle
+from skyline.matching import Candidate
+from skyline.photo import QuerySkyline
+from skyline.planning.uniform import uniform_grid
+from skyline.report import Matched, Peaks, Surroundings, write_match_report
+from skyline.report.overlay import Overlay
+from skyline.report.peaks import Sighting
+from skyline.report.projection import Panorama, PosedPicture, median_gap_deg
+from skyline.terrain.viewpoints import stand_on
+
+FIELD = field_of(fractal(120, 120, seed=1), west_m=0.0, north_m=3600.0)
+EYE = stand_on(FIELD, 1800.0, 1800.0)
+BEST = Candidate(
+    0, 1800.0, 1800.0, 350.0, 12.0, 4.0, 70.0, 0.1, 0.9, True, ((1e4, 0.0), (0.0, 2e4)),
+    float(EYE.eye_elevation_m[0]),
+)  # fmt: skip
+OTHER = replace(BEST, easting_m=900.0, heading_deg=80.0, confidence=None, covariance_m2=None)
+WIDTH_PX, HEIGHT_PX = 900, 600
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+
+def render(viewpoints, headings):
+    assert len(viewpoints) == len(headings) == 4
+    return oracle.skyline(FIELD, viewpoints[:1], 256)
+
+
+PANORAMA = Panorama.of(oracle.skyline(FIELD, EYE, 256))
+PICTURE = PosedPicture(WIDTH_PX, HEIGHT_PX, BEST)
+
+
+def true_query():
+    """The query that the best candidate would take, a fifth of its columns masked."""
+    around = PANORAMA.from_azimuth(BEST.heading_deg + 180.0)
+    column, row = PICTURE.pixels(around.azimuth_deg, around.elevation_tan)
+    seen = np.isfinite(column)
+    order = np.argsort(column[seen])
+    row_px = np.interp(np.arange(WIDTH_PX), column[seen][order], row[seen][order])
+    row_px[200:380] = np.nan
+    row_px[(row_px < 0.0) | (row_px > HEIGHT_PX)] = np.nan
+    return QuerySkyline(row_px, np.isfinite(row_px).astype(float), WIDTH_PX, HEIGHT_PX, 70.0)
+
+
+QUERY = true_query()
+AROUND = Surroundings(FIELD.frame, uniform_grid(FIELD, 600.0), FIELD, render)
+
+
+def pixels(data):
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).astype(int)
+
+
+def like(image, rgb, within=90):
+    return np.abs(image[..., ::-1] - np.array(rgb)).sum(axis=-1) < within
+
+
+def test_a_picture_s_directions_are_seen_where_they_came_from():
+    azimuth_deg, y = PICTURE.directions(QUERY)
+    column, row = PICTURE.pixels(azimuth_deg, y)
+    np.testing.assert_allclose(column, np.flatnonzero(QUERY.trusted), atol=1e-8)
+    np.testing.assert_allclose(row, QUERY.row_px[QUERY.trusted], atol=1e-8)
+
+
+def test_the_gap_is_the_angle_between_found_and_rendered():
+    assert median_gap_deg(PICTURE, QUERY, PANORAMA) < 0.02
+    higher = Panorama(
+        PANORAMA.azimuth_deg,
+        np.tan(np.arctan(PANORAMA.elevation_tan) + np.radians(0.5)),
+        PANORAMA.is_sure,
+    )
+    assert median_gap_deg(PICTURE, QUERY, higher) == pytest.approx(0.5, abs=0.02)
+
+
+def test_the_overlay_draws_both_skylines_where_they_are():
+    photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 40, np.uint8)
+    image = pixels(Overlay(QUERY, photo, BEST, PANORAMA).jpeg())
+    assert image.shape[1] == WIDTH_PX
+    assert HEIGHT_PX < len(image) < HEIGHT_PX + 60
+    found, rendered = like(image, (255, 45, 111)), like(image, (0, 224, 255))
+    columns = np.flatnonzero(QUERY.trusted)[::25]
+    rows = np.rint(QUERY.row_px[columns]).astype(int)
+    near = [found[max(r - 3, 0) : r + 4, c].any() for r, c in zip(rows, columns, strict=True)]
+    assert np.mean(near) > 0.9
+    assert not found[:450, 215:365].any()
+    # Where the found skyline is masked, the rendered one is there alone, and the ground is veiled.
+    assert rendered[:450, 215:365].any(axis=0).mean() > 0.8
+    assert image[450:470, 230:350].mean() > image[450:470, 600:700].mean() + 5.0
+    bare = pixels(Overlay(QUERY, photo, BEST).jpeg())
+    assert not like(bare, (0, 224, 255)).any()
+
+
+def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
+    ahead = Sighting("$Ahead", 0.0, 0.0, 900.0, BEST.heading_deg, 0.2, 2000.0)
+    behind = replace(ahead, label="Behind", azimuth_deg=BEST.heading_deg + 180.0)
+    above = replace(ahead, label="Above", elevation_tan=3.0)
+    none = pixels(Overlay(QUERY, None, BEST, PANORAMA, [behind, above]).jpeg())
+    named = pixels(Overlay(QUERY, None, BEST, PANORAMA, [ahead, behind]).jpeg())
+    band = len(named) - len(none)
+    assert band > 15
+    text = (named[: band - 8] < 100).all(axis=-1)
+    middle = np.flatnonzero(text.any(axis=0)).mean()
+    assert middle == pytest.approx(PICTURE.pixels(BEST.heading_deg, 0.2)[0], abs=10.0)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (40, 3000), (6000, 60)])
+def test_odd_pictures_are_drawn_too(size):
+    width, height = size
+    query = QuerySkyline(np.full(width, 0.4 * height), np.ones(width), width, height, 60.0)
+    drawn = pixels(Overlay(query, None, BEST, PANORAMA).jpeg())
+    assert max(drawn.shape) < 1700
+    assert like(drawn, (255, 45, 111)).any()
+
+
+def report(folder, matches, surroundings=AROUND):
+    page = write_match_report(folder, matches, surroundings, "skyline test")
+    assert page == folder / "index.html"
+    return page.read_text()
+
+
+def test_a_report_says_where_and_shows_it(tmp_path):
+    peaks = Peaks(("<i>Top</i> $",), np.array([1500.0]), np.array([3000.0]), np.array([np.nan]))
+    photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 120, np.uint8)
+    found = Matched(
+        "a/<script>.jpg", QUERY, [BEST, OTHER], 1.5, True, photo, ["Matched & refined."]
+    )
+    html = report(tmp_path, [found], replace(AROUND, peaks=peaks))
+    lon, lat = FIELD.frame.to_lonlat(1800.0, 1800.0)
+    assert f"{float(lat):.5f}" in html
+    assert f"{float(lon):.5f}" in html
+    assert "confidence 90 %" in html
+    assert "&lt;script&gt;.jpg" in html
+    assert "<script" not in html
+    assert "<i>" not in html
+    assert "Matched &amp; refined. It took 1.50 s." in html
+    assert "0.0" in html.split("they are ")[1][:4]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "01-map.png", "01-overlay.jpg", "index.html", "matches.geojson",
+    ]  # fmt: skip
+    assert len(json.loads((tmp_path / "matches.geojson").read_text())["features"]) == 5
+    picture = pixels((tmp_path / "01-map.png").read_bytes())
+    assert picture.std() > 20.0
+    assert like(picture, (209, 16, 61)).sum() > 100
+    assert like(picture, (31, 95, 191)).sum() > 100
+
+
+def test_a_report_without_terrain_says_so(tmp_path):
+    bare = Surroundings(FIELD.frame, AROUND.viewpoints)
+    html = report(tmp_path, [Matched("trace.csv", QUERY, [BEST], 0.1)], bare)
+    assert "no elevation model" in html
+    assert "no skyline was rendered" in html
+
+
+def test_a_report_tells_abstention_from_failure(tmp_path):
+    off = replace(BEST, easting_m=-5000.0)
+    html = report(
+        tmp_path,
+        [
+            Matched("unsure.jpg", QUERY, [OTHER], 0.1, is_answered=False),
+            Matched("nothing.jpg", QUERY, [], 0.1, is_answered=False),
+            Matched("off.jpg", QUERY, [off], 0.1),
+        ],
+    )
+    assert "1 of 3 queries answered" in html
+    assert "Not answered: the best candidate is not sure enough" in html
+    assert "No place fits." in html
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium to look at the page with")
+def test_a_browser_shows_the_page(tmp_path):
+    report(tmp_path / "report", [Matched("photo.jpg", QUERY, [BEST, OTHER], 1.5)])
+    shot = tmp_path / "shot.png"
+    subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+            f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1000,1900",
+            f"--screenshot={shot}", (tmp_path / "report" / "index.html").as_uri(),
+        ],
+        check=True, capture_output=True, timeout=120,
+    )  # fmt: skip
+    seen = pixels(shot.read_bytes())
+    # The overlay's canvas and both its lines, then the map below it, then the table's text.
+    overlay, below = seen[150:750], seen[850:1600]
+    assert like(overlay, (255, 45, 111), 120).sum() > 300
+    assert like(overlay, (0, 224, 255), 120).sum() > 300
+    assert below.std() > 20.0
+    assert like(below, (209, 16, 61)).sum() > 100

@@ -1,0 +1,121 @@
+"""Which peaks an eye sees, and what a gazetteer must look like."""
+
+import numpy as np
+import pytest
+from scenes import FRAME, field_from
+
+from skyline.errors import InputError, MissingFileError
+from skyline.geodesy import Curvature
+from skyline.report.peaks import Peaks, read_peaks, visible_peaks
+from skyline.terrain.viewpoints import stand_on
+
+FLAT = Curvature(enabled=False)
+
+
+def cone(east, north, at_east, at_north, height_m, slope=1.0):
+    return np.maximum(height_m - slope * np.hypot(east - at_east, north - at_north), 0.0)
+
+
+def field(wall_m):
+    """Two cones north of the eye, and a wall before the eastern one."""
+    return field_from(
+        lambda east, north: (
+            cone(east, north, -900.0, 3000.0, 600.0)
+            + cone(east, north, 900.0, 3000.0, 600.0)
+            + np.where((north == 1500.0) & (east > 0.0), wall_m, 0.0)
+        ),
+        301,
+        30.0,
+    )
+
+
+def named(**places):
+    east, north = np.array(list(places.values()), dtype=float).T
+    return Peaks(tuple(places), east, north, np.full(len(places), np.nan))
+
+
+# Named 50 m beside their summits, as gazetteers do.
+TWO = named(west=(-860.0, 3030.0), east=(930.0, 2960.0))
+
+
+def names_seen(wall_m, peaks=TWO):
+    terrain = field(wall_m)
+    eye = stand_on(terrain, 0.0, -900.0, 2.0)
+    return [peak.label for peak in visible_peaks(terrain, eye, peaks, FLAT)]
+
+
+def test_a_peak_is_seen_unless_something_before_it_stands_higher():
+    # On the line to the eastern summit the wall is reached after 1500 + 900 of 3900 m north.
+    level_m = 2.0 + (600.0 - 2.0) * 2400.0 / 3900.0
+    assert names_seen(0.0) == ["west", "east"]
+    assert names_seen(level_m - 20.0) == ["west", "east"]
+    assert names_seen(level_m + 20.0) == ["west"]
+
+
+def test_a_sighting_has_the_summit_s_direction():
+    terrain = field(0.0)
+    eye = stand_on(terrain, 0.0, -900.0, 2.0)
+    west, east = visible_peaks(terrain, eye, TWO, FLAT)
+    away = np.hypot(900.0, 3900.0)
+    assert east.distance_m == pytest.approx(away)
+    assert east.azimuth_deg == pytest.approx(np.degrees(np.arctan2(900.0, 3900.0)))
+    assert west.azimuth_deg == pytest.approx(360.0 - east.azimuth_deg)
+    assert east.elevation_tan == pytest.approx((600.0 - 2.0) / away)
+    curved = visible_peaks(terrain, eye, TWO, Curvature())
+    assert curved[0].elevation_tan < west.elevation_tan
+
+
+def test_peaks_off_the_terrain_or_under_the_eye_are_not_named():
+    assert names_seen(0.0, named(far=(90_000.0, 0.0), here=(0.0, -900.0))) == []
+
+
+def test_the_curve_of_the_earth_hides_what_is_far():
+    terrain = field_from(lambda east, north: cone(east, north, 0.0, 50_000.0, 150.0, 0.1), 241, 500)
+    eye = stand_on(terrain, 0.0, -50_000.0, 2.0)
+    far = named(far=(0.0, 50_000.0))
+    assert [peak.label for peak in visible_peaks(terrain, eye, far, FLAT)] == ["far"]
+    assert visible_peaks(terrain, eye, far, Curvature()) == []
+
+
+def test_a_gazetteer_in_degrees_or_metres(tmp_path):
+    lon, lat = FRAME.to_lonlat(1200.0, -3400.0)
+    degrees, metres = tmp_path / "degrees.csv", tmp_path / "metres.csv"
+    degrees.write_text(f"name,lon,lat,height_m\nWeißkugel,{lon},{lat},3738\nB,{lon},{lat},\n")
+    metres.write_text('easting,northing,name\n1200,-3400,"A, the  first"\n\n')
+    first, second = read_peaks(degrees, FRAME), read_peaks(metres, FRAME)
+    assert first.names == ("Weißkugel", "B")
+    assert second.names == ("A, the first",)
+    np.testing.assert_allclose(first.easting_m, 1200.0, atol=1e-3)
+    np.testing.assert_allclose(first.northing_m, -3400.0, atol=1e-3)
+    np.testing.assert_array_equal(first.height_m, [3738.0, np.nan])
+    np.testing.assert_array_equal(second.easting_m, [1200.0])
+    assert np.isnan(second.height_m).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "columns are|has the columns"),
+        ("name,x,y\na,1,2\n", "has the columns"),
+        ("name,lon,lat,lat\na,1,2,3\n", "has the columns"),
+        ("name,lon,lat\na,1\n", "row 2 has 2 cells"),
+        ("name,lon,lat\n ,1,2\n", "no name"),
+        ("name,lon,lat\na,east,2\n", "lon of 'a' is `east`"),
+        ("name,lon,lat\na,1,91\n", "from -90 to 90"),
+        ("name,easting,northing\na,nan,2\n", "easting of 'a'"),
+        ("name,lon,lat,height_m\na,1,2,high\n", "height_m of 'a'"),
+    ],
+)
+def test_bad_gazetteers_say_what_is_wrong(tmp_path, text, message):
+    path = tmp_path / "peaks.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_peaks(path, FRAME)
+
+
+def test_a_gazetteer_that_is_not_there_or_not_text(tmp_path):
+    with pytest.raises(MissingFileError, match="does not exist"):
+        read_peaks(tmp_path / "none.csv", FRAME)
+    (tmp_path / "photo.csv").write_bytes(bytes(range(256)))
+    with pytest.raises(InputError, match="cannot be read"):
+        read_peaks(tmp_path / "photo.csv", FRAME)

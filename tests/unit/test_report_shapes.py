@@ -1,0 +1,118 @@
+"""Wedges, ellipses and GeoJSON say where a candidate is and where it looks."""
+
+import json
+
+import numpy as np
+import pytest
+from scenes import FRAME
+
+from skyline.errors import InputError
+from skyline.geodesy import Frame
+from skyline.matching import Candidate
+from skyline.report.geojson import VIEW_REACH_M, match_collection, write_geojson
+from skyline.report.shapes import Ellipse, view_wedge_m
+
+UTM = Frame.from_crs("EPSG:32632")
+PLACE = UTM.from_lonlat(10.78277, 46.79586)
+BEST = Candidate(
+    7, float(PLACE[0]), float(PLACE[1]), 275.0, -8.5, 1.0, 78.7, 0.1, 0.9, True,
+    ((400.0, 100.0), (100.0, 900.0)),
+)  # fmt: skip
+OTHER = Candidate(3, BEST.easting_m + 500.0, BEST.northing_m, 350.0, 0.0, 0.0, 60.0, 0.4)
+
+
+def signed_area(ring):
+    """Positive for a counter-clockwise ring of (x, y)."""
+    x, y = np.array(ring).T
+    return 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+
+
+def test_an_ellipse_has_the_covariance_s_axes():
+    along, across, azimuth_deg = 30.0, 10.0, 25.0
+    major = np.array([np.sin(np.radians(azimuth_deg)), np.cos(np.radians(azimuth_deg))])
+    minor = np.array([major[1], -major[0]])
+    covariance = along**2 * np.outer(major, major) + across**2 * np.outer(minor, minor)
+    ellipse = Ellipse.of(
+        Candidate(0, 5.0, 7.0, 0.0, 0.0, 0.0, 60.0, 0.1, covariance_m2=covariance.tolist())
+    )
+    quantile = np.sqrt(-2.0 * np.log(0.05))
+    assert ellipse.semi_major_m == pytest.approx(along * quantile)
+    assert ellipse.semi_minor_m == pytest.approx(across * quantile)
+    assert ellipse.azimuth_deg == pytest.approx(azimuth_deg)
+    outline = ellipse.outline_m()
+    away = outline - [5.0, 7.0]
+    np.testing.assert_allclose(
+        np.einsum("pi,ij,pj->p", away, np.linalg.inv(covariance), away), quantile**2
+    )
+    np.testing.assert_array_equal(outline[0], outline[-1])
+    assert signed_area(outline) == pytest.approx(np.pi * along * across * quantile**2, rel=0.01)
+
+
+def test_19_of_20_normal_errors_lie_within_the_ellipse():
+    covariance = np.array(BEST.covariance_m2)
+    errors = np.random.default_rng(1).multivariate_normal([0.0, 0.0], covariance, 20_000)
+    ellipse = Ellipse.of(BEST)
+    turn = np.radians(ellipse.azimuth_deg)
+    along = errors @ [np.sin(turn), np.cos(turn)] / ellipse.semi_major_m
+    across = errors @ [np.cos(turn), -np.sin(turn)] / ellipse.semi_minor_m
+    assert np.mean(along**2 + across**2 <= 1.0) == pytest.approx(0.95, abs=0.006)
+
+
+def test_a_candidate_without_covariance_has_no_ellipse():
+    assert Ellipse.of(OTHER) is None
+
+
+def test_a_wedge_spans_the_field_of_view_about_the_heading():
+    wedge = view_wedge_m(OTHER, 1000.0)
+    np.testing.assert_array_equal(wedge[[0, -1]], [[OTHER.easting_m, OTHER.northing_m]] * 2)
+    away = wedge[1:-1] - wedge[0]
+    np.testing.assert_allclose(np.hypot(*away.T), 1000.0)
+    azimuth = np.degrees(np.arctan2(*away.T)) % 360.0
+    np.testing.assert_allclose(azimuth[[-1, 0]], [320.0, 20.0])
+    assert signed_area(wedge) > 0.0
+
+
+def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
+    path = tmp_path / "new" / "matches.geojson"
+    write_geojson(path, [("<b>.jpg", [BEST, OTHER]), ("none.csv", [])], UTM)
+    collection = json.loads(path.read_text())
+    assert collection["type"] == "FeatureCollection"
+    about = [
+        (f["properties"]["query"], f["properties"]["rank"], f["properties"]["shape"])
+        for f in collection["features"]
+    ]
+    assert about == [
+        ("<b>.jpg", 1, "candidate"),
+        ("<b>.jpg", 1, "view"),
+        ("<b>.jpg", 1, "ellipse95"),
+        ("<b>.jpg", 2, "candidate"),
+        ("<b>.jpg", 2, "view"),
+    ]
+    point, view, ellipse, *_ = collection["features"]
+    np.testing.assert_allclose(point["geometry"]["coordinates"], [10.78277, 46.79586], atol=1e-7)
+    convergence_deg = float(UTM.convergence_deg(*PLACE))
+    assert point["properties"]["heading_deg"] == pytest.approx(275.0 + convergence_deg)
+    assert {"lon", "lat", "easting", "northing", "pitch_deg", "roll_deg", "fov_deg", "score",
+            "confidence", "refined"} <= point["properties"].keys()  # fmt: skip
+    assert ellipse["properties"]["semi_major_m"] > ellipse["properties"]["semi_minor_m"] > 0.0
+    for polygon in (view, ellipse):
+        (ring,) = polygon["geometry"]["coordinates"]
+        assert polygon["geometry"]["type"] == "Polygon"
+        assert ring[0] == ring[-1]
+        assert signed_area(ring) > 0.0
+    back = UTM.from_lonlat(*np.array(view["geometry"]["coordinates"][0][1:-1]).T)
+    away = np.hypot(back[0] - BEST.easting_m, back[1] - BEST.northing_m)
+    np.testing.assert_allclose(away, VIEW_REACH_M, atol=0.05)
+
+
+def test_geojson_has_no_word_for_infinity():
+    lost = Candidate(0, 0.0, 0.0, 0.0, 0.0, 0.0, 60.0, np.inf)
+    point = match_collection([("q", [lost])], FRAME)["features"][0]
+    assert point["properties"]["score"] is None
+
+
+def test_geojson_that_cannot_be_written_is_one_line_and_leaves_nothing(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot be written"):
+        write_geojson(tmp_path / "file" / "a.geojson", [], FRAME)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
