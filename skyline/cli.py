@@ -1,6 +1,7 @@
 """The command line: ``skyline render build match extract info explain`` (DESIGN 8)."""
 
 import json
+import logging
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from skyline.describe import (
     describe_store,
     describe_terrain,
 )
-from skyline.errors import InputError
+from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Curvature
 from skyline.matching import MATCHERS
 from skyline.photo import extract_photo, write_overlay, write_trace
@@ -28,17 +29,23 @@ from skyline.pipeline import (
     RenderConfig,
     build_planned,
     build_uniform,
+    matched,
     render_to_store,
+    report_matches,
     save_depth_pictures,
 )
 from skyline.pipeline import explain as explain_scene
+from skyline.pipeline.config import read_dem_of
 from skyline.planning.loop import PlanConfig
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
 from skyline.prediction import shell_edges_m
+from skyline.report.geojson import write_geojson
+from skyline.report.peaks import read_peaks
 from skyline.report.records import MatchRecord
-from skyline.store import is_store
+from skyline.store import StoreHeader, is_store
 from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoint_csv import read_viewpoints
 from skyline.terrain.viewpoints import stand_on
 
@@ -193,16 +200,38 @@ def match(
     matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHERS)}.")] = "paper",
     top: Annotated[int, typer.Option(help="Candidates to name.")] = 5,
     as_json: AsJson = False,
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write a page with pictures and maps.")
+    ] = None,
+    peaks: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Peaks to name in it: name,lon,lat[,height_m]."),
+    ] = None,
+    geojson: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the candidates as GeoJSON.")
+    ] = None,
 ) -> None:
     """Find where photos were taken and which way the camera looked."""
+    if peaks is not None and report is None:
+        raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
     matching = Matcher(store, matcher)
+    gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
+    results = []
     for path in query:
         result = matching.match(path, fov_deg, top)
+        results.append((path, result))
         record = describe_match(str(path), result, matching.frame)
         if as_json:
             typer.echo(json.dumps(record))
         else:
             _say_match(record)
+    if geojson is not None:
+        candidates = [(str(path), result.candidates) for path, result in results]
+        write_geojson(geojson, candidates, matching.frame)
+    if report is not None:
+        done = [f"The matcher `{matcher}` ranked {len(matching.viewpoints)} stored locations."]
+        told = (matched(path, result, done) for path, result in results)
+        report_matches(report, matching, told, _dem_at_hand(matching.header), gazetteer)
 
 
 @app.command()
@@ -327,6 +356,15 @@ def _say_planned(done: PlannedResult) -> None:
         f"{made.batches} batches, rendering {done.plan.render_s:.1f} s, planning "
         f"{done.plan.plan_s:.1f} s"
     )
+
+
+def _dem_at_hand(header: StoreHeader) -> HeightField | None:
+    """Return the DEM of a store where it still lies, else None, with a warning."""
+    try:
+        return read_dem_of(header)
+    except SkylineError as error:
+        logging.getLogger(__name__).warning("the report goes without relief: %s", error)
+        return None
 
 
 def _say_match(record: MatchRecord) -> None:

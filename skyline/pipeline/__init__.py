@@ -12,6 +12,7 @@ from skyline.pipeline.build import (
 from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.match import Matcher, MatchResult
 from skyline.pipeline.planned import PlannedResult, build_planned
+from skyline.pipeline.reports import matched, report_matches
 
 __all__ = [
     "BuildResult",
@@ -23,7 +24,9 @@ __all__ = [
     "build_planned",
     "build_uniform",
     "explain",
+    "matched",
     "render_to_store",
     "render_views",
+    "report_matches",
     "save_depth_pictures",
 ]

@@ -189,6 +189,42 @@ def test_match_finds_the_stored_place_of_a_photo(run, store, photo, matcher):
     assert "unrefined" in plain.out
 
 
+def test_match_writes_a_report_and_geojson_beside_the_same_json(run, store, photo, tmp_path):
+    peaks = csv_of(tmp_path / "peaks.csv", ["Top,601900,5177000"], "name,easting,northing")
+    folder, geojson = tmp_path / "report", tmp_path / "found.geojson"
+    query = ["match", store, photo, "--fov-deg", "60", "--json"]
+    plain = json.loads(run(*query).out)
+    done = run(*query, "--report", folder, "--peaks", peaks, "--geojson", geojson)
+    assert done.code == 0, done.err
+    record = json.loads(done.out)
+    assert record["candidates"] == plain["candidates"]
+    html = (folder / "index.html").read_text()
+    assert f"{record['answer']['lat']:.5f}" in html
+    assert "the skyline rendered at the best candidate" in html
+    assert cv2.imread(str(folder / "01-overlay.jpg")).std() > 20.0
+    features = json.loads(geojson.read_text())["features"]
+    points = [f for f in features if f["properties"]["shape"] == "candidate"]
+    ranks = [point["properties"]["rank"] for point in points]
+    assert ranks == list(range(1, len(record["candidates"]) + 1))
+    assert points[0]["properties"]["query"] == str(photo)
+    assert_refused(run(*query, "--peaks", peaks), "--report")
+    assert_refused(run(*query, "--report", folder, "--peaks", photo), "cannot be read")
+    unwritable = run(*query, "--geojson", photo / "a.json")
+    assert unwritable.code == 2
+    assert "cannot be written" in unwritable.err
+
+
+def test_a_report_goes_without_relief_where_the_dem_is_gone(run, dem, photo, tmp_path, caplog):
+    moved, store = tmp_path / "moved.tif", tmp_path / "store.h5"
+    moved.write_bytes(dem.read_bytes())
+    assert run("build", moved, "-o", store, "--spacing", "900").code == 0
+    moved.unlink()
+    done = run("match", store, photo, "--fov-deg", "60", "--report", tmp_path / "report")
+    assert done.code == 0, done.err
+    assert "without relief" in caplog.text
+    assert "no elevation model" in (tmp_path / "report" / "index.html").read_text()
+
+
 def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
     bin_folder = Path(sys.executable).parent
     environment = {"PATH": f"{bin_folder}:/usr/bin:/bin"}

@@ -1,0 +1,84 @@
+"""Reports of matches: what a store's terrain and a renderer add to what was found."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import fields
+from pathlib import Path
+
+from skyline.geodesy import Curvature
+from skyline.photo import read_picture
+from skyline.pipeline.config import RenderConfig, make_renderer
+from skyline.pipeline.match import Matcher, MatchResult
+from skyline.report import Matched, Peaks, Surroundings, write_match_report
+from skyline.store import StoreHeader
+from skyline.store.header import package_version
+from skyline.terrain.heightfield import HeightField
+
+_PICTURE_WIDTH = 2048
+"""Columns of a view drawn over a photo: about one a pixel at 1600 px and 60 degrees."""
+
+
+def report_matches(
+    folder: Path,
+    matcher: Matcher,
+    matches: Iterable[Matched],
+    terrain: HeightField | None,
+    peaks: Peaks | None = None,
+) -> Path:
+    """Write a page of matches, its pictures and GeoJSON into a folder; return the page.
+
+    Parameters
+    ----------
+    folder : Path
+    matcher : Matcher
+        That made the matches.
+    matches : iterable of Matched
+        See `matched`.
+    terrain : HeightField, optional
+        Of the matcher's store, for relief and for the candidates' skylines.
+    peaks : Peaks, optional
+
+    Raises
+    ------
+    InputError
+        A file cannot be written.
+    """
+    frame, places, told = matcher.frame, matcher.viewpoints, list(matches)
+    made_by = f"skyline {package_version()}"
+    if terrain is None:
+        return write_match_report(folder, told, Surroundings(frame, places), made_by)
+    curvature = _curvature_of(matcher.header)
+    config = RenderConfig(width=_PICTURE_WIDTH, curvature=curvature)
+    with make_renderer(terrain, config) as renderer:
+        around = Surroundings(frame, places, terrain, renderer.render, peaks, curvature)
+        return write_match_report(folder, told, around, made_by)
+
+
+def matched(path: str | Path, result: MatchResult, done: Sequence[str] = ()) -> Matched:
+    """Return a match as a report takes it, the photo read again for its pixels.
+
+    Parameters
+    ----------
+    path : str or Path
+        The query's file.
+    result : MatchResult
+    done : sequence of str
+        What was done, a sentence each.
+    """
+    return Matched(
+        str(path),
+        result.query,
+        result.candidates,
+        result.seconds,
+        result.answer is not None,
+        read_picture(path),
+        done,
+    )
+
+
+def _curvature_of(header: StoreHeader) -> Curvature:
+    """Return the curvature a store was rendered with; the default where it does not say."""
+    stored = header.config.get("curvature")
+    if not isinstance(stored, dict):
+        return Curvature()
+    names = {field.name for field in fields(Curvature)}
+    return Curvature(**{name: value for name, value in stored.items() if name in names})
