@@ -216,7 +216,7 @@ def matching(
     """
     spacings_m = tuple(spacing) if spacing else () if store else _MATCHING.spacings_m
     config = MatchingConfig(
-        bounds_deg=parse_bounds(bounds),
+        bounds_deg=parse_bounds(bounds) if bounds is not None else None,
         spacings_m=spacings_m,
         shells=shells,
         stores=tuple(store or ()),

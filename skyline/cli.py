@@ -1,4 +1,4 @@
-"""The command line: ``skyline render build match extract info explain`` (DESIGN 8)."""
+"""The command line: ``skyline render build match extract info explain dem`` (DESIGN 8)."""
 
 import json
 import logging
@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from skyline import __version__
+from skyline import __version__, dem_cli
 from skyline.console import parse_bounds, progress_bar, run_app
 from skyline.describe import (
     describe_gl,
@@ -58,6 +58,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+app.add_typer(dem_cli.app)
 
 Dems = Annotated[
     list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
@@ -158,7 +159,7 @@ def build(
         _render_config(width, tolerance_px, k, no_curvature),
         shell_edges_m=shell_edges_m(shells) if shells else (),
     )
-    corners = parse_bounds(bounds)
+    corners = parse_bounds(bounds) if bounds is not None else None
     dem_options = DemOptions(crs=crs, reproject=reproject)
     if planner == "uniform":
         terrain = read_dem(dem, dem_options)

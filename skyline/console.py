@@ -64,10 +64,8 @@ def progress_bar(what: str) -> Iterator[Progress]:
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
-def parse_bounds(text: str | None) -> tuple[float, float, float, float] | None:
-    """Read bounds given as ``W,S,E,N`` in degrees; raises `InputError` where they are not."""
-    if text is None:
-        return None
+def parse_bounds(text: str) -> tuple[float, float, float, float]:
+    """Return W, S, E, N in degrees from ``W,S,E,N``; raises `InputError` for anything else."""
     try:
         west, south, east, north = (float(part) for part in text.split(","))
     except ValueError as error:

@@ -39,3 +39,7 @@ class StoreMismatchError(InputError):
 
 class ContextError(SkylineError, RuntimeError):
     """No OpenGL context could be made, or the one at hand cannot do what is needed."""
+
+
+class FetchError(SkylineError, OSError):
+    """A server that does not answer, or answers with something that cannot be used."""

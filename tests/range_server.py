@@ -1,0 +1,125 @@
+"""An HTTP server on the loopback address that serves ranges of files, and misbehaves on request."""
+
+import re
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+
+@dataclass
+class Behaviour:
+    """How the server answers, and what it was asked.
+
+    Attributes
+    ----------
+    files : dict
+        Path with a leading slash -> content.
+    status : dict
+        Path -> a status it is answered with instead, always.
+    failures : int
+        So many requests are answered 500 before the first good answer.
+    delay_s : float
+        Waited before every answer.
+    truncate : int
+        So many bodies break off half way, header and connection saying otherwise.
+    requests : list of (method, path, range header)
+    sent : int
+        Bytes of bodies sent.
+    """
+
+    files: dict[str, bytes] = field(default_factory=dict)
+    status: dict[str, int] = field(default_factory=dict)
+    failures: int = 0
+    delay_s: float = 0.0
+    truncate: int = 0
+    requests: list[tuple[str, str, str | None]] = field(default_factory=list)
+    sent: int = 0
+    stopping: threading.Event = field(default_factory=threading.Event)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    server: "_Server"
+
+    def do_HEAD(self) -> None:
+        self._answer(with_body=False)
+
+    def do_GET(self) -> None:
+        self._answer(with_body=True)
+
+    def _answer(self, with_body: bool) -> None:
+        told, path = self.server.behaviour, self.path
+        told.requests.append((self.command, path, self.headers.get("Range")))
+        if told.delay_s:
+            told.stopping.wait(told.delay_s)
+        if told.failures > 0:
+            told.failures -= 1
+            self._refuse(500)
+        elif path in told.status:
+            self._refuse(told.status[path])
+        elif path not in told.files:
+            self._refuse(404)
+        else:
+            self._send(told, told.files[path], with_body)
+
+    def _refuse(self, status: int) -> None:
+        body = b"<html>no</html>"
+        self.send_response(status)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(body)
+
+    def _send(self, told: Behaviour, content: bytes, with_body: bool) -> None:
+        asked = re.fullmatch(r"bytes=(\d+)-(\d*)", self.headers.get("Range") or "")
+        first, last = 0, len(content) - 1
+        if asked:
+            first = int(asked[1])
+            last = min(int(asked[2]) if asked[2] else last, last)
+            if first > last:
+                self._refuse(416)
+                return
+        body = content[first : last + 1]
+        self.send_response(206 if asked else 200)
+        self.send_header("Accept-Ranges", "bytes")
+        if asked:
+            self.send_header("Content-Range", f"bytes {first}-{last}/{len(content)}")
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        if not with_body:
+            return
+        if told.truncate > 0:
+            told.truncate -= 1
+            body = body[: len(body) // 2]
+            self.close_connection = True
+        told.sent += len(body)
+        self.wfile.write(body)
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    behaviour: Behaviour
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Say nothing of clients that went away."""
+
+
+@contextmanager
+def serve(behaviour: Behaviour) -> Iterator[str]:
+    """Serve on a free port of 127.0.0.1; yields the address without a final slash."""
+    server = _Server(("127.0.0.1", 0), _Handler)
+    server.behaviour = behaviour
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}"
+    finally:
+        behaviour.stopping.set()
+        server.shutdown()
+        server.server_close()
+        thread.join()

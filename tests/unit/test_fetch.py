@@ -1,0 +1,293 @@
+"""Tiles fetched from a server of the test's own, which is slow, fails or breaks off on request."""
+
+import numpy as np
+import pytest
+import rasterio
+from range_server import Behaviour, serve
+from rasterio.io import MemoryFile
+from rasterio.transform import from_origin
+from rasterio.windows import from_bounds
+from scenes import fractal
+
+from skyline import read_dem
+from skyline.errors import FetchError, InputError
+from skyline.fetch import SOURCES, HttpOptions, TileSource, fetch_dem
+from skyline.fetch.sources import MAX_TILES
+
+SAMPLES = 600
+BOUNDS = (9.8, 46.6, 10.1, 46.8)
+PATIENCE = HttpOptions(retries=2, retry_delay_s=0.01, timeout_s=1)
+
+
+def geotiff(heights, west=9.0, north=47.0, step=1.0 / SAMPLES, **options):
+    """Return a tiled GeoTIFF whose first sample stands, as Copernicus', on the corner."""
+    options = {"crs": "EPSG:4326", "compress": "deflate", "blockxsize": 128, **options}
+    with MemoryFile() as memory:
+        with memory.open(
+            driver="GTiff", width=heights.shape[1], height=heights.shape[0], count=1,
+            dtype=heights.dtype, tiled=True, blockysize=128,
+            transform=from_origin(west - step / 2, north + step / 2, step, step), **options,
+        ) as file:  # fmt: skip
+            file.update_tags(AREA_OR_POINT="Point")
+            file.write(heights, 1)
+        return bytes(memory.getbuffer())
+
+
+@pytest.fixture(scope="module")
+def heights():
+    """Two degrees side by side, 46 N, from 9 E."""
+    return fractal(SAMPLES, 2 * SAMPLES, 900.0, seed=3)
+
+
+@pytest.fixture(scope="module")
+def contents(heights):
+    return {
+        "/N46E009.tif": geotiff(heights[:, :SAMPLES]),
+        "/N46E010.tif": geotiff(heights[:, SAMPLES:], west=10.0),
+    }
+
+
+@pytest.fixture
+def told(contents):
+    return Behaviour(files=dict(contents))
+
+
+@pytest.fixture
+def template(told):
+    with serve(told) as address:
+        yield f"{address}/{{ns}}{{lat:02d}}{{ew}}{{lon:03d}}.tif"
+
+
+def fetch(template, folder, bounds=BOUNDS, options=PATIENCE):
+    return fetch_dem(bounds, template, folder, options)
+
+
+def expect_heights(result, heights):
+    """Hold what was fetched to the samples it came from."""
+    for path in result.files:
+        with rasterio.open(path) as file:
+            left = round((file.transform.c + 0.5 / SAMPLES - 9.0) * SAMPLES)
+            top = round((47.0 - file.transform.f + 0.5 / SAMPLES) * SAMPLES)
+            rows, cols = file.shape
+            np.testing.assert_array_equal(
+                file.read(1), heights[top : top + rows, left : left + cols]
+            )
+
+
+def test_tiles_are_cut_to_the_bounds_and_make_one_dem(template, told, heights, tmp_path):
+    done = fetch(template, tmp_path / "new" / "dem")
+    assert [path.name for path in done.files] == ["N46E009.tif", "N46E010.tif"]
+    assert (done.fetched, done.missing) == (2, ())
+    expect_heights(done, heights)
+    with rasterio.open(done.files[0]) as west, rasterio.open(done.files[1]) as east:
+        assert west.bounds.left <= BOUNDS[0] < west.bounds.left + 1.01 / SAMPLES
+        assert east.bounds.right >= BOUNDS[2] > east.bounds.right - 1.01 / SAMPLES
+        assert west.bounds.bottom <= BOUNDS[1] < BOUNDS[3] <= west.bounds.top
+        assert west.bounds.right == pytest.approx(east.bounds.left)
+        assert west.tags()["AREA_OR_POINT"] == "Point"
+    assert read_dem(done.files).height_range_m[1] > 0.0
+    assert not list(tmp_path.rglob("*.partial"))
+    assert told.sent < sum(map(len, told.files.values())) / 2
+
+
+def test_what_is_there_is_not_fetched_again(template, told, tmp_path):
+    first = fetch(template, tmp_path)
+    told.requests.clear()
+    assert fetch(template, tmp_path).fetched == 0
+    assert not told.requests
+    first.files[1].unlink()
+    assert fetch(template, tmp_path).fetched == 1
+    assert fetch(template, tmp_path, (9.8, 46.5, 10.1, 46.8)).fetched == 2
+
+
+def test_tiles_over_the_sea_are_missing_not_an_error(template, tmp_path):
+    done = fetch(template, tmp_path, (9.8, 46.6, 10.1, 47.2))
+    assert done.missing == ("N47E009", "N47E010")
+    assert len(done.files) == 2
+    with pytest.raises(InputError, match="none of N20E030"):
+        fetch(template, tmp_path / "sea", (30.2, 20.2, 30.4, 20.4))
+    assert not (tmp_path / "sea").exists()
+
+
+def test_failures_that_pass_are_retried(template, told, heights, tmp_path):
+    told.failures = 2
+    expect_heights(fetch(template, tmp_path), heights)
+
+
+@pytest.mark.parametrize("broken", [1, 2, 3, 5])
+def test_bodies_that_break_off_are_read_again(template, told, heights, tmp_path, broken):
+    told.truncate = broken
+    expect_heights(fetch(template, tmp_path), heights)
+
+
+def break_off(told):
+    told.truncate = 10_000
+
+
+def never_answer(told):
+    told.delay_s = 30.0
+
+
+def fail(told):
+    told.failures = 10_000
+
+
+def refuse(told):
+    told.status["/N46E010.tif"] = 403
+
+
+def shorten(told):
+    told.files["/N46E010.tif"] = told.files["/N46E010.tif"][:40_000]
+
+
+def send_something_else(told):
+    told.files["/N46E010.tif"] = b"<VRTDataset rasterXSize='5' rasterYSize='5'></VRTDataset>"
+
+
+@pytest.mark.parametrize(
+    ("trouble", "said"),
+    [
+        (break_off, "breaks off or is damaged"),
+        (never_answer, r"no answer \(.*\), tried 2 times"),
+        (fail, "answers HTTP 500, tried 2 times; give the same command again"),
+        (refuse, "HTTP 403, not tried again; check that the source is open"),
+        (shorten, "breaks off or is damaged"),
+        (send_something_else, "not a GeoTIFF"),
+    ],
+)
+def test_failures_that_stay_are_one_line_and_leave_nothing(template, told, tmp_path, trouble, said):
+    trouble(told)
+    with pytest.raises(FetchError, match=said) as caught:
+        fetch(template, tmp_path, options=HttpOptions(1, 0.01, 1))
+    assert "http://127.0.0.1" in str(caught.value)
+    assert ".tif" in str(caught.value)
+    assert "vsicurl" not in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert {path.name for path in tmp_path.rglob("*")} <= {"N46E009.tif"}
+
+
+def test_a_failed_fetch_goes_on_where_it_stopped(template, told, contents, heights, tmp_path):
+    shorten(told)
+    with pytest.raises(FetchError):
+        fetch(template, tmp_path)
+    told.files.update(contents)
+    done = fetch(template, tmp_path)
+    assert (len(done.files), done.fetched) == (2, 1)
+    expect_heights(done, heights)
+
+
+def test_nobody_listens(tmp_path):
+    with pytest.raises(FetchError, match=r"127\.0\.0\.1:1/a\.tif: no answer"):
+        fetch("http://127.0.0.1:1/a.tif", tmp_path, options=HttpOptions(0, 0.01, 1))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("template", "said"),
+    [
+        ("file:///etc/{lat}.tif", "not an http or https address"),
+        ("/vsis3/bucket/{lat}.tif", "not an http or https address"),
+        ("coprenicus", "not an http or https address"),
+        ("http://host/{latitude}.tif", "unknown field 'latitude'"),
+        ("http://host/{lat.__class__}.tif", "unknown field"),
+        ("http://host/{lat!r}.tif", "unknown field"),
+        ("http://host/{0}.tif", "unknown field"),
+        ("http://host/{lat.tif", "expected an address"),
+        ("http://host/{ns:02d}.tif", "not understood"),
+    ],
+)
+def test_templates_that_are_refused(template, said, tmp_path):
+    with pytest.raises(InputError, match=said):
+        fetch(template, tmp_path)
+
+
+def test_copernicus_addresses_are_as_documented():
+    source = TileSource.named("copernicus")
+    assert source == TileSource(SOURCES["copernicus"])
+    addresses = [source.url(tile) for tile in source.tiles((-0.5, -0.5, 0.5, 0.5))]
+    for address, name in zip(
+        addresses, ["S01_00_W001", "S01_00_E000", "N00_00_W001", "N00_00_E000"], strict=True
+    ):
+        full = f"Copernicus_DSM_COG_10_{name}_00_DEM"
+        assert address == f"https://copernicus-dem-30m.s3.amazonaws.com/{full}/{full}.tif"
+
+
+def test_bounds_across_the_antimeridian():
+    tiles = TileSource("http://host/{lat}{lon}").tiles((179.5, 10.0, -179.5, 11.0))
+    assert [tile.name for tile in tiles] == ["N10E179", "N10W180"]
+
+
+@pytest.mark.parametrize(
+    "bounds", [(9.0, 47.0, 10.0, 46.0), (9.0, 46.0, 9.0, 47.0), (float("nan"), 46.0, 10.0, 47.0)]
+)
+def test_bounds_out_of_order_are_refused(bounds, tmp_path):
+    with pytest.raises(InputError, match="expected W,S,E,N"):
+        fetch("copernicus", tmp_path, bounds)
+
+
+def test_too_much_is_refused_before_anything_is_asked(tmp_path):
+    with pytest.raises(InputError, match=rf"need 400 tiles, about 20\.7 GB.*at most {MAX_TILES}"):
+        fetch("copernicus", tmp_path, (0.0, 30.0, 20.0, 50.0))
+
+
+def test_too_many_bytes_are_refused_before_they_are_read(template, told, monkeypatch, tmp_path):
+    monkeypatch.setattr("skyline.fetch.tiles.MAX_BYTES", 10_000)
+    with pytest.raises(InputError, match=r"need 2 tiles and 0\.0 GB"):
+        fetch(template, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"crs": "EPSG:32632"}, "expected degrees"),
+        ({"west": 20.0}, "no part of the bounds"),
+        ({"step": 1.0 / 500}, "no one grid"),
+    ],
+)
+def test_tiles_that_do_not_fit_are_refused(template, told, heights, tmp_path, options, said):
+    told.files["/N46E010.tif"] = geotiff(heights[:, SAMPLES:], **{"west": 10.0, **options})
+    with pytest.raises(InputError, match=said):
+        fetch(template, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_of_someone_else_is_not_replaced(template, tmp_path):
+    (tmp_path / "N46E009.tif").write_bytes(b"mine")
+    with pytest.raises(InputError, match="was not fetched by skyline"):
+        fetch(template, tmp_path)
+    assert (tmp_path / "N46E009.tif").read_bytes() == b"mine"
+
+
+def test_secrets_in_an_address_are_neither_shown_nor_stored(template, told, contents, tmp_path):
+    secret = template.replace("http://", "http://me:secret@") + "?sig=secret"
+    told.files = {f"{path}?sig=secret": content for path, content in contents.items()}
+    done = fetch(secret, tmp_path)
+    assert done.fetched == 2
+    assert not any(b"secret" in path.read_bytes() for path in done.files)
+    fail(told)
+    with pytest.raises(FetchError) as caught:
+        fetch(secret, tmp_path / "again", options=HttpOptions(0, 0.01, 1))
+    assert "secret" not in str(caught.value)
+
+
+def test_one_file_over_all(told, heights, tmp_path):
+    told.files["/all.tif"] = geotiff(heights)
+    with serve(told) as address:
+        done = fetch(f"{address}/all.tif", tmp_path)
+    assert [path.name for path in done.files] == ["dem.tif"]
+    expect_heights(done, heights)
+
+
+def test_real_tiles_come_back_as_they_are(shared_data, told, template, tmp_path):
+    bounds = (9.8, 46.7, 9.9, 46.8)
+    with rasterio.open(shared_data / "davos" / "davos_srtm1_30m.tif") as davos:
+        whole, step = davos.read(1), davos.transform.a
+        told.files["/N46E009.tif"] = geotiff(
+            whole, davos.transform.c + step / 2, davos.transform.f - step / 2, step
+        )
+        (path,) = fetch(template, tmp_path, bounds).files
+        with rasterio.open(path) as file:
+            assert file.width * step == pytest.approx(0.1, abs=1.5 * step)
+            expected = davos.read(1, window=from_bounds(*file.bounds, davos.transform))
+            np.testing.assert_array_equal(file.read(1), expected)
