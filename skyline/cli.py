@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from skyline import __version__, dem_cli
-from skyline.console import parse_bounds, progress_bar, run_app
+from skyline.console import Scheduler, Workers, parse_bounds, progress_bar, run_app, runner_of
 from skyline.describe import (
     describe_gl,
     describe_match,
@@ -27,7 +27,9 @@ from skyline.pipeline import (
     Matcher,
     PlannedResult,
     RenderConfig,
+    ShardPlan,
     build_planned,
+    build_sharded,
     build_uniform,
     matched,
     render_to_store,
@@ -36,6 +38,7 @@ from skyline.pipeline import (
 )
 from skyline.pipeline import explain as explain_scene
 from skyline.pipeline.config import read_dem_of
+from skyline.pipeline.shards import DEFAULT_TILE_M
 from skyline.planning.loop import PlanConfig
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
@@ -78,6 +81,12 @@ Reproject = Annotated[
 ]
 Bounds = Annotated[
     str | None, typer.Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
+]
+ShardKm = Annotated[
+    float | None,
+    typer.Option(
+        metavar="K", help="Build in tiles of K km, each a job of its own (10 with workers)."
+    ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
@@ -145,6 +154,9 @@ def build(
         typer.Option(help="Distance shells kept beside each skyline; cover keeps 12 by itself."),
     ] = None,
     bounds: Bounds = None,
+    shard_km: ShardKm = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     width: Width = _DEFAULTS.width,
     tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
     k: RefractionK = _DEFAULTS.curvature.refraction_k,
@@ -161,6 +173,18 @@ def build(
     )
     corners = parse_bounds(bounds) if bounds is not None else None
     dem_options = DemOptions(crs=crs, reproject=reproject)
+    if (shard_km, workers, scheduler) != (None, None, None):
+        if planner != "uniform":
+            raise InputError(
+                f"planner {planner} plans one area as a whole; tiles and workers are for uniform"
+            )
+        tile_m = DEFAULT_TILE_M if shard_km is None else 1000.0 * shard_km
+        plan = ShardPlan(spacing, tile_m, corners)
+        with runner_of(workers, scheduler) as runner, progress_bar("rendering") as progress:
+            terrain = read_dem(dem, dem_options)
+            result = build_sharded(terrain, output, plan, config, runner, progress)
+        _say_built(result, output)
+        return
     if planner == "uniform":
         terrain = read_dem(dem, dem_options)
         with progress_bar("rendering") as progress:

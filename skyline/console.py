@@ -3,8 +3,8 @@
 import logging
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -12,13 +12,22 @@ from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as ProgressBar
 
 from skyline.errors import InputError, SkylineError
-from skyline.pipeline import Progress
+from skyline.pipeline import Progress, local_runner, remote_runner
+from skyline.pipeline.jobs import Runner
 
 # Typer brings click under one name or another, by its version; this one name is public in all.
 _UsageError: Any = typer.BadParameter.__base__
 
 _INTERRUPTED = 130
 """Exit code of a command stopped with Ctrl-C, which newer typers return instead of raising."""
+
+Workers = Annotated[
+    int | None, typer.Option(metavar="N", help="Spread the work over N processes of this machine.")
+]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(metavar="ADDRESS", help="Spread it over a dask cluster, e.g. tcp://host:8786."),
+]
 
 
 def run_app(app: typer.Typer, stopped: str) -> None:
@@ -62,6 +71,15 @@ def progress_bar(what: str) -> Iterator[Progress]:
     with bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def runner_of(workers: int | None, scheduler: str | None) -> AbstractContextManager[Runner | None]:
+    """Return what starts, or connects to, the workers asked for; None stands for this process."""
+    if workers is not None and scheduler is not None:
+        raise InputError("give one of --workers and --scheduler: a cluster has its own workers")
+    if workers is not None:
+        return local_runner(workers)
+    return remote_runner(scheduler) if scheduler is not None else nullcontext()
 
 
 def parse_bounds(text: str) -> tuple[float, float, float, float]:

@@ -43,3 +43,7 @@ class ContextError(SkylineError, RuntimeError):
 
 class FetchError(SkylineError, OSError):
     """A server that does not answer, or answers with something that cannot be used."""
+
+
+class BuildError(SkylineError, RuntimeError):
+    """A build some of whose jobs failed; what the others made is kept."""

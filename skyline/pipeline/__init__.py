@@ -9,10 +9,12 @@ from skyline.pipeline.build import (
     render_views,
     save_depth_pictures,
 )
+from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.match import Matcher, MatchResult
 from skyline.pipeline.planned import PlannedResult, build_planned
 from skyline.pipeline.reports import matched, report_matches
+from skyline.pipeline.shards import ShardPlan, build_sharded
 
 __all__ = [
     "BuildResult",
@@ -21,10 +23,14 @@ __all__ = [
     "PlannedResult",
     "Progress",
     "RenderConfig",
+    "ShardPlan",
     "build_planned",
+    "build_sharded",
     "build_uniform",
     "explain",
+    "local_runner",
     "matched",
+    "remote_runner",
     "render_to_store",
     "render_views",
     "report_matches",

@@ -16,7 +16,7 @@ from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.report import save_depth_images
-from skyline.store import StoreWriter, create_store, open_for_append, open_store
+from skyline.store import StoreHeader, StoreWriter, create_store, open_for_append, open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.scene import SceneNeeds, scene_needs
 from skyline.terrain.viewpoints import Viewpoints
@@ -89,15 +89,40 @@ def build_uniform(
     viewpoints = uniform_grid(
         terrain, spacing_m, map_bounds(terrain, bounds_deg), config.eye_height_m
     )
-    plan = {"planner": "uniform", "spacing_m": spacing_m, "bounds_deg": bounds_deg}
     with make_renderer(terrain, config) as renderer:
-        header = store_header(terrain, renderer, config, plan)
-        if not Path(path).exists():
-            with create_store(path, header) as writer:
-                return _render_into(writer, renderer, viewpoints, config, progress)
-        with open_for_append(path, header) as writer:
-            left = viewpoints[~_held(path, viewpoints)]
-            return _render_into(writer, renderer, left, config, progress)
+        plan = uniform_plan(spacing_m, bounds_deg)
+        header = store_header(terrain, renderer.description, config, plan)
+        return render_missing(path, header, renderer, viewpoints, config, progress)
+
+
+def uniform_plan(
+    spacing_m: float, bounds_deg: tuple[float, float, float, float] | None
+) -> dict[str, object]:
+    """Return what the config of a uniform store says of its viewpoints."""
+    return {"planner": "uniform", "spacing_m": spacing_m, "bounds_deg": bounds_deg}
+
+
+def render_missing(
+    path: str | Path,
+    header: StoreHeader,
+    renderer: HorizonRenderer,
+    viewpoints: Viewpoints,
+    config: RenderConfig,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Render those of some viewpoints that a store lacks; it is made where there is none.
+
+    Raises
+    ------
+    StoreMismatchError
+        The store at ``path`` was built from another DEM or with another configuration.
+    """
+    if not Path(path).exists():
+        with create_store(path, header) as writer:
+            return _render_into(writer, renderer, viewpoints, config, progress)
+    with open_for_append(path, header) as writer:
+        left = viewpoints[~held_whole(path, viewpoints)]
+        return _render_into(writer, renderer, left, config, progress)
 
 
 def render_to_store(
@@ -116,7 +141,8 @@ def render_to_store(
     """
     config = config or RenderConfig()
     with make_renderer(terrain, config) as renderer:
-        header = store_header(terrain, renderer, config, {"planner": "viewpoints"})
+        plan: dict[str, object] = {"planner": "viewpoints"}
+        header = store_header(terrain, renderer.description, config, plan)
         with create_store(path, header) as writer:
             return _render_into(writer, renderer, viewpoints, config, progress)
 
@@ -160,7 +186,7 @@ def _render_into(
     return BuildResult(len(writer), len(writer) - held, time.perf_counter() - started)
 
 
-def _held(path: str | Path, viewpoints: Viewpoints) -> NDArray[np.bool_]:
+def held_whole(path: str | Path, viewpoints: Viewpoints) -> NDArray[np.bool_]:
     """Return which viewpoints the store holds in all four headings, shape (N,)."""
     with open_store(path) as store:
         there = store.locations()

@@ -57,9 +57,9 @@ def make_renderer(terrain: HeightField, config: RenderConfig) -> HorizonRenderer
 
 
 def store_header(
-    terrain: HeightField, renderer: HorizonRenderer, config: RenderConfig, plan: dict[str, object]
+    terrain: HeightField, renderer: str, config: RenderConfig, plan: dict[str, object]
 ) -> StoreHeader:
-    """Return the header of a store that a renderer fills by a plan."""
+    """Return the header of a store that a renderer, given by its description, fills by a plan."""
     return StoreHeader(
         frame_wkt=terrain.frame.wkt,
         dem_digest=terrain.digest,
@@ -70,7 +70,7 @@ def store_header(
             **asdict(config),
             "dem_options": dict(terrain.provenance.options),
         },
-        renderer=renderer.description,
+        renderer=renderer,
         width=config.width,
         shell_edges_m=config.shell_edges_m,
     )

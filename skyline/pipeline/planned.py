@@ -96,7 +96,7 @@ def build_planned(
     # An area that cannot be planned is refused before a store is made for it.
     lay_out(terrain, planned.spacing, area, planned.eye_height_m)
     with make_renderer(terrain, config) as renderer, ExitStack() as held:
-        header = store_header(terrain, renderer, config, settings)
+        header = store_header(terrain, renderer.description, config, settings)
         there: Views | None = None
         if Path(path).exists():
             with open_store(path) as store:

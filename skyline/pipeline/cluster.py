@@ -1,0 +1,136 @@
+"""Jobs on a dask.distributed cluster (extra ``cluster``): local processes, or other machines.
+
+Jobs are few, long and leave their results on disk, so all that is asked of the engine is to run
+each of them somewhere, again where a worker died or a job failed, and to say how it ended.
+"""
+
+import logging
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from typing import Any, TypeVar
+from uuid import uuid4
+
+from skyline.errors import BuildError, InputError
+from skyline.pipeline.jobs import Runner
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+RETRIES = 2
+"""How often a job that raised an error is tried again. A job whose worker died is tried again on
+another; after `distributed.scheduler.allowed-failures` deaths (3) it counts as their cause."""
+
+_CONNECT_S = 10
+
+_log = logging.getLogger(__name__)
+
+# One thread a process does all jobs: an OpenGL context belongs to the thread that made it, and
+# dask may run tasks on several.
+_job_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="skyline-jobs")
+
+
+@contextmanager
+def local_runner(workers: int) -> Iterator[Runner]:
+    """Start worker processes on this machine for the block; yields a `Runner`.
+
+    Raises
+    ------
+    InputError
+        Fewer than one worker, or dask is not installed.
+    """
+    if workers < 1:
+        raise InputError(f"workers is {workers}; expected 1 or more")
+    distributed = _distributed()
+    threads = max((os.cpu_count() or 1) // workers, 1)
+    with ExitStack() as resources:
+        cluster = resources.enter_context(
+            distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                # Any free port, this machine alone: the usual one may be another cluster's.
+                dashboard_address="127.0.0.1:0",
+                # Jobs hold one DEM and one commit, whatever their number: nothing to guard.
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+                # Mesa's software rasterizer takes all cores unless told otherwise.
+                env={"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", str(threads))},
+            )
+        )
+        client = resources.enter_context(distributed.Client(cluster))
+        yield partial(_run, client)
+
+
+@contextmanager
+def remote_runner(address: str) -> Iterator[Runner]:
+    """Connect to a scheduler for the block; yields a `Runner`.
+
+    What dask sends is pickled, both ways: connect to a scheduler that you trust alone.
+
+    Raises
+    ------
+    InputError
+        Nothing answers at the address, or dask is not installed.
+    """
+    distributed = _distributed()
+    try:
+        client = distributed.Client(address, timeout=_CONNECT_S)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"no dask scheduler answers at {address!r} ({' '.join(str(error).split())}); start "
+            "one with `dask scheduler`, and give the address it prints, e.g. tcp://10.0.0.1:8786"
+        ) from error
+    with client:
+        if not client.scheduler_info()["workers"]:
+            _log.warning("the scheduler at %s has no workers yet; waiting for one", address)
+        yield partial(_run, client)
+
+
+def _distributed() -> Any:
+    try:
+        import distributed  # noqa: PLC0415  (optional, and half a second to load)
+    except ImportError as error:
+        raise InputError(
+            "workers need dask, which is not installed; pip install 'skyline[cluster]'"
+        ) from error
+    return distributed
+
+
+def _run(
+    client: Any, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
+) -> Iterator[tuple[int, R | Exception]]:
+    """Do jobs on a cluster; a `Runner` but for the client."""
+    run = uuid4().hex[:8]
+    with warnings.catch_warnings():
+        # A large graph is what many viewpoints are; it is sent once.
+        warnings.filterwarnings("ignore", message="Sending large graph")
+        futures = [
+            client.submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)
+            for name, item in zip(names, items, strict=True)
+        ]
+    place = {future.key: index for index, future in enumerate(futures)}
+    try:
+        for future in _distributed().as_completed(futures):
+            yield place[future.key], _outcome(future)
+    finally:
+        client.cancel(futures)
+
+
+def _do_alone(work: Callable[[T], R], item: T) -> R:
+    return _job_thread.submit(work, item).result()
+
+
+def _outcome(future: Any) -> Any:
+    try:
+        error = future.exception()
+    except CancelledError:
+        return BuildError("lost with the scheduler")
+    if error is None:
+        return future.result()
+    if type(error).__name__ == "KilledWorker":
+        return BuildError("its worker died, again and again: out of memory, or a fault of OpenGL")
+    return error if isinstance(error, Exception) else BuildError(repr(error))

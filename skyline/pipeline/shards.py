@@ -1,0 +1,314 @@
+"""A uniform build cut into tiles, each an independent job that writes a store of its own.
+
+Every job renders over the whole DEM: how far terrain can rise into a skyline has no bound but the
+DEM's own, and with one DEM there is one digest to hold all shards to. What is cut is the work, the
+lattice of viewpoints; a DEM that is to be small is cut before, by `skyline dem fetch`.
+
+A tile holds the viewpoints in its half-open square, so each is in one tile. A shard that is whole
+is left as it is, one that was begun is finished, and rows are merged tile by tile from the
+north-west: who rendered what, when, and how often a worker died shows nowhere in the result.
+"""
+
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from skyline.camera import HEADINGS
+from skyline.errors import InputError, StoreError, StoreMismatchError
+from skyline.pipeline.build import (
+    BuildResult,
+    Progress,
+    held_whole,
+    render_missing,
+    uniform_plan,
+)
+from skyline.pipeline.config import RenderConfig, make_renderer, store_header
+from skyline.pipeline.jobs import Runner, collect, run_here
+from skyline.planning.uniform import map_bounds, uniform_grid
+from skyline.store import StoreHeader, create_store, open_for_append, open_store
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+
+DEFAULT_TILE_M = 10_000.0
+"""400 viewpoints at 500 m: seconds to minutes of work, little of it lost with a worker."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shard:
+    """A tile of the lattice.
+
+    Attributes
+    ----------
+    name : str
+        The tile's size and place: ``10000m_59_517`` spans eastings from 590 km to under 600 km and
+        northings from 5170 km to under 5180 km.
+    viewpoints : Viewpoints
+    """
+
+    name: str
+    viewpoints: Viewpoints
+
+
+@dataclass(frozen=True, slots=True)
+class ShardPlan:
+    """Where viewpoints are, and how the area is cut.
+
+    Attributes
+    ----------
+    spacing_m : float
+        Between viewpoints of the uniform grid.
+    tile_m : float
+        Side of the square tiles, which lie at whole multiples of it.
+    bounds_deg : tuple, optional
+        W, S, E, N in degrees; by default all of the terrain.
+    """
+
+    spacing_m: float
+    tile_m: float = DEFAULT_TILE_M
+    bounds_deg: tuple[float, float, float, float] | None = None
+
+    @property
+    def record(self) -> dict[str, object]:
+        """What the store's config says: nothing of tiles, for they leave no trace."""
+        return uniform_plan(self.spacing_m, self.bounds_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class ShardSettings:
+    """What all jobs of a build share; a few hundred bytes that are sent with each.
+
+    Attributes
+    ----------
+    dem_files : tuple of str
+        Absolute paths, the same wherever a job runs.
+    dem_digest : str
+    dem_options : DemOptions
+    plan : ShardPlan
+    config : RenderConfig
+    folder : str
+        Absolute path of the shards.
+    """
+
+    dem_files: tuple[str, ...]
+    dem_digest: str
+    dem_options: DemOptions
+    plan: ShardPlan
+    config: RenderConfig
+    folder: str
+
+    def read_terrain(self) -> HeightField:
+        """Read the DEM; raises `StoreMismatchError` where another one lies there."""
+        terrain = read_dem(self.dem_files, self.dem_options)
+        if terrain.digest != self.dem_digest:
+            raise StoreMismatchError(
+                f"the DEM here ({', '.join(self.dem_files)}) has digest {terrain.digest[:12]}, the "
+                f"build's has {self.dem_digest[:12]}; workers need the same files and the same "
+                "release of skyline and of what it builds on"
+            )
+        return terrain
+
+
+class Workplace:
+    """A terrain and its renderer, with which a process does one job after another."""
+
+    def __init__(self, settings: ShardSettings, terrain: HeightField | None = None) -> None:
+        """Read the terrain unless it is given; raises as `ShardSettings.read_terrain`."""
+        self._settings = settings
+        terrain = terrain or settings.read_terrain()
+        self._renderer = make_renderer(terrain, settings.config)
+        description = self._renderer.description
+        self._header = store_header(terrain, description, settings.config, settings.plan.record)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._renderer.release()
+
+    def build(self, shard: Shard) -> BuildResult:
+        """Render what a shard lacks; one that is whole is only looked at.
+
+        Raises
+        ------
+        StoreError
+            A shard that cannot be written, or that another process is writing.
+        StoreMismatchError
+            A shard of another build.
+        """
+        path = Path(self._settings.folder) / f"{shard.name}.h5"
+        Path(self._settings.folder).mkdir(parents=True, exist_ok=True)
+        done = render_missing(
+            path, self._header, self._renderer, shard.viewpoints, self._settings.config
+        )
+        if done.renderings != len(HEADINGS) * len(shard.viewpoints):
+            raise StoreError(
+                f"shard {path} holds {done.renderings} renderings of what should be "
+                f"{len(HEADINGS) * len(shard.viewpoints)}; remove it and give the same command"
+            )
+        return done
+
+
+_here: dict[ShardSettings, Workplace] = {}
+
+
+def build_shard(settings: ShardSettings, shard: Shard) -> BuildResult:
+    """Do one job in a worker process, which keeps terrain and renderer for the next one.
+
+    All calls in a process must come from one thread, the OpenGL context's; raises as `Workplace`.
+    """
+    if settings not in _here:
+        while _here:
+            _here.popitem()[1].__exit__()
+        _here[settings] = Workplace(settings)
+    return _here[settings].build(shard)
+
+
+def cut_into_shards(viewpoints: Viewpoints, tile_m: float) -> list[Shard]:
+    """Cut viewpoints into squares, from the north-west row by row; those in one keep their order.
+
+    Raises
+    ------
+    InputError
+        A size that is not positive.
+    """
+    if not (np.isfinite(tile_m) and tile_m > 0.0):
+        raise InputError(f"tile size is {tile_m} m; expected a positive number of metres")
+    col = np.floor(viewpoints.easting_m / tile_m).astype(np.int64)
+    row = np.floor(viewpoints.northing_m / tile_m).astype(np.int64)
+    order = np.lexsort((col, -row))
+    place = np.stack([row[order], col[order]])
+    starts = np.flatnonzero(np.r_[True, (np.diff(place) != 0).any(axis=0)])
+    return [
+        Shard(f"{tile_m:.12g}m_{place[1, start]}_{place[0, start]}", viewpoints[members])
+        for start, members in zip(starts, np.split(order, starts[1:]), strict=True)
+    ]
+
+
+def build_sharded(
+    terrain: HeightField,
+    path: str | Path,
+    plan: ShardPlan,
+    config: RenderConfig | None = None,
+    runner: Runner | None = None,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Render a uniform grid tile by tile into shards, and merge them into one store.
+
+    The result has the rows and the header that `build_uniform` gives, the rows in the tiles'
+    order. Shards lie in the folder ``PATH.shards`` until they are merged.
+
+    Parameters
+    ----------
+    terrain : HeightField
+        Read from files, unless ``runner`` works in this process.
+    path : str or Path
+    plan : ShardPlan
+    config : RenderConfig, optional
+    runner : Runner, optional
+        What does the jobs; by default this process, one after another.
+    progress : callable, optional
+        Called after each tile.
+
+    Raises
+    ------
+    BuildError
+        Tiles that failed; the others' shards are kept.
+    StoreMismatchError
+        What is at ``path``, or one of the shards, was built otherwise.
+    StoreError
+        A store at ``path`` that is not whole.
+    """
+    started = time.perf_counter()
+    path, config = Path(path).resolve(), config or RenderConfig()
+    area = map_bounds(terrain, plan.bounds_deg)
+    viewpoints = uniform_grid(terrain, plan.spacing_m, area, config.eye_height_m)
+    shards = cut_into_shards(viewpoints, plan.tile_m)
+    if path.exists():
+        return _held_already(path, store_header(terrain, "", config, plan.record), viewpoints)
+    folder = path.with_name(f"{path.name}.shards")
+    settings = ShardSettings(
+        terrain.provenance.files,
+        terrain.digest,
+        DemOptions.from_json(terrain.provenance.options),
+        plan,
+        config,
+        str(folder),
+    )
+    rendered = _run_all(settings, shards, runner, terrain, progress)
+    _merge(path, [folder / f"{shard.name}.h5" for shard in shards])
+    _remove(folder, shards)
+    renderings = len(HEADINGS) * len(viewpoints)
+    return BuildResult(renderings, rendered, time.perf_counter() - started)
+
+
+def _run_all(
+    settings: ShardSettings,
+    shards: Sequence[Shard],
+    runner: Runner | None,
+    terrain: HeightField,
+    progress: Progress | None,
+) -> int:
+    """Do all jobs and return how many renderings were new."""
+    total = len(HEADINGS) * sum(len(shard.viewpoints) for shard in shards)
+    names = [shard.name for shard in shards]
+    held = 0
+
+    def finished(result: BuildResult) -> None:
+        nonlocal held
+        held += result.renderings
+        if progress:
+            progress(held, total)
+
+    if progress:
+        progress(0, total)
+    if runner is None:
+        with Workplace(settings, terrain) as here:
+            done = collect(run_here(here.build, shards, names), names, finished)
+    elif not settings.dem_files:
+        raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
+    else:
+        work = partial(build_shard, settings)
+        done = collect(runner(work, shards, names), names, finished)
+    return sum(result.rendered for result in done)
+
+
+def _held_already(path: Path, header: StoreHeader, viewpoints: Viewpoints) -> BuildResult:
+    """Return what a store has that was there before; it must be whole and of this build."""
+    started = time.perf_counter()
+    with open_for_append(path, header) as writer:
+        renderings = len(writer)
+    if not held_whole(path, viewpoints).all():
+        raise StoreError(
+            f"store {path} is there and lacks some of {len(viewpoints)} viewpoints; finish it "
+            "without tiles, remove it, or choose another name"
+        )
+    return BuildResult(renderings, 0, time.perf_counter() - started)
+
+
+def _remove(folder: Path, shards: Sequence[Shard]) -> None:
+    """Remove shards that were merged, and their folder if nothing else is in it."""
+    for shard in shards:
+        (folder / f"{shard.name}.h5").unlink(missing_ok=True)
+        (folder / f"{shard.name}.h5.lock").unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()
+
+
+def _merge(path: Path, shards: Sequence[Path]) -> None:
+    merging = path.with_name(f"{path.name}.merging")
+    with open_store(shards[0]) as first:
+        header = first.header
+    with create_store(merging, header, overwrite=True) as writer:
+        for shard in shards:
+            with open_store(shard) as store:
+                for start in range(0, len(store), 1024):
+                    rows = slice(start, start + 1024)
+                    writer.append(store.views(rows), store.keypoint_columns(rows))
+    merging.replace(path)
