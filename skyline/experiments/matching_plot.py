@@ -41,10 +41,9 @@ def save_errors(compared: Sequence[Comparison], path: Path) -> None:
             xscale="log",
             xlim=(_LEAST_M, None),
             ylim=(0, 100),
-            title=f"{kind}, {len(shown[0].trials)} queries",
             xlabel="position error (m)",
         )
-        axis.text(0.02, 0.02, KINDS[kind], transform=axis.transAxes, fontsize=7)
+        axis.set_title(f"{kind}, {len(shown[0].trials)} queries\n{KINDS[kind]}", fontsize=10)
         axis.grid(alpha=0.3)
     panels[0].set_ylabel("queries (%)")
     panels[0].legend(fontsize=8, loc="upper left")
