@@ -1,0 +1,246 @@
+r"""How likely a query's residuals are, when the photo errs and so does the terrain model.
+
+A column's residual, query over terrain in radians of elevation, is the sum of
+
+* the photo's error, independent from column to column, of deviation sigma_a, and
+* the terrain model's error in height over the skyline's distance. Heights err together within
+  some hundred metres, and the eye stands on the same wrong ground; so with p_i the skyline's
+  points, d_i their distances, o the eye and rho a Matern 3/2 correlation
+
+  .. math::
+
+     K_{ij} = \frac{\sigma_h^2}{d_i d_j}
+     \left(\rho(p_i, p_j) - \rho(p_i, o) - \rho(p_j, o) + 1\right)
+
+Not every column shows the terrain: trees and houses raise the skyline, and only errors lower it.
+Such a residual may be anything within a range, with unequal odds for above and below. The odds
+of each column are variational; the bound on the likelihood is exact where K is 0. Height errors
+are kept at a few nodes along the skyline, so that everything costs matrices of that size.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.matching.rows import Rows
+
+Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+_X_AT_ONE_OVER_E = 2.1461932206205825
+"""Where (1 + x) exp(-x) is 1 / e."""
+_JITTER = 1e-6
+_UNKNOWN_M = 1e9
+_LEAST = 1e-12
+_GREATEST_LOGIT = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """What residuals may be like; see the module.
+
+    Attributes
+    ----------
+    angle_deg, height_m : tuple of float
+        Deviations to choose from by likelihood, increasing.
+    reach_m : float
+        Distance at which the correlation of height errors has fallen to 1 / e.
+    rough_share : float
+        Part of the heights' deviation that is independent from column to column.
+    above_share, below_share : float
+        Odds that a column shows something higher than the terrain's skyline, or lower.
+    range_deg : float
+        How far off such a column may be.
+    nodes : int
+        Height errors along the skyline; with 0 only the eye's is shared by the columns, and
+        the skyline's own are independent: quicker, and drawn to a place from farther off.
+    """
+
+    angle_deg: tuple[float, ...] = (0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8)
+    height_m: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+    reach_m: float = 300.0
+    rough_share: float = 0.1
+    above_share: float = 0.15
+    below_share: float = 0.02
+    range_deg: float = 15.0
+    nodes: int = 32
+
+    def __post_init__(self) -> None:
+        for name, values in (("angle_deg", self.angle_deg), ("height_m", self.height_m)):
+            if not values or not (np.diff((0.0, *values)) > 0.0).all():
+                raise InputError(f"{name} is {values}; expected deviations above 0, increasing")
+        if min(self.below_share, self.above_share) <= 0.0 or (
+            self.above_share + self.below_share >= 1.0
+        ):
+            raise InputError(
+                f"shares of outliers are {self.above_share} and {self.below_share}; expected two "
+                "above 0 with a sum below 1"
+            )
+        if not (self.reach_m > 0.0 and self.range_deg > 0.0 and self.nodes >= 0):
+            raise InputError(
+                f"reach is {self.reach_m} m, range {self.range_deg} degrees and nodes "
+                f"{self.nodes}; expected two above 0 and a number of nodes"
+            )
+
+    @property
+    def widest(self) -> tuple[int, int]:
+        """Indices of the greatest deviations."""
+        return len(self.angle_deg) - 1, len(self.height_m) - 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeightErrors(Rows):
+    """What height errors of 1 m do to the R columns of M curves.
+
+    Attributes
+    ----------
+    factor : (M, R, K) float64
+        Correlated residuals are ``factor @ z`` with K standard normal z.
+    rough : (M, R) float64
+        Deviation of the independent ones, radians.
+    """
+
+    factor: Float64Array
+    rough: Float64Array
+
+    @classmethod
+    def of(
+        cls, azimuth_rad: Float64Array, distance_m: Float64Array, noise: Noise
+    ) -> "HeightErrors":
+        """Prepare for skylines at azimuths and horizontal distances (NaN: unknown), (M, R)."""
+        distance = np.where(np.isfinite(distance_m), distance_m, _UNKNOWN_M)
+        if not noise.nodes:
+            reach_m = 2.0 / 3.0 * noise.reach_m
+            shared = distance / (distance**2 + reach_m**2)
+            return cls(shared[..., np.newaxis], 1.0 / np.hypot(distance, reach_m))
+        node, between = _interpolation(distance.shape[1], noise.nodes)
+        place = (distance * np.exp(1j * azimuth_rad))[:, node]
+        to_eye = 0.5 - _correlation(np.abs(place), noise.reach_m)
+        apart = np.abs(place[:, :, np.newaxis] - place[:, np.newaxis, :])
+        covariance = _correlation(apart, noise.reach_m) + (
+            to_eye[:, :, np.newaxis] + to_eye[:, np.newaxis, :]
+        )
+        root = np.linalg.cholesky(covariance + _JITTER * np.eye(len(node)))
+        return cls(
+            between @ root / distance[..., np.newaxis],
+            noise.rough_share / np.hypot(distance, noise.reach_m / 3.0),
+        )
+
+
+def _interpolation(columns: int, nodes: int) -> tuple[IntArray, Float64Array]:
+    """Return columns that are nodes, (K,), and the weights (R, K) of linear interpolation."""
+    node = np.unique(np.rint(np.linspace(0, columns - 1, nodes)).astype(np.intp))
+    weights = [np.interp(np.arange(columns), node, unit) for unit in np.eye(len(node))]
+    return node, np.stack(weights, axis=1)
+
+
+def _correlation(distance_m: Float64Array, reach_m: float) -> Float64Array:
+    x = distance_m * (_X_AT_ONE_OVER_E / reach_m)
+    return np.asarray((1.0 + x) * np.exp(-x))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged(Rows):
+    """Residuals of M curves under a noise.
+
+    Attributes
+    ----------
+    cost : (M,) float64
+        Negative logarithm of the likelihood.
+    odds : (M, R) float64
+        Odds that a column shows terrain; 0 where the terrain is unknown.
+    weight : (M, R) float64
+        Precision of each column by itself, per square radian.
+    factor : (M, R, K) float64
+        `HeightErrors.factor` times the deviation of heights.
+    inner : (M, K, K) float64
+        Inverse of I + factor^T weight factor.
+    """
+
+    cost: Float64Array
+    odds: Float64Array
+    weight: Float64Array
+    factor: Float64Array
+    inner: Float64Array
+
+    def product(self, left: Float64Array, right: Float64Array) -> Float64Array:
+        """Return left^T C^-1 right, (M, P, Q), of (M, R, P) and (M, R, Q), C the covariance."""
+        weighted = self.weight[..., np.newaxis] * right
+        held = (self.weight[..., np.newaxis] * left).swapaxes(1, 2) @ self.factor
+        answer = self.inner @ (self.factor.swapaxes(1, 2) @ weighted)
+        return np.asarray(left.swapaxes(1, 2) @ weighted - held @ answer)
+
+    @property
+    def effective_columns(self) -> Float64Array:
+        """(M,): how many independent columns say as much about the residuals."""
+        taken = self.inner.shape[1] - np.trace(self.inner, axis1=1, axis2=2)
+        return np.asarray(self.odds.sum(axis=1) - taken)
+
+
+def judge(
+    residual_rad: Float64Array,
+    trust: Float64Array,
+    errors: HeightErrors,
+    noise: Noise,
+    deviations: tuple[IntArray, IntArray],
+    odds: Float64Array,
+) -> Judged:
+    """Judge residuals, the odds of each column improved once.
+
+    Parameters
+    ----------
+    residual_rad : (M, R) float64
+        Query over terrain; where NaN, the terrain is unknown and the column as likely as one
+        that shows something else.
+    trust : (R,) float64
+        How far each column of the query is trusted.
+    errors : HeightErrors
+    noise : Noise
+    deviations : ((M,) intp, (M,) intp)
+        Which of ``noise.angle_deg`` and of ``noise.height_m`` each curve has.
+    odds : (M, R) float64
+        To start from.
+    """
+    known = np.isfinite(residual_rad)
+    residual = np.where(known, residual_rad, 0.0)
+    angle_rad = np.radians(noise.angle_deg)[deviations[0]][:, np.newaxis]
+    height_m = np.array(noise.height_m)[deviations[1]][:, np.newaxis]
+    variance = angle_rad**2 + (height_m * errors.rough) ** 2
+    factor = height_m[..., np.newaxis] * errors.factor
+    terrain = np.log(1.0 - noise.above_share - noise.below_share) - 0.5 * np.log(
+        2.0 * np.pi * variance
+    )
+    other = np.log(
+        np.where(residual >= 0.0, noise.above_share, noise.below_share)
+        / np.radians(noise.range_deg)
+    )
+    explained, inner, _ = _explained(residual, trust * odds * known / variance, factor)
+    spread = ((factor @ inner) * factor).sum(axis=-1)
+    logit = terrain - 0.5 * ((residual - explained) ** 2 + spread) / variance - other
+    odds = known / (1.0 + np.exp(-np.clip(logit, -_GREATEST_LOGIT, _GREATEST_LOGIT)))
+    weight = trust * odds / variance
+    explained, inner, half_log_det = _explained(residual, weight, factor)
+    each = _entropy(odds) - odds * terrain - (1.0 - odds) * other
+    fit = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
+    return Judged(each @ trust + half_log_det + fit, odds, weight, factor, inner)
+
+
+def _explained(
+    residual: Float64Array, weight: Float64Array, factor: Float64Array
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return what height errors explain of residuals (M, R), the inner inverse and log det."""
+    across = factor.swapaxes(1, 2)
+    core = across @ (weight[..., np.newaxis] * factor) + np.eye(factor.shape[2])
+    root = np.linalg.cholesky(core)
+    inner = np.asarray(np.linalg.inv(core))
+    error = inner @ (across @ (weight * residual)[..., np.newaxis])
+    half_log_det = np.log(np.diagonal(root, axis1=1, axis2=2)).sum(axis=1)
+    return (factor @ error)[..., 0], inner, half_log_det
+
+
+def _entropy(odds: Float64Array) -> Float64Array:
+    """Return p log p + (1 - p) log(1 - p)."""
+    rest = 1.0 - odds
+    return odds * np.log(np.maximum(odds, _LEAST)) + rest * np.log(np.maximum(rest, _LEAST))

@@ -1,0 +1,89 @@
+"""What M eyes see all the way round: skylines with their distances on equal steps of azimuth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.matching.rows import Rows
+from skyline.views import Views
+
+Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Panoramas(Rows):
+    """Skylines of M eyes in B equal steps of grid azimuth; a part of the turn may be unknown.
+
+    Attributes
+    ----------
+    y : (M, B) float64
+        Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN where unknown.
+    distance_m : (M, B) float64
+        Horizontal distance of the skyline; NaN where unknown.
+
+    Raises
+    ------
+    InputError
+        The shapes differ or are not (M, B) with at least 8 bins.
+    """
+
+    y: Float64Array
+    distance_m: Float64Array
+
+    def __post_init__(self) -> None:
+        if self.y.shape != self.distance_m.shape or self.y.ndim != 2 or self.y.shape[1] < 8:
+            raise InputError(
+                f"panoramas have shapes {self.y.shape} and {self.distance_m.shape}; expected two "
+                "of (M, B), B at least 8"
+            )
+
+    def __len__(self) -> int:
+        return len(self.y)
+
+    @property
+    def bins(self) -> int:
+        """Number of azimuth bins B."""
+        return int(self.y.shape[1])
+
+    @classmethod
+    def from_views(cls, views: Views, row: IntArray, count: int, bins: int) -> "Panoramas":
+        """Join views, each of one of ``count`` eyes, to that eye's panorama.
+
+        Columns with any flag (the border of the data, a hole, no data) give only a lower bound
+        of the skyline, and are unknown.
+
+        Parameters
+        ----------
+        views : Views
+            N views.
+        row : (N,) intp
+            The eye of each, below ``count``.
+        count, bins : int
+            M, and B, a multiple of 8.
+
+        Raises
+        ------
+        InputError
+            ``bins`` is not a positive multiple of 8.
+        """
+        if bins < 8 or bins % 8:
+            raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
+        quarter = bins // 4
+        azimuth = 2.0 * np.pi / bins * (np.arange(quarter) - quarter // 2)
+        position = (np.tan(azimuth) + 1.0) * views.width / 2.0 - 0.5
+        left = np.clip(np.floor(position).astype(np.intp), 0, views.width - 2)
+        share = position - left
+        # v is linear between columns (exactly so along a straight edge); depth may jump.
+        v = np.where(views.flags == 0, views.elevation_tan, np.nan).astype(np.float64)
+        nearest = left + (share > 0.5)
+        y = (v[:, left] * (1.0 - share) + v[:, left + 1] * share) * np.cos(azimuth)
+        distance = views.depth_m[:, nearest].astype(np.float64) / np.cos(azimuth)
+        bin_ = views.heading[:, np.newaxis].astype(np.intp) * quarter - quarter // 2
+        bin_ = (bin_ + np.arange(quarter)) % bins
+        joined = np.full((2, count, bins), np.nan)
+        joined[0, row[:, np.newaxis], bin_] = y
+        joined[1, row[:, np.newaxis], bin_] = np.where(np.isfinite(y), distance, np.nan)
+        return cls(joined[0], joined[1])

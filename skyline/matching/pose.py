@@ -1,0 +1,369 @@
+"""Refinement: hypotheses walk to where a rendering fits the query, by rendering again.
+
+Each round renders every hypothesis that is left in one call. A rendering carries the distance of
+every skyline point, so it also tells how the skyline changes as the eye moves
+(`skyline.matching.solver`), and position, heading, pitch, roll and field of view are solved
+together. A step is kept where the rendering from the new place fits better; where it does not, a
+shorter one is tried from the old. The worse hypotheses are dropped as the rounds go on.
+Occlusion makes local optima, so the best few then start again from places around them.
+
+That much takes the errors of the terrain model as independent from column to column, which is
+quick and reaches far. The last rounds take them as they are, correlated: that weighs the near
+and the far rightly, and makes costs and covariances mean what they say.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.noise import Noise
+from skyline.matching.panoramas import Panoramas
+from skyline.matching.query import QueryRays
+from skyline.matching.rays import thinned
+from skyline.matching.rows import Rows
+from skyline.matching.solver import HEADING, Curves, Fit, Solver, SolverConfig
+from skyline.matching.verify import posed
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
+from skyline.views import Views
+
+Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+_SECTOR_MARGIN_DEG = 3.0
+"""A view is rendered where the query comes this near to it."""
+
+
+class Scene(Protocol):
+    """The terrain as refinement needs it."""
+
+    def render(self, viewpoints: Viewpoints, headings: NDArray[np.uint8]) -> Views:
+        """Render one view an eye, each along its heading, in order."""
+        ...
+
+    def ground_m(self, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
+        """Return the terrain's height, (N,) for (N,); NaN off the map and over holes."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class RefineConfig:
+    """How many hypotheses are refined, and how far.
+
+    Attributes
+    ----------
+    shortlist : int
+        Hypotheses taken, the best by their scores.
+    rounds : int
+        Renderings of one that is kept, before the last rounds.
+    keep_share, keep_least : float, int
+        What part is kept from one round to the next, and how many at least.
+    restarts : int
+        The best places from whose surroundings the search starts again.
+    restart_m : float
+        Radius of the ring of eight places around each.
+    restart_rounds : int
+        Renderings of each of those.
+    finalists : int
+        Places that go through the last rounds.
+    final_rounds : int
+        Renderings of each, at most.
+    separation_m : float
+        Finalists are at least this far apart.
+    elsewhere_m : float
+        A pose farther off than this is a different answer.
+    first_step_m, longest_step_m : float
+        Deviations that damp the steps of a walk.
+    slope_reach_m : float
+        Half the distance over which the ground's slope is taken.
+    eye_height_m : float
+        Eye above the ground.
+    bins : int
+        Steps of azimuth of a panorama, a multiple of 8; about as fine as the renderings.
+    rough, fine : SolverConfig
+        The solver of the search, and of the last rounds.
+    """
+
+    shortlist: int = 48
+    rounds: int = 6
+    keep_share: float = 0.6
+    keep_least: int = 8
+    restarts: int = 3
+    restart_m: float = 30.0
+    restart_rounds: int = 3
+    finalists: int = 8
+    final_rounds: int = 4
+    separation_m: float = 20.0
+    elsewhere_m: float = 200.0
+    first_step_m: float = 40.0
+    longest_step_m: float = 120.0
+    slope_reach_m: float = 15.0
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    bins: int = 1440
+    rough: SolverConfig = field(default_factory=lambda: SolverConfig(noise=Noise(nodes=0)))
+    fine: SolverConfig = field(default_factory=lambda: SolverConfig(iterations=2))
+
+    def __post_init__(self) -> None:
+        for name in ("shortlist", "rounds", "keep_least", "finalists"):
+            if getattr(self, name) < 1:
+                raise InputError(f"{name} is {getattr(self, name)}; expected at least 1")
+        for name in ("restarts", "restart_rounds", "final_rounds", "eye_height_m"):
+            if getattr(self, name) < 0:
+                raise InputError(f"{name} is {getattr(self, name)}; expected at least 0")
+        if not 0.0 < self.keep_share <= 1.0:
+            raise InputError(f"keep_share is {self.keep_share}; expected above 0, at most 1")
+        if not 0.0 < self.first_step_m <= self.longest_step_m or self.slope_reach_m <= 0.0:
+            raise InputError(
+                f"steps are {self.first_step_m} to {self.longest_step_m} m and the slope's reach "
+                f"{self.slope_reach_m} m; expected increasing steps and a reach above 0"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """M refined poses, best first, with what a confidence can be learned from.
+
+    Attributes
+    ----------
+    hypotheses : Hypotheses
+        The score is the negative logarithm of the likelihood; differences of scores of one query
+        are logarithms of odds.
+    covariance_m2 : (M, 2, 2) float64
+        Of easting and northing.
+    heading_sd_deg : (M,) float64
+    residual_deg : (M,) float64
+        Root mean square over the columns that show terrain, in elevation.
+    inlier_share : (M,) float64
+        Part of the query that shows terrain.
+    effective_columns : (M,) float64
+        Independent columns that would say as much as those do.
+    angle_sd_deg, height_sd_m : (M,) float64
+        Deviations of the photo and of the terrain model that the fit suggests.
+    margin : (M,) float64
+        Score of the best pose elsewhere minus this one's: below 0 unless this is the best;
+        infinite where there is none elsewhere.
+    renderings : int
+        Views that were rendered on the way.
+    """
+
+    hypotheses: Hypotheses
+    covariance_m2: Float64Array
+    heading_sd_deg: Float64Array
+    residual_deg: Float64Array
+    inlier_share: Float64Array
+    effective_columns: Float64Array
+    angle_sd_deg: Float64Array
+    height_sd_m: Float64Array
+    margin: Float64Array
+    renderings: int
+
+    def __len__(self) -> int:
+        return len(self.hypotheses)
+
+
+def refine(
+    hypotheses: Hypotheses, query: QueryRays, scene: Scene, config: RefineConfig | None = None
+) -> Poses:
+    """Refine the hypotheses of one query.
+
+    Eyes stand on the ground plus the configured height and never leave the map: a step off it,
+    or onto a hole, is not taken, and a hypothesis that starts there has no pose. Columns whose
+    skyline lies on the data's border or behind a hole count as unknown, which is worth no more
+    than a column that shows a tree.
+
+    Parameters
+    ----------
+    hypotheses : Hypotheses
+        Scores, headings and fields of view are used; the eye's elevation is not.
+    query : QueryRays
+    scene : Scene
+    config : RefineConfig, optional
+
+    Returns
+    -------
+    Poses
+        Distinct ones that fit, best first; empty where none does.
+    """
+    return _Refinement(query, scene, config or RefineConfig()).run(hypotheses)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Walkers(Rows):
+    """M hypotheses on their way: where they stand, what they see and how it fits."""
+
+    easting_m: Float64Array
+    northing_m: Float64Array
+    step_m: Float64Array
+    curves: Curves
+    fit: Fit
+
+    def __len__(self) -> int:
+        return len(self.easting_m)
+
+    def best(self, count: int) -> "_Walkers":
+        """Return the best that fit at all, best first."""
+        order = np.argsort(self.fit.cost, kind="stable")[:count]
+        return self[order[np.isfinite(self.fit.cost[order])]]
+
+
+class _Refinement:
+    """The refinement of one query."""
+
+    def __init__(self, query: QueryRays, scene: Scene, config: RefineConfig) -> None:
+        self._scene = scene
+        self._config = config
+        query = thinned(query, config.bins)
+        self._rough, self._fine = Solver(query, config.rough), Solver(query, config.fine)
+        self._renderings = 0
+
+    def run(self, hypotheses: Hypotheses) -> Poses:
+        config = self._config
+        best = np.argsort(hypotheses.score, kind="stable")[: config.shortlist]
+        taken = hypotheses[best]
+        walkers = self._arrived(
+            self._rough, taken.easting_m, taken.northing_m, self._rough.start(taken)
+        )
+        for _ in range(config.rounds - 1):
+            kept = max(config.keep_least, int(np.ceil(config.keep_share * len(walkers))))
+            walkers = self._walked(self._rough, walkers.best(kept))
+        if config.restarts and config.restart_rounds:
+            walkers = _joined(walkers, self._restarted(self._apart(walkers, config.restarts)))
+        walkers = self._apart(walkers, config.finalists)
+        if config.final_rounds:
+            fit = self._fine.improve(walkers.curves, walkers.fit, np.zeros(len(walkers)))
+            walkers = replace(walkers, fit=fit, step_m=self._first_steps(len(walkers)))
+        for _ in range(config.final_rounds):
+            walkers = self._walked(self._fine, walkers)
+        return self._poses(self._apart(walkers, config.finalists))
+
+    def _walked(self, solver: Solver, walkers: _Walkers) -> _Walkers:
+        """Take one step; keep it where the rendering from the new place fits better."""
+        solved = solver.improve(walkers.curves, walkers.fit, walkers.step_m)
+        step = solved.state[:, :HEADING]
+        length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
+        step = step * np.minimum(1.0, 2.0 * walkers.step_m / length)[:, np.newaxis]
+        new = self._arrived(
+            solver, walkers.easting_m + step[:, 0], walkers.northing_m + step[:, 1], solved
+        )
+        better = new.fit.cost < walkers.fit.cost
+        step_m = walkers.step_m * np.where(better, _LONGER, _SHORTER)
+        return replace(
+            walkers.replaced(better, new), step_m=np.minimum(step_m, self._config.longest_step_m)
+        )
+
+    def _restarted(self, walkers: _Walkers) -> _Walkers:
+        """Return walkers that set out from a ring around each place."""
+        ring = self._config.restart_m * np.exp(0.25j * np.pi * np.arange(8))
+        around = walkers[np.repeat(np.arange(len(walkers)), len(ring))]
+        offset = np.tile(ring, len(walkers))
+        around = self._arrived(
+            self._rough,
+            around.easting_m + offset.real,
+            around.northing_m + offset.imag,
+            around.fit,
+        )
+        for _ in range(self._config.restart_rounds - 1):
+            around = self._walked(self._rough, around.best(len(around)))
+        return around
+
+    def _arrived(
+        self, solver: Solver, easting_m: Float64Array, northing_m: Float64Array, fit: Fit
+    ) -> _Walkers:
+        """Return walkers at places, the attitude solved there; without a fit off the map."""
+        state = fit.state.copy()
+        state[:, :HEADING] = 0.0
+        fit = replace(fit, state=state)
+        curves = self._seen(easting_m, northing_m, solver.fov_deg(state), state[:, HEADING])
+        fit = solver.improve(curves, fit, np.zeros(len(state)))
+        return _Walkers(easting_m, northing_m, self._first_steps(len(state)), curves, fit)
+
+    def _seen(
+        self,
+        easting_m: Float64Array,
+        northing_m: Float64Array,
+        fov_deg: Float64Array,
+        heading_rad: Float64Array,
+    ) -> Curves:
+        """Render what M eyes on the ground see along the query."""
+        config = self._config
+        ground_m = self._scene.ground_m(easting_m, northing_m)
+        turn = np.degrees(heading_rad)[:, np.newaxis] - 90.0 * np.arange(4)
+        off = np.abs((turn + 180.0) % 360.0 - 180.0)
+        wanted = off < 45.0 + 0.5 * fov_deg[:, np.newaxis] + _SECTOR_MARGIN_DEG
+        row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
+        eyes = Viewpoints(easting_m[row], northing_m[row], ground_m[row] + config.eye_height_m)
+        self._renderings += len(row)
+        views = self._scene.render(eyes, heading.astype(np.uint8))
+        panoramas = Panoramas.from_views(views, row, len(easting_m), config.bins)
+        return Curves.of(panoramas, self._slope(easting_m, northing_m, ground_m))
+
+    def _slope(
+        self, easting_m: Float64Array, northing_m: Float64Array, ground_m: Float64Array
+    ) -> Float64Array:
+        """Return the rise of the ground (M, 2) a metre east and north; 0 beside the unknown."""
+        reach_m = self._config.slope_reach_m
+        place = easting_m + 1j * northing_m
+        around = np.concatenate([place + reach_m * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
+        east, west, north, south = self._scene.ground_m(around.real, around.imag).reshape(4, -1)
+        slope = np.stack([east - west, north - south], axis=1) / (2.0 * reach_m)
+        return np.nan_to_num(slope)
+
+    def _first_steps(self, count: int) -> Float64Array:
+        return np.full(count, self._config.first_step_m)
+
+    def _apart(self, walkers: _Walkers, count: int) -> _Walkers:
+        """Return the best that stand apart or look elsewhere, best first."""
+        standing = self._hypotheses(walkers, self._rough)
+        return walkers[standing.spread(count, self._config.separation_m, _SAME_VIEW_DEG)]
+
+    def _hypotheses(self, walkers: _Walkers, solver: Solver) -> Hypotheses:
+        easting_m, northing_m = walkers.easting_m, walkers.northing_m
+        eye_m = self._scene.ground_m(easting_m, northing_m) + self._config.eye_height_m
+        none = np.zeros(len(walkers))
+        places = Hypotheses(easting_m, northing_m, eye_m, none, none, none, none, none)
+        return posed(places, walkers.fit, solver)
+
+    def _poses(self, walkers: _Walkers) -> Poses:
+        solver = self._fine if self._config.final_rounds else self._rough
+        linear, judged = solver.judged(walkers.curves, walkers.fit)
+        covariance = solver.covariance(linear, judged)
+        trust = solver.query.weight
+        squares = (trust * judged.odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
+        shown = np.maximum((trust * judged.odds).sum(axis=1), 1e-9)
+        noise = solver.config.noise
+        hypotheses = self._hypotheses(walkers, solver)
+        return Poses(
+            hypotheses,
+            covariance[:, :HEADING, :HEADING],
+            np.degrees(np.sqrt(covariance[:, HEADING, HEADING])),
+            np.degrees(np.sqrt(squares / shown)),
+            shown / trust.sum(),
+            judged.effective_columns,
+            np.array(noise.angle_deg)[walkers.fit.angle],
+            np.array(noise.height_m)[walkers.fit.height],
+            _margin(hypotheses, self._config.elsewhere_m),
+            self._renderings,
+        )
+
+
+_LONGER, _SHORTER = 1.5, 0.4
+_SAME_VIEW_DEG = 30.0
+
+
+def _joined(first: _Walkers, second: _Walkers) -> _Walkers:
+    """Return both; the fields of walkers are rows, or rows of rows."""
+    both = np.arange(len(first) + len(second))
+    return first[np.minimum(both, len(first) - 1)].replaced(
+        both >= len(first), second[np.maximum(both - len(first), 0)]
+    )
+
+
+def _margin(hypotheses: Hypotheses, elsewhere_m: float) -> Float64Array:
+    """Return (M,): score of the best pose elsewhere minus each one's own."""
+    place = hypotheses.easting_m + 1j * hypotheses.northing_m
+    elsewhere = np.abs(place[:, np.newaxis] - place) > elsewhere_m
+    rival = np.where(elsewhere, hypotheses.score, np.inf).min(axis=1, initial=np.inf)
+    return np.asarray(rival - hypotheses.score)

@@ -1,0 +1,36 @@
+"""Dataclasses of arrays with one row a hypothesis."""
+
+from dataclasses import fields
+from typing import Any, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+Index = slice | NDArray[np.integer] | NDArray[np.bool_]
+
+
+class Rows:
+    """Base of dataclasses whose fields are arrays, or `Rows`, of one length."""
+
+    __slots__ = ()
+
+    def __getitem__(self, index: Index) -> Self:
+        return type(self)(**{name: getattr(self, name)[index] for name in self._names()})
+
+    def replaced(self, chosen: NDArray[np.bool_], other: Self) -> Self:
+        """Return these rows, with another's where ``chosen`` (M,) is true."""
+        return type(self)(
+            **{
+                name: _chosen(chosen, getattr(other, name), getattr(self, name))
+                for name in self._names()
+            }
+        )
+
+    def _names(self) -> list[str]:
+        return [f.name for f in fields(cast(Any, self))]
+
+
+def _chosen(chosen: NDArray[np.bool_], new: Any, old: Any) -> Any:
+    if isinstance(old, Rows):
+        return old.replaced(chosen, new)
+    return np.where(chosen.reshape(-1, *[1] * (old.ndim - 1)), new, old)

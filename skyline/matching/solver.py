@@ -1,0 +1,311 @@
+r"""Damped Gauss-Newton on a query's residuals: position, attitude and field of view together.
+
+An eye that moves by (e, n, up) sees a skyline point at azimuth a, elevation tangent y and
+horizontal distance d move by
+
+.. math::
+
+    \mathrm{d}a = (n \sin a - e \cos a) / d, \qquad
+    \mathrm{d}y = (y\,(e \sin a + n \cos a) - up) / d
+
+and it walks on the ground, whose slope ties up to e and n; so one rendering with its depth gives
+the derivatives by all six unknowns. The noise starts wide and is narrowed as the fit improves:
+far terrain, which moves least, leads, and near terrain follows.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.noise import HeightErrors, Judged, Noise, judge
+from skyline.matching.panoramas import Panoramas
+from skyline.matching.query import QueryRays
+from skyline.matching.rays import level_with_changes
+from skyline.matching.rows import Rows
+
+Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+EAST, NORTH, HEADING, PITCH, ROLL, LOG_SCALE = range(6)
+"""Columns of a state: the eye's displacement, metres; angles, radians; logarithm of the tangent
+of half the field of view over that of the query's."""
+
+_NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
+_DAMPING = np.array([0.0, 0.0, 0.05, 0.05, 0.05, 0.05])
+"""Deviations a step is damped by; 0 where `step_m` does."""
+_NO_STEP_M = 1e-6
+_HELD = 1e14
+
+
+@dataclass(frozen=True, slots=True)
+class SolverConfig:
+    """How a curve is aligned.
+
+    Attributes
+    ----------
+    iterations : int
+        Gauss-Newton steps from one rendering.
+    pitch_sd_deg, roll_sd_deg : float
+        Prior deviations about a level camera.
+    position_sd_m : float
+        Prior deviation of a place, which only bounds what an uninformative skyline can say.
+    min_columns : int
+        Least columns with a known skyline on both sides for there to be a fit.
+    noise : Noise
+    """
+
+    iterations: int = 3
+    pitch_sd_deg: float = 6.0
+    roll_sd_deg: float = 3.0
+    position_sd_m: float = 300.0
+    min_columns: int = 16
+    noise: Noise = field(default_factory=Noise)
+
+    def __post_init__(self) -> None:
+        if self.iterations < 1 or self.min_columns < 1:
+            raise InputError(
+                f"iterations are {self.iterations} and least columns {self.min_columns}; "
+                "expected at least 1 of both"
+            )
+        if min(self.pitch_sd_deg, self.roll_sd_deg, self.position_sd_m) <= 0.0:
+            raise InputError(
+                f"prior deviations are {self.pitch_sd_deg}, {self.roll_sd_deg} degrees and "
+                f"{self.position_sd_m} m; expected all above 0"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curves(Rows):
+    """What M eyes see, and how it changes as they walk.
+
+    Attributes
+    ----------
+    channels : (M, B, 5) float64
+        Elevation tangent, its slope by azimuth, its change by a metre east and by a metre
+        north, and distance, at azimuth 360 b / B degrees; NaN where unknown.
+    """
+
+    channels: Float64Array
+
+    @classmethod
+    def of(cls, panoramas: Panoramas, ground_slope: Float64Array) -> "Curves":
+        """Prepare panoramas of eyes on ground of slopes (M, 2): rise a metre east, north."""
+        y, distance = panoramas.y, panoramas.distance_m
+        step = 2.0 * np.pi / panoramas.bins
+        slope = (np.roll(y, -1, axis=1) - np.roll(y, 1, axis=1)) / (2.0 * step)
+        sine, cosine = np.sin(step * np.arange(y.shape[1])), np.cos(step * np.arange(y.shape[1]))
+        east = (y * sine + slope * cosine - ground_slope[:, :1]) / distance
+        north = (y * cosine - slope * sine - ground_slope[:, 1:]) / distance
+        return cls(np.stack([y, slope, east, north, distance], axis=-1))
+
+    def at(self, azimuth_rad: Float64Array) -> Float64Array:
+        """Return the channels, (M, R, 5), at azimuths (M, R), linear between bins."""
+        count, bins, channels = self.channels.shape
+        position = azimuth_rad * (bins / (2.0 * np.pi))
+        left = np.floor(position).astype(np.intp)
+        share = (position - left)[..., np.newaxis]
+        flat = self.channels.reshape(-1, channels)
+        row = np.arange(count)[:, np.newaxis] * bins
+        here, there = flat[row + left % bins], flat[row + (left + 1) % bins]
+        return np.asarray(here + (there - here) * share)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit(Rows):
+    """How well M states of the camera fit the query.
+
+    Attributes
+    ----------
+    state : (M, 6) float64
+        See `EAST` to `LOG_SCALE`; the displacement is from where the curve was seen.
+    angle, height : (M,) intp
+        The deviations chosen, indices into `Noise`.
+    cost : (M,) float64
+        Negative logarithm of the likelihood, pitch and roll's priors and what their
+        uncertainty takes from it included; infinite where there is no fit.
+    odds : (M, R) float64
+        Odds that a column of the query shows terrain.
+    """
+
+    state: Float64Array
+    angle: IntArray
+    height: IntArray
+    cost: Float64Array
+    odds: Float64Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Linear:
+    """Residuals of M states and their derivatives; 0 in columns where the terrain is unknown.
+
+    Attributes
+    ----------
+    residual_rad : (M, R) float64
+        Query over terrain; NaN where unknown.
+    jacobian : (M, R, 6) float64
+    azimuth_rad, distance_m : (M, R) float64
+        Of the terrain's skyline under each column.
+    """
+
+    residual_rad: Float64Array
+    jacobian: Float64Array
+    azimuth_rad: Float64Array
+    distance_m: Float64Array
+
+
+class Solver:
+    """Aligns one query to curves.
+
+    Parameters
+    ----------
+    query : QueryRays
+    config : SolverConfig
+    """
+
+    def __init__(self, query: QueryRays, config: SolverConfig) -> None:
+        self.query = query
+        self.config = config
+        low, high = _log_tangent(np.array(query.fov_bounds_deg)) - _log_tangent(query.fov_deg)
+        self._bounds = float(low), float(high)
+        # A field of view is as likely anywhere in its range as elsewhere in it.
+        scale_sd = max((high - low) / np.sqrt(12.0), 1e-6)
+        pitch_sd, roll_sd = np.radians((config.pitch_sd_deg, config.roll_sd_deg))
+        self._prior = np.array([0.0, 0.0, 0.0, pitch_sd**-2, roll_sd**-2, 0.0])
+        free = np.array(
+            [config.position_sd_m, config.position_sd_m, np.pi, np.inf, np.inf, scale_sd]
+        )
+        self._information = self._prior + free**-2.0
+
+    def start(self, hypotheses: Hypotheses) -> Fit:
+        """Return hypotheses as states, the noise as wide as it may be; not yet judged."""
+        count = len(hypotheses)
+        state = np.zeros((count, 6))
+        state[:, HEADING] = np.radians(hypotheses.heading_deg)
+        state[:, PITCH] = np.radians(hypotheses.pitch_deg)
+        state[:, ROLL] = np.radians(hypotheses.roll_deg)
+        scale = _log_tangent(hypotheses.fov_deg) - _log_tangent(self.query.fov_deg)
+        state[:, LOG_SCALE] = np.clip(scale, *self._bounds)
+        angle, height = (np.full(count, index) for index in self.config.noise.widest)
+        odds = np.ones((count, len(self.query.u)))
+        return Fit(state, angle, height, np.full(count, np.inf), odds)
+
+    def fov_deg(self, state: Float64Array) -> Float64Array:
+        """Return the field of view of states (M, 6), degrees."""
+        tangent = np.exp(state[:, LOG_SCALE] + _log_tangent(self.query.fov_deg))
+        return np.asarray(np.degrees(2.0 * np.arctan(tangent)))
+
+    def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
+        """Take the configured steps from one rendering, and choose the noise on the way.
+
+        Parameters
+        ----------
+        curves : Curves
+        fit : Fit
+        step_m : (M,) float64
+            Deviation that damps the eye's displacement; 0 keeps the eye where it is.
+        """
+        linear = self.linearize(curves, fit.state)
+        errors = HeightErrors.of(linear.azimuth_rad, linear.distance_m, self.config.noise)
+        for iteration in range(self.config.iterations):
+            if iteration:
+                linear = self.linearize(curves, fit.state)
+            fit, judged = self._narrowed(fit, linear, errors)
+            fit = self._stepped(fit, linear, judged, step_m)
+        linear = self.linearize(curves, fit.state)
+        return self._narrowed(fit, linear, errors)[0]
+
+    def judged(self, curves: Curves, fit: Fit) -> tuple[Linear, Judged]:
+        """Return residuals and their noise at a fit."""
+        linear = self.linearize(curves, fit.state)
+        errors = HeightErrors.of(linear.azimuth_rad, linear.distance_m, self.config.noise)
+        return linear, self._judge(fit, linear, errors, (fit.angle, fit.height))
+
+    def covariance(self, linear: Linear, judged: Judged) -> Float64Array:
+        """Return the covariance (M, 6, 6) of states, priors included."""
+        normal = judged.product(linear.jacobian, linear.jacobian)
+        return np.asarray(np.linalg.inv(normal + np.diag(self._information)))
+
+    def linearize(self, curves: Curves, state: Float64Array) -> Linear:
+        """Return residuals and their derivatives at states (M, 6)."""
+        rays = level_with_changes(
+            self.query.u, self.query.v, state[:, PITCH], state[:, ROLL], state[:, LOG_SCALE]
+        )
+        azimuth = rays.azimuth_rad + state[:, HEADING, np.newaxis]
+        there = curves.at(azimuth)
+        slope, walk = there[..., 1:2], there[..., 2:4]
+        y = there[..., 0] + (walk @ state[:, :HEADING, np.newaxis])[..., 0]
+        # Differences of tangents become angles; how that factor changes is left out.
+        to_angle = 1.0 / (1.0 + rays.y**2)
+        attitude = rays.y_change - slope * rays.azimuth_change
+        jacobian = np.concatenate([-walk, -slope, attitude], axis=-1) * to_angle[..., np.newaxis]
+        residual = (rays.y - y) * to_angle
+        # Next to an unknown column the curve may be known but not its slope.
+        known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=-1)
+        return Linear(
+            np.where(known, residual, np.nan),
+            np.where(known[..., np.newaxis], jacobian, 0.0),
+            azimuth,
+            there[..., 4],
+        )
+
+    def _judge(
+        self, fit: Fit, linear: Linear, errors: HeightErrors, noise: tuple[IntArray, IntArray]
+    ) -> Judged:
+        """Judge states under a noise, the attitude's part of the cost included."""
+        judged = judge(
+            linear.residual_rad, self.query.weight, errors, self.config.noise, noise, fit.odds
+        )
+        # Laplace's approximation to the integral over the attitude: without it a noise that is
+        # too small wins, as much of the error hides in pitch, roll and the field of view.
+        attitude = slice(HEADING, None)
+        normal = judged.product(linear.jacobian[..., attitude], linear.jacobian[..., attitude])
+        _, log_det = np.linalg.slogdet(normal + np.diag(self._information[attitude]))
+        prior = fit.state**2 @ self._prior
+        return replace(judged, cost=judged.cost + 0.5 * (log_det + prior))
+
+    def _narrowed(self, fit: Fit, linear: Linear, errors: HeightErrors) -> tuple[Fit, Judged]:
+        """Move the noise to the best of its neighbours."""
+        noise = fit.angle, fit.height
+        best = self._judge(fit, linear, errors, noise)
+        fit = replace(fit, odds=best.odds)
+        for step in _NEIGHBOURS:
+            other = (
+                np.clip(fit.angle + step[0], 0, self.config.noise.widest[0]),
+                np.clip(fit.height + step[1], 0, self.config.noise.widest[1]),
+            )
+            judged = self._judge(fit, linear, errors, other)
+            better = judged.cost < best.cost
+            best = best.replaced(better, judged)
+            noise = np.where(better, other[0], noise[0]), np.where(better, other[1], noise[1])
+        known = np.isfinite(linear.residual_rad).sum(axis=1) >= self.config.min_columns
+        cost = np.where(known, best.cost, np.inf)
+        return Fit(fit.state, *noise, cost, best.odds), best
+
+    def _stepped(self, fit: Fit, linear: Linear, judged: Judged, step_m: Float64Array) -> Fit:
+        """Take one step, the field of view kept within its bounds."""
+        miss = np.nan_to_num(linear.residual_rad)[..., np.newaxis]
+        damping = np.zeros((len(step_m), 6))
+        damping[:, HEADING:] = _DAMPING[HEADING:] ** -2
+        prior = np.tile(self._prior, (len(step_m), 1))
+        prior[:, :HEADING] = np.maximum(step_m, _NO_STEP_M)[:, np.newaxis] ** -2
+        normal = judged.product(linear.jacobian, linear.jacobian)
+        normal += (prior + damping)[:, np.newaxis] * np.eye(6)
+        gradient = judged.product(linear.jacobian, miss)[..., 0] + prior * fit.state
+        state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
+        bounded = np.clip(state[:, LOG_SCALE], *self._bounds)
+        outside = bounded != state[:, LOG_SCALE]
+        if outside.any():
+            # Where the field of view meets a bound, the others are solved with it held there.
+            held = np.where(outside, _HELD, 0.0)
+            normal[:, LOG_SCALE, LOG_SCALE] += held
+            gradient[:, LOG_SCALE] += held * (fit.state[:, LOG_SCALE] - bounded)
+            state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
+            state[:, LOG_SCALE] = np.clip(state[:, LOG_SCALE], *self._bounds)
+        return replace(fit, state=state)
+
+
+def _log_tangent(fov_deg: Float64Array | float) -> Float64Array:
+    return np.asarray(np.log(np.tan(np.radians(fov_deg) / 2.0)))
