@@ -1,0 +1,62 @@
+"""Queries whose pose is known."""
+
+import numpy as np
+
+from skyline.matching import Hypotheses, QueryRays
+from skyline.matching.panoramas import Panoramas
+
+BINS = 1440
+
+
+def photographed(azimuth_rad, y, heading_deg, pitch_deg, roll_deg, fov_deg):
+    """Return rays (u, v) of a camera that sees a skyline of elevation tangents y, left to right."""
+    turn = (azimuth_rad - np.radians(heading_deg) + np.pi) % (2.0 * np.pi) - np.pi
+    near = np.abs(turn) < np.pi / 2.0
+    turn, y = turn[near], y[near]
+    pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
+    right, forward, up = np.sin(turn), np.cos(turn), y
+    forward, up = (
+        forward * np.cos(pitch) + up * np.sin(pitch),
+        up * np.cos(pitch) - forward * np.sin(pitch),
+    )
+    right, up = (
+        right * np.cos(roll) - up * np.sin(roll),
+        right * np.sin(roll) + up * np.cos(roll),
+    )
+    u, v = right / forward, up / forward
+    seen = (forward > 0.1) & (np.abs(u) < np.tan(np.radians(fov_deg / 2.0)))
+    order = np.argsort(u[seen])
+    return u[seen][order], v[seen][order]
+
+
+def rays_of(u, v, fov_deg, assumed_fov_deg=None, fov_range_deg=None):
+    """Return a query whose field of view was assumed to be another one."""
+    query = QueryRays(u, v, np.ones_like(u), fov_deg, (1.0, 179.0))
+    query = query.with_fov(assumed_fov_deg or fov_deg)
+    return QueryRays(query.u, query.v, query.weight, query.fov_deg, fov_range_deg)
+
+
+def poses(count=1, **given):
+    """Return hypotheses at the origin, level and looking north, but for what is given."""
+    defaults = dict.fromkeys(Hypotheses.__dataclass_fields__, 0.0) | {"fov_deg": 60.0}
+    rows = {name: np.zeros(count) + given.get(name, value) for name, value in defaults.items()}
+    return Hypotheses(**rows)
+
+
+def hills(azimuth_rad):
+    """Return elevation tangents of a made-up skyline, smooth and never the same."""
+    waves = [(3, 0.05, 0.3), (7, 0.03, 1.1), (19, 0.012, 2.0), (41, 0.005, 0.7)]
+    return 0.15 + sum(size * np.sin(k * azimuth_rad + phase) for k, size, phase in waves)
+
+
+def panorama_of(function, count=1, distance_m=4000.0):
+    """Return the same skyline for every one of ``count`` eyes."""
+    azimuth = 2.0 * np.pi / BINS * np.arange(BINS)
+    y = np.tile(function(azimuth), (count, 1))
+    return Panoramas(y, np.full_like(y, distance_m))
+
+
+def seen(function, heading_deg, pitch_deg=0.0, roll_deg=0.0, fov_deg=60.0, columns=4000):
+    """Return rays (u, v) of a camera before a made-up skyline."""
+    azimuth = np.linspace(0.0, 2.0 * np.pi, columns, endpoint=False)
+    return photographed(azimuth, function(azimuth), heading_deg, pitch_deg, roll_deg, fov_deg)

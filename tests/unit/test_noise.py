@@ -1,0 +1,111 @@
+"""Likelihood of residuals: against closed forms, and against matrices written out."""
+
+import numpy as np
+import pytest
+
+from skyline.errors import InputError
+from skyline.matching.noise import HeightErrors, Noise, judge
+
+
+def _setting(nodes=6, columns=40):
+    generator = np.random.default_rng(0)
+    azimuth = np.linspace(-0.5, 0.5, columns)[np.newaxis]
+    distance = 1000.0 + 3000.0 * generator.random((1, columns))
+    noise = Noise(angle_deg=(0.1,), height_m=(5.0,), nodes=nodes)
+    return noise, HeightErrors.of(azimuth, distance, noise), azimuth, distance
+
+
+FIRST = (np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp))
+
+
+def test_without_height_errors_the_cost_is_the_mixture_s():
+    noise, errors, _, _ = _setting()
+    none = HeightErrors(0.0 * errors.factor, 0.0 * errors.rough)
+    residual = np.random.default_rng(1).normal(0.0, 0.004, (1, 40))
+    judged = judge(residual, np.ones(40), none, noise, FIRST, np.ones((1, 40)))
+    sigma = np.radians(0.1)
+    terrain = 0.83 * np.exp(-0.5 * (residual / sigma) ** 2) / np.sqrt(2.0 * np.pi) / sigma
+    other = np.where(residual >= 0.0, 0.15, 0.02) / np.radians(15.0)
+    np.testing.assert_allclose(judged.cost[0], -np.log(terrain + other).sum(), rtol=1e-9)
+    np.testing.assert_allclose(judged.odds, terrain / (terrain + other), atol=1e-9)
+
+
+def test_products_are_those_of_the_whole_covariance():
+    noise, errors, _, _ = _setting()
+    residual = np.random.default_rng(2).normal(0.0, 0.001, (1, 40))
+    judged = judge(residual, np.ones(40), errors, noise, FIRST, np.ones((1, 40)))
+    covariance = judged.factor[0] @ judged.factor[0].T + np.diag(1.0 / judged.weight[0])
+    left, right = np.random.default_rng(3).normal(size=(2, 1, 40, 3))
+    expected = left[0].T @ np.linalg.solve(covariance, right[0])
+    np.testing.assert_allclose(judged.product(left, right)[0], expected, rtol=1e-6)
+    assert judged.effective_columns[0] < judged.odds.sum() - 2.0
+
+
+def test_height_errors_have_the_stated_covariance_at_their_nodes():
+    noise, errors, azimuth, distance = _setting(nodes=40)
+    point = (distance * np.exp(1j * azimuth))[0]
+
+    def correlation(d):
+        x = d * 2.1461932 / noise.reach_m
+        return (1.0 + x) * np.exp(-x)
+
+    eye = correlation(np.abs(point))
+    expected = correlation(np.abs(point[:, None] - point)) + 1.0 - eye[:, None] - eye
+    expected /= distance[0][:, None] * distance[0]
+    np.testing.assert_allclose(errors.factor[0] @ errors.factor[0].T, expected, atol=1e-11)
+    assert correlation(noise.reach_m) == pytest.approx(np.exp(-1.0))
+
+
+def test_near_terrain_stands_on_the_eye_s_own_error():
+    noise = Noise()
+    azimuth = np.linspace(-0.5, 0.5, 40)[np.newaxis]
+    slope = [
+        np.sqrt((HeightErrors.of(azimuth, np.full((1, 40), d), noise).factor ** 2).sum(-1)).max()
+        for d in (1.0, 30.0, 3000.0)
+    ]
+    assert slope[0] == pytest.approx(slope[1], rel=0.2)
+    assert slope[0] < 0.01
+    assert slope[2] == pytest.approx(np.sqrt(2.0) / 3000.0, rel=0.01)
+
+
+@pytest.mark.parametrize("nodes", [0, 6])
+def test_an_unknown_column_costs_as_much_as_a_tree(nodes):
+    noise, errors, _, _ = _setting(nodes)
+    residual = np.zeros((1, 40))
+    costs = []
+    for odd in (np.nan, np.radians(9.0)):
+        residual[0, 7] = odd
+        odds = np.ones((1, 40))
+        for _ in range(6):
+            judged = judge(residual, np.ones(40), errors, noise, FIRST, odds)
+            odds = judged.odds
+        costs.append(judged.cost[0])
+        assert judged.odds[0, 7] < 1e-9
+    assert costs[0] == pytest.approx(costs[1], abs=1e-6)
+
+
+def test_what_stands_over_the_skyline_is_likelier_than_what_is_missing():
+    noise, errors, _, _ = _setting()
+    cost = []
+    for sign in (1.0, -1.0):
+        residual = np.zeros((1, 40))
+        residual[0, 10:14] = sign * np.radians(5.0)
+        odds = np.where(residual == 0.0, 1.0, 0.0)
+        cost.append(judge(residual, np.ones(40), errors, noise, FIRST, odds).cost[0])
+    assert cost[1] - cost[0] == pytest.approx(4.0 * np.log(0.15 / 0.02), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"angle_deg": ()},
+        {"height_m": (2.0, 1.0)},
+        {"above_share": 0.0},
+        {"above_share": 0.99},
+        {"reach_m": 0.0},
+        {"nodes": -1},
+    ],
+)
+def test_impossible_noise_is_refused(wrong):
+    with pytest.raises(InputError, match="expected"):
+        Noise(**wrong)
