@@ -59,7 +59,7 @@ class Noise:
     """
 
     angle_deg: tuple[float, ...] = (0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8)
-    height_m: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+    height_m: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
     reach_m: float = 300.0
     rough_share: float = 0.1
     above_share: float = 0.15
@@ -100,21 +100,29 @@ class HeightErrors(Rows):
         Correlated residuals are ``factor @ z`` with K standard normal z.
     rough : (M, R) float64
         Deviation of the independent ones, radians.
+    blur_rad : (M, R) float64
+        Deviation that the steps of azimuth leave, whatever the heights: great where the skyline
+        is steep.
     """
 
     factor: Float64Array
     rough: Float64Array
+    blur_rad: Float64Array
 
     @classmethod
     def of(
-        cls, azimuth_rad: Float64Array, distance_m: Float64Array, noise: Noise
+        cls,
+        azimuth_rad: Float64Array,
+        distance_m: Float64Array,
+        blur_rad: Float64Array,
+        noise: Noise,
     ) -> "HeightErrors":
         """Prepare for skylines at azimuths and horizontal distances (NaN: unknown), (M, R)."""
         distance = np.where(np.isfinite(distance_m), distance_m, _UNKNOWN_M)
         if not noise.nodes:
             reach_m = 2.0 / 3.0 * noise.reach_m
             shared = distance / (distance**2 + reach_m**2)
-            return cls(shared[..., np.newaxis], 1.0 / np.hypot(distance, reach_m))
+            return cls(shared[..., np.newaxis], 1.0 / np.hypot(distance, reach_m), blur_rad)
         node, between = _interpolation(distance.shape[1], noise.nodes)
         place = (distance * np.exp(1j * azimuth_rad))[:, node]
         to_eye = 0.5 - _correlation(np.abs(place), noise.reach_m)
@@ -126,6 +134,7 @@ class HeightErrors(Rows):
         return cls(
             between @ root / distance[..., np.newaxis],
             noise.rough_share / np.hypot(distance, noise.reach_m / 3.0),
+            blur_rad,
         )
 
 
@@ -207,7 +216,7 @@ def judge(
     residual = np.where(known, residual_rad, 0.0)
     angle_rad = np.radians(noise.angle_deg)[deviations[0]][:, np.newaxis]
     height_m = np.array(noise.height_m)[deviations[1]][:, np.newaxis]
-    variance = angle_rad**2 + (height_m * errors.rough) ** 2
+    variance = angle_rad**2 + (height_m * errors.rough) ** 2 + errors.blur_rad**2
     factor = height_m[..., np.newaxis] * errors.factor
     terrain = np.log(1.0 - noise.above_share - noise.below_share) - 0.5 * np.log(
         2.0 * np.pi * variance

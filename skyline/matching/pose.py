@@ -277,7 +277,9 @@ class _Refinement:
         state[:, :HEADING] = 0.0
         fit = replace(fit, state=state)
         curves = self._seen(easting_m, northing_m, solver.fov_deg(state), state[:, HEADING])
-        fit = solver.improve(curves, fit, np.zeros(len(state)))
+        unjudged = bool(np.isinf(fit.cost).all())
+        still = np.zeros(len(state))
+        fit = solver.settle(curves, fit) if unjudged else solver.improve(curves, fit, still)
         return _Walkers(easting_m, northing_m, self._first_steps(len(state)), curves, fit)
 
     def _seen(

@@ -38,6 +38,8 @@ _DAMPING = np.array([0.0, 0.0, 0.05, 0.05, 0.05, 0.05])
 """Deviations a step is damped by; 0 where `step_m` does."""
 _NO_STEP_M = 1e-6
 _HELD = 1e14
+_AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
+_AGREEMENT_RAD_SD = np.radians(0.3)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,8 @@ class SolverConfig:
         Prior deviation of a place, which only bounds what an uninformative skyline can say.
     min_columns : int
         Least columns with a known skyline on both sides for there to be a fit.
+    blur_steps : float
+        Deviation of the skyline's azimuth, in steps of the panorama.
     noise : Noise
     """
 
@@ -62,6 +66,7 @@ class SolverConfig:
     roll_sd_deg: float = 3.0
     position_sd_m: float = 300.0
     min_columns: int = 16
+    blur_steps: float = 0.3
     noise: Noise = field(default_factory=Noise)
 
     def __post_init__(self) -> None:
@@ -208,7 +213,7 @@ class Solver:
             Deviation that damps the eye's displacement; 0 keeps the eye where it is.
         """
         linear = self.linearize(curves, fit.state)
-        errors = HeightErrors.of(linear.azimuth_rad, linear.distance_m, self.config.noise)
+        errors = self._errors(linear, curves)
         for iteration in range(self.config.iterations):
             if iteration:
                 linear = self.linearize(curves, fit.state)
@@ -217,10 +222,42 @@ class Solver:
         linear = self.linearize(curves, fit.state)
         return self._narrowed(fit, linear, errors)[0]
 
+    def settle(self, curves: Curves, fit: Fit) -> Fit:
+        """Solve the attitude from afar, where the eye stands.
+
+        A wide noise takes trees for terrain and stays wide; so a second start holds on to where
+        most columns agree, and the better of both counts.
+        """
+        none = np.zeros(len(fit.cost))
+        wide = self.improve(curves, fit, none)
+        agreed = self.improve(curves, self._agreed(curves, wide), none)
+        return wide.replaced(agreed.cost < wide.cost, agreed)
+
+    def _agreed(self, curves: Curves, fit: Fit) -> Fit:
+        """Return the fit with the pitch at which most columns agree within a narrow noise."""
+        noise = self.config.noise
+        linear = self.linearize(curves, fit.state)
+        off = linear.residual_rad[..., np.newaxis] - _AGREEMENT_RAD
+        density = np.exp(-0.5 * (off / _AGREEMENT_RAD_SD) ** 2) / _AGREEMENT_RAD_SD
+        other = np.where(off >= 0.0, noise.above_share, noise.below_share)
+        odds = np.log(density + other / np.radians(noise.range_deg))
+        agreement = np.tensordot(np.nan_to_num(odds), self.query.weight, axes=(1, 0))
+        state = fit.state.copy()
+        state[:, PITCH] -= _AGREEMENT_RAD[np.argmax(agreement, axis=1)]
+        angle = np.searchsorted(np.radians(noise.angle_deg), _AGREEMENT_RAD_SD)
+        height = len(noise.height_m) // 2
+        return replace(
+            fit,
+            state=state,
+            angle=np.full_like(fit.angle, min(int(angle), noise.widest[0])),
+            height=np.full_like(fit.height, height),
+            odds=np.ones_like(fit.odds),
+        )
+
     def judged(self, curves: Curves, fit: Fit) -> tuple[Linear, Judged]:
         """Return residuals and their noise at a fit."""
         linear = self.linearize(curves, fit.state)
-        errors = HeightErrors.of(linear.azimuth_rad, linear.distance_m, self.config.noise)
+        errors = self._errors(linear, curves)
         return linear, self._judge(fit, linear, errors, (fit.angle, fit.height))
 
     def covariance(self, linear: Linear, judged: Judged) -> Float64Array:
@@ -250,6 +287,11 @@ class Solver:
             azimuth,
             there[..., 4],
         )
+
+    def _errors(self, linear: Linear, curves: Curves) -> HeightErrors:
+        step_rad = 2.0 * np.pi / curves.channels.shape[1]
+        blur_rad = self.config.blur_steps * step_rad * np.abs(linear.jacobian[..., HEADING])
+        return HeightErrors.of(linear.azimuth_rad, linear.distance_m, blur_rad, self.config.noise)
 
     def _judge(
         self, fit: Fit, linear: Linear, errors: HeightErrors, noise: tuple[IntArray, IntArray]

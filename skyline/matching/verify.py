@@ -54,7 +54,7 @@ def verify(
         )
     solver = Solver(thinned(query, panoramas.bins), config)
     curves = Curves.of(panoramas, np.zeros((len(panoramas), 2)))
-    fit = solver.improve(curves, solver.start(hypotheses), np.zeros(len(hypotheses)))
+    fit = solver.settle(curves, solver.start(hypotheses))
     return posed(hypotheses, fit, solver)
 
 

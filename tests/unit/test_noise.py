@@ -12,7 +12,7 @@ def _setting(nodes=6, columns=40):
     azimuth = np.linspace(-0.5, 0.5, columns)[np.newaxis]
     distance = 1000.0 + 3000.0 * generator.random((1, columns))
     noise = Noise(angle_deg=(0.1,), height_m=(5.0,), nodes=nodes)
-    return noise, HeightErrors.of(azimuth, distance, noise), azimuth, distance
+    return noise, HeightErrors.of(azimuth, distance, 0.0 * distance, noise), azimuth, distance
 
 
 FIRST = (np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp))
@@ -20,7 +20,7 @@ FIRST = (np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp))
 
 def test_without_height_errors_the_cost_is_the_mixture_s():
     noise, errors, _, _ = _setting()
-    none = HeightErrors(0.0 * errors.factor, 0.0 * errors.rough)
+    none = HeightErrors(0.0 * errors.factor, 0.0 * errors.rough, errors.blur_rad)
     residual = np.random.default_rng(1).normal(0.0, 0.004, (1, 40))
     judged = judge(residual, np.ones(40), none, noise, FIRST, np.ones((1, 40)))
     sigma = np.radians(0.1)
@@ -59,10 +59,11 @@ def test_height_errors_have_the_stated_covariance_at_their_nodes():
 def test_near_terrain_stands_on_the_eye_s_own_error():
     noise = Noise()
     azimuth = np.linspace(-0.5, 0.5, 40)[np.newaxis]
-    slope = [
-        np.sqrt((HeightErrors.of(azimuth, np.full((1, 40), d), noise).factor ** 2).sum(-1)).max()
-        for d in (1.0, 30.0, 3000.0)
-    ]
+    slope = []
+    for distance_m in (1.0, 30.0, 3000.0):
+        level = np.full((1, 40), distance_m)
+        errors = HeightErrors.of(azimuth, level, 0.0 * level, noise)
+        slope.append(np.sqrt((errors.factor**2).sum(axis=-1)).max())
     assert slope[0] == pytest.approx(slope[1], rel=0.2)
     assert slope[0] < 0.01
     assert slope[2] == pytest.approx(np.sqrt(2.0) / 3000.0, rel=0.01)

@@ -1,0 +1,183 @@
+"""Refinement by rendering, on small terrain where the truth is known."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from query_scenes import photographed, poses, rays_of
+from scenes import field_of, fractal
+
+from skyline.errors import InputError
+from skyline.matching import Hypotheses
+from skyline.matching.panoramas import Panoramas
+from skyline.matching.pose import RefineConfig, refine
+from skyline.matching.solver import Curves
+from skyline.render.horizon import HorizonRenderer
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+
+TRUTH = {"heading_deg": 160.0, "pitch_deg": 1.5, "roll_deg": -1.0}
+PLACE = np.array([4000.0, -6000.0])
+SHORT = RefineConfig(shortlist=12, rounds=5, restarts=1, finalists=4, final_rounds=3)
+
+
+@dataclass(frozen=True)
+class _Scene:
+    field: HeightField
+    renderer: HorizonRenderer
+
+    def render(self, viewpoints, headings):
+        return self.renderer.render(viewpoints, headings)
+
+    def ground_m(self, easting_m, northing_m):
+        return self.field.height_at(easting_m, northing_m)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    field = field_of(fractal(400, 400, relief_m=1500.0, seed=5, exponent=2.0), spacing_m=30.0)
+    with HorizonRenderer(field, 320) as renderer:
+        yield _Scene(field, renderer)
+
+
+@pytest.fixture(scope="module")
+def rays(scene):
+    """Return u, v of the true view, columns as fine as a photo's."""
+    with HorizonRenderer(scene.field, 1280) as renderer:
+        views = renderer.render(stand_on(scene.field, PLACE[0], PLACE[1]))
+    tangent = np.tan(np.radians(views.elevation_deg()))
+    return photographed(
+        np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), fov_deg=60.0, **TRUTH
+    )
+
+
+def _around(count=6, off_m=40.0, turn_deg=2.0):
+    ring = off_m * np.exp(2j * np.pi * np.arange(count) / count)
+    return poses(
+        count,
+        easting_m=PLACE[0] + ring.real,
+        northing_m=PLACE[1] + ring.imag,
+        heading_deg=TRUTH["heading_deg"] + turn_deg * (-1.0) ** np.arange(count),
+        fov_deg=61.5,
+        score=np.arange(count),
+    )
+
+
+def _off_m(found: Hypotheses):
+    return np.hypot(found.easting_m - PLACE[0], found.northing_m - PLACE[1])
+
+
+def test_the_pose_is_recovered_where_nothing_is_noisy(scene, rays):
+    query = rays_of(*rays, 60.0, 61.5, (57.0, 63.0))
+    found = refine(_around(), query, scene, SHORT)
+    best = found.hypotheses
+    assert _off_m(best)[0] < 3.0
+    assert best.heading_deg[0] == pytest.approx(160.0, abs=0.05)
+    assert best.pitch_deg[0] == pytest.approx(1.5, abs=0.05)
+    assert best.roll_deg[0] == pytest.approx(-1.0, abs=0.1)
+    assert best.fov_deg[0] == pytest.approx(60.0, abs=0.1)
+    ground_m = scene.ground_m(best.easting_m, best.northing_m)
+    np.testing.assert_allclose(best.eye_elevation_m, ground_m + 2.0)
+    assert (np.diff(best.score) >= 0.0).all()
+    assert found.inlier_share[0] > 0.97
+    assert found.residual_deg[0] < 0.05
+
+
+def test_a_photo_s_noise_and_trees_leave_it_near(scene, rays):
+    u, v = rays
+    generator = np.random.default_rng(0)
+    v = v + generator.normal(0.0, np.radians(0.1), len(v))
+    hidden = (np.abs(u - 0.3) < 0.12) | (np.abs(u + 0.35) < 0.08)
+    assert 0.3 < hidden.mean() < 0.4
+    v = np.where(hidden, v + np.radians(3.0), v)
+    found = refine(_around(), rays_of(u, v, 60.0), scene, SHORT)
+    off = PLACE - [found.hypotheses.easting_m[0], found.hypotheses.northing_m[0]]
+    assert np.hypot(*off) < 20.0
+    assert found.inlier_share[0] == pytest.approx(1.0 - hidden.mean(), abs=0.05)
+    assert off @ np.linalg.solve(found.covariance_m2[0], off) < 16.0
+    assert 20.0 < found.effective_columns[0] < len(v)
+    assert np.linalg.eigvalsh(found.covariance_m2).min() > 0.0
+
+
+def test_neither_order_nor_far_places_matter(scene, rays):
+    query = rays_of(*rays, 60.0)
+    far = poses(
+        4, easting_m=[2000, 9000, 5000, 7000], northing_m=-8000.0, heading_deg=50.0, score=9.0
+    )
+    some = Hypotheses.concatenate([_around(), far])
+    order = np.random.default_rng(0).permutation(len(some))
+    one, other = (refine(h, query, scene, SHORT) for h in (some, some[order]))
+    np.testing.assert_allclose(
+        one.hypotheses.easting_m[0], other.hypotheses.easting_m[0], atol=1e-3
+    )
+    assert _off_m(one.hypotheses)[0] < 3.0
+    assert one.margin[0] > 0.0
+
+
+def test_the_shortlist_is_the_best_by_score(scene, rays):
+    some = _around(2, off_m=20.0)
+    far = replace(some, easting_m=some.easting_m - 3000.0, score=some.score - 10.0)
+    config = replace(SHORT, shortlist=2)
+    found = refine(
+        Hypotheses.concatenate([some, far]), rays_of(*rays, 60.0), scene, config
+    ).hypotheses
+    assert (_off_m(found) > 1000.0).all()
+
+
+def test_the_derivatives_foretell_the_next_rendering(scene):
+    step_m = np.array([1.5, -1.0])
+    place = np.stack([PLACE, PLACE + step_m])
+    ground = scene.ground_m(place[:, 0], place[:, 1])
+    slope = (ground[1] - ground[0]) * step_m / (step_m @ step_m)
+    views = scene.renderer.render(Viewpoints(place[:, 0], place[:, 1], ground + 2.0))
+    seen = Panoramas.from_views(views, np.repeat([0, 1], 4), 2, 1440)
+    channels = Curves.of(seen[:1], slope[np.newaxis]).channels[0]
+    forecast = channels[:, 2:4] @ step_m
+    change = seen.y[1] - seen.y[0]
+    known = np.isfinite(forecast) & np.isfinite(change)
+    assert known.mean() > 0.5
+    # What surfaces or is hidden on the way is not in a derivative, so the middle is compared.
+    off = np.abs(forecast - change)[known]
+    assert np.median(off) < 0.1 * np.median(np.abs(change[known]))
+    assert np.percentile(off, 80) < 0.4 * np.median(np.abs(change[known]))
+
+
+def test_who_starts_off_the_map_or_on_a_hole_has_no_pose(scene, rays):
+    outside = poses(2, easting_m=[-500.0, np.nan], northing_m=-6000.0, heading_deg=160.0)
+    query = rays_of(*rays, 60.0)
+    assert len(refine(outside, query, scene, SHORT)) == 0
+    both = Hypotheses.concatenate([outside, _around(2, 20.0)])
+    assert _off_m(refine(both, query, scene, SHORT).hypotheses)[0] < 5.0
+
+
+def test_no_hypotheses_have_no_poses(scene, rays):
+    found = refine(poses(0), rays_of(*rays, 60.0), scene, SHORT)
+    assert len(found) == 0
+    assert found.covariance_m2.shape == (0, 2, 2)
+
+
+def test_nobody_walks_off_the_map(scene, rays):
+    west, south, _, north = scene.field.bounds_m
+    edge = poses(8, easting_m=west + 3.0, northing_m=np.linspace(south, north, 8), heading_deg=80.0)
+    found = refine(edge, rays_of(*rays, 60.0), scene, SHORT).hypotheses
+    assert np.isfinite(scene.ground_m(found.easting_m, found.northing_m)).all()
+    assert np.isfinite(found.eye_elevation_m).all()
+
+
+def test_a_featureless_skyline_tells_no_place(scene):
+    flat = field_of(np.zeros((100, 100)), spacing_m=30.0)
+    u = np.linspace(-0.5, 0.5, 300)
+    with HorizonRenderer(flat, 320) as renderer:
+        some = poses(3, easting_m=1500.0 + np.arange(3) * 60.0, northing_m=-1500.0)
+        found = refine(some, rays_of(u, 0.0 * u, 60.0), _Scene(flat, renderer), SHORT)
+    # Its skyline lies on the border of the data all the way, which says nothing.
+    assert len(found) == 0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"shortlist": 0}, {"rounds": 0}, {"keep_share": 0.0}, {"first_step_m": 0.0}, {"restarts": -1}],
+)
+def test_impossible_configurations_are_refused(wrong):
+    with pytest.raises(InputError, match="expected"):
+        RefineConfig(**wrong)
