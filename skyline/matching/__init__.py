@@ -10,6 +10,7 @@ from types import MappingProxyType
 from skyline.matching.correlation import CorrelationMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.paper import PaperMatcher
+from skyline.matching.pose import Poses, RefineConfig, Scene, refine
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import Attitudes, QueryRays
 from skyline.matching.ranking import Candidate, Matcher
@@ -27,6 +28,10 @@ __all__ = [
     "Hypotheses",
     "Matcher",
     "PaperMatcher",
+    "Poses",
     "Profiles",
     "QueryRays",
+    "RefineConfig",
+    "Scene",
+    "refine",
 ]

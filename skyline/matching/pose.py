@@ -75,6 +75,9 @@ class RefineConfig:
         Finalists are at least this far apart.
     elsewhere_m : float
         A pose farther off than this is a different answer.
+    temperature : float
+        What differences of scores are divided by to be log odds: neighbouring columns share
+        errors that no model here knows of.
     first_step_m, longest_step_m : float
         Deviations that damp the steps of a walk.
     slope_reach_m : float
@@ -98,6 +101,7 @@ class RefineConfig:
     final_rounds: int = 4
     separation_m: float = 20.0
     elsewhere_m: float = 200.0
+    temperature: float = 4.0
     first_step_m: float = 40.0
     longest_step_m: float = 120.0
     slope_reach_m: float = 15.0
@@ -129,10 +133,10 @@ class Poses:
     Attributes
     ----------
     hypotheses : Hypotheses
-        The score is the negative logarithm of the likelihood; differences of scores of one query
-        are logarithms of odds.
+        The score is the negative logarithm of the likelihood; only differences within one query
+        mean anything.
     covariance_m2 : (M, 2, 2) float64
-        Of easting and northing.
+        Of easting and northing about the pose, other optima of the same answer included.
     heading_sd_deg : (M,) float64
     residual_deg : (M,) float64
         Root mean square over the columns that show terrain, in elevation.
@@ -339,7 +343,7 @@ class _Refinement:
         hypotheses = self._hypotheses(walkers, solver)
         return Poses(
             hypotheses,
-            covariance[:, :HEADING, :HEADING],
+            self._spread(hypotheses, covariance[:, :HEADING, :HEADING]),
             np.degrees(np.sqrt(covariance[:, HEADING, HEADING])),
             np.degrees(np.sqrt(squares / shown)),
             shown / trust.sum(),
@@ -350,8 +354,20 @@ class _Refinement:
             self._renderings,
         )
 
+    def _spread(self, hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
+        """Return (M, 2, 2): mean squares about each pose, of all that are the same answer."""
+        place = np.stack([hypotheses.easting_m, hypotheses.northing_m], axis=1)
+        apart = place[:, np.newaxis] - place
+        near = (apart**2).sum(axis=-1) <= self._config.elsewhere_m**2
+        better = hypotheses.score[:, np.newaxis] - hypotheses.score
+        odds = near * np.exp(np.minimum(better / self._config.temperature, _GREATEST_LOG_ODDS))
+        share = odds / odds.sum(axis=1, keepdims=True)
+        squares = covariance_m2 + apart[..., np.newaxis] * apart[..., np.newaxis, :]
+        return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
+
 
 _LONGER, _SHORTER = 1.5, 0.4
+_GREATEST_LOG_ODDS = 50.0
 _SAME_VIEW_DEG = 30.0
 
 
