@@ -237,11 +237,17 @@ class _Refinement:
             walkers = _joined(walkers, self._restarted(self._apart(walkers, config.restarts)))
         walkers = self._apart(walkers, config.finalists)
         if config.final_rounds:
-            fit = self._fine.improve(walkers.curves, walkers.fit, np.zeros(len(walkers)))
-            walkers = replace(walkers, fit=fit, step_m=self._first_steps(len(walkers)))
+            walkers = self._weighed_anew(walkers)
         for _ in range(config.final_rounds):
             walkers = self._walked(self._fine, walkers)
         return self._poses(self._apart(walkers, config.finalists))
+
+    def _weighed_anew(self, walkers: _Walkers) -> _Walkers:
+        """Judge by correlated errors, until the noise has settled: costs must be comparable."""
+        fit = walkers.fit
+        for _ in range(_SETTLING):
+            fit = self._fine.improve(walkers.curves, fit, np.zeros(len(walkers)))
+        return replace(walkers, fit=fit, step_m=self._first_steps(len(walkers)))
 
     def _walked(self, solver: Solver, walkers: _Walkers) -> _Walkers:
         """Take one step; keep it where the rendering from the new place fits better."""
@@ -367,6 +373,7 @@ class _Refinement:
 
 
 _LONGER, _SHORTER = 1.5, 0.4
+_SETTLING = 3
 _GREATEST_LOG_ODDS = 50.0
 _SAME_VIEW_DEG = 30.0
 
