@@ -61,7 +61,7 @@ class Noise:
     angle_deg: tuple[float, ...] = (0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8)
     height_m: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
     reach_m: float = 300.0
-    rough_share: float = 0.1
+    rough_share: float = 0.4
     above_share: float = 0.15
     below_share: float = 0.02
     range_deg: float = 15.0

@@ -93,22 +93,22 @@ class RefineConfig:
     shortlist: int = 48
     rounds: int = 6
     keep_share: float = 0.6
-    keep_least: int = 8
+    keep_least: int = 12
     restarts: int = 3
     restart_m: float = 30.0
     restart_rounds: int = 3
-    finalists: int = 8
-    final_rounds: int = 4
-    separation_m: float = 20.0
+    finalists: int = 12
+    final_rounds: int = 5
+    separation_m: float = 12.0
     elsewhere_m: float = 200.0
-    temperature: float = 4.0
+    temperature: float = 8.0
     first_step_m: float = 40.0
     longest_step_m: float = 120.0
     slope_reach_m: float = 15.0
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
     bins: int = 1440
     rough: SolverConfig = field(default_factory=lambda: SolverConfig(noise=Noise(nodes=0)))
-    fine: SolverConfig = field(default_factory=lambda: SolverConfig(iterations=2))
+    fine: SolverConfig = field(default_factory=lambda: SolverConfig(iterations=2, choices=1))
 
     def __post_init__(self) -> None:
         for name in ("shortlist", "rounds", "keep_least", "finalists"):

@@ -13,6 +13,7 @@ the derivatives by all six unknowns. The noise starts wide and is narrowed as th
 far terrain, which moves least, leads, and near terrain follows.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -50,6 +51,8 @@ class SolverConfig:
     ----------
     iterations : int
         Gauss-Newton steps from one rendering.
+    choices : int
+        In how many of them, from the first, the noise is chosen anew.
     pitch_sd_deg, roll_sd_deg : float
         Prior deviations about a level camera.
     position_sd_m : float
@@ -62,6 +65,7 @@ class SolverConfig:
     """
 
     iterations: int = 3
+    choices: int = 4
     pitch_sd_deg: float = 6.0
     roll_sd_deg: float = 3.0
     position_sd_m: float = 300.0
@@ -212,15 +216,15 @@ class Solver:
         step_m : (M,) float64
             Deviation that damps the eye's displacement; 0 keeps the eye where it is.
         """
-        linear = self.linearize(curves, fit.state)
-        errors = self._errors(linear, curves)
-        for iteration in range(self.config.iterations):
-            if iteration:
-                linear = self.linearize(curves, fit.state)
-            fit, judged = self._narrowed(fit, linear, errors)
-            fit = self._stepped(fit, linear, judged, step_m)
-        linear = self.linearize(curves, fit.state)
-        return self._narrowed(fit, linear, errors)[0]
+        errors = None
+        for iteration in range(self.config.iterations + 1):
+            linear = self.linearize(curves, fit.state)
+            errors = errors or self._errors(linear, curves)
+            choose = iteration < self.config.choices
+            fit, judged = self._chosen(fit, linear, errors, _NEIGHBOURS if choose else ())
+            if iteration < self.config.iterations:
+                fit = self._stepped(fit, linear, judged, step_m)
+        return fit
 
     def settle(self, curves: Curves, fit: Fit) -> Fit:
         """Solve the attitude from afar, where the eye stands.
@@ -308,12 +312,14 @@ class Solver:
         prior = fit.state**2 @ self._prior
         return replace(judged, cost=judged.cost + 0.5 * (log_det + prior))
 
-    def _narrowed(self, fit: Fit, linear: Linear, errors: HeightErrors) -> tuple[Fit, Judged]:
-        """Move the noise to the best of its neighbours."""
+    def _chosen(
+        self, fit: Fit, linear: Linear, errors: HeightErrors, steps: Sequence[tuple[int, int]]
+    ) -> tuple[Fit, Judged]:
+        """Move the noise by the best of steps, or none."""
         noise = fit.angle, fit.height
         best = self._judge(fit, linear, errors, noise)
         fit = replace(fit, odds=best.odds)
-        for step in _NEIGHBOURS:
+        for step in steps:
             other = (
                 np.clip(fit.angle + step[0], 0, self.config.noise.widest[0]),
                 np.clip(fit.height + step[1], 0, self.config.noise.widest[1]),
