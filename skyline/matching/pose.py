@@ -35,6 +35,12 @@ IntArray = NDArray[np.intp]
 
 _SECTOR_MARGIN_DEG = 3.0
 """A view is rendered where the query comes this near to it."""
+_SAME_VIEW_DEG = 30.0
+"""Two poses at one place that look within this angle of one another are one."""
+_LONGER, _SHORTER = 1.5, 0.4
+"""What a step is multiplied by when the last one was kept, and when it was not."""
+_SETTLING = 3
+_GREATEST_LOG_ODDS = 50.0
 
 
 class Scene(Protocol):
@@ -370,12 +376,6 @@ class _Refinement:
         share = odds / odds.sum(axis=1, keepdims=True)
         squares = covariance_m2 + apart[..., np.newaxis] * apart[..., np.newaxis, :]
         return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
-
-
-_LONGER, _SHORTER = 1.5, 0.4
-_SETTLING = 3
-_GREATEST_LOG_ODDS = 50.0
-_SAME_VIEW_DEG = 30.0
 
 
 def _joined(first: _Walkers, second: _Walkers) -> _Walkers:

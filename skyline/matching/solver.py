@@ -39,8 +39,10 @@ _DAMPING = np.array([0.0, 0.0, 0.05, 0.05, 0.05, 0.05])
 """Deviations a step is damped by; 0 where `step_m` does."""
 _NO_STEP_M = 1e-6
 _HELD = 1e14
+"""Precision that holds a parameter."""
 _AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
 _AGREEMENT_RAD_SD = np.radians(0.3)
+"""Shifts of the whole curve that are tried, and within what columns agree on one."""
 
 
 @dataclass(frozen=True, slots=True)
