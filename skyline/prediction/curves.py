@@ -115,7 +115,7 @@ class Scenery:
         known = np.isfinite(tan) & np.isfinite(depth)
         # The frame's sides are diagonals, so an eye moves at most sqrt(2) reach against them.
         in_frame = np.abs(right_m) - forward_m <= np.sqrt(2.0) * reach.horizontal_m
-        wanted = known & in_frame & _surfacing(np.where(known, tan, np.nan), depth, reach)
+        wanted = known & in_frame & surfacing(np.where(known, tan, np.nan), depth, reach)
         ratio = depth[:, 1:] / depth[:, :-1]
         joined = np.zeros(tan.shape, dtype=bool)
         joined[:, :-1] = (
@@ -273,7 +273,7 @@ class Image:
         return np.asarray(begin[self.segment] + self.along * rise[self.segment], dtype=np.float32)
 
 
-def _surfacing(tan: Float32Array, depth_m: Float32Array, reach: Reach) -> BoolArray:
+def surfacing(tan: Float32Array, depth_m: Float32Array, reach: Reach) -> BoolArray:
     """Return which points (K, Q), NaN where unknown, could rise over the rest of their column.
 
     Moving by t changes the v of a point at depth z by (v t_forward - t_up) / z, and shifts it

@@ -1,0 +1,253 @@
+r"""The pose that takes a query's rays best to a profile, fitted without rendering.
+
+A stored place tells what its neighbourhood sees to first order: with distance D, tangent y and
+slope y' at azimuth a, and the ground rising by g, an eye moved by t (east, north) sees
+
+.. math::
+
+    y(a; t) \approx y(a) + \frac{y' t_\perp + y t_\parallel - g \cdot t}{D}, \quad
+    t_\parallel = t_e \sin a + t_n \cos a, \quad t_\perp = t_e \cos a - t_n \sin a
+
+so heading, pitch, roll, field of view and a small move are fitted together: damped Gauss-Newton
+with Cauchy weights whose scale shrinks round by round. What the first order leaves out grows
+with (t / D)^2, so near terrain is trusted less.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.matching.dense import DenseProfiles
+from skyline.matching.query import QueryRays
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+_HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH = range(6)
+_DAMPING = np.float32(1e-3)
+_REFERENCE_FOV_DEG = 60.0
+_MIN_FORWARD = np.float32(0.05)
+"""Rays nearer to a quarter turn from straight ahead are taken to lie there."""
+
+
+@dataclass(frozen=True, slots=True)
+class FitConfig:
+    """How poses are fitted to profiles.
+
+    Attributes
+    ----------
+    rays : int
+        Means over runs of the query's columns that are fitted.
+    rounds_deg : tuple of float
+        Scale of the Cauchy weights, beside the expected error, round by round.
+    query_error_deg : float
+        Expected error of such a mean, at a field of view of 60 degrees.
+    curvature : float
+        A move by `move_m` past terrain at distance D leaves an error of ``curvature *
+        (move_m / D)**2`` in the tangent.
+    move_m : float
+        Standard deviation of the place within its cell of the lattice; no fit moves farther
+        than twice that.
+    pitch_deg, roll_deg : float
+        Standard deviations of the camera's attitude.
+    outlier : float
+        A ray misses by at most so many expected errors.
+    """
+
+    rays: int = 100
+    rounds_deg: tuple[float, ...] = (0.5, 0.35, 0.25, 0.2, 0.2)
+    query_error_deg: float = 0.06
+    curvature: float = 0.05
+    move_m: float = 20.0
+    pitch_deg: float = 5.0
+    roll_deg: float = 4.0
+    outlier: float = 4.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """M fitted poses.
+
+    Attributes
+    ----------
+    pose : (M, 6) float32
+        Heading from grid north, pitch and roll, radians; zoom: log(tan(fov / 2)) against that of
+        the query's own; metres east and north of the stored place.
+    score : (M,) float32
+        Mean over rays of the negative log of their likelihood but for a constant; lower is
+        better.
+    """
+
+    pose: Float32Array
+    score: Float32Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rays:
+    """Means (R,) float32 of runs of a query's rays: right and up over forward, and weight."""
+
+    u: Float32Array
+    v: Float32Array
+    weight: Float32Array
+
+    @classmethod
+    def of(cls, query: QueryRays, count: int) -> "Rays":
+        """Average the rays over ``count`` equal steps of u; steps mostly unseen are left out."""
+        left, right = query.u.min(), query.u.max()
+        step = max((right - left) / count, 1e-9)
+        run = np.minimum((query.u - left) / step, count - 1).astype(np.intp)
+        weight = np.bincount(run, query.weight, count)
+        used = weight > 0.3 * np.median(weight[weight > 0.0])
+        mean = [
+            np.bincount(run, query.weight * ray, count)[used] / weight[used]
+            for ray in (query.u, query.v)
+        ]
+        u, v = (ray.astype(np.float32) for ray in mean)
+        return cls(u, v, (weight[used] / weight[used].mean()).astype(np.float32))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """How rays (M, R) of M poses miss their profiles, and what changes that."""
+
+    miss: Float32Array
+    change: Float32Array
+    """(M, 6, R): derivative of the miss by each parameter of the pose."""
+    nearness: Float32Array
+    known: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveFit:
+    """Fits poses of one query to M profiles, one pose each.
+
+    Attributes
+    ----------
+    profiles : DenseProfiles
+        M entries.
+    rays : Rays
+    fov_deg : float
+        What the rays were made with.
+    zoom_bounds : (float, float)
+    config : FitConfig
+    """
+
+    profiles: DenseProfiles
+    rays: Rays
+    fov_deg: float
+    zoom_bounds: tuple[float, float]
+    config: FitConfig
+
+    def fit(self, heading: Float64Array, zoom: Float64Array) -> Poses:
+        """Improve poses that look along headings (M,), radians, with zooms (M,)."""
+        pose = np.zeros((len(heading), 6), dtype=np.float32)
+        pose[:, _HEADING], pose[:, _ZOOM] = heading, zoom
+        y, nearness = self.profiles.y(), 1.0 / self.profiles.distance_m()
+        seen = self._seen(pose, y, nearness)
+        pose[:, _PITCH] = -np.median(seen.miss, axis=1)
+        prior = self._prior()
+        for scale_deg in self.config.rounds_deg:
+            seen = self._seen(pose, y, nearness)
+            variance = self._variance(pose, seen.nearness)
+            weight = self.rays.weight * seen.known
+            weight = weight / (variance + np.square(seen.miss) + np.radians(scale_deg) ** 2)
+            pose = self._bounded(pose, _step(pose, seen, weight.astype(np.float32), prior))
+        score = self._score(pose, self._seen(pose, y, nearness), prior)
+        return Poses(pose, score)
+
+    def _seen(self, pose: Float32Array, y: Float32Array, nearness: Float32Array) -> _Seen:
+        azimuth, tangent = self._project(pose)
+        bins = y.shape[1]
+        toward = azimuth + pose[:, :1]
+        position = toward * np.float32(bins / (2.0 * np.pi))
+        left = np.floor(position)
+        share = position - left
+        row = (np.arange(len(y)) * bins)[:, np.newaxis]
+        begin = row + left.astype(np.intp) % bins
+        end = row + (left.astype(np.intp) + 1) % bins
+        here = y.ravel()[begin]
+        rise = y.ravel()[end] - here
+        known = np.isfinite(rise)
+        rise = np.where(known, rise, np.float32(0.0))
+        here = np.where(known, here, np.float32(0.0)) + share * rise
+        slope = rise * np.float32(bins / (2.0 * np.pi))
+        near = nearness.ravel()[np.where(share < 0.5, begin, end)]
+        sine, cosine = np.sin(toward), np.cos(toward)
+        ground = self.profiles.ground_slope[:, :, np.newaxis]
+        east = (slope * cosine + here * sine - ground[:, 0]) * near
+        north = (here * cosine - slope * sine - ground[:, 1]) * near
+        miss = tangent - here - east * pose[:, _EAST, np.newaxis]
+        miss -= north * pose[:, _NORTH, np.newaxis]
+        own_sine, own_cosine = np.sin(azimuth), np.cos(azimuth)
+        zoom = tangent * np.square(own_cosine) - slope * own_sine * own_cosine
+        change = np.stack([-slope, own_cosine, -own_sine, zoom, -east, -north], axis=1)
+        return _Seen(np.where(known, miss, np.float32(0.0)), change, near, known)
+
+    def _project(self, pose: Float32Array) -> tuple[Float32Array, Float32Array]:
+        """Return azimuth from straight ahead and tangent of the rays (M, R); as `query.level`."""
+        pitch, roll, zoom = (pose[:, k, np.newaxis] for k in (_PITCH, _ROLL, _ZOOM))
+        scale = np.exp(zoom)
+        u, v = self.rays.u * scale, self.rays.v * scale
+        right = u * np.cos(roll) + v * np.sin(roll)
+        up = v * np.cos(roll) - u * np.sin(roll)
+        forward = np.maximum(np.cos(pitch) - up * np.sin(pitch), _MIN_FORWARD)
+        up = up * np.cos(pitch) + np.sin(pitch)
+        return np.arctan(right / forward), up / np.hypot(right, forward)
+
+    def _variance(self, pose: Float32Array, nearness: Float32Array) -> Float32Array:
+        """Return the expected squared error (M, R) of the tangents."""
+        query = np.radians(self.config.query_error_deg) * self._scale(pose)
+        move = self.config.curvature * np.square(self.config.move_m * nearness)
+        return np.asarray(np.square(query)[:, np.newaxis] + np.square(move), dtype=np.float32)
+
+    def _scale(self, pose: Float32Array) -> Float32Array:
+        """Return the size (M,) of a pixel against one of a 60 degree field of view.
+
+        What a camera measures are pixels: without this a small enough field of view would make
+        every miss small.
+        """
+        reference = np.tan(np.radians(_REFERENCE_FOV_DEG / 2.0))
+        return np.asarray(
+            np.exp(pose[:, _ZOOM]) * (np.tan(np.radians(self.fov_deg / 2.0)) / reference),
+            dtype=np.float32,
+        )
+
+    def _prior(self) -> Float32Array:
+        """Return the inverse variances of the parameters."""
+        config = self.config
+        angles = 1.0 / np.radians([config.pitch_deg, config.roll_deg]) ** 2
+        moves = np.full(2, 1.0 / config.move_m**2)
+        return np.concatenate([[0.0], angles, [0.0], moves]).astype(np.float32)
+
+    def _bounded(self, pose: Float32Array, step: Float32Array) -> Float32Array:
+        limit = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, *[1.25 * self.config.move_m] * 2])
+        pose = pose - np.clip(step, -limit, limit).astype(np.float32)
+        pose[:, _ZOOM] = np.clip(pose[:, _ZOOM], *self.zoom_bounds)
+        farthest = 2.0 * self.config.move_m
+        pose[:, _EAST:] = np.clip(pose[:, _EAST:], -farthest, farthest)
+        return pose
+
+    def _score(self, pose: Float32Array, seen: _Seen, prior: Float32Array) -> Float32Array:
+        variance = self._variance(pose, seen.nearness)
+        outlier = np.float32(self.config.outlier)
+        miss = np.minimum(np.abs(seen.miss) / np.sqrt(variance), outlier)
+        cost = np.where(seen.known, miss, outlier)
+        cost += 0.5 * np.log(variance / np.square(self._scale(pose))[:, np.newaxis])
+        unlikely = 0.5 * (np.square(pose) * prior).sum(axis=1) / self.config.rays
+        mean = (cost * self.rays.weight).mean(axis=1)
+        return np.asarray(mean + unlikely, dtype=np.float32)
+
+
+def _step(
+    pose: Float32Array, seen: _Seen, weight: Float32Array, prior: Float32Array
+) -> Float32Array:
+    """Return the Gauss-Newton step (M, 6) to be taken off."""
+    weighted = seen.change * weight[:, np.newaxis]
+    normal = weighted @ seen.change.transpose(0, 2, 1)
+    gradient = (weighted @ seen.miss[:, :, np.newaxis])[:, :, 0] + prior * pose
+    diagonal = np.einsum("mkk->mk", normal)
+    diagonal += prior
+    diagonal += _DAMPING * (diagonal + 1.0)
+    return np.asarray(np.linalg.solve(normal, gradient[:, :, np.newaxis])[:, :, 0])
