@@ -8,12 +8,14 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from skyline.matching.correlation import CorrelationMatcher
+from skyline.matching.dense import DenseProfiles, DensifyConfig, densify
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.paper import PaperMatcher
 from skyline.matching.pose import Poses, RefineConfig, Scene, refine
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import Attitudes, QueryRays
 from skyline.matching.ranking import Candidate, Matcher
+from skyline.matching.retrieval import RetrievalConfig, Retriever
 
 MATCHERS: Mapping[str, Callable[[], Matcher]] = MappingProxyType(
     {"paper": PaperMatcher, "correlation": CorrelationMatcher}
@@ -25,6 +27,8 @@ __all__ = [
     "Attitudes",
     "Candidate",
     "CorrelationMatcher",
+    "DenseProfiles",
+    "DensifyConfig",
     "Hypotheses",
     "Matcher",
     "PaperMatcher",
@@ -32,6 +36,9 @@ __all__ = [
     "Profiles",
     "QueryRays",
     "RefineConfig",
+    "RetrievalConfig",
+    "Retriever",
     "Scene",
+    "densify",
     "refine",
 ]
