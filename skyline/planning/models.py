@@ -20,12 +20,22 @@ Predict = Callable[[Views, IntArray, Viewpoints], Views]
 
 _PREDICTED_AT_ONCE = 256
 
+_BELIEVED_PX = (0.05, 12.0)
+"""Errors beyond are clipped before they are averaged: what is wrong is not a matter of degree."""
+
+_FAR_PX = np.float32(30.0)
+
 
 class InterpolatedModel:
-    """Interpolates errors between the nearest views rendered in one heading.
+    """Interpolates errors between the views rendered in one heading, two ways at once.
 
-    What is averaged, weighted by inverse distance, is the inverse of the error: how far one can
-    go for one pixel. So a location that one view says nothing about does not spoil the others.
+    Of the nearest views the inverse errors are averaged, weighted by inverse distance: how far one
+    can go for one pixel. So a location that one view says nothing about does not spoil the others.
+    That knows the shape of areas, but little of the candidate itself. Every view that a location
+    is in reach of, though, says how fast the skyline changes on the way to it, px per candidate;
+    an error is also this rate, the mean of its two ends, times the distance. The geometric mean of
+    both is predicted: on Davos it picks areas that need a tenth fewer renderings than the first
+    alone.
 
     Parameters
     ----------
@@ -37,9 +47,13 @@ class InterpolatedModel:
     def __init__(self, candidates: CandidateMap, nearest: int = 4) -> None:
         self._grid = candidates.grid
         self._nearest = nearest
-        window = candidates.grid.window
+        window, reach = candidates.grid.window, candidates.grid.reach
         self._viewpoints = np.zeros(0, dtype=np.int64)
         self._inverse = np.zeros((0, window, window), dtype=np.float32)
+        step = np.arange(-reach, reach + 1)
+        self._apart = np.hypot(step[:, None], step).astype(np.float32)
+        padded = np.pad(candidates.grid.valid, reach).shape
+        self._weight, self._log_rate = np.zeros(padded), np.zeros(padded)
 
     def learn(self, candidates: IntArray, views: Views, errors: Float32Array) -> None:
         """Add views rendered at candidates (N) and their errors (N, K, K)."""
@@ -47,6 +61,14 @@ class InterpolatedModel:
             inverse = np.float32(1.0) / errors
         self._inverse = np.concatenate([self._inverse, inverse])
         self._viewpoints = np.concatenate([self._viewpoints, candidates])
+        apart = np.maximum(self._apart, 0.5)
+        weight = (self._apart > 0.0) / apart
+        log_rate = np.log(np.clip(errors, *_BELIEVED_PX) / apart) * weight
+        window = self._grid.window
+        for row, col, one in zip(*self._grid.row_col(candidates), log_rate, strict=True):
+            place = slice(row, row + window), slice(col, col + window)
+            self._weight[place] += weight
+            self._log_rate[place] += one
 
     def predict_errors(self, candidates: IntArray) -> Float32Array:
         """Return predicted reprojection errors of views at candidates (N), (N, K, K) px."""
@@ -57,7 +79,19 @@ class InterpolatedModel:
         for place in range(chosen.shape[1]):
             inverse += self._inverse[chosen[:, place]] * weight[:, place, None, None]
         with np.errstate(divide="ignore"):
-            return np.asarray(np.float32(1.0) / inverse, dtype=np.float32)
+            by_shape = np.float32(1.0) / inverse
+        by_rate = self._by_rate(candidates)
+        mean = np.sqrt(np.minimum(by_shape, _FAR_PX) * by_rate)
+        return np.where(np.isnan(mean), by_shape, mean).astype(np.float32)
+
+    def _by_rate(self, candidates: IntArray) -> Float32Array:
+        """Return errors (N, K, K) by the rates at both ends, NaN where no view reaches one."""
+        reach, window = self._grid.reach, self._grid.window
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rate = np.exp(self._log_rate / self._weight).astype(np.float32)
+        row, col = self._grid.row_col(candidates)
+        windows = np.lib.stride_tricks.sliding_window_view(rate, (window, window))[row, col]
+        return 0.5 * (windows + windows[:, reach, reach][:, None, None]) * self._apart
 
 
 class PredictedModel:

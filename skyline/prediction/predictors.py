@@ -47,7 +47,9 @@ class Predictor(Protocol):
     def needs_shells(self) -> bool:
         """Whether views must carry distance shells."""
 
-    def errors_px(self, views: Views, displacements_m: FloatArray) -> Float32Array:
+    def errors_px(
+        self, views: Views, displacements_m: FloatArray, within_px: float | None = None
+    ) -> Float32Array:
         """Return reprojection errors of candidates, paper 4.2.
 
         Parameters
@@ -56,6 +58,9 @@ class Predictor(Protocol):
             N views.
         displacements_m : (N, C, 3) floating
             Right, up, forward of C candidate eyes in each view's own axes; NaN is no eye.
+        within_px : float, optional
+            The threshold the errors are for: what is clearly on one side of it need not be
+            computed any closer.
 
         Returns
         -------
@@ -96,7 +101,9 @@ class Reprojection:
         """False: the skyline and its depth suffice."""
         return False
 
-    def errors_px(self, views: Views, displacements_m: FloatArray) -> Float32Array:
+    def errors_px(
+        self, views: Views, displacements_m: FloatArray, within_px: float | None = None
+    ) -> Float32Array:
         """See `Predictor.errors_px`."""
         check_displacements(views, displacements_m)
         candidates = displacements_m.shape[1]
@@ -159,7 +166,9 @@ class Resemblance:
         """Whether the prediction is from distance shells."""
         return self.use_shells
 
-    def errors_px(self, views: Views, displacements_m: FloatArray) -> Float32Array:
+    def errors_px(
+        self, views: Views, displacements_m: FloatArray, within_px: float | None = None
+    ) -> Float32Array:
         """See `Predictor.errors_px`."""
         check_displacements(views, displacements_m)
         if self.use_shells and views.shells is None:
@@ -169,27 +178,29 @@ class Resemblance:
             )
         scenery = Scenery.of(views, self.columns, self.use_shells)
         curves = block_means(views.elevation_tan, self.columns)
-        candidates = displacements_m.shape[1]
-        errors = np.empty((len(views), candidates), dtype=np.float32)
-        some = max(1, _FITS_AT_ONCE // max(1, candidates))
-        for begin in range(0, len(views), some):
-            part = range(begin, min(begin + some, len(views)))
-            moved = displacements_m[part.start : part.stop]
+        starts = self._starts(views, displacements_m)
+        view, eye = np.nonzero(np.isfinite(displacements_m).all(axis=2))
+        errors = np.full(displacements_m.shape[:2], np.inf, dtype=np.float32)
+        for begin in range(0, len(view), _FITS_AT_ONCE):
+            part = slice(begin, begin + _FITS_AT_ONCE)
+            rows, eyes = view[part], eye[part]
+            moved = displacements_m[rows, eyes]
+            ends = np.flatnonzero(np.diff(rows, append=-1)) + 1
             seen = [
-                seen_from(scenery.polylines(view, Reach.of(there)), there, curves.shape[1])
-                for view, there in zip(part, moved, strict=True)
+                seen_from(scenery.polylines(one, Reach.of(there)), there, curves.shape[1])
+                for one, there in zip(rows[ends - 1], np.split(moved, ends[:-1]), strict=True)
             ]
-            depth = median_depth_m(views.depth_m[part.start : part.stop])
-            warps = equation_4(depth, moved)
-            starts = np.stack([np.broadcast_to(IDENTITY, warps.shape), warps], axis=2)
             distances_px, _ = self.fit.distances_px(
-                np.repeat(curves[part.start : part.stop], candidates, axis=0),
-                np.concatenate(seen),
-                starts.reshape(-1, 2, 2, 3),
-                views.width,
+                curves[rows], np.concatenate(seen), starts[rows, eyes], views.width, within_px
             )
-            errors[part.start : part.stop] = distances_px.reshape(len(part), -1)
+            errors[rows, eyes] = distances_px
         return errors
+
+    @staticmethod
+    def _starts(views: Views, displacements_m: FloatArray) -> Float64Array:
+        """Return the warps to begin with, the identity and Equation 4's, (N, C, 2, 2, 3)."""
+        warps = equation_4(median_depth_m(views.depth_m), displacements_m)
+        return np.stack([np.broadcast_to(IDENTITY, warps.shape), warps], axis=2)
 
 
 PREDICTORS: Mapping[str, Predictor] = MappingProxyType(

@@ -8,9 +8,10 @@ from skyline.planning.layout import Annealing, Areas, Layout
 from skyline.planning.strategies.base import Requests
 
 _SKETCH = Annealing(sweeps=20)
-_RENEWAL = Annealing(sweeps=40, hot=0.15)
 _PLAN = Annealing(sweeps=240)
+_RENEWAL = Annealing(sweeps=40, hot=0.15)
 _REVISION = Annealing(sweeps=12, hot=0.04)
+_TOUCH = Annealing(sweeps=6, hot=0.04)
 
 _PROBES = 4
 """How many views are rendered before a forecast is first compared with the truth."""
@@ -18,8 +19,13 @@ _PROBES = 4
 _MISFIT = 0.05
 """Share by which predicted areas may miss the true ones for the forecast to be trusted."""
 
+_WORTH_PLANNING = 0.2
+"""Share up to which a forecast may miss for a long search for the best layout to pay: beyond, the
+layout found is the one whose areas are overrated most."""
+
 _TAIL = 0.02
-"""When no more than this share of the views is still to be asked for, all of it is."""
+"""When no more than this share of the views is still to be asked for, all of it is; of more, the
+more a forecast misses, since it is then not worth waiting for the truth."""
 
 
 def cover(problem: Problem, generator: np.random.Generator) -> Requests:
@@ -41,23 +47,24 @@ def cover(problem: Problem, generator: np.random.Generator) -> Requests:
     layout = _layout(problem, areas, generator)
     layout.start_greedily()
     layout.anneal(_SKETCH)
-    allowed, planned, due = _PROBES, False, 0
+    allowed, planned, due, misfit = _PROBES, False, 0, 0.0
     while not problem.done:
-        few = len(layout.sites) <= _TAIL * len(problem.coverage.viewpoints)
+        rendered = len(problem.coverage.viewpoints)
+        few = len(layout.sites) <= _TAIL * max(1.0, misfit / _WORTH_PLANNING) * rendered
         batch = layout.sites if few else layout.sites[layout.apart()[:allowed]]
         errors = yield batch
         misfit = forecast.learn(batch, errors)
         left = layout.sites[~np.isin(layout.sites, batch)]
-        rendered = len(problem.coverage.viewpoints)
-        annealing = _REVISION
+        rendered += len(batch)
+        hopeful = misfit <= _WORTH_PLANNING
+        annealing = _REVISION if hopeful else _TOUCH
         if not planned or (misfit > _MISFIT and rendered >= due and len(left) > len(batch)):
             # The next forecast waits for twice the views, so there are few of them.
             due = 2 * rendered
             forecast.refresh(step=1 + reach // 3)
             areas = _areas(problem, forecast)
-            trusted = misfit <= _MISFIT or allowed > _PROBES
-            annealing = _PLAN if trusted and not planned else _RENEWAL
-            planned = planned or trusted
+            annealing = _PLAN if hopeful and not planned else _RENEWAL
+            planned = planned or hopeful or allowed > _PROBES
             allowed = len(areas.size) if planned else _PROBES**2
         layout = _layout(problem, areas, generator)
         layout.place(left)
