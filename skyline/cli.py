@@ -43,6 +43,7 @@ from skyline.planning.loop import PlanConfig
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
 from skyline.prediction import shell_edges_m
+from skyline.report.coverage import save_coverage_map
 from skyline.report.geojson import write_geojson
 from skyline.report.peaks import read_peaks
 from skyline.report.records import MatchRecord
@@ -153,6 +154,10 @@ def build(
         int | None,
         typer.Option(help="Distance shells kept beside each skyline; cover keeps 12 by itself."),
     ] = None,
+    coverage_map: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="PNG", help="Map a planner's viewpoints and their areas."),
+    ] = None,
     bounds: Bounds = None,
     shard_km: ShardKm = None,
     workers: Workers = None,
@@ -167,6 +172,10 @@ def build(
     """Build a reference store over an area. Stopped with Ctrl-C, the same command goes on."""
     if planner != "uniform" and planner not in STRATEGIES:
         raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
+    if coverage_map is not None and planner == "uniform":
+        raise InputError(
+            f"--map {coverage_map} maps tolerance areas; give a --planner that has any"
+        )
     config = replace(
         _render_config(width, tolerance_px, k, no_curvature),
         shell_edges_m=shell_edges_m(shells) if shells else (),
@@ -210,6 +219,8 @@ def build(
         )
     _say_built(done.built, output)
     _say_planned(done)
+    if coverage_map is not None:
+        save_coverage_map(done.plan, coverage_map)
 
 
 @app.command()

@@ -26,10 +26,6 @@ from skyline.views import Views
 _SHELLS = 12
 """What `cover` predicts from."""
 
-_MARGIN = 0.85
-"""`cover` counts on what is predicted within this share of the threshold. On Davos 94 % of such
-locations hold, of those between it and the threshold 75 %."""
-
 PREDICTING = ("rov",)
 """Strategies that compute the areas of candidates; the others interpolate them."""
 
@@ -109,10 +105,8 @@ def build_planned(
         else:
             writer = held.enter_context(create_store(path, header))
         before = len(writer)
-        margin = _MARGIN if planned.strategy == "cover" else 1.0
-        careful = replace(planned, threshold_px=margin * planned.threshold_px)
-        oracles = _oracles(terrain, careful, partial(_render_and_keep, renderer, writer, config))
-        done = plan(terrain, oracles, careful, area, there, progress)
+        oracles = _oracles(terrain, planned, partial(_render_and_keep, renderer, writer, config))
+        done = plan(terrain, oracles, planned, area, there, progress)
         writer.flush()
         built = BuildResult(len(writer), len(writer) - before, time.perf_counter() - started)
         # Stored views are rendered again rather than held: a rendering costs less than its memory.

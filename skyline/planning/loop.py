@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
@@ -137,6 +138,8 @@ class Plan:
         At the end.
     render_s, plan_s : float
         Seconds spent in the renderer, and on everything else.
+    render_cpu_s, plan_cpu_s : float
+        The same in processor time, all threads of the process.
     """
 
     candidates: CandidateMap
@@ -144,6 +147,8 @@ class Plan:
     progress: PlanProgress
     render_s: float
     plan_s: float
+    render_cpu_s: float
+    plan_cpu_s: float
 
     @property
     def coverage(self) -> float:
@@ -212,8 +217,8 @@ class _Loop:
         self._coverages = tuple(Coverage(candidates.grid) for _ in HEADINGS)
         self._archive = Archive()
         self._models = tuple(self._model(heading) for heading in HEADINGS)
-        self._started = time.perf_counter()
-        self._render_s = 0.0
+        self._started = _clocks()
+        self._render_s = np.zeros(2)
         self._fresh = 0
         self._batches = 0
 
@@ -237,13 +242,16 @@ class _Loop:
 
     def result(self) -> Plan:
         """Return the plan as it stands."""
-        whole_s = time.perf_counter() - self._started
+        (render_s, render_cpu_s), whole_s = self._render_s.tolist(), _clocks() - self._started
+        plan_s, plan_cpu_s = (whole_s - self._render_s).tolist()
         return Plan(
             self._candidates,
             self._coverages,
             self._now(),
-            self._render_s,
-            whole_s - self._render_s,
+            render_s,
+            plan_s,
+            render_cpu_s,
+            plan_cpu_s,
         )
 
     def _model(self, heading: int) -> _Model:
@@ -312,9 +320,9 @@ class _Loop:
             stored = [self._at[place] for place, there in zip(asked, held, strict=True) if there]
             parts.append(self._rendered[np.array(stored)])
         if not held.all():
-            started = time.perf_counter()
+            started = _clocks()
             parts.append(self._oracles.render(viewpoints[~held], heading[~held]))
-            self._render_s += time.perf_counter() - started
+            self._render_s += _clocks() - started
             self._fresh += int(np.count_nonzero(~held))
         return in_order(Views.concatenate(parts), asked)
 
@@ -329,7 +337,7 @@ class _Loop:
             self._progress(now)
 
     def _now(self) -> PlanProgress:
-        seconds = max(time.perf_counter() - self._started, 1e-9)
+        seconds = max(float((_clocks() - self._started)[0]), 1e-9)
         return PlanProgress(
             coverage=float(np.mean([one.fraction() for one in self._coverages])),
             renderings=sum(len(one.viewpoints) for one in self._coverages),
@@ -337,3 +345,8 @@ class _Loop:
             renderings_per_s=self._fresh / seconds,
             batches=self._batches,
         )
+
+
+def _clocks() -> NDArray[np.float64]:
+    """Return the time by the wall and by the processor, seconds."""
+    return np.array([time.perf_counter(), time.process_time()])

@@ -68,12 +68,23 @@ def test_a_stopped_build_goes_on_to_the_same_store(valley, tmp_path, strategy):
     assert rows_of(broken)[0] == rows_of(whole)[0]
 
 
-def test_a_plain_needs_a_handful(tmp_path):
-    plain = field_of(np.zeros((50, 50), dtype=np.float32), 40.0)
-    result = build_planned(plain, tmp_path / "s.h5", planned("lpov"), config=NARROW)
-    rough = field_of(fractal(50, 50, relief_m=600.0, seed=2), 40.0)
-    many = build_planned(rough, tmp_path / "t.h5", planned("lpov"), config=NARROW)
-    assert result.built.renderings < 0.5 * many.built.renderings
+@pytest.mark.parametrize(("strategy", "handful"), [("lpov", 32), ("cover", 6)])
+def test_a_plain_needs_a_handful_and_a_narrow_valley_many(tmp_path, strategy, handful):
+    far = PlanConfig(strategy, Spacing(1000.0, 100.0, 500.0), threshold_px=1.0, coverage=0.9)
+    plain = np.zeros((50, 50), dtype=np.float32)
+    across = np.abs(np.arange(50) - 24.5) * 40.0
+    crests = fractal(50, 50, relief_m=300.0, seed=3)
+    walls = (np.clip(across - 60.0, 0.0, 400.0) / 400.0 * (500.0 + crests)).astype(np.float32)
+    renderings = [
+        build_planned(
+            field_of(heights, 40.0), tmp_path / f"{name}.h5", far, config=NARROW
+        ).built.renderings
+        for name, heights in (("plain", plain), ("valley", walls))
+    ]
+    few, many = renderings
+    # Areas reach 500 m to every side, so 2 km square are four of them in each of four headings.
+    assert few <= 4 * handful
+    assert many > 3 * few
 
 
 def test_seeds_decide_and_nothing_else(valley, tmp_path):
@@ -88,8 +99,10 @@ def test_command_line(dem, run, tmp_path):
     told = run(
         *("build", dem, "-o", tmp_path / "s.h5", "--planner", "lpov", "--spacing", 1000),
         *("--pitch", 250, "--threshold-px", 3, "--coverage", 0.9, "--width", 64),
+        *("--map", tmp_path / "map.png"),
     )
     assert told.code == 0, told.err
+    assert (tmp_path / "map.png").read_bytes().startswith(b"\x89PNG")
     assert "verified by rendering" in told.out
     facts = json.loads(run("info", tmp_path / "s.h5", "--json").out)
     assert facts["config"]["planner"] == "lpov"
@@ -101,6 +114,7 @@ def test_command_line(dem, run, tmp_path):
         (["--planner", "best"], "planner is 'best'"),
         (["--planner", "lpov", "--coverage", 1.5], "coverage is 1.5"),
         (["--planner", "lpov", "--threshold-px", 0], "threshold is 0"),
+        (["--map", "map.png"], "give a --planner"),
         (["--planner", "cover", "--spacing", 50_000], "larger than the area"),
     ],
 )

@@ -188,3 +188,26 @@ def test_bad_requests_say_what_is_wrong():
     with pytest.raises(InputError, match="'best'; expected one of non-affine, affine-mean"):
         predictor_named("best")
     assert predictor_named("curve") is PREDICTORS["curve"]
+
+
+def test_a_threshold_leaves_what_is_near_it_as_it_is_and_what_is_beyond_beyond():
+    view = layered([(mountains(U, 1), 500.0), (mountains(U, 2), 3000.0)])
+    moved = np.array([[(30.0 * k, 0.0, -20.0 * k) for k in range(-8, 9)]])
+    whole = PREDICTORS["shells"].errors_px(view, moved)
+    threshold = float(np.median(whole))
+    quick = PREDICTORS["shells"].errors_px(view, moved, threshold)
+    np.testing.assert_array_equal(quick <= threshold, whole <= threshold)
+    assert (quick >= whole).all()
+    near = (quick > 0.5 * threshold) & (quick <= threshold)
+    assert near.any()
+    np.testing.assert_array_equal(quick[near], whole[near])
+
+
+def test_an_eye_that_is_nowhere_costs_nothing_and_is_answered_with_inf():
+    view = layered([(mountains(U, 1), 500.0), (mountains(U, 2), 3000.0)])
+    moved = np.array([[(30.0, 0.0, 0.0), (np.nan, np.nan, np.nan), (0.0, np.nan, 0.0)]])
+    found = PREDICTORS["shells"].errors_px(view, moved)
+    assert np.isfinite(found[0]).tolist() == [True, False, False]
+    alone = PREDICTORS["shells"].errors_px(view, moved[:, :1])
+    np.testing.assert_allclose(found[:, :1], alone)
+    assert np.isinf(PREDICTORS["shells"].errors_px(view, moved[:, 1:])).all()
