@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from skyline.console import parse_bounds
 from skyline.experiments.record import Row, write_record
@@ -34,7 +35,10 @@ def measure(
         size = store.stat().st_size
     plan, proof, made = done.plan, done.verification, done.plan.progress
     if planner == "cover":
-        save_coverage_map(plan, RESULTS / "cover_map.png")
+        picture = RESULTS / "cover_map.png"
+        save_coverage_map(plan, picture)
+        # A palette keeps the repository small.
+        Image.open(picture).convert("RGB").quantize(128).save(picture, optimize=True)
     inclusions = [np.count_nonzero(one.areas) for one in plan.coverages]
     return {
         "planner": planner,
@@ -42,7 +46,7 @@ def measure(
         "renderings": made.renderings,
         "batches": made.batches,
         "renderings_a_batch": made.renderings / made.batches,
-        "mean_area": sum(inclusions) / made.renderings,
+        "mean_area": float(sum(inclusions)) / made.renderings,
         "render_s": plan.render_s,
         "render_cpu_s": plan.render_cpu_s,
         "plan_s": plan.plan_s,
