@@ -53,18 +53,22 @@ def cover(problem: Problem, generator: np.random.Generator) -> Requests:
         few = len(layout.sites) <= _TAIL * max(1.0, misfit / _WORTH_PLANNING) * rendered
         batch = layout.sites if few else layout.sites[layout.apart()[:allowed]]
         errors = yield batch
-        misfit = forecast.learn(batch, errors)
+        missed = forecast.learn(batch, errors)
+        if len(batch) >= _PROBES:
+            # Fewer views say little of the forecast as a whole.
+            misfit = missed
         left = layout.sites[~np.isin(layout.sites, batch)]
         rendered += len(batch)
         hopeful = misfit <= _WORTH_PLANNING
         annealing = _REVISION if hopeful else _TOUCH
-        if not planned or (misfit > _MISFIT and rendered >= due and len(left) > len(batch)):
+        if not planned or (missed > _MISFIT and rendered >= due and len(left) > len(batch)):
             # The next forecast waits for twice the views, so there are few of them.
             due = 2 * rendered
             forecast.refresh(step=1 + reach // 3)
             areas = _areas(problem, forecast)
-            annealing = _PLAN if hopeful and not planned else _RENEWAL
-            planned = planned or hopeful or allowed > _PROBES
+            trusted = missed <= _MISFIT or allowed > _PROBES
+            annealing = _PLAN if trusted and hopeful and not planned else _RENEWAL
+            planned = planned or trusted
             allowed = len(areas.size) if planned else _PROBES**2
         layout = _layout(problem, areas, generator)
         layout.place(left)
