@@ -38,7 +38,7 @@ def measure(
         picture = RESULTS / "cover_map.png"
         save_coverage_map(plan, picture)
         # A palette keeps the repository small.
-        Image.open(picture).convert("RGB").quantize(128).save(picture, optimize=True)
+        Image.open(picture).convert("RGB").quantize(256).save(picture, optimize=True)
     inclusions = [np.count_nonzero(one.areas) for one in plan.coverages]
     return {
         "planner": planner,
