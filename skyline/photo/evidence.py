@@ -34,6 +34,13 @@ _SOFT_TO_SHARP = (0.4, 0.75)
 _SOFT_WEIGHT = 0.3
 """What a soft edge still counts: a photo may be out of focus."""
 
+_THIN_PX = 11
+"""Width, at the fine size, of the median that takes thin things away: wires, twigs, lettering."""
+_THIN_REACH = 5
+"""Working pixels square in which an edge is looked for in what is left: a median rounds corners."""
+_THIN_TO_SOLID = (0.25, 0.5)
+"""Share of an edge's steepness that is left: a wire's is next to nothing."""
+
 _CLEARLY_DARKER = 15.0
 """L* - b* below the threshold at which a pixel is surely ground."""
 
@@ -73,7 +80,8 @@ def gather_evidence(photo: UInt8Array) -> Evidence:
     h, w = round(height * shrink / 2.0), round(width * shrink / 2.0)
     fine = _resized(photo, 2 * w, 2 * h)
     work = _resized(fine, w, h)
-    return Evidence(to_lab(work), _sharp_edges(to_lab(fine)), h / height)
+    edges = _sharp_edges(to_lab(fine), to_lab(cv2.medianBlur(fine, _THIN_PX)))
+    return Evidence(to_lab(work), edges, h / height)
 
 
 def _resized(rgb: UInt8Array, width: int, height: int) -> UInt8Array:
@@ -86,30 +94,43 @@ def to_lab(rgb: UInt8Array) -> Float32Array:
     return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB), dtype=np.float32)
 
 
-def _sharp_edges(lab: Float32Array) -> Float32Array:
+def _sharp_edges(lab: Float32Array, solid_lab: Float32Array) -> Float32Array:
     """Return edges of a (2h, 2w, 3) photo on the grid of half its size, 0 to 1.
+
+    ``solid_lab`` is the photo without what is thin: an edge that it lacks is a wire's, which has
+    the same sky on both sides.
 
     Each channel is measured in units of its own noise in the sky: JPEG keeps colour less well
     than lightness, and its colour noise would otherwise pass for edges.
     """
     steepness = np.zeros((lab.shape[0] // 2, lab.shape[1] // 2), dtype=np.float32)
-    contrast = np.zeros_like(steepness)
+    contrast, solid = np.zeros_like(steepness), np.zeros_like(steepness)
     for index in range(3):
         channel = np.ascontiguousarray(lab[:, :, index])
-        across = cv2.Sobel(channel, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
-        down = cv2.Sobel(channel, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
-        steepest = _halved(across**2 + down**2)
+        steepest = _halved(_squared_gradient(channel))
         in_sky = steepest[: max(1, int(SKY_SEED_SHARE * len(steepest)))]
         noise = max(_MIN_NOISE[index], _noise(in_sky))
         steepness += steepest / np.float32(noise**2)
         contrast += _halved(_local_range(channel) ** 2) / np.float32(noise**2)
-    steepness, contrast = np.sqrt(steepness), np.sqrt(contrast)
+        solid_channel = np.ascontiguousarray(solid_lab[:, :, index])
+        solid += _halved(_squared_gradient(solid_channel)) / np.float32(noise**2)
+    steepness, contrast, solid = np.sqrt(steepness), np.sqrt(contrast), np.sqrt(solid)
     clear = np.square(np.maximum(steepness - np.float32(_NOISE_CEILING), 0.0))
     clear /= clear + np.float32(_HALF_EDGE**2)
     sharpness = steepness / np.maximum(contrast, 2.0 * _NOISE_CEILING)
     soft, sharp = _SOFT_TO_SHARP
     weight = np.clip((sharpness - soft) / (sharp - soft), _SOFT_WEIGHT, 1.0)
-    return np.asarray(clear * weight, dtype=np.float32)
+    near = cv2.dilate(solid, np.ones((_THIN_REACH, _THIN_REACH), dtype=np.uint8))
+    left = near / np.maximum(steepness - _NOISE_CEILING, _NOISE_CEILING)
+    thin, thick = _THIN_TO_SOLID
+    solidity = np.clip((left - thin) / (thick - thin), 0.0, 1.0)
+    return np.asarray(clear * weight * solidity, dtype=np.float32)
+
+
+def _squared_gradient(channel: Float32Array) -> Float32Array:
+    across = cv2.Sobel(channel, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
+    down = cv2.Sobel(channel, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
+    return np.asarray(across**2 + down**2, dtype=np.float32)
 
 
 def _noise(squares: Float32Array) -> float:

@@ -10,7 +10,6 @@ is found at about 0.7 million pixels, then refined to sub-pixel in a narrow band
 
 import logging
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from math import ceil
 
 import numpy as np
@@ -26,6 +25,7 @@ from skyline.photo.evidence import (
     to_lab,
 )
 from skyline.photo.frame import Content, UInt8Array, content_of
+from skyline.photo.occluders import occluded
 from skyline.photo.paths import IntArray, Steps, detours, shortest_path
 from skyline.photo.query import QuerySkyline
 
@@ -65,15 +65,6 @@ _RIVAL_DISTANCE_SHARE = 0.012
 """Share of the rows beyond which another path is a rival, not the same skyline."""
 _CLEAR_MARGIN = 1.0
 """Extra cost of the best rival at which confidence in its absence is 1 - 1/e."""
-_SPIRE_WIDTH_SHARE = 0.02
-_SPIRE_SLOPE = 4.0
-"""Narrower than this and steeper on both sides, it is a pole or a tree, not a mountain."""
-_CLIFF_SHARE = 0.05
-"""A step of the path by more than this share of the rows is the side of something near."""
-_MAX_OCCLUDER_SHARE = 0.4
-"""Share of the columns that something near may hide; if more, it is the mountains."""
-_OCCLUDER_MARGIN_PX = 2
-
 _OUTCROP_SHARE = 0.006
 """Share of the rows by which the path may have settled on rock just below a snowy skyline."""
 _TOPMOST_STEPS = Steps(reach_rows=12, price_per_row=0.15, jump_price=3.0)
@@ -223,7 +214,7 @@ def _confidence(evidence: Evidence, border: _Border) -> Float64Array:
     margin = 1.0 - np.exp(-rival / _CLEAR_MARGIN)
     confidence = ndimage.median_filter(edge * margin * _colour_contrast(border), 5, mode="nearest")
     outside = (border.row <= 2) | (border.row >= height - 3)
-    confidence[outside | _occluded(border.row, height)] = 0.0
+    confidence[outside | occluded(evidence.lab, border.row)] = 0.0
     return np.asarray(confidence, dtype=np.float64)
 
 
@@ -242,28 +233,6 @@ def _colour_contrast(border: _Border) -> Float64Array:
     above = mean_between(border.row - 1 - band, border.row - 1)
     below = mean_between(border.row + 2, border.row + 2 + band)
     return np.asarray(np.clip(below - above, 0.0, 1.0), dtype=np.float64)
-
-
-def _occluded(row: IntArray, height: int) -> BoolArray:
-    """Return the columns of poles, trees and other upright things in front of the mountains."""
-    width = max(3, round(_SPIRE_WIDTH_SHARE * len(row)))
-    # Rows count downwards, so closing the rows takes away what stands up narrowly.
-    without_spires = ndimage.grey_closing(row, size=(width,), mode="nearest")
-    spire = without_spires - row > 0.5 * _SPIRE_SLOPE * width
-    upright = spire | _between_cliffs(row, max(_STEPS.reach_rows, round(_CLIFF_SHARE * height)))
-    return np.asarray(ndimage.binary_dilation(upright, iterations=_OCCLUDER_MARGIN_PX), dtype=bool)
-
-
-def _between_cliffs(row: IntArray, cliff: int) -> BoolArray:
-    """Return the columns of stretches that every jump of the path leaves downwards."""
-    rise = np.concatenate([[0], row[:-1] - row[1:], [0]])
-    jumps = np.flatnonzero(np.abs(rise) > cliff)
-    bounds = np.concatenate([[0], jumps, [len(row)]])
-    high = np.zeros(len(row), dtype=bool)
-    for start, stop in pairwise(bounds.tolist()):
-        if stop - start <= _MAX_OCCLUDER_SHARE * len(row):
-            high[start:stop] = rise[start] >= 0 and rise[stop] <= 0
-    return high
 
 
 def _to_work_columns(width: int, evidence: Evidence) -> Float64Array:

@@ -17,7 +17,8 @@ _COLOUR_TOLERANCE = 10
 _BAR_SHARE = 0.6
 """Share of a row that must be a bar's own colour; the rest may be its caption."""
 _EDGE_SHARE = 0.9
-"""Share of the first row of content that must differ from the bar: bars end in a straight line."""
+"""Share of the first row of content that must differ from the bar, but for the borders at its
+ends: bars end in a straight line."""
 _BAR_BLUR_PX = 3
 """Rows beyond a bar that resizing and JPEG have mixed with it."""
 _MAX_BAR_SHARE = 0.3
@@ -81,11 +82,26 @@ def _bar_length(image: UInt8Array) -> int:
         if _share_of(image[length], colour) < _BAR_SHARE:
             break
         length += 1
-    ends_straight = length <= longest and _share_of(image[length], colour) <= 1.0 - _EDGE_SHARE
+    mixed = image[length : length + _BAR_BLUR_PX]
+    ends_straight = length <= longest and any(_is_content(row, colour) for row in mixed)
     return length + _BAR_BLUR_PX if length and ends_straight else 0
+
+
+def _is_content(row: UInt8Array, colour: NDArray[np.float64]) -> bool:
+    """Return whether a row (N, 3) differs from a bar's colour nearly everywhere.
+
+    Borders of that colour at the row's ends are left out, as long as most of the row remains.
+    """
+    differs = np.flatnonzero(~_alike(row, colour))
+    if differs.size < _BAR_SHARE * len(row):
+        return False
+    return bool(differs.size >= _EDGE_SHARE * (differs[-1] + 1 - differs[0]))
 
 
 def _share_of(pixels: UInt8Array, colour: NDArray[np.float64]) -> float:
     """Return the share of (N, 3) pixels that are of the colour."""
-    alike = np.abs(pixels - colour).max(axis=-1) <= _COLOUR_TOLERANCE
-    return float(alike.mean())
+    return float(_alike(pixels, colour).mean())
+
+
+def _alike(pixels: UInt8Array, colour: NDArray[np.float64]) -> NDArray[np.bool_]:
+    return np.asarray(np.abs(pixels - colour).max(axis=-1) <= _COLOUR_TOLERANCE)
