@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from io import BytesIO
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from scipy import ndimage
 
@@ -162,7 +162,7 @@ class _Cover:
     """Something in front: where it hides the picture, (H, W) 0 to 1, and its colour."""
 
     opacity: Float32Array
-    rgb: tuple[float, float, float]
+    rgb: ArrayLike
 
 
 def _fractal(
@@ -272,7 +272,7 @@ def _hidden_by(rng: np.random.Generator, recipe: Recipe, row_px: Float64Array) -
     covers = [_bank(rng, recipe, row_px) for _ in range(recipe.banks)]
     covers += [_Cover(_tree(rng, width, height), _FOREST) for _ in range(recipe.trees)]
     covers += [
-        _Cover(_person(rng, width, height), tuple(rng.uniform(20.0, 220.0, 3)))
+        _Cover(_person(rng, width, height), rng.uniform(20.0, 220.0, 3))
         for _ in range(recipe.people)
     ]
     covers += [_Cover(_pole(rng, width, height), (70.0, 66.0, 60.0)) for _ in range(recipe.poles)]
@@ -289,7 +289,7 @@ def _bank(rng: np.random.Generator, recipe: Recipe, row_px: Float64Array) -> _Co
     down = (np.arange(height)[:, np.newaxis] - at) / (rng.uniform(0.02, 0.06) * height)
     density = 1.2 - np.hypot(across, down) + 0.35 * _fractal(rng, (height, width), 1.5, 0.6)
     opacity = np.clip(density / rng.uniform(0.2, 0.6), 0.0, 1.0)
-    rgb = _CLOUD if rng.random() < 0.6 else tuple(map(float, _SKIES[recipe.sky][1]))
+    rgb = _CLOUD if rng.random() < 0.6 else _SKIES[recipe.sky][1]
     return _Cover(np.asarray(0.97 * opacity, dtype=np.float32), rgb)
 
 

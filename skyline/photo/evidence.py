@@ -38,6 +38,8 @@ _THIN_PX = 11
 """Width, at the fine size, of the median that takes thin things away: wires, twigs, lettering."""
 _THIN_REACH = 5
 """Working pixels square in which an edge is looked for in what is left: a median rounds corners."""
+_THIN_CONTRAST = 10.0
+"""L*a*b* distance of a thin thing from what surrounds it."""
 _THIN_TO_SOLID = (0.25, 0.5)
 """Share of an edge's steepness that is left: a wire's is next to nothing."""
 
@@ -64,12 +66,15 @@ class Evidence:
     edges : (h, w) float32
         0 where smooth, 1 on an edge that is clear of the noise and sharp at twice this size:
         clouds have soft edges, mountains have sharp ones.
+    thin : (h, w) bool
+        Where something narrow, a pole or a wire, differs from what surrounds it.
     row_scale : float
         Working rows per photo row, about 0.5 at most.
     """
 
     lab: Float32Array
     edges: Float32Array
+    thin: BoolArray
     row_scale: float
 
 
@@ -79,9 +84,10 @@ def gather_evidence(photo: UInt8Array) -> Evidence:
     shrink = min(1.0, sqrt(FINE_PIXELS / (height * width)))
     h, w = round(height * shrink / 2.0), round(width * shrink / 2.0)
     fine = _resized(photo, 2 * w, 2 * h)
-    work = _resized(fine, w, h)
-    edges = _sharp_edges(to_lab(fine), to_lab(cv2.medianBlur(fine, _THIN_PX)))
-    return Evidence(to_lab(work), edges, h / height)
+    solid = np.asarray(cv2.medianBlur(fine, _THIN_PX), dtype=np.uint8)
+    lab = to_lab(_resized(fine, w, h))
+    thin = np.linalg.norm(lab - to_lab(_resized(solid, w, h)), axis=2) > _THIN_CONTRAST
+    return Evidence(lab, _sharp_edges(to_lab(fine), to_lab(solid)), thin, h / height)
 
 
 def _resized(rgb: UInt8Array, width: int, height: int) -> UInt8Array:

@@ -214,7 +214,7 @@ def _confidence(evidence: Evidence, border: _Border) -> Float64Array:
     margin = 1.0 - np.exp(-rival / _CLEAR_MARGIN)
     confidence = ndimage.median_filter(edge * margin * _colour_contrast(border), 5, mode="nearest")
     outside = (border.row <= 2) | (border.row >= height - 3)
-    confidence[outside | occluded(evidence.lab, border.row)] = 0.0
+    confidence[outside | occluded(evidence, border.row)] = 0.0
     return np.asarray(confidence, dtype=np.float64)
 
 

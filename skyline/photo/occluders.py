@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from skyline.photo.evidence import Evidence
 from skyline.photo.paths import IntArray
 
 BoolArray = NDArray[np.bool_]
@@ -29,6 +30,11 @@ _CLIFF_SLOPE = 3.5
 _MAX_OCCLUDER_SHARE = 0.4
 """Share of the columns that something near may hide; if more, it is the mountains."""
 _MARGIN_PX = 2
+_POLE_SHARE = 0.04
+"""Length, as a share of the rows, in which a pole is looked for above the path."""
+_POLE_GAP_PX = 3
+_POLE_FILLED = 0.6
+"""Share of that length that is thin where there is a pole."""
 
 _SIDE_SHARE = 0.16
 """Length of a side, as a share of the rows, down from the path."""
@@ -60,8 +66,9 @@ class _Sides:
     below: Float32Array
 
 
-def occluded(lab: Float32Array, row: IntArray) -> BoolArray:
-    """Return the columns in which the path (w,) of a photo (h, w, 3) follows something near."""
+def occluded(evidence: Evidence, row: IntArray) -> BoolArray:
+    """Return the columns in which something near hides what the path (w,) should follow."""
+    lab = evidence.lab
     height, width = lab.shape[:2]
     narrow = max(3, round(_SPIRE_WIDTH_SHARE * width))
     # Rows count downwards, so closing the rows takes away what stands up narrowly.
@@ -71,8 +78,19 @@ def occluded(lab: Float32Array, row: IntArray) -> BoolArray:
     half_row = np.clip(row[: 2 * half.shape[1] : 2] // 2, 0, len(half) - 1)
     foreign = np.repeat(_foreign(_sides(half, half_row)), 2)[:width]
     foreign = np.pad(foreign, (0, width - len(foreign)), mode="edge")
-    upright = spire | _between_cliffs(row, height) | foreign
+    upright = spire | _between_cliffs(row, height) | foreign | _poles(evidence.thin, row)
     return np.asarray(ndimage.binary_dilation(upright, iterations=_MARGIN_PX), dtype=bool)
+
+
+def _poles(thin: BoolArray, row: IntArray) -> BoolArray:
+    """Return the columns in which something thin stands above the path (w,) in (h, w)."""
+    height, width = thin.shape
+    counted = np.vstack([np.zeros((1, width), np.intp), np.cumsum(thin, axis=0)])
+    stop = np.maximum(row - _POLE_GAP_PX, 0)
+    start = np.maximum(stop - max(4, round(_POLE_SHARE * height)), 0)
+    columns = np.arange(width)
+    count = counted[stop, columns] - counted[start, columns]
+    return np.asarray((count > _POLE_FILLED * (stop - start)) & (stop > start))
 
 
 def _half_size(lab: Float32Array) -> Float32Array:
@@ -96,7 +114,7 @@ def _between_cliffs(row: IntArray, height: int) -> BoolArray:
     return high
 
 
-def _strongest(values: NDArray[np.generic], least: float, apart: int) -> IntArray:
+def _strongest(values: IntArray | Float32Array, least: float, apart: int) -> IntArray:
     """Return where values exceed the least one and all others within ``apart``."""
     greatest = ndimage.maximum_filter1d(values, 2 * apart + 1, mode="nearest")
     at = np.flatnonzero((values >= greatest) & (values > least))
@@ -130,7 +148,7 @@ def _sides(lab: Float32Array, row: IntArray) -> _Sides:
     strength[:reach] = strength[width - reach :] = 0.0
     is_side = np.zeros(width, dtype=bool)
     is_side[_strongest(strength, _SIDE_CONTRAST, _SIDE_STRIP_PX)] = True
-    upright = np.ones((length, 1), dtype=np.float32) / np.float32(length)
+    upright = np.full((length, 1), 1.0 / length, dtype=np.float32)
     return _Sides(is_side, _filtered(lab, upright, (0, 0))[start, columns])
 
 
