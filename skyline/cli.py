@@ -21,7 +21,14 @@ from skyline.describe import (
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Curvature
 from skyline.matching import MATCHERS
-from skyline.photo import extract_photo, write_overlay, write_trace
+from skyline.photo import (
+    Projection,
+    extract_photo,
+    load_sky_model,
+    read_query,
+    write_overlay,
+    write_trace,
+)
 from skyline.pipeline import (
     BuildResult,
     Matcher,
@@ -88,6 +95,15 @@ ShardKm = Annotated[
     typer.Option(
         metavar="K", help="Build in tiles of K km, each a job of its own (10 with workers)."
     ),
+]
+FieldOfView = Annotated[
+    float | None, typer.Option(help="Horizontal field of view; else from the photo's EXIF or XMP.")
+]
+PhotoProjection = Annotated[
+    Projection | None, typer.Option("--projection", help="Of a panorama: cylindrical, mostly.")
+]
+SkyModel = Annotated[
+    Path | None, typer.Option(metavar="ONNX", help="Your own sky segmentation model.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
@@ -230,9 +246,9 @@ def match(
         list[Path],
         typer.Argument(metavar="QUERY...", help="Photos, sky masks (white = sky) or CSV traces."),
     ],
-    fov_deg: Annotated[
-        float | None, typer.Option(help="Horizontal field of view; else from the photo's EXIF.")
-    ] = None,
+    fov_deg: FieldOfView = None,
+    projection: PhotoProjection = None,
+    sky_model: SkyModel = None,
     matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHERS)}.")] = "paper",
     top: Annotated[int, typer.Option(help="Candidates to name.")] = 5,
     as_json: AsJson = False,
@@ -252,9 +268,11 @@ def match(
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
     matching = Matcher(store, matcher)
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
+    session = load_sky_model(sky_model) if sky_model else None
     results = []
     for path in query:
-        result = matching.match(path, fov_deg, top)
+        found = read_query(path, fov_deg, projection=projection, sky_model=session)
+        result = matching.match(found, top=top)
         results.append((path, result))
         record = describe_match(str(path), result, matching.frame)
         if as_json:
@@ -277,9 +295,12 @@ def extract(
     overlay: Annotated[
         Path | None, typer.Option(metavar="PNG", help="The photo with the skyline drawn.")
     ] = None,
+    fov_deg: FieldOfView = None,
+    projection: PhotoProjection = None,
+    sky_model: SkyModel = None,
 ) -> None:
     """Find the skyline in a photo and write it as a trace that a person can correct."""
-    image, skyline = extract_photo(photo)
+    image, skyline = extract_photo(photo, fov_deg, projection=projection, sky_model=sky_model)
     write_trace(skyline, output)
     if overlay is not None:
         write_overlay(image, skyline, overlay)

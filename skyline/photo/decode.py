@@ -6,8 +6,12 @@ stderr, and shrinks huge JPEGs while decoding them.
 """
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +21,14 @@ from PIL.ExifTags import IFD, Base
 from skyline.errors import InputError, MissingFileError
 from skyline.photo.exif import fov_from_exif
 from skyline.photo.frame import UInt8Array
+from skyline.photo.projection import Projection, panorama_of_xmp
 
 MAX_DECODED_PIXELS = 100_000_000
-"""Larger JPEGs are decoded at half or a quarter of their size; other formats are refused."""
+"""Larger JPEGs are decoded at a half to an eighth of their size; other formats are refused."""
+MAX_JPEG_PIXELS = 400_000_000
+"""A progressive JPEG is held whole, two or three numbers a pixel, whatever it is decoded at."""
+
+_size_limit = Lock()
 
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 _TURNED_ORIENTATIONS = (5, 6, 7, 8)
@@ -35,11 +44,14 @@ class DecodedImage:
     rgb : (H, W, 3) uint8
         Upright; transparent parts are white.
     fov_deg : float or None
-        Horizontal field of view, where EXIF has it.
+        Horizontal field of view, up to 360, where EXIF or XMP has it.
+    projection : Projection
+        Perspective, unless XMP says that it is a panorama.
     """
 
     rgb: UInt8Array
     fov_deg: float | None
+    projection: Projection
 
 
 def decode_image(path: str | Path) -> DecodedImage:
@@ -61,11 +73,11 @@ def decode_image(path: str | Path) -> DecodedImage:
         with warnings.catch_warnings():
             # Pillow warns of large images, which are bounded here, and of odd EXIF.
             warnings.simplefilter("ignore")
-            return _decode(path)
+            _register_heic(path)
+            with _unlimited_size():
+                return _decode(path)
     except UnidentifiedImageError as error:
         raise InputError(_unknown_format(path)) from error
-    except Image.DecompressionBombError as error:
-        raise InputError(_too_large(path, "more than 178")) from error
     except InputError:
         raise
     except Exception as error:  # Decoders raise nearly anything on damaged files.
@@ -80,12 +92,39 @@ def _decode(path: Path) -> DecodedImage:
         exif = image.getexif()
         turned = exif.get(Base.Orientation) in _TURNED_ORIENTATIONS
         fov_deg = fov_from_exif({**exif, **exif.get_ifd(IFD.Exif)}, image.size, turned)
-        while _pixels(image) > MAX_DECODED_PIXELS:
-            before = image.size
-            image.draft("RGB", (before[0] // 2, before[1] // 2))
-            if image.size == before:
-                raise InputError(_too_large(path, f"{_pixels(image) / 1e6:.0f}"))
-        return DecodedImage(_to_rgb(ImageOps.exif_transpose(image)), fov_deg)
+        panorama = panorama_of_xmp(_xmp(image))
+        projection, fov_deg = panorama or (Projection.PERSPECTIVE, fov_deg)
+        _require_bounded(path, image)
+        return DecodedImage(_to_rgb(ImageOps.exif_transpose(image)), fov_deg, projection)
+
+
+@contextmanager
+def _unlimited_size() -> Iterator[None]:
+    """Lift Pillow's own limit, which refuses what `_require_bounded` shrinks."""
+    with _size_limit:
+        before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            yield
+        finally:
+            Image.MAX_IMAGE_PIXELS = before
+
+
+def _require_bounded(path: Path, image: Image.Image) -> None:
+    """Have a large JPEG decoded smaller, and refuse what cannot be."""
+    megapixels = f"{_pixels(image) / 1e6:.0f}"
+    if _pixels(image) > MAX_JPEG_PIXELS:
+        raise InputError(_too_large(path, megapixels))
+    whole = image.size
+    for shrink in (2, 4, 8):
+        if _pixels(image) > MAX_DECODED_PIXELS:
+            image.draft("RGB", (whole[0] // shrink, whole[1] // shrink))
+    if _pixels(image) > MAX_DECODED_PIXELS:
+        raise InputError(_too_large(path, megapixels))
+
+
+def _xmp(image: Image.Image) -> str:
+    noted = image.info.get("xmp", image.info.get("XML:com.adobe.xmp", ""))
+    return noted.decode("utf-8", "replace") if isinstance(noted, bytes) else str(noted)
 
 
 def _pixels(image: Image.Image) -> int:
@@ -105,18 +144,33 @@ def _to_rgb(image: Image.Image) -> UInt8Array:
     return rgb
 
 
-def _unknown_format(path: Path) -> str:
+def _is_heic(path: Path) -> bool:
     with path.open("rb") as file:
         head = file.read(12)
-    if head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS:
+    return head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS
+
+
+def _register_heic(path: Path) -> None:
+    """Let Pillow read HEIC where its plug-in is installed."""
+    if not _is_heic(path):
+        return
+    try:
+        import_module("pillow_heif").register_heif_opener()
+    except ImportError:
+        return
+
+
+def _unknown_format(path: Path) -> str:
+    if _is_heic(path):
         return (
-            f"{path} is a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG"
+            f"{path} is a HEIC photo, for which there is no decoder here; convert it to JPEG or "
+            "PNG, or pip install pillow-heif"
         )
     return f"{path} is not an image that can be read; expected JPEG, PNG, TIFF, WebP or a CSV trace"
 
 
 def _too_large(path: Path, megapixels: str) -> str:
     return (
-        f"{path} has {megapixels} megapixels; expected at most {MAX_DECODED_PIXELS / 1e6:.0f} (178 "
-        "in a JPEG): scale it down, 20 are plenty"
+        f"{path} has {megapixels} megapixels; expected at most {MAX_DECODED_PIXELS / 1e6:.0f} "
+        f"({MAX_JPEG_PIXELS / 1e6:.0f} in a JPEG): scale it down, 20 are plenty"
     )

@@ -6,7 +6,7 @@ from math import atan, degrees, hypot, isfinite
 
 from PIL.ExifTags import Base
 
-from skyline.photo.query import MAX_FOV_DEG, MIN_FOV_DEG
+from skyline.photo.projection import MAX_FOV_DEG, MIN_FOV_DEG
 
 log = logging.getLogger(__name__)
 

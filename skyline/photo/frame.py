@@ -11,6 +11,8 @@ UInt8Array = NDArray[np.uint8]
 
 MIN_CONTENT_PX = 32
 """Smallest width and height in which a skyline is looked for."""
+MAX_ASPECT = 30.0
+"""Longest side over shortest; full circles of a low panorama have about 12."""
 
 _COLOUR_TOLERANCE = 10
 """Greatest difference per channel within one uniform border; JPEG rings by a few levels."""
@@ -53,8 +55,14 @@ def content_of(image: UInt8Array) -> Content:
     Raises
     ------
     InputError
-        Less than 32 x 32 pixels are left.
+        Less than 32 x 32 pixels are left, or the image is a sliver.
     """
+    height, width = image.shape[:2]
+    if max(height, width) > MAX_ASPECT * min(height, width):
+        raise InputError(
+            f"the image has {width} x {height} px; expected a photo or a panorama, sides of at "
+            f"most 1 to {MAX_ASPECT:g}"
+        )
     top = _bar_length(image)
     bottom = len(image) - _bar_length(image[::-1])
     sideways = image[top:bottom].transpose(1, 0, 2)
@@ -62,7 +70,6 @@ def content_of(image: UInt8Array) -> Content:
     right = len(sideways) - _bar_length(sideways[::-1])
     content = Content(top, bottom, left, right)
     if min(bottom - top, right - left) < MIN_CONTENT_PX:
-        height, width = image.shape[:2]
         raise InputError(
             f"the photo has {width} x {height} px, {max(right - left, 0)} x "
             f"{max(bottom - top, 0)} within its borders; expected at least {MIN_CONTENT_PX} x "

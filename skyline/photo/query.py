@@ -6,21 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError
+from skyline.photo.projection import MIN_FOV_DEG, Projection
 
 Float64Array = NDArray[np.float64]
-
-MIN_FOV_DEG = 1.0
-MAX_FOV_DEG = 179.0
-
-
-def check_fov_deg(fov_deg: float) -> float:
-    """Return a horizontal field of view of 1 to 179 degrees, else raise `InputError`."""
-    if not MIN_FOV_DEG <= fov_deg <= MAX_FOV_DEG:
-        raise InputError(
-            f"horizontal field of view is {fov_deg:g} degrees; expected {MIN_FOV_DEG:g} to "
-            f"{MAX_FOV_DEG:g}: a phone's main camera has about 65"
-        )
-    return float(fov_deg)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +26,8 @@ class QuerySkyline:
         Size of the photo the rows refer to.
     fov_deg : float or None
         Horizontal field of view, where it is known.
+    projection : Projection
+        How columns and rows become rays.
     """
 
     row_px: Float64Array
@@ -45,6 +35,7 @@ class QuerySkyline:
     width_px: int
     height_px: int
     fov_deg: float | None = None
+    projection: Projection = Projection.PERSPECTIVE
 
     def __post_init__(self) -> None:
         for name in ("row_px", "confidence"):
@@ -61,7 +52,7 @@ class QuerySkyline:
                 f"image size is {self.width_px} x {self.height_px} px; expected at least 1 x 1"
             )
         if self.fov_deg is not None:
-            object.__setattr__(self, "fov_deg", check_fov_deg(self.fov_deg))
+            object.__setattr__(self, "fov_deg", self.projection.check_fov_deg(self.fov_deg))
         if np.any((self.confidence > 0.0) & ~self.trusted):
             raise InputError("confidence is above 0 where row_px is NaN; expected 0 there")
 
@@ -71,7 +62,7 @@ class QuerySkyline:
         return np.isfinite(self.row_px)
 
     def with_fov(self, fov_deg: float) -> "QuerySkyline":
-        """Return the same skyline with another horizontal field of view, degrees, 1 to 179."""
+        """Return the same skyline with another horizontal field of view, degrees."""
         return replace(self, fov_deg=fov_deg)
 
     def image_plane(self, fov_deg: float | None = None) -> tuple[Float64Array, Float64Array]:
@@ -85,34 +76,33 @@ class QuerySkyline:
         Returns
         -------
         u, v : (N,) float64
-            Tangents to the right of and above the optical axis, which meets the image's centre;
-            square pixels: u = ((2q + 1)/W - 1) tan(fov/2), v = (H - 1 - 2r)/W tan(fov/2).
+            Rays (u, v, 1) to the right of and above the optical axis, which meets the image's
+            centre; square pixels. Of a perspective photo u = ((2q + 1)/W - 1) tan(fov/2) and
+            v = (H - 1 - 2r)/W tan(fov/2); of a panorama see `Projection`.
 
         Raises
         ------
         InputError
-            No field of view is known, or it is not 1 to 179 degrees.
+            No field of view is known, or it has no rays; see `Projection.check_fov_deg`.
         """
-        half_width = np.tan(np.radians(self._known_fov_deg(fov_deg)) / 2.0)
         columns = np.flatnonzero(self.trusted)
-        u = ((2.0 * columns + 1.0) / self.width_px - 1.0) * half_width
-        v = (self.height_px - 1.0 - 2.0 * self.row_px[columns]) / self.width_px * half_width
-        return u, v
+        across = (2.0 * columns + 1.0) / self.width_px - 1.0
+        above = (self.height_px - 1.0 - 2.0 * self.row_px[columns]) / self.width_px
+        return self.projection.rays(across, above, self._known_fov_deg(fov_deg))
 
     def visible_deg(self, fov_deg: float | None = None) -> float:
         """Return how many degrees of azimuth the trusted columns span together; see `image_plane`.
 
         Each trusted column counts the angle between its two edges, the camera held level.
         """
-        half_width = np.tan(np.radians(self._known_fov_deg(fov_deg)) / 2.0)
-        edges = np.linspace(-1.0, 1.0, self.width_px + 1) * half_width
-        return float(np.degrees(np.diff(np.arctan(edges))[self.trusted].sum()))
+        spans = self.projection.column_deg(self.width_px, self._known_fov_deg(fov_deg))
+        return float(spans[self.trusted].sum())
 
     def _known_fov_deg(self, fov_deg: float | None) -> float:
         known = self.fov_deg if fov_deg is None else fov_deg
         if known is None:
             raise InputError(
                 "the photo's field of view is not known; give its horizontal field of view, "
-                f"{MIN_FOV_DEG:g} to {MAX_FOV_DEG:g} degrees (--fov-deg)"
+                f"from {MIN_FOV_DEG:g} degrees on (--fov-deg)"
             )
-        return check_fov_deg(known)
+        return self.projection.check_fov_deg(known)

@@ -1,5 +1,6 @@
 """Query files to query skylines, and a picture of what was found."""
 
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,20 +13,38 @@ from skyline.photo.decode import decode_image
 from skyline.photo.extract import extract_skyline
 from skyline.photo.frame import UInt8Array
 from skyline.photo.mask import is_sky_mask, skyline_of_mask
-from skyline.photo.query import QuerySkyline, check_fov_deg
+from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
+from skyline.photo.query import QuerySkyline
+from skyline.photo.sky_model import SkySession, load_sky_model, model_skyline
 from skyline.photo.trace import read_trace
 
+log = logging.getLogger(__name__)
+
+SkyModel = SkySession | str | Path | None
+
+_FULL_CIRCLE_DEG = 360.0
 _SKYLINE_RGB = (255, 0, 60)
 
 
-def read_query(path: str | Path, fov_deg: float | None = None) -> QuerySkyline:
+def read_query(
+    path: str | Path,
+    fov_deg: float | None = None,
+    *,
+    projection: Projection | None = None,
+    sky_model: SkyModel = None,
+) -> QuerySkyline:
     """Read a query: a trace (``.csv``), a sky mask (nearly black and white), else a photo.
 
     Parameters
     ----------
     path : str or Path
     fov_deg : float, optional
-        Horizontal field of view, degrees, 1 to 179; by default the photo's EXIF is asked.
+        Horizontal field of view, degrees: 1 to 179, of a panorama to 360; by default the photo's
+        EXIF or XMP is asked.
+    projection : Projection, optional
+        By default perspective, unless the photo's XMP says that it is a panorama.
+    sky_model : SkySession or path, optional
+        Finds the sky in photos; see `load_sky_model`.
 
     Raises
     ------
@@ -34,34 +53,79 @@ def read_query(path: str | Path, fov_deg: float | None = None) -> QuerySkyline:
     InputError
         The file cannot be used, or no skyline is found in it.
     """
-    if fov_deg is not None:
-        check_fov_deg(fov_deg)
+    _check_fov(fov_deg, projection)
     if Path(path).suffix.lower() == ".csv":
-        return read_trace(path, fov_deg)
-    return extract_photo(path, fov_deg)[1]
+        trace = read_trace(path)
+        return replace(trace, fov_deg=fov_deg, projection=projection or Projection.PERSPECTIVE)
+    return extract_photo(path, fov_deg, projection=projection, sky_model=sky_model)[1]
 
 
 def extract_photo(
-    path: str | Path, fov_deg: float | None = None
+    path: str | Path,
+    fov_deg: float | None = None,
+    *,
+    projection: Projection | None = None,
+    sky_model: SkyModel = None,
 ) -> tuple[UInt8Array, QuerySkyline]:
     """Read a photo or a sky mask and find its skyline; as `read_query`, with the pixels.
 
     Returns
     -------
     image : (H, W, 3) uint8
-        RGB, upright, the pixels that the skyline's rows count.
+        RGB, upright, the pixels that the skyline's rows count: of a panorama wider than 160
+        degrees its middle.
     query : QuerySkyline
     """
+    _check_fov(fov_deg, projection)
     decoded = decode_image(path)
-    if min(decoded.rgb.shape[:2]) < 2:
-        height, width = decoded.rgb.shape[:2]
+    fov_deg = decoded.fov_deg if fov_deg is None else fov_deg
+    projection = projection or decoded.projection
+    image, fov_deg = _with_rays(decoded.rgb, fov_deg, projection)
+    if min(image.shape[:2]) < 2:
+        height, width = image.shape[:2]
         raise InputError(f"{path} has {width} x {height} px; expected a photo or a sky mask")
-    find = skyline_of_mask if is_sky_mask(decoded.rgb) else extract_skyline
     try:
-        query = find(decoded.rgb)
+        query = _find(image, sky_model)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return decoded.rgb, replace(query, fov_deg=decoded.fov_deg if fov_deg is None else fov_deg)
+    return image, replace(query, fov_deg=fov_deg, projection=projection)
+
+
+def _check_fov(fov_deg: float | None, projection: Projection | None) -> None:
+    """Refuse an impossible field of view before the file is looked at."""
+    if fov_deg is None:
+        return
+    if projection in {None, Projection.PERSPECTIVE}:
+        Projection.PERSPECTIVE.check_fov_deg(fov_deg)
+    elif not MIN_FOV_DEG <= fov_deg <= _FULL_CIRCLE_DEG:
+        raise InputError(
+            f"the panorama spans {fov_deg:g} degrees; expected {MIN_FOV_DEG:g} to "
+            f"{_FULL_CIRCLE_DEG:g}"
+        )
+
+
+def _find(image: UInt8Array, sky_model: SkyModel) -> QuerySkyline:
+    if is_sky_mask(image):
+        return skyline_of_mask(image)
+    if sky_model is None:
+        return extract_skyline(image)
+    if isinstance(sky_model, str | Path):
+        sky_model = load_sky_model(sky_model)
+    return model_skyline(image, sky_model)
+
+
+def _with_rays(
+    image: UInt8Array, fov_deg: float | None, projection: Projection
+) -> tuple[UInt8Array, float | None]:
+    """Cut a panorama to the part that has rays, and say so."""
+    too_wide = fov_deg is not None and fov_deg > MAX_PANORAMA_DEG
+    if projection is Projection.PERSPECTIVE or fov_deg is None or not too_wide:
+        return image, fov_deg
+    width = image.shape[1]
+    kept = max(1, int(width * MAX_PANORAMA_DEG / fov_deg))
+    start = (width - kept) // 2
+    log.warning("panorama of %.0f degrees cut to the %.0f in its middle", fov_deg, MAX_PANORAMA_DEG)
+    return np.ascontiguousarray(image[:, start : start + kept]), fov_deg * kept / width
 
 
 def read_picture(path: str | Path) -> UInt8Array | None:
@@ -76,7 +140,8 @@ def read_picture(path: str | Path) -> UInt8Array | None:
     """
     if Path(path).suffix.lower() == ".csv":
         return None
-    image = decode_image(path).rgb
+    decoded = decode_image(path)
+    image, _ = _with_rays(decoded.rgb, decoded.fov_deg, decoded.projection)
     return None if is_sky_mask(image) else image
 
 

@@ -156,7 +156,9 @@ def test_no_skyline_is_said_not_guessed(kind):
         extract_skyline(hopeless(kind))
 
 
-@pytest.mark.parametrize("shape", [(320, 480), (320, 480, 4), (0, 0, 3), (1, 1, 3), (480, 31, 3)])
+@pytest.mark.parametrize(
+    "shape", [(320, 480), (320, 480, 4), (0, 0, 3), (1, 1, 3), (480, 31, 3), (40, 4000, 3)]
+)
 def test_unusable_arrays(shape):
     with pytest.raises(InputError):
         extract_skyline(np.zeros(shape, np.uint8))

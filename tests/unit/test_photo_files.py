@@ -208,11 +208,54 @@ def test_missing_file(tmp_path):
         read_query(tmp_path / "absent.jpg")
 
 
+@pytest.mark.parametrize("name", ["moving.gif", "moving.webp", "moving.png"])
+def test_of_an_animation_the_first_picture_is_taken(tmp_path, scene, name):
+    other = Image.new("RGB", (320, 240), "black")
+    first = Image.fromarray(scene.image)
+    first.save(tmp_path / name, save_all=True, append_images=[other], duration=100)
+    assert close_to(read_query(tmp_path / name), scene)
+
+
+def test_png_with_a_wrong_checksum(tmp_path, scene):
+    buffer = BytesIO()
+    Image.fromarray(scene.image).save(buffer, "PNG")
+    damaged = bytearray(buffer.getvalue())
+    damaged[damaged.index(b"IDAT") + 4000] ^= 1
+    (tmp_path / "wrong.png").write_bytes(damaged)
+    refused(tmp_path / "wrong.png", "cannot be decoded")
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png", "webp", "tif", "gif"])
+def test_mutated_files_are_read_or_refused_in_one_line(tmp_path, suffix, capfd):
+    rng = np.random.default_rng(7)
+    said: list[str] = []
+    path = tmp_path / f"photo.{suffix}"
+    Image.fromarray(make_scene("clear", 3, 48, 36).image).save(path)
+    whole = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    for _ in range(60):
+        damaged = whole.copy()
+        at = rng.integers(0, len(whole), rng.integers(1, 9))
+        # Headers are hit as often as pixels, though they are short.
+        at = np.where(rng.random(len(at)) < 0.5, at % 64, at)
+        damaged[at] ^= (1 << rng.integers(0, 8, len(at))).astype(np.uint8)
+        cut = rng.integers(0, len(whole)) if rng.random() < 0.3 else len(whole)
+        path.write_bytes(damaged[:cut].tobytes())
+        try:
+            assert read_query(path).trusted.any()
+        except InputError as error:
+            said.append(str(error))
+    assert said
+    assert all("\n" not in line and str(path) in line for line in said)
+    assert capfd.readouterr().err == ""
+
+
 def test_heic_says_to_convert_it(tmp_path):
     (tmp_path / "phone.heic").write_bytes(
         b"\x00\x00\x00\x18ftypheic\x00\x00\x00\x00" + b"\x00" * 99
     )
-    refused(tmp_path / "phone.heic", "HEIC photo.*convert it to JPEG or PNG")
+    refused(
+        tmp_path / "phone.heic", "HEIC photo.*convert it to JPEG or PNG, or pip install pillow-heif"
+    )
 
 
 @pytest.mark.parametrize("side", [1, 8, 31])
@@ -225,6 +268,23 @@ def test_too_many_pixels_are_refused_before_they_are_decoded(tmp_path):
     for width, height in ((12_000, 10_000), (20_000, 10_000)):
         Image.new("1", (width, height)).save(tmp_path / "huge.png")
         refused(tmp_path / "huge.png", "megapixels; expected at most 100")
+
+
+def test_jpeg_of_200_megapixels_is_reduced(tmp_path):
+    mask = Image.new("L", (20_000, 10_000), 255)
+    mask.paste(0, (0, 4_000, 20_000, 10_000))
+    mask.save(tmp_path / "huge.jpg")
+    image, query = extract_photo(tmp_path / "huge.jpg")
+    assert image.shape == (5_000, 10_000, 3)
+    assert_allclose(query.row_px, 1999.5, atol=0.1)
+
+
+def test_pillow_keeps_its_own_limit():
+    before = Image.MAX_IMAGE_PIXELS
+    with pytest.raises(MissingFileError):
+        read_query("absent.jpg")
+    assert before is not None
+    assert before == Image.MAX_IMAGE_PIXELS
 
 
 def test_large_jpeg_is_reduced_while_decoding(tmp_path):

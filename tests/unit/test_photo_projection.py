@@ -1,0 +1,105 @@
+"""Panoramas: their rays, what XMP notes of them, and what is too wide."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from photo_scenes import make_scene
+from PIL import Image
+
+from skyline.errors import InputError
+from skyline.photo import Projection, QuerySkyline, extract_photo, read_query
+from skyline.photo.projection import panorama_of_xmp
+
+CYLINDER, SPHERE = Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR
+
+
+def panorama(azimuth_deg, elevation_deg, width, height, fov_deg, projection):
+    """Rows at which a panorama shows elevations, worked out the other way round."""
+    focal = width / np.radians(fov_deg)
+    elevation = np.radians(elevation_deg)
+    up = np.tan(elevation) if projection is CYLINDER else elevation
+    row = (height - 1.0) / 2.0 - focal * up
+    return QuerySkyline(row, np.ones(width), width, height, fov_deg, projection)
+
+
+@pytest.mark.parametrize("projection", [CYLINDER, SPHERE])
+@pytest.mark.parametrize("fov_deg", [40.0, 130.0, 160.0])
+def test_rays_of_a_panorama_point_where_it_looks(projection, fov_deg):
+    width = 320
+    azimuth = (np.arange(width) + 0.5) / width * fov_deg - fov_deg / 2.0
+    elevation = 8.0 + 6.0 * np.sin(np.radians(7.0 * azimuth))
+    query = panorama(azimuth, elevation, width, 120, fov_deg, projection)
+    u, v = query.image_plane()
+    assert_allclose(np.degrees(np.arctan(u)), azimuth, atol=1e-9)
+    assert_allclose(np.degrees(np.arctan(v / np.hypot(u, 1.0))), elevation, atol=1e-9)
+
+
+def test_narrow_panorama_is_nearly_a_photo():
+    rows = np.linspace(30.0, 60.0, 200)
+    flat = QuerySkyline(rows, np.ones(200), 200, 100, 4.0)
+    round_ = QuerySkyline(rows, np.ones(200), 200, 100, 4.0, CYLINDER)
+    for expected, found in zip(flat.image_plane(), round_.image_plane(), strict=True):
+        assert_allclose(found, expected, atol=2e-5)
+
+
+def test_panorama_sees_the_same_angle_in_each_column():
+    rows = np.r_[np.full(30, 5.0), np.full(70, np.nan)]
+    query = QuerySkyline(rows, np.isfinite(rows) * 1.0, 100, 20, 150.0, CYLINDER)
+    assert query.visible_deg() == pytest.approx(45.0)
+
+
+def test_what_has_no_rays_is_refused():
+    with pytest.raises(InputError, match=r"170 degrees; expected 1 to 160: cut the panorama"):
+        QuerySkyline(np.zeros(3), np.ones(3), 3, 3, 170.0, CYLINDER)
+    with pytest.raises(InputError, match=r"180 degrees; expected 1 to 179.* cylindrical"):
+        QuerySkyline(np.zeros(3), np.ones(3), 3, 3, 180.0)
+    with pytest.raises(InputError, match="the panorama spans 361 degrees"):
+        read_query("absent.jpg", 361.0, projection=CYLINDER)
+
+
+ATTRIBUTES = """<rdf:Description xmlns:GPano="http://ns.google.com/photos/1.0/panorama/"
+ GPano:ProjectionType="{}" GPano:CroppedAreaImageWidthPixels="{}"
+ GPano:FullPanoWidthPixels='{}'/>"""
+ELEMENTS = """<GPano:ProjectionType>{}</GPano:ProjectionType>
+ <GPano:CroppedAreaImageWidthPixels>{}</GPano:CroppedAreaImageWidthPixels>
+ <GPano:FullPanoWidthPixels>{}</GPano:FullPanoWidthPixels>"""
+
+
+@pytest.mark.parametrize("form", [ATTRIBUTES, ELEMENTS])
+def test_xmp_notes_what_a_panorama_spans(form):
+    assert panorama_of_xmp(form.format("cylindrical", 4000, 12000)) == (CYLINDER, 120.0)
+    assert panorama_of_xmp(form.format("equirectangular", 4000, 4000)) == (SPHERE, 360.0)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [("fisheye", 1, 2), ("cylindrical", 3, 2), ("cylindrical", 0, 2), ("cylindrical", 1, 0)],
+)
+def test_xmp_that_makes_no_sense_is_left_aside(values):
+    assert panorama_of_xmp(ATTRIBUTES.format(*values)) is None
+    assert panorama_of_xmp("<x:xmpmeta/>") is None
+
+
+def save_panorama(path, noted_width: int) -> None:
+    scene = make_scene("clear", 104, 960, 240)
+    xmp = ATTRIBUTES.format("cylindrical", 960, noted_width).encode()
+    Image.fromarray(scene.image).save(path, quality=95, xmp=xmp)
+
+
+def test_panorama_file_says_its_own_span(tmp_path):
+    save_panorama(tmp_path / "wide.jpg", 960 * 3)
+    query = read_query(tmp_path / "wide.jpg")
+    assert (query.projection, query.fov_deg) == (CYLINDER, 120.0)
+    # What the person says wins.
+    told = read_query(tmp_path / "wide.jpg", 100.0, projection=SPHERE)
+    assert (told.projection, told.fov_deg) == (SPHERE, 100.0)
+
+
+def test_wider_than_rays_reach_is_cut_to_its_middle_and_said(tmp_path, caplog):
+    save_panorama(tmp_path / "round.jpg", 960)
+    image, query = extract_photo(tmp_path / "round.jpg")
+    assert "panorama of 360 degrees cut to the 160 in its middle" in caplog.text
+    assert image.shape[1] == query.width_px == 960 * 160 // 360
+    assert query.fov_deg == pytest.approx(160.0, abs=360 / 960)
+    whole = extract_photo(tmp_path / "round.jpg", 150.0)[0]
+    assert_allclose(image, whole[:, 267 : 267 + image.shape[1]])
