@@ -1,4 +1,4 @@
-"""The command line: ``skyline render build match extract info explain dem`` (DESIGN 8)."""
+"""The command line: ``skyline render build match extract info explain store dem`` (DESIGN 8)."""
 
 import json
 import logging
@@ -44,7 +44,7 @@ from skyline.pipeline import (
     save_depth_pictures,
 )
 from skyline.pipeline import explain as explain_scene
-from skyline.pipeline.config import read_dem_of
+from skyline.pipeline.config import ROWS, read_dem_of
 from skyline.pipeline.shards import DEFAULT_TILE_M
 from skyline.planning.loop import PlanConfig
 from skyline.planning.strategies import STRATEGIES
@@ -55,6 +55,7 @@ from skyline.report.geojson import write_geojson
 from skyline.report.peaks import read_peaks
 from skyline.report.records import MatchRecord
 from skyline.store import StoreHeader, is_store
+from skyline.store_cli import store_app
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoint_csv import read_viewpoints
@@ -70,6 +71,7 @@ app = typer.Typer(
     add_completion=False,
 )
 app.add_typer(dem_cli.app)
+app.add_typer(store_app, name="store")
 
 Dems = Annotated[
     list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
@@ -105,6 +107,9 @@ PhotoProjection = Annotated[
 SkyModel = Annotated[
     Path | None, typer.Option(metavar="ONNX", help="Your own sky segmentation model.")
 ]
+Rows = Annotated[
+    str, typer.Option(help=f"How the store holds rows: {' or '.join(ROWS)} (README, Store).")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
@@ -123,6 +128,7 @@ def render(
     tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
     k: RefractionK = _DEFAULTS.curvature.refraction_k,
     no_curvature: NoCurvature = False,
+    rows: Rows = _DEFAULTS.rows,
     depth_images: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Also save depth images (TIFF, metres) and pictures."),
@@ -133,7 +139,7 @@ def render(
     """Render the skylines of given viewpoints, four headings each, into a store."""
     if (viewpoints is None) == (grid is None):
         raise InputError("give one of --viewpoints FILE.csv and --grid SPACING_M")
-    config = _render_config(width, tolerance_px, k, no_curvature)
+    config = replace(_render_config(width, tolerance_px, k, no_curvature), rows=rows)
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
     if viewpoints is not None:
         eyes = read_viewpoints(viewpoints, terrain, config.eye_height_m)
@@ -182,6 +188,7 @@ def build(
     tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
     k: RefractionK = _DEFAULTS.curvature.refraction_k,
     no_curvature: NoCurvature = False,
+    rows: Rows = _DEFAULTS.rows,
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
@@ -195,6 +202,7 @@ def build(
     config = replace(
         _render_config(width, tolerance_px, k, no_curvature),
         shell_edges_m=shell_edges_m(shells) if shells else (),
+        rows=rows,
     )
     corners = parse_bounds(bounds) if bounds is not None else None
     dem_options = DemOptions(crs=crs, reproject=reproject)

@@ -7,7 +7,7 @@ from skyline.geodesy import Frame
 from skyline.pipeline import MatchResult, RenderConfig
 from skyline.render.context import describe_context
 from skyline.report.records import MatchRecord, describe_candidates
-from skyline.store import open_store
+from skyline.store import StoreHeader, open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.scene import SceneNeeds
 from skyline.terrain.viewpoints import Viewpoints
@@ -112,11 +112,24 @@ def describe_store(path: str) -> Facts:
             "dem_files": list(header.dem_files),
             "dem_digest": header.dem_digest,
             "config": dict(header.config),
+            "rows": header.rows,
+            **_describe_coding(header),
             "renderer": header.renderer,
             "package_version": header.package_version,
+            "schema_version": header.schema_version,
         }
         if store.committed:
             lon, lat = frame.to_lonlat(places.easting_m, places.northing_m)
             facts["locations"] = len(np.unique(places.easting_m + 1j * places.northing_m))
             facts["bounds_deg"] = [float(v) for v in (lon.min(), lat.min(), lon.max(), lat.max())]
         return facts
+
+
+def _describe_coding(header: StoreHeader) -> Facts:
+    """Return how far compact rows may be from what was rendered."""
+    if header.coding is None:
+        return {}
+    return {
+        "tan_error_px": header.coding.tan_error_px(header.width),
+        "depth_error": header.coding.depth_error,
+    }

@@ -18,7 +18,7 @@ from skyline.planning.uniform import map_bounds
 from skyline.planning.verify import Checks, Verification, verify_coverage
 from skyline.prediction import PREDICTORS, predict, shell_edges_m, true_errors_px
 from skyline.render.horizon import HorizonRenderer
-from skyline.store import StoreWriter, create_store, open_for_append, open_store
+from skyline.store import StoreWriter, as_stored, create_store, open_for_append, open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
@@ -140,4 +140,5 @@ def _render_and_keep(
 ) -> Views:
     views = renderer.render(viewpoints, heading)
     writer.append(views, polyline_keypoints(views, config.keypoint_tolerance_px))
-    return views
+    # A plan that is followed again from the store must see what this one saw.
+    return as_stored(writer.header, views)

@@ -8,23 +8,40 @@ one kill in three between two writes damaged the file.
 SWMR does not lock, so the writer holds ``STORE.lock`` beside the store. A killed writer leaves
 its mark in the file (see `skyline.store.superblock`); the next `open_for_append` then copies the
 committed rows to a fresh file, which takes the store's name once it is complete.
+
+Rows are held as rendered ("exact") or rounded to a stated error ("compact", see
+`skyline.store.coding`); readers get float32 either way. Every chunk of rows has a checksum that
+readers verify, every row and the header one of their own (see `skyline.store.digest`).
 """
 
+from skyline.store.coding import RowCoding
+from skyline.store.copying import CopyReport, compact_store, merge_stores, repair_store
 from skyline.store.header import SCHEMA, SCHEMA_VERSION, KeypointColumns, StoreHeader
+from skyline.store.integrity import Damage, StoreReport, check_store
 from skyline.store.reader import Locations, RowIndex, Store, is_store, open_store
+from skyline.store.rows import as_stored
 from skyline.store.writer import StoreWriter, create_store, open_for_append
 
 __all__ = [
     "SCHEMA",
     "SCHEMA_VERSION",
+    "CopyReport",
+    "Damage",
     "KeypointColumns",
     "Locations",
+    "RowCoding",
     "RowIndex",
     "Store",
     "StoreHeader",
+    "StoreReport",
     "StoreWriter",
+    "as_stored",
+    "check_store",
+    "compact_store",
     "create_store",
     "is_store",
+    "merge_stores",
     "open_for_append",
     "open_store",
+    "repair_store",
 ]

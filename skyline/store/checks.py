@@ -8,8 +8,10 @@ import h5py
 import numpy as np
 
 from skyline.errors import InputError, StoreError
+from skyline.store.coding import RowCoding
 from skyline.store.explain import REBUILD
 from skyline.store.header import (
+    CHECKED_SINCE,
     KEYPOINTS,
     SCHEMA,
     SCHEMA_VERSION,
@@ -21,7 +23,8 @@ from skyline.store.header import (
 
 _MAX_CHUNK_BYTES = 1 << 26
 
-_KNOWN_FILTERS = frozenset({h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE})
+_CHECKSUMMED = frozenset({h5py.h5z.FILTER_FLETCHER32})
+_PACKED = _CHECKSUMMED | {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}
 
 
 def not_a_store(path: Path) -> StoreError:
@@ -36,7 +39,7 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     """Return the header of a store; raises `StoreError` where any of it is not as it must be."""
     if "schema" not in file.attrs or _text(path, file, "schema") != SCHEMA:
         raise not_a_store(path)
-    _check_schema_version(path, file)
+    version = _schema_version(path, file)
     config = json.loads(_text(path, file, "config"))
     files = json.loads(_text(path, file, "dem_files"))
     if not isinstance(config, dict):
@@ -44,7 +47,7 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
         raise StoreError(f"store {path} has dem_files that are not a JSON list; {REBUILD}")
     try:
-        return StoreHeader(
+        header = StoreHeader(
             frame_wkt=_text(path, file, "frame"),
             dem_digest=_text(path, file, "dem_digest"),
             dem_files=tuple(files),
@@ -53,13 +56,32 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
             width=_row_length(path, file, VIEW_SPECS["elevation_tan"][0]),
             max_keypoints=_row_length(path, file, KEYPOINTS),
             shell_edges_m=_shell_edges(path, file),
+            coding=_coding(path, file) if version >= CHECKED_SINCE else None,
             package_version=_text(path, file, "package_version"),
+            schema_version=version,
         )
     except InputError as error:
         raise StoreError(f"store {path} is damaged: {error}; {REBUILD}") from error
+    if version >= CHECKED_SINCE and _text(path, file, "header_digest") != header.digest:
+        raise StoreError(
+            f"store {path} is damaged: its header (frame, DEM, config, renderer, rows) does not "
+            f"have the digest that was written with it; {REBUILD}"
+        )
+    return header
 
 
-def _check_schema_version(path: Path, file: h5py.File) -> None:
+def _coding(path: Path, file: h5py.File) -> RowCoding | None:
+    """Return how the rows are coded; raises `InputError` for steps that cannot be."""
+    said = json.loads(_text(path, file, "rows"))
+    if said == {"rows": "exact"}:
+        return None
+    steps = RowCoding.__slots__
+    if not isinstance(said, dict) or said.keys() != {"rows", *steps} or said["rows"] != "compact":
+        raise StoreError(f"store {path} has rows {said!r}, which skyline does not read; {REBUILD}")
+    return RowCoding(**{name: said[name] for name in steps})
+
+
+def _schema_version(path: Path, file: h5py.File) -> int:
     version = _attribute(path, file, "schema_version")
     if not isinstance(version, np.integer) or version < 1:
         raise StoreError(
@@ -70,6 +92,7 @@ def _check_schema_version(path: Path, file: h5py.File) -> None:
             f"store {path} has schema version {version}; this skyline ({package_version()}) reads "
             f"up to {SCHEMA_VERSION}: upgrade skyline"
         )
+    return int(version)
 
 
 def read_committed(path: Path, file: h5py.File) -> int:
@@ -153,7 +176,7 @@ def checked_dataset(
         )
     created = dataset.id.get_create_plist()
     filters = {created.get_filter(n)[0] for n in range(created.get_nfilters())}
-    if filters - (_KNOWN_FILTERS if row_shape else frozenset()):
+    if filters - (_PACKED if row_shape else _CHECKSUMMED):
         raise StoreError(
             f"store {path}: {name} is packed by a filter that skyline does not use; {REBUILD}"
         )

@@ -1,8 +1,9 @@
 """What a store was built from and how, and the layout of its rows (DESIGN 8)."""
 
+import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from importlib import metadata
 
 import numpy as np
@@ -11,9 +12,14 @@ from numpy.typing import NDArray
 from skyline.camera import check_width
 from skyline.errors import InputError
 from skyline.features import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
+from skyline.store.coding import RowCoding
 
 SCHEMA = "skyline-store"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
+"""2 brought checksums and compact rows. Version 1 is read, and lifted to 2 when appended to."""
+
+CHECKED_SINCE = 2
+"""The version from which stores hold checksums of their header and rows."""
 
 KeypointColumns = NDArray[np.uint16]
 
@@ -39,11 +45,22 @@ VIEW_SPECS = {
 
 KEYPOINTS = "features/keypoint_column"
 
+CHECKSUM = "views/checksum"
+"""CRC-32 of each row's bytes as stored (see `skyline.store.digest`)."""
+
 SHELL_SPECS = {
     "elevation_tan": ("views/shell_tan", Spec("<f4", "shells")),
     "depth_m": ("views/shell_depth_m", Spec("<f4", "shells")),
 }
 """Field of `Shells` -> dataset and its layout, in stores that hold shells."""
+
+CODED = {
+    name: field
+    for specs in (VIEW_SPECS, SHELL_SPECS)
+    for field, (name, spec) in specs.items()
+    if spec.dtype == "<f4"
+}
+"""Dataset that compact rows hold as codes -> what the codes stand for."""
 
 
 def package_version() -> str:
@@ -76,8 +93,12 @@ class StoreHeader:
         Keypoints K a row has room for.
     shell_edges_m : tuple of float
         Edges of the distance shells that are held beside each skyline; empty for none.
+    coding : RowCoding, optional
+        To what compact rows are rounded; None for exact rows.
     package_version : str
         Release that created the store.
+    schema_version : int
+        Layout of the file; a store that is written has the newest.
 
     Raises
     ------
@@ -94,7 +115,9 @@ class StoreHeader:
     width: int
     max_keypoints: int = DEFAULT_MAX_KEYPOINTS
     shell_edges_m: tuple[float, ...] = ()
+    coding: RowCoding | None = None
     package_version: str = field(default_factory=package_version, compare=False)
+    schema_version: int = field(default=SCHEMA_VERSION, compare=False)
 
     def __post_init__(self) -> None:
         check_width(self.width)
@@ -121,10 +144,42 @@ class StoreHeader:
         object.__setattr__(self, "config", plain)
 
     @property
+    def rows(self) -> str:
+        """How the rows are held: "exact" or "compact"."""
+        return "compact" if self.coding else "exact"
+
+    @property
     def specs(self) -> dict[str, Spec]:
         """The row-aligned datasets of this store, by name."""
         held = dict(VIEW_SPECS.values()) | {KEYPOINTS: Spec("<u2", "keypoints")}
-        return held | dict(SHELL_SPECS.values()) if self.shell_edges_m else held
+        if self.shell_edges_m:
+            held |= dict(SHELL_SPECS.values())
+        if self.schema_version >= CHECKED_SINCE:
+            held |= {CHECKSUM: Spec("<u4")}
+        if self.coding:
+            held |= {name: Spec("<u4", held[name].per_row) for name in CODED if name in held}
+        return held
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """What the file's attributes say of the header, beside its version, shells and digest."""
+        coding = {"rows": self.rows} | (asdict(self.coding) if self.coding else {})
+        return {
+            "frame": self.frame_wkt,
+            "dem_digest": self.dem_digest,
+            "dem_files": json.dumps(self.dem_files),
+            "config": json.dumps(self.config, sort_keys=True),
+            "renderer": self.renderer,
+            "package_version": self.package_version,
+            "rows": json.dumps(coding),
+        }
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of all the header says: HDF5 does not guard the text of attributes."""
+        facts = [self.schema_version, self.width, self.max_keypoints, self.shell_edges_m]
+        text = json.dumps([facts, self.attributes], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
 
     def row_shape(self, per_row: str) -> tuple[int, ...]:
         """Return the shape of one row of a dataset: (), (W,), (keypoints,) or (shells, W)."""

@@ -21,15 +21,10 @@ from skyline.errors import (
 from skyline.features import NO_KEYPOINT
 from skyline.store.checks import checked_dataset, read_committed, read_header
 from skyline.store.explain import REBUILD, UNREADABLE, explained
-from skyline.store.header import (
-    KEYPOINTS,
-    SHELL_SPECS,
-    VIEW_SPECS,
-    KeypointColumns,
-    StoreHeader,
-)
+from skyline.store.header import KEYPOINTS, VIEW_SPECS, KeypointColumns, StoreHeader
+from skyline.store.rows import Columns, views_of
 from skyline.store.superblock import WholeFile
-from skyline.views import Shells, Views
+from skyline.views import Views
 
 RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]
 
@@ -103,6 +98,11 @@ class Store:
         return self._committed
 
     @property
+    def longest(self) -> int:
+        """Rows of the longest dataset: more than are committed while a writer is at work."""
+        return max(len(dataset) for dataset in self._datasets.values())
+
+    @property
     def in_use(self) -> bool:
         """Whether a writer had the store open when it was opened, or was killed at work."""
         return self._raw.superblock.in_use
@@ -127,18 +127,14 @@ class Store:
         StoreError
             Damaged data.
         """
-        rows = self._rows(index)
-        held: Any = {field: self._read(spec[0], rows) for field, spec in VIEW_SPECS.items()}
-        views = Views(**held, shells=self._shells(rows))
+        views = views_of(self._header, self.stored(index))
         self._check_headings(views.heading)
         return views
 
-    def _shells(self, rows: NDArray[np.intp]) -> Shells | None:
-        edges = self._header.shell_edges_m
-        if not edges:
-            return None
-        held: Any = {field: self._read(spec[0], rows) for field, spec in SHELL_SPECS.items()}
-        return Shells(edges_m=np.array(edges), **held)
+    def stored(self, index: RowIndex = slice(None)) -> Columns:
+        """Read rows of every dataset as they are stored, by the datasets' names; as `views`."""
+        rows = self._rows(index)
+        return {name: self._read(name, rows) for name in self._datasets}
 
     def iter_views(self, chunk_rows: int = 1024) -> Iterator[Views]:
         """Yield all views in order, ``chunk_rows`` at a time (the last time fewer)."""
@@ -205,15 +201,14 @@ class Store:
         }
 
     def _check_committed(self) -> None:
-        # Values of one number a row are not packed, so what the file has no bytes for is missing.
-        rows = min(
-            len(dataset)
-            if dataset.ndim > 1
-            else min(len(dataset), dataset.id.get_storage_size() // dataset.dtype.itemsize)
-            for dataset in self._datasets.values()
-        )
-        if self._committed > rows:
+        # Not by what HDF5 says the datasets take: it visits every chunk that a damaged index names.
+        rows = min(len(dataset) for dataset in self._datasets.values())
+        if self._committed > min(rows, self._raw.size):
             raise self._damaged(f"it says {self._committed} rows are committed and holds {rows}")
+        for name, dataset in self._datasets.items():
+            place = (max(self._committed - 1, 0),) + (0,) * (dataset.ndim - 1)
+            if self._committed and dataset.id.get_chunk_info_by_coord(place).byte_offset is None:
+                raise self._damaged(f"{name} holds no row {place[0]}, which is committed")
 
     def _check_headings(self, heading: NDArray[np.uint8]) -> None:
         if (heading > HEADINGS[-1]).any():

@@ -6,7 +6,8 @@ reads marked files only in SWMR mode, and in that mode it reads a damaged part a
 times with pauses that double, which is for ever. `WholeFile` presents the file with the mark
 taken off, so that it is read in the ordinary way and damage is an error at once.
 
-Source: HDF5 File Format Specification version 3.0, section II.A, superblock version 3.
+Source: HDF5 File Format Specification version 3.0, section II.A, superblock version 3, and III.E,
+global heap.
 """
 
 import io
@@ -26,6 +27,13 @@ _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _LAYOUT = struct.Struct("<8s4B4Q")
 """Signature; version, size of offsets, size of lengths, consistency flags; base address,
 extension, end of file, root group."""
+
+_HEAP_SIGNATURE = b"GCOL"
+_HEAP = struct.Struct("<4sB3xQ")
+"""Signature; version, bytes of the heap, this included."""
+
+_HEAP_OBJECT = struct.Struct("<HH4xQ")
+"""Index, references, bytes of data that follow, padded to 8. Index 0 is the free rest."""
 
 _CHECKSUM = struct.Struct("<I")
 _SIZE = _LAYOUT.size + _CHECKSUM.size
@@ -112,6 +120,11 @@ class WholeFile(io.FileIO):
         """The superblock as it is in the file."""
         return self._superblock
 
+    @property
+    def size(self) -> int:
+        """Bytes in the file now."""
+        return os.fstat(self.fileno()).st_size
+
     def refresh(self) -> bool:
         """Look at the file again; return whether a writer has or may have changed it."""
         before = self._superblock
@@ -125,12 +138,31 @@ class WholeFile(io.FileIO):
         if position < _SIZE:
             stop = min(position + count, _SIZE)
             memoryview(buffer).cast("B")[: stop - position] = self._presented[position:stop]
+        elif bytes(memoryview(buffer).cast("B")[:4]) == _HEAP_SIGNATURE:
+            self._check_heap(position)
         return count
+
+    def _check_heap(self, position: int) -> None:
+        """Raise `OSError` where HDF5 would walk a heap of text for ever or past its end.
+
+        HDF5 guards no global heap with a checksum, and one zeroed by damage is an endless loop.
+        """
+        descriptor = self.fileno()
+        _, version, size = _HEAP.unpack(os.pread(descriptor, _HEAP.size, position).ljust(16))
+        whole = version == 1 and _HEAP.size <= size <= self.size - position
+        heap = os.pread(descriptor, size, position) if whole else b""
+        place = _HEAP.size
+        while whole and place + _HEAP_OBJECT.size <= size:
+            index, _, length = _HEAP_OBJECT.unpack_from(heap, place)
+            step = _HEAP_OBJECT.size + (length + 7) // 8 * 8 if index else length
+            whole = _HEAP_OBJECT.size <= step <= size - place
+            place += step
+        if not whole:
+            raise OSError(f"the heap of texts at byte {position} is damaged")
 
     def _look(self) -> None:
         self._superblock = Superblock.parse(self._path, os.pread(self.fileno(), _SIZE, 0))
-        size = os.fstat(self.fileno()).st_size
-        end = self._superblock.end
+        size, end = self.size, self._superblock.end
         if not self._superblock.in_use and size < end:
             raise StoreError(
                 f"store {self._path} is truncated: {size} of {end} bytes; copy or build it again"

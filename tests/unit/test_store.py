@@ -97,7 +97,7 @@ class TestRoundTrip:
         build(tmp_path / "s.h5", 40)
         with h5py.File(tmp_path / "s.h5", "r") as file:
             assert file.attrs["schema"] == "skyline-store"
-            assert file.attrs["schema_version"] == 1
+            assert file.attrs["schema_version"] == 2
             assert file.attrs["frame"] == HEADER.frame_wkt
             assert file.attrs["dem_digest"] == HEADER.dem_digest
             assert json.loads(file.attrs["config"]) == HEADER.config
@@ -113,6 +113,7 @@ class TestRoundTrip:
                 "elevation_tan": "<f4",
                 "depth_m": "<f4",
                 "flags": "|u1",
+                "checksum": "<u4",
             }
             assert file["features/keypoint_column"].dtype == "<u2"
             for data in (*file["views"].values(), *file["features"].values()):
@@ -681,7 +682,7 @@ class TestDamage:
         ("name", "value", "said"),
         [
             ("schema", "other", "not a skyline store"),
-            ("schema_version", 2, "schema version 2; .* upgrade skyline"),
+            ("schema_version", 3, "schema version 3; .* upgrade skyline"),
             ("schema_version", "one", "schema version 'one'"),
             ("schema_version", -1, "schema version"),
             ("config", "{", "cannot be opened"),
@@ -729,7 +730,10 @@ class TestDamage:
             for data in (*file["views"].values(), *file["features"].values()):
                 data.resize(10**12, axis=0)
             file["committed"][()] = 10**12
-        self.assert_refused(path, "holds 1024")
+        self.assert_refused(path, "says 1000000000000 rows are committed")
+        with edited(path) as file:
+            file["committed"][()] = 2000
+        self.assert_refused(path, "holds no row 1999, which is committed")
 
     @pytest.mark.parametrize(
         ("name", "layout", "said"),

@@ -1,0 +1,245 @@
+"""Stores made of stores: merged, compacted, and what can be saved of a damaged one.
+
+The result depends on the set of rows and on what the stores were built from alone: rows are
+sorted by easting, northing, eye elevation and heading, and the same view is kept once. So the
+order of shards and how they were cut change no byte.
+"""
+
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
+from skyline.store.coding import RowCoding
+from skyline.store.digest import row_checksums
+from skyline.store.explain import explained
+from skyline.store.header import CHECKSUM, KEYPOINTS, SCHEMA_VERSION, VIEW_SPECS, StoreHeader
+from skyline.store.integrity import Damage, whole_rows
+from skyline.store.lock import complete_or_absent, writer_lock
+from skyline.store.mismatch import differences
+from skyline.store.reader import Store, open_store
+from skyline.store.rows import Columns, stored_rows, views_of
+from skyline.store.writer import write_rows
+
+_BLOCK_ROWS = 1024
+
+_SORTED_BY = tuple(
+    VIEW_SPECS[field][0] for field in ("easting_m", "northing_m", "eye_elevation_m", "heading")
+)
+
+
+@dataclass(frozen=True, slots=True)
+class CopyReport:
+    """What a new store was made of.
+
+    Attributes
+    ----------
+    renderings : int
+        Rows in the new store.
+    duplicates : int
+        Rows left out because the same view is there already.
+    damage : tuple of Damage
+        Rows left out because they are damaged (`repair_store` alone).
+    """
+
+    renderings: int
+    duplicates: int
+    damage: tuple[Damage, ...] = ()
+
+
+def merge_stores(
+    paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
+) -> CopyReport:
+    """Write the rows of stores into one new store.
+
+    Parameters
+    ----------
+    paths : sequence of path-like
+        At least one, of the same frame, DEM, configuration, shells and coding.
+    out : path-like
+        Must not exist.
+
+    Raises
+    ------
+    StoreMismatchError
+        Two of the stores were built otherwise; both values are named.
+    StoreError
+        A store is damaged, or the new one cannot be written or exists.
+    """
+    if not paths:
+        raise InputError("no stores to merge; name one or more")
+    with ExitStack() as opened:
+        stores = [opened.enter_context(open_store(path)) for path in paths]
+        for store in stores[1:]:
+            _refuse_mismatch(stores[0], store)
+        return _copy(stores, _joint_header(stores), Path(out))
+
+
+def compact_store(
+    path: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    coding: RowCoding | None = None,
+) -> CopyReport:
+    """Write a store anew: without dead bytes, in the newest schema, rows sorted and once each.
+
+    Parameters
+    ----------
+    path, out : path-like
+        ``out`` must not exist.
+    coding : RowCoding, optional
+        Round exact rows to this; by default rows are kept to the bit.
+
+    Raises
+    ------
+    InputError
+        Rows that are rounded already cannot be rounded otherwise.
+    StoreError
+        The store is damaged, or the new one cannot be written or exists.
+    """
+    with open_store(path) as store:
+        header = store.header
+        if coding:
+            if header.coding:
+                raise InputError(f"the rows of store {path} are rounded already; compact it as is")
+            header = replace(header, coding=coding)
+        return _copy([store], header, Path(out))
+
+
+def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> CopyReport:
+    """Write the undamaged rows of a store into a new one, in their order.
+
+    Raises
+    ------
+    StoreError
+        Nothing can be saved, or the new store cannot be written or exists.
+    """
+    damage: list[Damage] = []
+    kept = 0
+
+    def whole(store: Store) -> Iterator[Columns]:
+        nonlocal kept
+        for columns, rows, found in whole_rows(store):
+            damage.extend([found] if found else [])
+            kept += len(rows)
+            yield {name: values[rows] for name, values in columns.items()}
+
+    with open_store(path) as store, _new_file(Path(out)) as partial:
+        write_rows(partial, store.header, filter(len, whole(store)))
+    return CopyReport(kept, 0, tuple(damage))
+
+
+def _refuse_mismatch(one: Store, other: Store) -> None:
+    said = [
+        f"{name} is {was!r} in {one.path.name}, {now!r} in {other.path.name}"
+        for name, was, now in differences(one.header, other.header)
+    ]
+    if said:
+        raise StoreMismatchError(
+            f"stores {one.path} and {other.path} were built otherwise: {'; '.join(said)}; "
+            "merge stores of one DEM and configuration"
+        )
+
+
+def _joint_header(stores: Sequence[Store]) -> StoreHeader:
+    """Return the header of a merged store, whatever the stores' order."""
+    headers = [store.header for store in stores]
+    return replace(
+        headers[0],
+        dem_files=min(header.dem_files for header in headers),
+        renderer="; ".join(sorted({header.renderer for header in headers})),
+        package_version=max(header.package_version for header in headers),
+    )
+
+
+def _copy(stores: Sequence[Store], header: StoreHeader, out: Path) -> CopyReport:
+    """Write the rows of stores, sorted and once each, as ``header`` holds them."""
+    header = replace(header, schema_version=SCHEMA_VERSION)
+    total = sum(len(store) for store in stores)
+    with (
+        _new_file(out) as partial,
+        explained(out, "it cannot be written", "make room"),
+        # Rows wait in a file without a name, of which a kill leaves nothing: to read them from
+        # the stores in order of place would unpack each chunk many times.
+        tempfile.TemporaryFile(dir=partial.parent) as waiting,
+    ):
+        rows = _spread(stores, header, waiting, total)
+        chosen = _chosen(rows)
+        blocks = (
+            {name: rows[name][chosen[first : first + _BLOCK_ROWS]] for name in header.specs}
+            for first in range(0, len(chosen), _BLOCK_ROWS)
+        )
+        write_rows(partial, header, blocks)
+    return CopyReport(len(chosen), total - len(chosen))
+
+
+def _spread(
+    stores: Sequence[Store], header: StoreHeader, file: IO[bytes], total: int
+) -> NDArray[np.void]:
+    """Return all rows of stores, unpacked in a file, as one structured array."""
+    layout = [
+        (name, spec.dtype, header.row_shape(spec.per_row)) for name, spec in header.specs.items()
+    ]
+    record = np.dtype(layout)
+    if total == 0:
+        return np.zeros(0, dtype=record)
+    # Taken now: a full disk under a memory map ends the process.
+    os.posix_fallocate(file.fileno(), 0, total * record.itemsize)
+    rows = np.memmap(file, dtype=record, mode="r+", shape=total)
+    start = 0
+    for store in stores:
+        for columns in _undamaged(store, header):
+            stop = start + len(columns[KEYPOINTS])
+            for name, values in columns.items():
+                rows[name][start:stop] = values
+            start = stop
+    return rows
+
+
+def _undamaged(store: Store, header: StoreHeader) -> Iterator[Columns]:
+    """Yield rows of a store as ``header`` holds them; raises `StoreError` where one is damaged."""
+    for columns, _, damage in whole_rows(store):
+        if damage:
+            raise StoreError(
+                f"store {store.path} is damaged: {damage.what}; `skyline store repair` saves "
+                "what is whole"
+            )
+        held = columns
+        if header.coding != store.header.coding:
+            held = stored_rows(header, views_of(store.header, columns), columns[KEYPOINTS])
+        yield {**held, CHECKSUM: row_checksums(held)}
+
+
+def _chosen(rows: NDArray[np.void]) -> NDArray[np.intp]:
+    """Return which rows to write, in order: sorted by place and heading, each view once."""
+    keys = [np.asarray(rows[name]) for name in (*_SORTED_BY, CHECKSUM)]
+    order = np.lexsort(keys[::-1])
+    again = np.ones(len(order), dtype=bool)
+    again[:1] = False
+    for key in keys[: len(_SORTED_BY)]:
+        again[1:] &= key[order[1:]] == key[order[:-1]]
+    return order[~again]
+
+
+@contextmanager
+def _new_file(out: Path) -> Iterator[Path]:
+    """Yield a name for a new store, which takes the name ``out`` when it is complete."""
+    out = out.resolve()
+    if not out.parent.is_dir():
+        raise MissingFileError(
+            f"store {out} cannot be created: folder {out.parent} does not exist; make it first"
+        )
+    with writer_lock(out):
+        if out.exists():
+            raise StoreError(
+                f"store {out} cannot be created: it exists already; remove it, or choose another "
+                "name"
+            )
+        with complete_or_absent(out) as partial:
+            yield partial

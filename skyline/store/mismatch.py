@@ -1,0 +1,28 @@
+"""What keeps the rows of two headers from being rows of one store."""
+
+from skyline.geodesy import Frame
+from skyline.store.header import StoreHeader
+
+
+def differences(one: StoreHeader, other: StoreHeader) -> list[tuple[str, object, object]]:
+    """Return what differs, by name and with both values; the files' places and makers may."""
+    found: list[tuple[str, object, object]] = []
+    if one.frame_wkt != other.frame_wkt:
+        names = _frame_name(one.frame_wkt), _frame_name(other.frame_wkt)
+        pair = names if names[0] != names[1] else (one.frame_wkt, other.frame_wkt)
+        found.append(("frame", *pair))
+    for name in ("dem_digest", "width", "max_keypoints", "shell_edges_m", "rows"):
+        found.append((name, getattr(one, name), getattr(other, name)))
+    if one.coding and other.coding:
+        found.append(("coding", one.coding, other.coding))
+    for key in sorted({*one.config, *other.config}):
+        was, now = one.config.get(key, "absent"), other.config.get(key, "absent")
+        found.append((f"config {key}", was, now))
+    return [(name, was, now) for name, was, now in found if was != now]
+
+
+def _frame_name(wkt: str) -> str:
+    try:
+        return Frame(wkt).name
+    except RuntimeError:  # pyproj's CRSError: the text may come from anywhere
+        return wkt

@@ -1,0 +1,101 @@
+"""Rows as a store holds them, by dataset, and as the `Views` they stand for."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import HEADINGS
+from skyline.errors import InputError
+from skyline.features import NO_KEYPOINT
+from skyline.store.header import (
+    CODED,
+    KEYPOINTS,
+    SHELL_SPECS,
+    VIEW_SPECS,
+    KeypointColumns,
+    StoreHeader,
+)
+from skyline.views import Shells, Views
+
+Columns = Mapping[str, NDArray[Any]]
+"""N rows of several datasets, by the datasets' names, in the types they are stored in."""
+
+
+def stored_rows(header: StoreHeader, views: Views, keypoint_columns: KeypointColumns) -> Columns:
+    """Return views as a store with ``header`` holds them.
+
+    Raises
+    ------
+    InputError
+        Shapes or values that do not fit the store.
+    """
+    _check_shells(header, views)
+    given = dict(_columns(views, keypoint_columns))
+    for name, values in given.items():
+        expected = (len(views), *header.row_shape(header.specs[name].per_row))
+        if np.shape(values) != expected:
+            raise InputError(
+                f"{name} to append has shape {np.shape(values)}; the store expects {expected}: "
+                f"use its width, {header.width}, and its number of keypoints, "
+                f"{header.max_keypoints}"
+            )
+    columns = np.asarray(keypoint_columns)
+    if ((columns < 0) | (columns >= header.width) & (columns != NO_KEYPOINT)).any():
+        raise InputError(
+            f"keypoint columns to append lie outside 0 to {header.width - 1}; "
+            f"pad rows with {NO_KEYPOINT}"
+        )
+    if not np.isin(views.heading, HEADINGS).all():
+        raise InputError(f"a heading to append is not one of {HEADINGS}")
+    if header.coding:
+        encode = {"elevation_tan": header.coding.tan_codes, "depth_m": header.coding.depth_codes}
+        given |= {name: encode[CODED[name]](given[name]) for name in CODED if name in given}
+    # A copy in any case, so that the caller may use the arrays again.
+    return {name: np.array(given[name], dtype=header.specs[name].dtype) for name in given}
+
+
+def views_of(header: StoreHeader, columns: Columns) -> Views:
+    """Return the views that stored rows stand for."""
+
+    def read(specs: Mapping[str, tuple[str, Any]]) -> Any:
+        return {field: _decoded(header, name, columns[name]) for field, (name, _) in specs.items()}
+
+    edges = header.shell_edges_m
+    shells = Shells(np.array(edges), **read(SHELL_SPECS)) if edges else None
+    return Views(**read(VIEW_SPECS), shells=shells)
+
+
+def as_stored(header: StoreHeader, views: Views) -> Views:
+    """Return views as they will be read back from a store with ``header``.
+
+    What goes on from rendered views and what goes on from stored ones must see the same.
+    """
+    nothing = np.full((len(views), header.max_keypoints), NO_KEYPOINT, dtype=np.uint16)
+    return views_of(header, stored_rows(header, views, nothing))
+
+
+def _decoded(header: StoreHeader, name: str, values: NDArray[Any]) -> NDArray[Any]:
+    if not header.coding or name not in CODED:
+        return values
+    decode = {"elevation_tan": header.coding.elevation_tan, "depth_m": header.coding.depth_m}
+    return decode[CODED[name]](values)
+
+
+def _check_shells(header: StoreHeader, views: Views) -> None:
+    edges = () if views.shells is None else tuple(views.shells.edges_m.tolist())
+    if edges != header.shell_edges_m:
+        raise InputError(
+            f"views to append have shells at {edges or 'no'} edges; the store has "
+            f"{header.shell_edges_m or 'none'}: render them as the store was begun"
+        )
+
+
+def _columns(views: Views, keypoint_columns: KeypointColumns) -> Iterator[tuple[str, NDArray[Any]]]:
+    for attribute, (name, _) in VIEW_SPECS.items():
+        yield name, getattr(views, attribute)
+    if views.shells is not None:
+        for attribute, (name, _) in SHELL_SPECS.items():
+            yield name, getattr(views.shells, attribute)
+    yield KEYPOINTS, keypoint_columns

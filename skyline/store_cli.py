@@ -1,0 +1,94 @@
+"""``skyline store check repair merge compact``: looking after stores."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skyline.errors import InputError
+from skyline.store import (
+    CopyReport,
+    RowCoding,
+    check_store,
+    compact_store,
+    merge_stores,
+    open_store,
+    repair_store,
+)
+
+_DAMAGED = 2
+
+store_app = typer.Typer(help="Check, repair, merge and compact stores.", no_args_is_help=True)
+
+StoreFile = Annotated[Path, typer.Argument(metavar="STORE")]
+NewStore = Annotated[Path, typer.Option("--output", "-o", help="The new store; must not exist.")]
+
+
+@store_app.command()
+def check(
+    store: StoreFile,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Read all of a store and hold it to its checksums; exit code 2 where it is damaged."""
+    report = check_store(store)
+    if as_json:
+        typer.echo(json.dumps({"store": str(store), "whole": report.whole, **asdict(report)}))
+        raise typer.Exit(0 if report.whole else _DAMAGED)
+    if not report.whole:
+        said = "; ".join(damage.what for damage in report.damage[:3])
+        more = f"; and {len(report.damage) - 3} more" if len(report.damage) > 3 else ""
+        raise InputError(f"{store} is damaged: {said}{more}")
+    notes = [] if report.checksums else ["its schema has no checksums; `store compact` adds them"]
+    notes += ["a writer has it open, or was killed"] if report.in_use else []
+    typer.echo("; ".join([f"{store}: {report.committed} renderings, whole", *notes]))
+
+
+@store_app.command()
+def repair(store: StoreFile, output: NewStore) -> None:
+    """Save the undamaged rows of a store in a new one, in their order."""
+    report = repair_store(store, output)
+    _say_copied(report, output)
+    for damage in report.damage:
+        rows = f"rows {damage.first_row} to {damage.first_row + damage.rows - 1}"
+        typer.echo(f"  left out {rows}: {damage.what}")
+
+
+@store_app.command()
+def merge(
+    stores: Annotated[list[Path], typer.Argument(metavar="STORE...")], output: NewStore
+) -> None:
+    """Make one store of several: rows sorted by place, the same view kept once."""
+    _say_copied(merge_stores(stores, output), output)
+
+
+@store_app.command()
+def compact(
+    store: StoreFile,
+    output: NewStore,
+    quantize: Annotated[
+        bool, typer.Option("--quantize", help="Round exact rows, for a fifth of the bytes.")
+    ] = False,
+    tan_error_px: Annotated[
+        float, typer.Option("--tan-error-px", help="With --quantize: of skylines at most, px.")
+    ] = 0.005,
+    depth_error: Annotated[
+        float, typer.Option("--depth-error", help="With --quantize: of depths at most, relative.")
+    ] = 0.001,
+) -> None:
+    """Write a store anew, sorted and in the newest schema; the same rows give the same bytes."""
+    coding = None
+    if quantize:
+        with open_store(store) as opened:
+            coding = RowCoding.within(opened.header.width, tan_error_px, depth_error)
+    _say_copied(compact_store(store, output, coding), output)
+
+
+def _say_copied(report: CopyReport, path: Path) -> None:
+    size = path.stat().st_size
+    each = f", {size / report.renderings:.0f} bytes each" if report.renderings else ""
+    again = f", {report.duplicates} duplicates left out" if report.duplicates else ""
+    lost = sum(damage.rows for damage in report.damage)
+    damaged = f", {lost} damaged rows left out" if lost else ""
+    typer.echo(f"{path}: {report.renderings} renderings{each}{again}{damaged}")
