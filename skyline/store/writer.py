@@ -196,6 +196,8 @@ def create_store(
         The file exists, is being written by another process, or the folder is not writable.
     """
     path = Path(path).resolve()
+    # A header may come from an older store.
+    header = replace(header, schema_version=SCHEMA_VERSION)
     if not path.parent.is_dir():
         raise MissingFileError(
             f"store {path} cannot be created: folder {path.parent} does not exist; make it first"

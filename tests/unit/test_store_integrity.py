@@ -20,6 +20,7 @@ from skyline.store import (
     check_store,
     compact_store,
     create_store,
+    integrity,
     merge_stores,
     open_for_append,
     open_store,
@@ -95,6 +96,12 @@ class TestVersion1:
         assert_holds(path, 100)
         report = examine(path)
         assert (report.committed, report.whole, report.checksums) == (100, True, True)
+
+    def test_its_header_begins_a_new_store(self, tmp_path: Path) -> None:
+        with open_store(version_1(tmp_path / "old.h5", 3)) as store:
+            header = store.header
+        assert_holds(build(tmp_path / "new.h5", (0, 70), header=header), 70)
+        assert examine(tmp_path / "new.h5").checksums
 
     def test_is_lifted_by_compact(self, tmp_path: Path) -> None:
         compact_store(version_1(tmp_path / "old.h5", 70), tmp_path / "new.h5")
@@ -178,6 +185,20 @@ class TestCheck:
         (tmp_path / "s.h5").write_text("easting,northing\n")
         (damage,) = check_store(tmp_path / "s.h5").damage
         assert "not an HDF5 file" in damage.what
+
+    def test_a_file_on_which_hdf5_fails(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Forged structures can make HDF5 loop or crash; the process that checks lives on."""
+        path = build(tmp_path / "s.h5", (0, 3))
+        monkeypatch.setattr(integrity, "_EXAMINE", "import os; os.abort()")
+        assert "crashes on it (signal 6)" in check_store(path).damage[0].what
+        monkeypatch.setattr(integrity, "_EXAMINE", "raise MemoryError")
+        with pytest.raises(StoreError, match="could not be examined: MemoryError"):
+            check_store(path)
+        monkeypatch.setattr(integrity, "_EXAMINE", "while True: pass")
+        monkeypatch.setattr(integrity, "_PATIENCE_S", 0.2)
+        assert "had not read it after" in check_store(path).damage[0].what
 
 
 class TestRepair:
