@@ -128,11 +128,11 @@ def main() -> None:
                 add("coding", row)
         for rows in ("compact", "exact"):
             whole, header = folder / f"{rows}.h5", numbered_header(640, rows)
-            numbered_build(1000, header)(whole, lambda _: None)
+            numbered_build(320, header)(whole, lambda _: None)
             add(f"flips, {rows} rows", flip_test(whole, folder, arguments.flips))
             add(f"mutated, {rows} rows", fuzz_test(whole, folder, arguments.cases))
         (folder / "writer").mkdir()
-        writer = numbered_build(2000, numbered_header())
+        writer = numbered_build(1000, numbered_header())
         add("kills of a writer", kill_test(writer, folder / "writer", arguments.kills))
         add("readers", readers_test(folder, 8, arguments.seconds))
         (folder / "build").mkdir()
