@@ -26,6 +26,9 @@ another; after `distributed.scheduler.allowed-failures` deaths (3) it counts as 
 
 _CONNECT_S = 10
 
+# A terminal sends Ctrl-C to workers as well, which are stopped by the one process that answers it.
+_IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+
 _log = logging.getLogger(__name__)
 
 # One thread a process does all jobs: an OpenGL context belongs to the thread that made it, and
@@ -58,6 +61,7 @@ def local_runner(workers: int) -> Iterator[Runner]:
                 memory_limit=0,
                 silence_logs=logging.CRITICAL,
                 # Mesa's software rasterizer takes all cores unless told otherwise.
+                preload=[_IGNORE_CTRL_C],
                 env={"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", str(threads))},
             )
         )
@@ -97,6 +101,8 @@ def _distributed() -> Any:
         raise InputError(
             "workers need dask, which is not installed; pip install 'skyline[cluster]'"
         ) from error
+    # It tells of every step it takes; what matters to a user is told by `_outcome`.
+    logging.getLogger("distributed").setLevel(logging.ERROR)
     return distributed
 
 
