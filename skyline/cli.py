@@ -3,6 +3,7 @@
 import json
 import logging
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -32,12 +33,14 @@ from skyline.photo import (
 from skyline.pipeline import (
     BuildResult,
     Matcher,
+    MatchResult,
     PlannedResult,
     RenderConfig,
     ShardPlan,
     build_planned,
     build_sharded,
     build_uniform,
+    match_many,
     matched,
     render_to_store,
     report_matches,
@@ -270,6 +273,8 @@ def match(
     geojson: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the candidates as GeoJSON.")
     ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
 ) -> None:
     """Find where photos were taken and which way the camera looked."""
     if peaks is not None and report is None:
@@ -278,15 +283,21 @@ def match(
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
     session = load_sky_model(sky_model) if sky_model else None
     results = []
-    for path in query:
-        found = read_query(path, fov_deg, projection=projection, sky_model=session)
-        result = matching.match(found, top=top)
-        results.append((path, result))
-        record = describe_match(str(path), result, matching.frame)
-        if as_json:
-            typer.echo(json.dumps(record))
+    skylines = (
+        read_query(path, fov_deg, projection=projection, sky_model=session) for path in query
+    )
+    with runner_of(workers, scheduler) as runner:
+        if runner is None:
+            found: Iterator[MatchResult] = (matching.match(one, top=top) for one in skylines)
         else:
-            _say_match(record)
+            found = match_many(runner, (str(store), matcher), list(skylines), top)
+        for path, result in zip(query, found, strict=True):
+            results.append((path, result))
+            record = describe_match(str(path), result, matching.frame)
+            if as_json:
+                typer.echo(json.dumps(record))
+            else:
+                _say_match(record)
     if geojson is not None:
         candidates = [(str(path), result.candidates) for path, result in results]
         write_geojson(geojson, candidates, matching.frame)

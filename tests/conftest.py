@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from skyline.pipeline.cluster import local_cluster
+
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
@@ -12,3 +14,10 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real data not at {folder}")
     return folder
+
+
+@pytest.fixture(scope="module")
+def dask_cluster():
+    """Two workers on this machine, for the tests of a module."""
+    with local_cluster(2) as cluster:
+        yield cluster

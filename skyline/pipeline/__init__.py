@@ -12,6 +12,7 @@ from skyline.pipeline.build import (
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.match import Matcher, MatchResult
+from skyline.pipeline.match_many import match_many
 from skyline.pipeline.planned import PlannedResult, build_planned
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.shards import ShardPlan, build_sharded
@@ -29,6 +30,7 @@ __all__ = [
     "build_uniform",
     "explain",
     "local_runner",
+    "match_many",
     "matched",
     "remote_runner",
     "render_to_store",

@@ -9,7 +9,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeVar
 from uuid import uuid4
@@ -45,28 +45,30 @@ def local_runner(workers: int) -> Iterator[Runner]:
     InputError
         Fewer than one worker, or dask is not installed.
     """
+    with local_cluster(workers) as cluster, _distributed().Client(cluster) as client:
+        yield partial(_run, client)
+
+
+@contextmanager
+def local_cluster(workers: int) -> Iterator[Any]:
+    """Start worker processes for the block; yields dask's `LocalCluster`. Raises as above."""
     if workers < 1:
         raise InputError(f"workers is {workers}; expected 1 or more")
-    distributed = _distributed()
     threads = max((os.cpu_count() or 1) // workers, 1)
-    with ExitStack() as resources:
-        cluster = resources.enter_context(
-            distributed.LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                # Any free port, this machine alone: the usual one may be another cluster's.
-                dashboard_address="127.0.0.1:0",
-                # Jobs hold one DEM and one commit, whatever their number: nothing to guard.
-                memory_limit=0,
-                silence_logs=logging.CRITICAL,
-                # Mesa's software rasterizer takes all cores unless told otherwise.
-                preload=[_IGNORE_CTRL_C],
-                env={"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", str(threads))},
-            )
-        )
-        client = resources.enter_context(distributed.Client(cluster))
-        yield partial(_run, client)
+    with _distributed().LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        processes=True,
+        # Any free port, this machine alone: the usual one may be another cluster's.
+        dashboard_address="127.0.0.1:0",
+        # Jobs hold one DEM and one commit, whatever their number: nothing to guard.
+        memory_limit=0,
+        silence_logs=logging.CRITICAL,
+        preload=[_IGNORE_CTRL_C],
+        # Mesa's software rasterizer takes all cores unless told otherwise.
+        env={"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", str(threads))},
+    ) as cluster:
+        yield cluster
 
 
 @contextmanager
@@ -119,11 +121,9 @@ def _run(
             for name, item in zip(names, items, strict=True)
         ]
     place = {future.key: index for index, future in enumerate(futures)}
-    try:
-        for future in _distributed().as_completed(futures):
-            yield place[future.key], _outcome(future)
-    finally:
-        client.cancel(futures)
+    # Jobs that nobody waits for any more are forgotten by the scheduler when the client leaves.
+    for future in _distributed().as_completed(futures):
+        yield place[future.key], _outcome(future)
 
 
 def _do_alone(work: Callable[[T], R], item: T) -> R:

@@ -68,6 +68,28 @@ def collect(
     return [results[index] for index in range(len(names))]
 
 
+def in_order(outcomes: Iterator[tuple[int, R | Exception]]) -> Iterator[R]:
+    """Yield results in the items' order, each as soon as those before it are there.
+
+    Raises
+    ------
+    SkylineError
+        What a job raised, in its place; `BuildError` for what is no `SkylineError`.
+    """
+    waiting: dict[int, R | Exception] = {}
+    due = 0
+    for index, outcome in outcomes:
+        waiting[index] = outcome
+        while due in waiting:
+            result = waiting.pop(due)
+            if isinstance(result, SkylineError):
+                raise result
+            if isinstance(result, Exception):
+                raise BuildError(f"a worker failed: {_line(result)}") from result
+            yield result
+            due += 1
+
+
 def _failure(failures: dict[int, Exception], names: Sequence[str]) -> SkylineError:
     first = next(iter(failures.values()))
     if len(names) == 1 and isinstance(first, SkylineError):

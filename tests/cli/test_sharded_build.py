@@ -1,5 +1,8 @@
 """``skyline build`` in tiles, here and on workers."""
 
+import json
+
+import numpy as np
 import pytest
 
 
@@ -39,3 +42,31 @@ def test_options_that_do_not_fit(run, tiles, options, said, tmp_path):
     assert said in done.err
     assert done.err.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def traces(tmp_path):
+    """Three traces with skylines of their own, and one with none."""
+    paths = []
+    for index in range(4):
+        rows = [f"{q},{40 + 10 * np.sin(q / (5 + 3 * index)):.2f}" for q in range(160)]
+        paths.append(tmp_path / f"{index}.csv")
+        head = ["# width=160 height=120", "column_px,row_px"]
+        paths[-1].write_text("\n".join(head + (rows if index < 3 else [])) + "\n")
+    return paths
+
+
+def test_queries_are_matched_by_workers_as_here(run, store, traces, dask_cluster):
+    options = "--fov-deg", "60", "--json", "--matcher", "correlation"
+    here = run("match", store, *traces[:3], *options)
+    spread = run("match", store, *traces, *options, "--scheduler", dask_cluster.scheduler_address)
+    answers = [[json.loads(line) for line in done.out.splitlines()] for done in (here, spread)]
+    for answer in [*answers[0], *answers[1]]:
+        answer.pop("seconds")
+    assert answers[0] == answers[1]
+    assert [answer["query"] for answer in answers[0]] == [str(path) for path in traces[:3]]
+    assert len({json.dumps(answer["candidates"]) for answer in answers[0]}) == 3
+    # The fourth has no skyline; what came before it has been said.
+    assert (here.code, spread.code) == (0, 2)
+    assert spread.err.count("\n") == 1
+    assert "3.csv" in spread.err

@@ -5,7 +5,6 @@ import signal
 from functools import partial
 from pathlib import Path
 
-import dask
 import numpy as np
 import pytest
 from scenes import fractal, write_dem
@@ -13,7 +12,7 @@ from scenes import fractal, write_dem
 from skyline import RenderConfig, build_uniform, read_dem
 from skyline.camera import HEADINGS
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
-from skyline.pipeline import ShardPlan, build, build_sharded, cluster, local_runner, remote_runner
+from skyline.pipeline import ShardPlan, build, build_sharded, cluster, remote_runner
 from skyline.pipeline.jobs import run_here
 from skyline.pipeline.shards import cut_into_shards
 from skyline.planning.uniform import uniform_grid
@@ -39,8 +38,8 @@ def unbroken(terrain, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def two_workers():
-    with local_runner(2) as runner:
+def two_workers(dask_cluster):
+    with remote_runner(dask_cluster.scheduler_address) as runner:
         yield runner
 
 
@@ -205,13 +204,15 @@ def die(_shard):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def test_a_tile_that_kills_every_worker_is_named(terrain, tmp_path):
+def test_a_tile_that_kills_every_worker_is_named(
+    terrain, dask_cluster, two_workers, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(dask_cluster.scheduler, "allowed_failures", 0)
     one_tile = ShardPlan(PLAN.spacing_m, 1e6)
-    once = dask.config.set({"distributed.scheduler.allowed-failures": 0})
-    with once, local_runner(1) as runner, pytest.raises(BuildError, match="its worker died"):
+    with pytest.raises(BuildError, match="its worker died"):
         build_sharded(
             terrain, tmp_path / "s.h5", one_tile, CONFIG,
-            lambda _work, items, names: runner(die, items, names),
+            lambda _work, items, names: two_workers(die, items, names),
         )  # fmt: skip
 
 
