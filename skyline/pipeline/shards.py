@@ -5,8 +5,8 @@ DEM's own, and with one DEM there is one digest to hold all shards to. What is c
 lattice of viewpoints; a DEM that is to be small is cut before, by `skyline dem fetch`.
 
 A tile holds the viewpoints in its half-open square, so each is in one tile. A shard that is whole
-is left as it is, one that was begun is finished, and rows are merged tile by tile from the
-north-west: who rendered what, when, and how often a worker died shows nowhere in the result.
+is left as it is, one that was begun is finished, and merging sorts the rows: who rendered what,
+when, in which tiles, and how often a worker died shows nowhere in the result.
 """
 
 import time
@@ -31,7 +31,7 @@ from skyline.pipeline.build import (
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
 from skyline.pipeline.jobs import Runner, collect, run_here
 from skyline.planning.uniform import map_bounds, uniform_grid
-from skyline.store import StoreHeader, create_store, open_for_append, open_store
+from skyline.store import StoreHeader, merge_stores, open_for_append
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -201,8 +201,8 @@ def build_sharded(
 ) -> BuildResult:
     """Render a uniform grid tile by tile into shards, and merge them into one store.
 
-    The result has the rows and the header that `build_uniform` gives, the rows in the tiles'
-    order. Shards lie in the folder ``PATH.shards`` until they are merged.
+    The result is, to the byte, what `compact_store` makes of the store that `build_uniform` gives.
+    Shards lie in the folder ``PATH.shards`` until they are merged.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def build_sharded(
         str(folder),
     )
     rendered = _run_all(settings, shards, runner, terrain, progress)
-    _merge(path, [folder / f"{shard.name}.h5" for shard in shards])
+    merge_stores([folder / f"{shard.name}.h5" for shard in shards], path)
     _remove(folder, shards)
     renderings = len(HEADINGS) * len(viewpoints)
     return BuildResult(renderings, rendered, time.perf_counter() - started)
@@ -299,16 +299,3 @@ def _remove(folder: Path, shards: Sequence[Shard]) -> None:
         (folder / f"{shard.name}.h5.lock").unlink(missing_ok=True)
     with suppress(OSError):
         folder.rmdir()
-
-
-def _merge(path: Path, shards: Sequence[Path]) -> None:
-    merging = path.with_name(f"{path.name}.merging")
-    with open_store(shards[0]) as first:
-        header = first.header
-    with create_store(merging, header, overwrite=True) as writer:
-        for shard in shards:
-            with open_store(shard) as store:
-                for start in range(0, len(store), 1024):
-                    rows = slice(start, start + 1024)
-                    writer.append(store.views(rows), store.keypoint_columns(rows))
-    merging.replace(path)
