@@ -15,6 +15,7 @@ import resource
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,6 @@ YOSEMITE = (-119.60, 37.45, -119.00, 37.962)
 """3,000 km2."""
 PART = (-119.40, 37.70, -119.12, 37.92)
 """600 km2."""
-ROUNDS = 3
 QUERIES = 6
 
 Row = dict[str, object]
@@ -102,12 +102,12 @@ def build(terrain: HeightField, path: Path, plan: ShardPlan, workers: int, clock
     }
 
 
-def measure_workers(terrain: HeightField, folder: Path) -> list[Row]:
+def measure_workers(terrain: HeightField, folder: Path, rounds: int) -> list[Row]:
     """Two workers against one, in turn, since the machine may be busy with other things."""
     plan = ShardPlan(500.0, 5000.0, PART)
     rows: list[Row] = []
     cores = os.cpu_count() or 1
-    for turn in range(ROUNDS):
+    for turn in range(rounds):
         for workers, threads in ((1, 1), (2, 1), (1, cores)):
             os.environ["LP_NUM_THREADS"] = str(threads)
             path = folder / f"{turn}_{workers}_{threads}.h5"
@@ -201,7 +201,7 @@ def measure_area(terrain: HeightField, folder: Path) -> list[Row]:
     return rows
 
 
-PARTS = {"workers": measure_workers, "killed": measure_killed, "area": measure_area}
+PARTS = ("workers", "killed", "area")
 
 
 def say(row: Row) -> None:
@@ -213,13 +213,19 @@ def say(row: Row) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("california", type=Path, help="folder of the six .hgt.gz tiles")
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=list(PARTS))
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--rounds", type=int, default=3, help="of two workers against one")
     options = parser.parse_args()
+    parts = {
+        "workers": partial(measure_workers, rounds=options.rounds),
+        "killed": measure_killed,
+        "area": measure_area,
+    }
     rows = json.loads(RESULT.read_text())["rows"] if RESULT.exists() else []
     terrain = read_dem(sorted(options.california.glob("N*.hgt.gz")))
     for part in options.only:
         with tempfile.TemporaryDirectory() as folder:
-            fresh = PARTS[part](terrain, Path(folder))
+            fresh = parts[part](terrain, Path(folder))
         rows = [row for row in rows if not str(row["case"]).startswith(part)] + fresh
         write_record(RESULT, "sharded-build", rows)
     print(f"written to {RESULT}")
