@@ -8,7 +8,7 @@ order of shards and how they were cut change no byte.
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
@@ -75,11 +75,10 @@ def merge_stores(
     """
     if not paths:
         raise InputError("no stores to merge; name one or more")
-    with ExitStack() as opened:
-        stores = [opened.enter_context(open_store(path)) for path in paths]
-        for store in stores[1:]:
-            _refuse_mismatch(stores[0], store)
-        return _copy(stores, _joint_header(stores), Path(out))
+    stores = [_looked_at(path) for path in paths]
+    for store in stores[1:]:
+        _refuse_mismatch(stores[0], store)
+    return _copy(stores, _joint_header(stores), Path(out))
 
 
 def compact_store(
@@ -133,6 +132,12 @@ def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> C
     with open_store(path) as store, _new_file(Path(out)) as partial:
         write_rows(partial, store.header, filter(len, whole(store)))
     return CopyReport(kept, 0, tuple(damage))
+
+
+def _looked_at(path: str | os.PathLike[str]) -> Store:
+    """Return a store that is closed again: there may be more of them than files can be open."""
+    with open_store(path) as store:
+        return store
 
 
 def _refuse_mismatch(one: Store, other: Store) -> None:
@@ -193,12 +198,18 @@ def _spread(
     os.posix_fallocate(file.fileno(), 0, total * record.itemsize)
     rows = np.memmap(file, dtype=record, mode="r+", shape=total)
     start = 0
-    for store in stores:
-        for columns in _undamaged(store, header):
-            stop = start + len(columns[KEYPOINTS])
-            for name, values in columns.items():
-                rows[name][start:stop] = values
-            start = stop
+    for looked_at in stores:
+        with open_store(looked_at.path) as store:
+            if len(store) != len(looked_at):
+                raise StoreError(
+                    f"store {store.path} has {len(store)} rows and had {len(looked_at)} a moment "
+                    "ago; copy it when nobody writes it"
+                )
+            for columns in _undamaged(store, header):
+                stop = start + len(columns[KEYPOINTS])
+                for name, values in columns.items():
+                    rows[name][start:stop] = values
+                start = stop
     return rows
 
 

@@ -1,6 +1,7 @@
 """Builds cut into tiles: the result is the same whoever rendered what, when and how often."""
 
 import os
+import resource
 import signal
 from functools import partial
 from pathlib import Path
@@ -73,6 +74,19 @@ def test_tiles_leave_no_trace(terrain, unbroken, tmp_path):
     assert (tmp_path / "compact.h5").read_bytes() == unbroken
     build_sharded(terrain, tmp_path / "other.h5", ShardPlan(PLAN.spacing_m, 2345.0), CONFIG)
     assert (tmp_path / "other.h5").read_bytes() == unbroken
+
+
+def test_more_tiles_than_files_that_may_be_open(terrain, unbroken, tmp_path):
+    plan = ShardPlan(PLAN.spacing_m, 500.0)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    open_now = len(list(Path("/proc/self/fd").iterdir()))
+    resource.setrlimit(resource.RLIMIT_NOFILE, (open_now + 20, hard))
+    try:
+        build_sharded(terrain, tmp_path / "s.h5", plan, CONFIG)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert len(cut_into_shards(uniform_grid(terrain, plan.spacing_m), plan.tile_m)) > 30
+    assert (tmp_path / "s.h5").read_bytes() == unbroken
 
 
 def test_progress_and_a_clean_folder(terrain, unbroken, tmp_path):
