@@ -9,7 +9,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any, TypeVar
 from uuid import uuid4
@@ -55,7 +55,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
     if workers < 1:
         raise InputError(f"workers is {workers}; expected 1 or more")
     threads = max((os.cpu_count() or 1) // workers, 1)
-    with _distributed().LocalCluster(
+    cluster = _distributed().LocalCluster(
         n_workers=workers,
         threads_per_worker=1,
         processes=True,
@@ -67,8 +67,14 @@ def local_cluster(workers: int) -> Iterator[Any]:
         preload=[_IGNORE_CTRL_C],
         # Mesa's software rasterizer takes all cores unless told otherwise.
         env={"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", str(threads))},
-    ) as cluster:
+    )
+    try:
         yield cluster
+    finally:
+        # On a busy machine dask may give up waiting for workers to end; they end with this process,
+        # and what they did is done.
+        with suppress(TimeoutError):
+            cluster.close()
 
 
 @contextmanager
