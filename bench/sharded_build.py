@@ -61,9 +61,10 @@ class Clock:
 
     @property
     def per_second(self) -> float:
-        """Renderings a second from the end of the first tile to the end of the last."""
-        (start, held), (stop, all_) = self._done[1], self._done[-1]
-        return (all_ - held) / (stop - start)
+        """Renderings a second in the second half, when every worker has long been at work."""
+        all_ = self._done[-1][1]
+        start, held = next(entry for entry in self._done if 2 * entry[1] >= all_)
+        return (all_ - held) / (self.last_tile - start)
 
 
 def children_cpu_s() -> float:
