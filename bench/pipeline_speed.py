@@ -66,7 +66,7 @@ def measure(folder: Path) -> list[dict[str, object]]:
     query = take_pictures(terrain, folder / "queries")[0].path
     row("photo to skyline", timed(lambda: read_query(query), 3), 1, "photo")
     for name in MATCHERS:
-        matcher = Matcher(store, name)
+        matcher = Matcher(store, matcher=name)
         seconds = timed(partial(matcher.match, query), 3)
         row(f"match, {name}", seconds, len(matcher.viewpoints), "stored location")
     return rows

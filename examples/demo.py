@@ -70,7 +70,7 @@ def main() -> None:
     console.print(f"store: {built.renderings} renderings in {built.seconds:.0f} s -> {store}")
 
     queries = take_pictures(terrain, out / "queries")
-    matchers = {name: Matcher(store, name) for name in MATCHERS}
+    matchers = {name: Matcher(store, matcher=name) for name in MATCHERS}
     results = {name: [m.match(query.path) for query in queries] for name, m in matchers.items()}
     for query, result in zip(queries, results["paper"], strict=True):
         picture = np.asarray(Image.open(query.path))

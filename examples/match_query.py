@@ -11,7 +11,7 @@ def main(store: str, photos: list[str]) -> None:
         result = matcher.match(photo, fov_deg=60.0, top=3)
         for candidate in result.candidates:
             lon, lat = matcher.frame.to_lonlat(candidate.easting_m, candidate.northing_m)
-            print(f"{photo}: {lat:.5f} {lon:.5f} score {candidate.score:.2f} px")
+            print(f"{photo}: {lat:.5f} {lon:.5f} confidence {candidate.confidence:.2f}")
 
 
 if __name__ == "__main__":

@@ -9,7 +9,14 @@ from importlib.metadata import version
 
 from skyline.errors import SkylineError
 from skyline.geodesy import Curvature, Frame
-from skyline.pipeline import Matcher, RenderConfig, build_uniform, render_to_store, render_views
+from skyline.pipeline import (
+    MatchConfig,
+    Matcher,
+    RenderConfig,
+    build_uniform,
+    render_to_store,
+    render_views,
+)
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
@@ -22,6 +29,7 @@ __all__ = [
     "DemOptions",
     "Frame",
     "HeightField",
+    "MatchConfig",
     "Matcher",
     "RenderConfig",
     "SkylineError",

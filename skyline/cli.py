@@ -21,7 +21,6 @@ from skyline.describe import (
 )
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Curvature
-from skyline.matching import MATCHERS
 from skyline.photo import (
     Projection,
     extract_photo,
@@ -31,7 +30,10 @@ from skyline.photo import (
     write_trace,
 )
 from skyline.pipeline import (
+    FULL,
+    MATCHER_NAMES,
     BuildResult,
+    MatchConfig,
     Matcher,
     MatchResult,
     PlannedResult,
@@ -56,7 +58,7 @@ from skyline.prediction import shell_edges_m
 from skyline.report.coverage import save_coverage_map
 from skyline.report.geojson import write_geojson
 from skyline.report.peaks import read_peaks
-from skyline.report.records import MatchRecord
+from skyline.report.records import CandidateRecord, MatchRecord
 from skyline.store import StoreHeader, is_store
 from skyline.store_cli import store_app
 from skyline.terrain.dem import DemOptions, read_dem
@@ -66,6 +68,7 @@ from skyline.terrain.viewpoints import stand_on
 
 _DEFAULTS = RenderConfig()
 _PLANNED = PlanConfig()
+_MATCHING = MatchConfig()
 
 app = typer.Typer(
     name="skyline",
@@ -260,7 +263,20 @@ def match(
     fov_deg: FieldOfView = None,
     projection: PhotoProjection = None,
     sky_model: SkyModel = None,
-    matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHERS)}.")] = "paper",
+    dem: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DEM", help="Where the store's DEM lies now; once for each tile."),
+    ] = None,
+    matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHER_NAMES)}.")] = FULL,
+    no_refine: Annotated[
+        bool, typer.Option("--no-refine", help="Do not render around what was found.")
+    ] = False,
+    densify: Annotated[
+        float, typer.Option(metavar="M", help="Metres between the views predicted from the store.")
+    ] = _MATCHING.densify.pitch_m,
+    min_confidence: Annotated[
+        float, typer.Option(help="Below it there is no answer, only candidates.")
+    ] = _MATCHING.min_confidence,
     top: Annotated[int, typer.Option(help="Candidates to name.")] = 5,
     as_json: AsJson = False,
     report: Annotated[
@@ -279,7 +295,14 @@ def match(
     """Find where photos were taken and which way the camera looked."""
     if peaks is not None and report is None:
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
-    matching = Matcher(store, matcher)
+    config = replace(
+        _MATCHING,
+        refine=not no_refine,
+        min_confidence=min_confidence,
+        densify=replace(_MATCHING.densify, pitch_m=densify),
+    )
+    asked = (str(store), tuple(dem) if dem else None, matcher, config)
+    matching = Matcher(*asked)
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
     session = load_sky_model(sky_model) if sky_model else None
     results = []
@@ -290,7 +313,7 @@ def match(
         if runner is None:
             found: Iterator[MatchResult] = (matching.match(one, top=top) for one in skylines)
         else:
-            found = match_many(runner, (str(store), matcher), list(skylines), top)
+            found = match_many(runner, asked, list(skylines), top)
         for path, result in zip(query, found, strict=True):
             results.append((path, result))
             record = describe_match(str(path), result, matching.frame)
@@ -302,9 +325,10 @@ def match(
         candidates = [(str(path), result.candidates) for path, result in results]
         write_geojson(geojson, candidates, matching.frame)
     if report is not None:
-        done = [f"The matcher `{matcher}` ranked {len(matching.viewpoints)} stored locations."]
+        done = [f"The matcher `{matcher}` knew {len(matching.viewpoints)} stored locations."]
         told = (matched(path, result, done) for path, result in results)
-        report_matches(report, matching, told, _dem_at_hand(matching.header), gazetteer)
+        terrain = matching.terrain or _dem_at_hand(matching.header)
+        report_matches(report, matching, told, terrain, gazetteer)
 
 
 @app.command()
@@ -443,14 +467,20 @@ def _dem_at_hand(header: StoreHeader) -> HeightField | None:
         return None
 
 
+def _how_sure(place: CandidateRecord) -> str:
+    if place["confidence"] is None:
+        return f"score {place['score']:.3f}"
+    return f"confidence {place['confidence']:.2f}"
+
+
 def _say_match(record: MatchRecord) -> None:
     typer.echo(f"{record['query']} ({record['seconds']:.2f} s)")
-    if record["answer"] is None:
-        typer.echo("  no place fits")
+    if "refusal" in record:
+        typer.echo(f"  no answer: {record['refusal']}")
     for rank, place in enumerate(record["candidates"], start=1):
         typer.echo(
             f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
             f"{place['easting']:.0f} northing {place['northing']:.0f}  heading "
             f"{place['heading_deg']:.1f}  pitch {place['pitch_deg']:.1f}  "
-            f"score {place['score']:.3f}{'' if place['refined'] else '  (unrefined)'}"
+            f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"
         )

@@ -19,12 +19,15 @@ Facts = dict[str, object]
 def describe_match(query: str, result: MatchResult, frame: Frame) -> MatchRecord:
     """Return what was found for a query, in the public JSON's terms (DESIGN 8)."""
     candidates = describe_candidates(result.candidates, frame)
-    return MatchRecord(
+    record = MatchRecord(
         query=query,
-        answer=candidates[0] if candidates else None,
+        answer=candidates[0] if result.answer else None,
         candidates=candidates,
         seconds=result.seconds,
     )
+    if result.refusal:
+        record["refusal"] = result.refusal
+    return record
 
 
 def describe_gl() -> Facts:

@@ -19,7 +19,8 @@ from skyline.experiments.reference_stores import (
 )
 from skyline.experiments.trials import QueryMatcher, Trial, run_trials, summarize
 from skyline.matching import MATCHERS
-from skyline.pipeline import Matcher, Progress, RenderConfig
+from skyline.matching.dense import DensifyConfig
+from skyline.pipeline import FULL, MatchConfig, Matcher, Progress, RenderConfig
 from skyline.planning.uniform import map_bounds
 from skyline.prediction import shell_edges_m
 from skyline.terrain.heightfield import HeightField
@@ -42,16 +43,26 @@ KINDS: Mapping[str, str] = MappingProxyType(
 _OTHER_SPACING, _OTHER_PHASE = 1.3, (0.37, 0.61)
 _HIDDEN_SHARE = 0.3
 
+_SPARSE = DensifyConfig(pitch_m=np.inf)
+
 Opener = Callable[[Path, HeightField], QueryMatcher]
 
 
-def _open(name: str, store: Path, terrain: HeightField) -> QueryMatcher:
-    del terrain
-    return Matcher(store, matcher=name)
+def _open(name: str, config: MatchConfig, store: Path, terrain: HeightField) -> QueryMatcher:
+    return Matcher(store, terrain, name, config)
 
 
-OPENERS: Mapping[str, Opener] = MappingProxyType({name: partial(_open, name) for name in MATCHERS})
-"""How each matcher is made from a store's path and the terrain it was rendered from."""
+OPENERS: Mapping[str, Opener] = MappingProxyType(
+    {name: partial(_open, name, MatchConfig(fov_slack=0.05)) for name in MATCHERS}
+    | {
+        "stored": partial(_open, FULL, MatchConfig(fov_slack=0.05, refine=False, densify=_SPARSE)),
+        "retrieved": partial(_open, FULL, MatchConfig(fov_slack=0.05, refine=False)),
+        FULL: partial(_open, FULL, MatchConfig(fov_slack=0.05)),
+    }
+)
+"""How each matcher is made from a store's path and the terrain it was rendered from: the
+baselines, and ours on stored skylines alone, on predictions, and refined. The field of view of
+made queries is known to 5 %."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,8 +19,6 @@ class Candidate:
 
     Attributes
     ----------
-    location : int
-        Index into the profiles.
     easting_m, northing_m : float
     heading_deg : float
         Grid azimuth of the optical axis, in [0, 360).
@@ -40,7 +38,6 @@ class Candidate:
         Of the camera, above the DEM's datum, where it is known.
     """
 
-    location: int
     easting_m: float
     northing_m: float
     heading_deg: float
@@ -128,7 +125,6 @@ def select(
             continue
         chosen.append(
             Candidate(
-                int(location),
                 float(profiles.easting_m[location]),
                 float(profiles.northing_m[location]),
                 float(fits.heading_deg[location] % 360.0),

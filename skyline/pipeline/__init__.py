@@ -11,14 +11,17 @@ from skyline.pipeline.build import (
 )
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
-from skyline.pipeline.match import Matcher, MatchResult
+from skyline.pipeline.match import FULL, MATCHER_NAMES, MatchConfig, Matcher, MatchResult
 from skyline.pipeline.match_many import match_many
 from skyline.pipeline.planned import PlannedResult, build_planned
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.shards import ShardPlan, build_sharded
 
 __all__ = [
+    "FULL",
+    "MATCHER_NAMES",
     "BuildResult",
+    "MatchConfig",
     "MatchResult",
     "Matcher",
     "PlannedResult",

@@ -1,7 +1,7 @@
 """How skylines are rendered, and the renderer and the store header that this asks for."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 from skyline.camera import DEFAULT_WIDTH
@@ -123,3 +123,12 @@ def check_dem(header: StoreHeader, terrain: HeightField) -> None:
             f"the DEM's digest is {terrain.digest[:12]}, the store was built from "
             f"{header.dem_digest[:12]} ({', '.join(header.dem_files) or 'no file'}); give that DEM"
         )
+
+
+def curvature_of(header: StoreHeader) -> Curvature:
+    """Return the curvature a store was rendered with; the default where it does not say."""
+    stored = header.config.get("curvature")
+    if not isinstance(stored, dict):
+        return Curvature()
+    names = {f.name for f in fields(Curvature)}
+    return Curvature(**{name: value for name, value in stored.items() if name in names})

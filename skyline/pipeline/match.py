@@ -1,22 +1,88 @@
-"""Matching queries to a store."""
+"""Matching queries to a store, and to the terrain it was rendered from."""
 
+import logging
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.errors import InputError
+from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Frame
 from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays
+from skyline.matching.dense import DensifyConfig, densify
+from skyline.matching.full import FullConfig, FullMatcher
+from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.photo import QuerySkyline, read_query
-from skyline.store import Store, open_store
+from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
+from skyline.render.horizon import HorizonRenderer
+from skyline.store import Store, StoreHeader, open_store
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
+_log = logging.getLogger(__name__)
+
 _ROWS_A_READ = 1024
+
+FULL = "full"
+MATCHER_NAMES = (FULL, *MATCHERS)
+
+Dem = str | Path | Sequence[str | Path] | HeightField
+
+
+@dataclass(frozen=True, slots=True)
+class MatchConfig:
+    """How queries are matched; what is not said to be of the full matcher is of all.
+
+    Attributes
+    ----------
+    refine : bool
+        Whether the full matcher renders around what it has retrieved.
+    min_confidence : float
+        Below it there is no answer, only candidates.
+    min_visible_deg : float
+        Nor is there where a query shows less of a skyline.
+    fov_slack : float
+        A field of view that is given may be wrong by this share.
+    fov_range_deg : (float, float)
+        What is searched where none is given.
+    render_width : int
+        Columns of the views that refinement renders.
+    render_tolerance_px : float
+        How far their skylines may fall short.
+    densify : DensifyConfig
+    retrieval : RetrievalConfig
+    full : FullConfig
+    """
+
+    refine: bool = True
+    min_confidence: float = 0.5
+    min_visible_deg: float = 20.0
+    fov_slack: float = 0.1
+    fov_range_deg: tuple[float, float] = (25.0, 100.0)
+    render_width: int = 360
+    render_tolerance_px: float = 0.05
+    densify: DensifyConfig = field(default_factory=DensifyConfig)
+    retrieval: RetrievalConfig = field(default_factory=RetrievalConfig)
+    full: FullConfig = field(default_factory=FullConfig)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.min_confidence <= 1.0:
+            raise InputError(
+                f"least confidence is {self.min_confidence}; expected 0 (always answer) to 1"
+            )
+        if not 0.0 <= self.fov_slack < 1.0:
+            raise InputError(f"slack of the field of view is {self.fov_slack}; expected 0 to 1")
+        low, high = self.fov_range_deg
+        if not 0.0 < low < high < 180.0:
+            raise InputError(
+                f"fields of view to search are {low:g} to {high:g} degrees; expected two that "
+                "increase, within 0 to 180"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,16 +97,19 @@ class MatchResult:
         Best first; headings from grid north.
     seconds : float
         From the query to the candidates.
+    refusal : str or None
+        Why there is no answer, where there is none.
     """
 
     query: QuerySkyline
     candidates: tuple[Candidate, ...]
     seconds: float
+    refusal: str | None = None
 
     @property
     def answer(self) -> Candidate | None:
-        """The best candidate, if there is any."""
-        return self.candidates[0] if self.candidates else None
+        """The best candidate, if the matcher stands by it."""
+        return None if self.refusal else self.candidates[0]
 
 
 class Matcher:
@@ -49,8 +118,13 @@ class Matcher:
     Parameters
     ----------
     store : str or Path
+    dem : path, paths or HeightField, optional
+        The DEM the store was rendered from; by default read from where it lay then. The full
+        matcher takes heights from it, and renders it again to refine. Where it is not to be had,
+        answers stay unrefined, which is logged.
     matcher : str
-        A name of `skyline.matching.MATCHERS`.
+        ``full``, which is ours, or one of `skyline.matching.MATCHERS`.
+    config : MatchConfig, optional
 
     Raises
     ------
@@ -58,22 +132,33 @@ class Matcher:
         No such matcher, or a store without renderings.
     StoreError
         The store cannot be read.
+    StoreMismatchError
+        The store was rendered from another DEM.
     """
 
-    def __init__(self, store: str | Path, matcher: str = "paper") -> None:
-        if matcher not in MATCHERS:
-            raise InputError(f"matcher is {matcher!r}; expected one of {', '.join(MATCHERS)}")
-        self._matcher = MATCHERS[matcher]()
+    def __init__(
+        self,
+        store: str | Path,
+        dem: Dem | None = None,
+        matcher: str = FULL,
+        config: MatchConfig | None = None,
+    ) -> None:
+        if matcher not in MATCHER_NAMES:
+            raise InputError(f"matcher is {matcher!r}; expected one of {', '.join(MATCHER_NAMES)}")
+        self._config = config or MatchConfig()
+        self._rank: Callable[[QueryRays, int], list[Candidate]]
+        self._needs_fov = matcher != FULL
         with open_store(store) as opened:
             self.header = opened.header
-            self._profiles = Profiles.from_views(_chunks(opened))
+            self.terrain = _terrain(self.header, dem, matcher == FULL)
+            if matcher == FULL:
+                self.viewpoints = _eyes(opened)
+                self._rank = open_full(opened, self.terrain, self._config).rank
+            else:
+                profiles = Profiles.from_views(_chunks(opened))
+                self.viewpoints = _viewpoints(profiles)
+                self._rank = partial(MATCHERS[matcher]().rank, profiles)
         self.frame = Frame(self.header.frame_wkt)
-
-    @property
-    def viewpoints(self) -> Viewpoints:
-        """The store's locations."""
-        profiles = self._profiles
-        return Viewpoints(profiles.easting_m, profiles.northing_m, profiles.eye_elevation_m)
 
     def match(
         self, query: str | Path | QuerySkyline, fov_deg: float | None = None, top: int = 5
@@ -91,25 +176,121 @@ class Matcher:
         Raises
         ------
         InputError
-            The query has no usable skyline, or its field of view is not known.
+            The query has no usable skyline, or the matcher needs a field of view and none is
+            known.
         """
         started = time.perf_counter()
         if not isinstance(query, QuerySkyline):
             query = read_query(query, fov_deg)
         elif fov_deg is not None:
             query = query.with_fov(fov_deg)
-        candidates = self._matcher.rank(self._profiles, _rays(query), top)
-        return MatchResult(query, tuple(candidates), time.perf_counter() - started)
+        candidates: list[Candidate] = []
+        refusal = self._too_little(query)
+        if refusal is None:
+            candidates = self._rank(self._rays(query), top)
+            refusal = self._unsure(candidates)
+        return MatchResult(query, tuple(candidates), time.perf_counter() - started, refusal)
 
+    def match_all(
+        self,
+        queries: Iterable[str | Path | QuerySkyline],
+        fov_deg: float | None = None,
+        top: int = 5,
+    ) -> list[MatchResult]:
+        """Find where several queries were taken, in order; see `match`."""
+        return [self.match(query, fov_deg, top) for query in queries]
 
-def _rays(query: QuerySkyline) -> QueryRays:
-    if query.fov_deg is None:
-        raise InputError(
-            "the query's field of view is not known: it is not in the image; give --fov-deg"
+    def _rays(self, query: QuerySkyline) -> QueryRays:
+        config = self._config
+        fov_deg, bounds_deg = query.fov_deg, config.fov_range_deg
+        if fov_deg is not None:
+            widest = min(fov_deg * (1.0 + config.fov_slack), 0.5 * (fov_deg + 180.0))
+            bounds_deg = (fov_deg * (1.0 - config.fov_slack), widest)
+        elif not self._needs_fov:
+            fov_deg = float(np.sqrt(bounds_deg[0] * bounds_deg[1]))
+        else:
+            raise InputError(
+                "the query's field of view is not known: it is not in the image; give --fov-deg"
+            )
+        u, v = query.image_plane(fov_deg)
+        return QueryRays(u, v, query.confidence[query.trusted], fov_deg, bounds_deg)
+
+    def _too_little(self, query: QuerySkyline) -> str | None:
+        """Say why a query shows too little of a skyline to be matched, if so."""
+        widest_deg = self._config.fov_range_deg[1] if query.fov_deg is None else query.fov_deg
+        visible_deg, least_deg = query.visible_deg(widest_deg), self._config.min_visible_deg
+        if visible_deg >= least_deg:
+            return None
+        return (
+            f"{visible_deg:.1f} degrees of skyline are visible, {least_deg:g} are needed; correct "
+            "the skyline by a trace or a mask, or check the field of view"
         )
-    u, v = query.image_plane()
-    trusted = np.isfinite(query.row_px)
-    return QueryRays(u, v, query.confidence[trusted], query.fov_deg)
+
+    def _unsure(self, candidates: Sequence[Candidate]) -> str | None:
+        """Say why candidates are no answer, if so."""
+        if not candidates:
+            return "no place fits"
+        sure, least = candidates[0].confidence, self._config.min_confidence
+        if sure is None or sure >= least:
+            return None
+        return f"the best place has confidence {sure:.2f}, {least:.2f} is needed"
+
+
+def open_full(store: Store, terrain: HeightField | None, config: MatchConfig) -> FullMatcher:
+    """Return the full matcher of a store, and of its terrain where that is at hand."""
+    ground = None if terrain is None else terrain.height_at
+    dense = densify(store.iter_views(_ROWS_A_READ), ground, config.densify)
+    scene = None
+    if terrain is not None and config.refine:
+        scene = RenderedScene(terrain, store.header, config)
+    return FullMatcher(Retriever(dense, config.retrieval), scene, config.full)
+
+
+class RenderedScene:
+    """The terrain of a store as refinement needs it; see `skyline.matching.pose.Scene`."""
+
+    def __init__(self, terrain: HeightField, header: StoreHeader, config: MatchConfig) -> None:
+        self.ground_m = terrain.height_at
+        self._renderer = HorizonRenderer(
+            terrain, config.render_width, curvature_of(header), config.render_tolerance_px
+        )
+
+    def render(self, viewpoints: Viewpoints, headings: NDArray[np.uint8]) -> Views:
+        """Render one view an eye, each along its heading, in order."""
+        return self._renderer.render(viewpoints, headings)
+
+
+def _terrain(header: StoreHeader, dem: Dem | None, wanted: bool) -> HeightField | None:
+    """Return the terrain a store was rendered from: as given, else from where it lay."""
+    if isinstance(dem, HeightField):
+        check_dem(header, dem)
+        return dem
+    if dem is not None:
+        return read_dem_of(header, [dem] if isinstance(dem, str | Path) else dem)
+    if not wanted:
+        return None
+    # Only plain files: a store from a stranger must not make the reader go anywhere else.
+    if not header.dem_files or not all(Path(path).is_file() for path in header.dem_files):
+        _log.warning(
+            "the store's DEM is not at %s any more: answers stay unrefined; say where it lies",
+            ", ".join(header.dem_files) or "any path",
+        )
+        return None
+    try:
+        return read_dem_of(header)
+    except SkylineError as error:
+        _log.warning("the store's DEM cannot be used: answers stay unrefined; %s", error)
+        return None
+
+
+def _eyes(store: Store) -> Viewpoints:
+    places = store.locations()
+    eyes = np.stack([places.easting_m, places.northing_m, places.eye_elevation_m])
+    return Viewpoints(*np.ascontiguousarray(np.unique(eyes, axis=1)))
+
+
+def _viewpoints(profiles: Profiles) -> Viewpoints:
+    return Viewpoints(profiles.easting_m, profiles.northing_m, profiles.eye_elevation_m)
 
 
 def _chunks(store: Store) -> Iterable[tuple[Views, NDArray[np.uint16]]]:

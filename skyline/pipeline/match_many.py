@@ -22,7 +22,7 @@ def match_many(
     runner : Runner
         What does the matching. Workers need the store under the same path.
     matcher : tuple
-        What a `Matcher` is made of: the store's path, the matcher's name.
+        What a `Matcher` is made of, in order: the store's path first.
     queries : sequence of QuerySkyline
     top : int
         As of `Matcher.match`.

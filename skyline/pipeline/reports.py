@@ -1,15 +1,12 @@
 """Reports of matches: what a store's terrain and a renderer add to what was found."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import fields
 from pathlib import Path
 
-from skyline.geodesy import Curvature
 from skyline.photo import read_picture
-from skyline.pipeline.config import RenderConfig, make_renderer
+from skyline.pipeline.config import RenderConfig, curvature_of, make_renderer
 from skyline.pipeline.match import Matcher, MatchResult
 from skyline.report import Matched, Peaks, Surroundings, write_match_report
-from skyline.store import StoreHeader
 from skyline.store.header import package_version
 from skyline.terrain.heightfield import HeightField
 
@@ -46,7 +43,7 @@ def report_matches(
     made_by = f"skyline {package_version()}"
     if terrain is None:
         return write_match_report(folder, told, Surroundings(frame, places), made_by)
-    curvature = _curvature_of(matcher.header)
+    curvature = curvature_of(matcher.header)
     config = RenderConfig(width=_PICTURE_WIDTH, curvature=curvature)
     with make_renderer(terrain, config) as renderer:
         around = Surroundings(frame, places, terrain, renderer.render, peaks, curvature)
@@ -73,12 +70,3 @@ def matched(path: str | Path, result: MatchResult, done: Sequence[str] = ()) -> 
         read_picture(path),
         done,
     )
-
-
-def _curvature_of(header: StoreHeader) -> Curvature:
-    """Return the curvature a store was rendered with; the default where it does not say."""
-    stored = header.config.get("curvature")
-    if not isinstance(stored, dict):
-        return Curvature()
-    names = {field.name for field in fields(Curvature)}
-    return Curvature(**{name: value for name, value in stored.items() if name in names})

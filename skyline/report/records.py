@@ -1,7 +1,7 @@
 """A match in the terms of the public JSON (DESIGN 8)."""
 
 from collections.abc import Iterable
-from typing import TypedDict
+from typing import NotRequired, TypedDict
 
 from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
@@ -24,12 +24,13 @@ class CandidateRecord(TypedDict):
 
 
 class MatchRecord(TypedDict):
-    """One query as ``skyline match --json`` prints it."""
+    """One query as ``skyline match --json`` prints it; without an answer it says why."""
 
     query: str
     answer: CandidateRecord | None
     candidates: list[CandidateRecord]
     seconds: float
+    refusal: NotRequired[str]
 
 
 def describe_candidates(candidates: Iterable[Candidate], frame: Frame) -> list[CandidateRecord]:

@@ -142,7 +142,7 @@ def test_ranking_is_the_same_each_time_and_each_place_once(profiles, viewpoints)
         first, again = (matcher.rank(profiles, query, 8) for _ in range(2))
         assert first == again
         assert [c.score for c in first] == sorted(c.score for c in first)
-        assert len({c.location for c in first}) == len(first)
+        assert len({(c.easting_m, c.northing_m) for c in first}) == len(first)
 
 
 def test_chamfer_distance_is_the_mean_of_nearest_points():

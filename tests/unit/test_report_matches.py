@@ -23,7 +23,7 @@ from skyline.terrain.viewpoints import stand_on
 FIELD = field_of(fractal(120, 120, seed=1), west_m=0.0, north_m=3600.0)
 EYE = stand_on(FIELD, 1800.0, 1800.0)
 BEST = Candidate(
-    0, 1800.0, 1800.0, 350.0, 12.0, 4.0, 70.0, 0.1, 0.9, True, ((1e4, 0.0), (0.0, 2e4)),
+    1800.0, 1800.0, 350.0, 12.0, 4.0, 70.0, 0.1, 0.9, True, ((1e4, 0.0), (0.0, 2e4)),
     float(EYE.eye_elevation_m[0]),
 )  # fmt: skip
 OTHER = replace(BEST, easting_m=900.0, heading_deg=80.0, confidence=None, covariance_m2=None)

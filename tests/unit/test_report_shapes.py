@@ -15,10 +15,10 @@ from skyline.report.shapes import Ellipse, view_wedge_m
 UTM = Frame.from_crs("EPSG:32632")
 PLACE = UTM.from_lonlat(10.78277, 46.79586)
 BEST = Candidate(
-    7, float(PLACE[0]), float(PLACE[1]), 275.0, -8.5, 1.0, 78.7, 0.1, 0.9, True,
+    float(PLACE[0]), float(PLACE[1]), 275.0, -8.5, 1.0, 78.7, 0.1, 0.9, True,
     ((400.0, 100.0), (100.0, 900.0)),
 )  # fmt: skip
-OTHER = Candidate(3, BEST.easting_m + 500.0, BEST.northing_m, 350.0, 0.0, 0.0, 60.0, 0.4)
+OTHER = Candidate(BEST.easting_m + 500.0, BEST.northing_m, 350.0, 0.0, 0.0, 60.0, 0.4)
 
 
 def signed_area(ring):
@@ -33,7 +33,7 @@ def test_an_ellipse_has_the_covariance_s_axes():
     minor = np.array([major[1], -major[0]])
     covariance = along**2 * np.outer(major, major) + across**2 * np.outer(minor, minor)
     ellipse = Ellipse.of(
-        Candidate(0, 5.0, 7.0, 0.0, 0.0, 0.0, 60.0, 0.1, covariance_m2=covariance.tolist())
+        Candidate(5.0, 7.0, 0.0, 0.0, 0.0, 60.0, 0.1, covariance_m2=covariance.tolist())
     )
     quantile = np.sqrt(-2.0 * np.log(0.05))
     assert ellipse.semi_major_m == pytest.approx(along * quantile)
@@ -106,7 +106,7 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
 
 
 def test_geojson_has_no_word_for_infinity():
-    lost = Candidate(0, 0.0, 0.0, 0.0, 0.0, 0.0, 60.0, np.inf)
+    lost = Candidate(0.0, 0.0, 0.0, 0.0, 0.0, 60.0, np.inf)
     point = match_collection([("q", [lost])], FRAME)["features"][0]
     assert point["properties"]["score"] is None
 

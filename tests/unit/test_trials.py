@@ -32,7 +32,7 @@ class Nearby:
         self.calls += 1
         if self.calls == 3:
             raise InputError("too little to see")
-        found = [Candidate(i, 0.0, 100.0 * i, 5.0, 0, 0, 60.0, 0.1) for i in range(top)]
+        found = [Candidate(0.0, 100.0 * i, 5.0, 0, 0, 60.0, 0.1) for i in range(top)]
         return MatchResult(query, () if self.calls == 4 else tuple(found), 0.5)
 
 

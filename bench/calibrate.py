@@ -1,0 +1,135 @@
+"""Learn the confidence on Sierra and Rofental, show its reliability on Davos: make calibrate.
+
+Not part of `make bench`: it takes some twenty minutes, and changes what answers are believed.
+"""
+
+import argparse
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from skyline import MatchConfig, read_dem
+from skyline.console import progress_bar
+from skyline.experiments.calibration import (
+    MODELS,
+    Example,
+    calibration_error,
+    examples,
+    learn,
+    probabilities,
+    save_reliability,
+    write_models,
+)
+from skyline.experiments.other_dems import perturbed
+from skyline.experiments.queries import MadeQuery, QueryConfig, make_queries
+from skyline.experiments.record import write_record
+from skyline.pipeline import RenderConfig, build_uniform
+from skyline.pipeline.match import open_full
+from skyline.prediction import shell_edges_m
+from skyline.store import open_store
+from skyline.terrain.dem import DemOptions
+from skyline.terrain.heightfield import HeightField
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = ROOT.parent / "shared" / "data"
+MODEL = ROOT / "skyline" / "matching" / "confidence.json"
+RESULTS = ROOT / "bench" / "results"
+
+SPACING_M = 300.0
+SIDE_M = 6_000.0
+OUTSIDE = 1.35
+"""Queries come from an area this much wider than the store: nearly half from outside it."""
+
+LEARNED = {
+    "sierra": ("sierra/sierra_ansel_adams_30m_albers.tif", DemOptions(reproject=True)),
+    "rofental": ("rofental/dem_rofental_50.asc", DemOptions(crs="EPSG:32632")),
+}
+HELD_OUT = {"davos": ("davos/davos_srtm1_30m.tif", DemOptions())}
+
+KINDS = (
+    QueryConfig(fov_deg=(40.0, 90.0), noise_deg=(0.05, 0.3)),
+    QueryConfig(fov_deg=(40.0, 90.0), noise_deg=(0.05, 0.3), occluded_share=(0.0, 0.4)),
+)
+
+
+def told_by(
+    terrain: HeightField, folder: Path, queries: int, seed: int
+) -> dict[str, list[Example]]:
+    """Match queries of all kinds in the terrain's middle; examples by model."""
+    west, south, east, north = terrain.bounds_m
+    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
+    half = 0.5 * min(SIDE_M, 0.7 * (east - west), 0.7 * (north - south))
+    store = folder / "store.h5"
+    lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + [[-half, half], [-half, half]]))
+    bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
+    config = RenderConfig(shell_edges_m=shell_edges_m(12))
+    build_uniform(terrain, store, SPACING_M, bounds_deg, config)
+    told: dict[str, list[Example]] = {name: [] for name in MODELS}
+    with open_store(store) as opened:
+        matcher = open_full(opened, terrain, MatchConfig())
+    for made in all_queries(terrain, middle, OUTSIDE * half, queries, seed):
+        for example in examples(matcher, made):
+            for name, one in example.items():
+                told[name].append(one)
+    return told
+
+
+def all_queries(
+    terrain: HeightField, middle: np.ndarray, half: float, queries: int, seed: int
+) -> list[tuple[MadeQuery, ...]]:
+    """Make queries of every kind, of this elevation model and of one that differs."""
+    area = (*(middle - half), *(middle + half))
+    return [
+        make_queries(seen, area, queries, seed + number, replace(kind, fov_error=0.05))
+        for number, (seen, kind) in enumerate(
+            (seen, kind) for seen in (terrain, perturbed(terrain, seed=seed)) for kind in KINDS
+        )
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--queries", type=int, default=80, help="of each of four kinds")
+    parser.add_argument("--seed", type=int, default=1000)
+    given = parser.parse_args()
+    told: dict[str, dict[str, list[Example]]] = {}
+    with progress_bar("terrains") as progress:
+        for number, (name, (path, options)) in enumerate((LEARNED | HELD_OUT).items()):
+            progress(number, len(LEARNED | HELD_OUT))
+            with tempfile.TemporaryDirectory() as folder:
+                terrain = read_dem([DATA / path], options)
+                told[name] = told_by(terrain, Path(folder), given.queries, given.seed)
+    rows, shown, models = [], [], {}
+    for model in MODELS:
+        learned_from = [one for name in LEARNED for one in told[name][model]]
+        models[model] = learn(learned_from)
+        for name, one in told.items():
+            sure = probabilities(models[model], one[model])
+            right = np.array([example.right for example in one[model]])
+            answered = sure >= MatchConfig().min_confidence
+            row = {
+                "model": model,
+                "terrain": name,
+                "held_out": name in HELD_OUT,
+                "n": len(right),
+                "right": float(right.mean()),
+                "calibration_error": calibration_error(sure, right),
+                "answered": float(answered.mean()),
+                "precision": float(right[answered].mean()) if answered.any() else None,
+            }
+            print(row)
+            rows.append(row)
+            if name in HELD_OUT:
+                shown.append((f"{model}, {name}", sure, right))
+    about = {"terrain": list(LEARNED), "queries": 4 * given.queries, "seed": given.seed}
+    write_models(MODEL, models, about)
+    write_record(RESULTS / "confidence.json", "confidence", rows)
+    save_reliability(
+        RESULTS / "confidence.png", shown, "Learned on Sierra and Rofental, shown on Davos"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,124 @@
+r"""How likely an answer is right: within 200 m of where the query was taken.
+
+A logistic model of a few figures that a match leaves behind, learned from made queries on other
+terrain than any result is reported on (`experiments.calibration`, which also draws the
+reliability diagram):
+
+.. math::
+
+    P = \frac{1}{1 + \exp(-(b + \sum_f w_f (x_f - m_f) / s_f))}
+
+The figures say how well the best pose fits, how much better it fits than any elsewhere, and how
+much there was to fit. Where a query shows too little, no fit is believed.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.pose import Poses
+from skyline.matching.query import QueryRays, level
+
+Float64Array = NDArray[np.float64]
+
+RIGHT_WITHIN_M = 200.0
+"""An answer this near is right."""
+
+_MAX_MARGIN = 60.0
+"""Beyond this a margin says nothing more."""
+_MODELS = "confidence.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Logistic:
+    """A logistic model.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the F figures.
+    mean, scale, weight : tuple of float
+        F each.
+    bias : float
+    """
+
+    names: tuple[str, ...]
+    mean: tuple[float, ...]
+    scale: tuple[float, ...]
+    weight: tuple[float, ...]
+    bias: float
+
+    def probability(self, figures: Mapping[str, Float64Array]) -> Float64Array:
+        """Return probabilities (M,) from figures by name, (M,) each."""
+        missing = [name for name in self.names if name not in figures]
+        if missing:
+            raise InputError(
+                f"a confidence needs {', '.join(missing)}; there are {', '.join(figures)}"
+            )
+        logit = np.full(np.shape(figures[self.names[0]]), self.bias)
+        for name, mean, scale, weight in zip(
+            self.names, self.mean, self.scale, self.weight, strict=True
+        ):
+            logit = logit + weight * (figures[name] - mean) / scale
+        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
+
+
+def refined_figures(poses: Poses, query: QueryRays) -> dict[str, Float64Array]:
+    """Return what a refinement says of each of its M poses, (M,) by name."""
+    trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
+    return {
+        "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
+        "inlier_share": poses.inlier_share,
+        "log_columns": np.log(np.maximum(poses.effective_columns, 1.0)),
+        "margin": _margin(poses.margin),
+        "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
+        "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
+    } | _query_figures(query, len(poses))
+
+
+def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64Array]:
+    """Return what a retrieval says of each of its M poses, (M,) by name."""
+    place = found.easting_m + 1j * found.northing_m
+    elsewhere = np.abs(place[:, np.newaxis] - place) > RIGHT_WITHIN_M
+    rival = np.where(elsewhere, found.score, np.inf).min(axis=1, initial=np.inf)
+    return {
+        "score": found.score,
+        "margin": _margin(rival - found.score),
+    } | _query_figures(query, len(found))
+
+
+def models() -> dict[str, Logistic]:
+    """Return the learned models, ``refined`` and ``retrieved``."""
+    text = resources.files(__package__).joinpath(_MODELS).read_text(encoding="utf-8")
+    return {
+        name: Logistic(
+            tuple(model["names"]),
+            tuple(model["mean"]),
+            tuple(model["scale"]),
+            tuple(model["weight"]),
+            float(model["bias"]),
+        )
+        for name, model in json.loads(text)["models"].items()
+    }
+
+
+def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
+    """Return how much of a skyline the query shows and how much that rises and falls."""
+    azimuth, y = level(query.u, query.v, 0.0, 0.0)
+    # What a pitch and a roll cannot explain.
+    trend = np.polynomial.Polynomial.fit(azimuth, y, 1, w=np.sqrt(query.weight))
+    relief = np.sqrt(np.average((y - trend(azimuth)) ** 2, weights=query.weight))
+    return {
+        "log_relief": np.full(count, np.log(max(np.degrees(relief), 1e-2))),
+        "log_visible": np.full(count, np.log(max(np.degrees(np.ptp(azimuth)), 1.0))),
+    }
+
+
+def _margin(margin: Float64Array) -> Float64Array:
+    return np.asarray(np.clip(margin, -_MAX_MARGIN, _MAX_MARGIN))

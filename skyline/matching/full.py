@@ -1,0 +1,125 @@
+"""Our matcher: retrieve among predictions, refine by rendering, say how sure the answer is."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.matching import confidence
+from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.pose import Poses, RefineConfig, Scene, refine
+from skyline.matching.query import QueryRays
+from skyline.matching.ranking import Candidate
+from skyline.matching.retrieval import Retriever
+
+Float64Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FullConfig:
+    """How a query is matched.
+
+    Attributes
+    ----------
+    shortlist : int
+        Poses retrieved.
+    separation_m : float
+        Candidates are at least this far apart.
+    refine : RefineConfig
+    """
+
+    shortlist: int = 48
+    separation_m: float = 100.0
+    refine: RefineConfig = field(default_factory=RefineConfig)
+
+    def __post_init__(self) -> None:
+        if self.shortlist < 1 or self.separation_m < 0.0:
+            raise InputError(
+                f"{self.shortlist} retrieved poses and candidates {self.separation_m:g} m apart; "
+                "expected at least 1 and 0"
+            )
+
+
+class FullMatcher:
+    """Retrieval, refinement and confidence in one.
+
+    Parameters
+    ----------
+    retriever : Retriever
+    scene : Scene, optional
+        The terrain the store was rendered from; without it poses stay as retrieved.
+    config : FullConfig, optional
+    """
+
+    def __init__(
+        self, retriever: Retriever, scene: Scene | None = None, config: FullConfig | None = None
+    ) -> None:
+        self._retriever = retriever
+        self._scene = scene
+        self._config = config or FullConfig()
+        self._models = confidence.models()
+
+    def rank(self, query: QueryRays, top: int) -> list[Candidate]:
+        """Return up to ``top`` candidates, best first; none where nothing fits.
+
+        Raises
+        ------
+        InputError
+            ``top`` is below 1.
+        """
+        if top < 1:
+            raise InputError(f"top is {top}; expected at least 1 candidate")
+        found = self.retrieve(query, top)
+        poses = self.refine(found, query, top)
+        if poses is None:
+            sure = self._sure("retrieved", confidence.retrieved_figures(found, query))
+            return self._candidates(found, sure, top)
+        sure = self._sure("refined", confidence.refined_figures(poses, query))
+        chosen = self._chosen(poses.hypotheses, top)
+        return [
+            replace(candidate, refined=True, covariance_m2=_as_rows(poses.covariance_m2[index]))
+            for candidate, index in zip(
+                self._candidates(poses.hypotheses, sure, top), chosen, strict=True
+            )
+        ]
+
+    def retrieve(self, query: QueryRays, least: int = 1) -> Hypotheses:
+        """Return the poses retrieved for a query, more than ``least`` where there are."""
+        return self._retriever.shortlist(query, max(self._config.shortlist, least))
+
+    def refine(self, found: Hypotheses, query: QueryRays, least: int = 1) -> Poses | None:
+        """Return retrieved poses refined; None without a scene."""
+        if self._scene is None:
+            return None
+        config = self._config.refine
+        config = replace(config, finalists=max(config.finalists, least))
+        return refine(found, query, self._scene, config)
+
+    def _sure(self, model: str, figures: dict[str, Float64Array]) -> Float64Array:
+        return self._models[model].probability(figures)
+
+    def _chosen(self, poses: Hypotheses, top: int) -> NDArray[np.intp]:
+        return poses.spread(top, self._config.separation_m)
+
+    def _candidates(self, poses: Hypotheses, sure: Float64Array, top: int) -> list[Candidate]:
+        return [_candidate(poses, index, float(sure[index])) for index in self._chosen(poses, top)]
+
+
+def _candidate(poses: Hypotheses, index: int, sure: float) -> Candidate:
+    return Candidate(
+        float(poses.easting_m[index]),
+        float(poses.northing_m[index]),
+        float(poses.heading_deg[index]),
+        float(poses.pitch_deg[index]),
+        float(poses.roll_deg[index]),
+        float(poses.fov_deg[index]),
+        float(poses.score[index]),
+        confidence=sure,
+        eye_elevation_m=float(poses.eye_elevation_m[index]),
+    )
+
+
+def _as_rows(covariance_m2: Float64Array) -> tuple[tuple[float, float], tuple[float, float]]:
+    (a, b), (c, d) = covariance_m2.tolist()
+    return (a, b), (c, d)
