@@ -29,7 +29,7 @@ class FullConfig:
     refine : RefineConfig
     """
 
-    shortlist: int = 48
+    shortlist: int = 400
     separation_m: float = 100.0
     refine: RefineConfig = field(default_factory=RefineConfig)
 

@@ -9,7 +9,8 @@ Occlusion makes local optima, so the best few then start again from places aroun
 
 That much takes the errors of the terrain model as independent from column to column, which is
 quick and reaches far. The last rounds take them as they are, correlated: that weighs the near
-and the far rightly, and makes costs and covariances mean what they say.
+and the far rightly, and makes costs and covariances mean what they say. Where the list is long,
+a rendering of each, compared in wide steps of azimuth, says first which are worth a walk.
 """
 
 from dataclasses import dataclass, field, replace
@@ -63,6 +64,8 @@ class RefineConfig:
     ----------
     shortlist : int
         Hypotheses taken, the best by their scores.
+    walkers : int
+        How many of them set out, the best by one rendering each.
     rounds : int
         Renderings of one that is kept, before the last rounds.
     keep_share, keep_least : float, int
@@ -90,13 +93,15 @@ class RefineConfig:
         Half the distance over which the ground's slope is taken.
     eye_height_m : float
         Eye above the ground.
-    bins : int
-        Steps of azimuth of a panorama, a multiple of 8; about as fine as the renderings.
+    scout_bins, bins : int
+        Steps of azimuth of a panorama, a multiple of 8, while scouting and after; the latter
+        about as fine as the renderings.
     rough, fine : SolverConfig
         The solver of the search, and of the last rounds.
     """
 
-    shortlist: int = 48
+    shortlist: int = 400
+    walkers: int = 64
     rounds: int = 6
     keep_share: float = 0.6
     keep_least: int = 12
@@ -112,12 +117,13 @@ class RefineConfig:
     longest_step_m: float = 120.0
     slope_reach_m: float = 15.0
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    scout_bins: int = 480
     bins: int = 1440
     rough: SolverConfig = field(default_factory=lambda: SolverConfig(noise=Noise(nodes=0)))
     fine: SolverConfig = field(default_factory=lambda: SolverConfig(iterations=2, choices=1))
 
     def __post_init__(self) -> None:
-        for name in ("shortlist", "rounds", "keep_least", "finalists"):
+        for name in ("shortlist", "walkers", "rounds", "keep_least", "finalists"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}; expected at least 1")
         for name in ("restarts", "restart_rounds", "final_rounds", "eye_height_m"):
@@ -225,6 +231,7 @@ class _Refinement:
     def __init__(self, query: QueryRays, scene: Scene, config: RefineConfig) -> None:
         self._scene = scene
         self._config = config
+        self._scout = Solver(thinned(query, config.scout_bins), config.rough)
         query = thinned(query, config.bins)
         self._rough, self._fine = Solver(query, config.rough), Solver(query, config.fine)
         self._renderings = 0
@@ -233,9 +240,9 @@ class _Refinement:
         config = self._config
         best = np.argsort(hypotheses.score, kind="stable")[: config.shortlist]
         taken = hypotheses[best]
-        walkers = self._arrived(
-            self._rough, taken.easting_m, taken.northing_m, self._rough.start(taken)
-        )
+        if len(taken) > config.walkers:
+            taken = self._scouted(taken)
+        walkers = self._set_out(self._rough, taken)
         for _ in range(config.rounds - 1):
             kept = max(config.keep_least, int(np.ceil(config.keep_share * len(walkers))))
             walkers = self._walked(self._rough, walkers.best(kept))
@@ -247,6 +254,16 @@ class _Refinement:
         for _ in range(config.final_rounds):
             walkers = self._walked(self._fine, walkers)
         return self._poses(self._apart(walkers, config.finalists))
+
+    def _scouted(self, hypotheses: Hypotheses) -> Hypotheses:
+        """Return the hypotheses that one rendering each, coarsely compared, speaks for."""
+        seen = self._set_out(self._scout, hypotheses).best(self._config.walkers)
+        return self._hypotheses(seen, self._scout)
+
+    def _set_out(self, solver: Solver, hypotheses: Hypotheses) -> _Walkers:
+        return self._arrived(
+            solver, hypotheses.easting_m, hypotheses.northing_m, solver.start(hypotheses)
+        )
 
     def _weighed_anew(self, walkers: _Walkers) -> _Walkers:
         """Judge by correlated errors, until the noise has settled: costs must be comparable."""
@@ -292,7 +309,8 @@ class _Refinement:
         state = fit.state.copy()
         state[:, :HEADING] = 0.0
         fit = replace(fit, state=state)
-        curves = self._seen(easting_m, northing_m, solver.fov_deg(state), state[:, HEADING])
+        bins = self._config.scout_bins if solver is self._scout else self._config.bins
+        curves = self._seen(easting_m, northing_m, solver.fov_deg(state), state[:, HEADING], bins)
         unjudged = bool(np.isinf(fit.cost).all())
         still = np.zeros(len(state))
         fit = solver.settle(curves, fit) if unjudged else solver.improve(curves, fit, still)
@@ -304,6 +322,7 @@ class _Refinement:
         northing_m: Float64Array,
         fov_deg: Float64Array,
         heading_rad: Float64Array,
+        bins: int,
     ) -> Curves:
         """Render what M eyes on the ground see along the query."""
         config = self._config
@@ -315,7 +334,7 @@ class _Refinement:
         eyes = Viewpoints(easting_m[row], northing_m[row], ground_m[row] + config.eye_height_m)
         self._renderings += len(row)
         views = self._scene.render(eyes, heading.astype(np.uint8))
-        panoramas = Panoramas.from_views(views, row, len(easting_m), config.bins)
+        panoramas = Panoramas.from_views(views, row, len(easting_m), bins)
         return Curves.of(panoramas, self._slope(easting_m, northing_m, ground_m))
 
     def _slope(

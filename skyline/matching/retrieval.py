@@ -36,6 +36,9 @@ class RetrievalConfig:
         Assumed fields of view differ by this share.
     fitted : int
         Entries whose pose is fitted.
+    alike_weight : float
+        What a standard deviation of the first comparison counts in the score of a fit. The
+        fit knows more, but trusts that its entry stands where the query was taken.
     separation_m, turn_deg : float
         Hypotheses nearer to a better one, looking within a turn of the same way, are left out.
     fit : FitConfig
@@ -44,7 +47,8 @@ class RetrievalConfig:
     coarse_bins: int = 180
     alike_deg: float = 0.75
     zoom_step: float = 0.04
-    fitted: int = 1500
+    fitted: int = 4000
+    alike_weight: float = 1.0
     separation_m: float = 30.0
     turn_deg: float = 20.0
     fit: FitConfig = field(default_factory=FitConfig)
@@ -123,7 +127,7 @@ class Retriever:
                     np.degrees(pitch),
                     np.degrees(roll),
                     _fov_deg(query, zoom),
-                    fits.score.astype(np.float64),
+                    fits.score - self.config.alike_weight * alike.score[entry].astype(np.float64),
                 )
             )
         return Hypotheses.concatenate(parts)
