@@ -16,7 +16,7 @@ from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays
 from skyline.matching.dense import DensifyConfig, densify
 from skyline.matching.full import FullConfig, FullMatcher
 from skyline.matching.retrieval import RetrievalConfig, Retriever
-from skyline.photo import QuerySkyline, read_query
+from skyline.photo import Projection, QuerySkyline, read_query
 from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import Store, StoreHeader, open_store
@@ -203,7 +203,10 @@ class Matcher:
     def _rays(self, query: QuerySkyline) -> QueryRays:
         config = self._config
         fov_deg, bounds_deg = query.fov_deg, config.fov_range_deg
-        if fov_deg is not None:
+        if query.projection is not Projection.PERSPECTIVE and fov_deg is not None:
+            # Other fields of view of a panorama are not its rays scaled.
+            bounds_deg = (fov_deg, fov_deg)
+        elif fov_deg is not None:
             widest = min(fov_deg * (1.0 + config.fov_slack), 0.5 * (fov_deg + 180.0))
             bounds_deg = (fov_deg * (1.0 - config.fov_slack), widest)
         elif not self._needs_fov:
