@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError
 from skyline.matching.rows import Rows
-from skyline.views import Views
+from skyline.views import FLAG_NO_DATA, Views
 
 Float64Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -52,8 +52,9 @@ class Panoramas(Rows):
     def from_views(cls, views: Views, row: IntArray, count: int, bins: int) -> "Panoramas":
         """Join views, each of one of ``count`` eyes, to that eye's panorama.
 
-        Columns with any flag (the border of the data, a hole, no data) give only a lower bound
-        of the skyline, and are unknown.
+        Columns that meet no data are unknown. On the border of the data and behind a hole the
+        skyline is a lower bound, and taken as it is: what the query shows above it may be
+        something else, as where a tree stands.
 
         Parameters
         ----------
@@ -77,7 +78,7 @@ class Panoramas(Rows):
         left = np.clip(np.floor(position).astype(np.intp), 0, views.width - 2)
         share = position - left
         # v is linear between columns (exactly so along a straight edge); depth may jump.
-        v = np.where(views.flags == 0, views.elevation_tan, np.nan).astype(np.float64)
+        v = np.where(views.flags & FLAG_NO_DATA, np.nan, views.elevation_tan).astype(np.float64)
         nearest = left + (share > 0.5)
         y = (v[:, left] * (1.0 - share) + v[:, left + 1] * share) * np.cos(azimuth)
         distance = views.depth_m[:, nearest].astype(np.float64) / np.cos(azimuth)

@@ -186,9 +186,8 @@ def refine(
     """Refine the hypotheses of one query.
 
     Eyes stand on the ground plus the configured height and never leave the map: a step off it,
-    or onto a hole, is not taken, and a hypothesis that starts there has no pose. Columns whose
-    skyline lies on the data's border or behind a hole count as unknown, which is worth no more
-    than a column that shows a tree.
+    or onto a hole, is not taken, and a hypothesis that starts there has no pose. A column that
+    meets no data is unknown, which is worth no more than one that shows a tree.
 
     Parameters
     ----------

@@ -170,8 +170,9 @@ def test_a_featureless_skyline_tells_no_place(scene):
     with HorizonRenderer(flat, 320) as renderer:
         some = poses(3, easting_m=1500.0 + np.arange(3) * 60.0, northing_m=-1500.0)
         found = refine(some, rays_of(u, 0.0 * u, 60.0), _Scene(flat, renderer), SHORT)
-    # Its skyline lies on the border of the data all the way, which says nothing.
-    assert len(found) == 0
+    # As flat from everywhere: what there is to say is that nothing is known.
+    deviation_m = np.sqrt(np.linalg.eigvalsh(found.covariance_m2).max(axis=1))
+    assert (deviation_m > 100.0).all()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,161 @@
+"""The full matcher, from a store to an answer or a refusal."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.transform import from_origin
+from scenes import fractal
+
+from skyline import MatchConfig, Matcher, RenderConfig, build_uniform, read_dem
+from skyline.errors import InputError, StoreMismatchError
+from skyline.experiments.queries import QueryConfig, make_queries
+from skyline.photo import QuerySkyline
+from skyline.prediction import shell_edges_m
+
+UTM = "EPSG:32632"
+WEST, NORTH, SPACING_M = 600_000.0, 5_200_000.0, 30.0
+MIDDLE = (WEST + 3600.0, NORTH - 4800.0, WEST + 4800.0, NORTH - 3600.0)
+SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.03, 0.03), smooth_share=0.0)
+BOLD = MatchConfig(min_confidence=0.0)
+
+
+def write_dem(path, seed):
+    """Write hills within a ring of mountains, so that no skyline lies on the data's border."""
+    heights = fractal(280, 280, relief_m=1200.0, seed=seed, exponent=2.2)
+    across = SPACING_M * (np.arange(280) - 139.5)
+    ring_m = np.hypot(across, across[:, np.newaxis]) - 3300.0
+    heights = (heights + 900.0 * np.exp(-((ring_m / 500.0) ** 2))).astype(np.float32)
+    corner = from_origin(WEST - SPACING_M / 2, NORTH + SPACING_M / 2, SPACING_M, SPACING_M)
+    with rasterio.open(
+        path, "w", driver="GTiff", width=280, height=280, count=1, dtype="float32", crs=UTM,
+        transform=corner,
+    ) as file:  # fmt: skip
+        file.write(heights, 1)
+    return path
+
+
+@pytest.fixture(scope="module")
+def dem(tmp_path_factory):
+    return write_dem(tmp_path_factory.mktemp("dem") / "dem.tif", seed=11)
+
+
+@pytest.fixture(scope="module")
+def terrain(dem):
+    return read_dem([dem])
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory, terrain):
+    path = tmp_path_factory.mktemp("store") / "store.h5"
+    lon, lat = terrain.frame.to_lonlat(MIDDLE[::2], MIDDLE[1::2])
+    bounds_deg = (lon[0], lat[0], lon[1], lat[1])
+    build_uniform(terrain, path, 200.0, bounds_deg, RenderConfig(shell_edges_m=shell_edges_m(8)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def queries(terrain):
+    return make_queries(terrain, MIDDLE, 6, seed=3, config=SHARP)
+
+
+def error_m(candidate, truth):
+    return np.hypot(candidate.easting_m - truth.easting_m, candidate.northing_m - truth.northing_m)
+
+
+def test_queries_are_found_where_they_were_taken(store, terrain, queries):
+    found = Matcher(store, terrain, config=BOLD).match_all(query.skyline for query in queries)
+    off_m = [error_m(one.answer, query.truth) for one, query in zip(found, queries, strict=True)]
+    assert np.median(off_m) < 10.0
+    for one, query in zip(found, queries, strict=True):
+        best = one.answer
+        assert best.refined
+        assert 0.0 < best.confidence < 1.0
+        if error_m(best, query.truth) < 30.0:
+            assert np.linalg.eigvalsh(best.covariance_m2).min() > 0.0
+            turn = (best.heading_deg - query.truth.heading_deg + 180.0) % 360.0 - 180.0
+            assert abs(turn) < 1.0
+
+
+def test_without_refinement_places_are_those_retrieved(store, terrain, queries):
+    matcher = Matcher(store, terrain, config=replace(BOLD, refine=False))
+    found = matcher.match_all(query.skyline for query in queries)
+    off_m = [error_m(one.answer, query.truth) for one, query in zip(found, queries, strict=True)]
+    assert np.median(off_m) < 100.0
+    assert not any(one.answer.refined for one in found)
+    assert all(one.answer.covariance_m2 is None for one in found)
+
+
+def test_a_dem_that_has_gone_leaves_answers_unrefined(tmp_path, caplog, queries):
+    dem = write_dem(tmp_path / "dem.tif", seed=11)
+    terrain, path = read_dem([dem]), tmp_path / "store.h5"
+    lon, lat = terrain.frame.to_lonlat(MIDDLE[::2], MIDDLE[1::2])
+    build_uniform(terrain, path, 400.0, (lon[0], lat[0], lon[1], lat[1]))
+    assert Matcher(path).terrain is not None
+    moved = dem.rename(tmp_path / "moved.tif")
+    with caplog.at_level(logging.WARNING):
+        matcher = Matcher(path, config=BOLD)
+    assert "unrefined" in caplog.text
+    assert matcher.terrain is None
+    assert not matcher.match(queries[0].skyline).candidates[0].refined
+    assert Matcher(path, moved).terrain is not None
+
+
+def test_the_dem_of_elsewhere_is_refused(tmp_path, store):
+    with pytest.raises(StoreMismatchError, match="digest"):
+        Matcher(store, write_dem(tmp_path / "other.tif", seed=12))
+
+
+def test_too_little_skyline_is_refused_and_said(store, terrain, queries):
+    skyline = queries[0].skyline
+    row_px = np.where(np.arange(skyline.width_px) < 150, skyline.row_px, np.nan)
+    row_px[:150] = np.nan_to_num(row_px[:150], nan=300.0)
+    little = QuerySkyline(
+        row_px, np.isfinite(row_px).astype(float), skyline.width_px, skyline.height_px, 60.0
+    )
+    result = Matcher(store, terrain).match(little)
+    assert result.answer is None
+    assert result.candidates == ()
+    assert "degrees of skyline" in result.refusal
+
+
+def test_below_the_least_confidence_there_are_only_candidates(store, terrain, queries):
+    matcher = Matcher(store, terrain, config=MatchConfig(min_confidence=1.0))
+    result = matcher.match(queries[0].skyline)
+    assert result.answer is None
+    assert result.candidates
+    assert "confidence" in result.refusal
+
+
+def test_an_unknown_field_of_view_is_searched(store, terrain, queries):
+    skyline = replace(queries[0].skyline, fov_deg=None)
+    best = Matcher(store, terrain, config=BOLD).match(skyline).answer
+    assert error_m(best, queries[0].truth) < 50.0
+    assert best.fov_deg == pytest.approx(60.0, abs=2.0)
+    with pytest.raises(InputError, match="--fov-deg"):
+        Matcher(store, terrain, "correlation").match(skyline)
+
+
+def test_the_same_query_has_the_same_answer(store, terrain, queries):
+    first, second = (Matcher(store, terrain).match(queries[1].skyline) for _ in range(2))
+    assert first.candidates == second.candidates
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"min_confidence": 1.5},
+        {"fov_slack": 1.0},
+        {"fov_range_deg": (80.0, 30.0)},
+    ],
+)
+def test_settings_out_of_range_are_refused(wrong):
+    with pytest.raises(InputError, match="expected"):
+        MatchConfig(**wrong)
+
+
+def test_an_unknown_matcher_is_refused(store):
+    with pytest.raises(InputError, match="full, paper, correlation"):
+        Matcher(store, matcher="best")
