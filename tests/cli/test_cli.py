@@ -165,7 +165,7 @@ def test_extract_then_match_the_trace(run, store, photo, tmp_path):
     assert done.code == 0, done.err
     assert trace.read_text().startswith("# width=960 height=640\n")
     assert cv2.imread(str(overlay)).shape == (640, 960, 3)
-    found = run("match", store, trace, "--fov-deg", "60", "--json")
+    found = run("match", store, trace, "--fov-deg", "60", "--min-confidence", "0", "--json")
     assert found.code == 0, found.err
     record = json.loads(found.out)
     assert set(record) == {"query", "answer", "candidates", "seconds"}
@@ -174,7 +174,11 @@ def test_extract_then_match_the_trace(run, store, photo, tmp_path):
         "score", "confidence", "refined",
     }  # fmt: skip
     assert record["answer"] == record["candidates"][0]
-    assert record["answer"]["refined"] is False
+    assert record["answer"]["refined"] is True
+    found = run("match", store, trace, "--fov-deg", "60", "--min-confidence", "1", "--json")
+    record = json.loads(found.out)
+    assert record["answer"] is None
+    assert "confidence" in record["refusal"]
 
 
 @pytest.mark.parametrize("matcher", ["paper", "correlation"])
@@ -239,8 +243,7 @@ def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert query.returncode == 0, query.stderr
-    # The paper's matcher leaves out places that it finds no fit for.
-    assert 1 <= query.stdout.count("score") <= 3
+    assert 1 <= query.stdout.count("confidence") <= 3
 
 
 BAD_CSV = {
@@ -317,7 +320,7 @@ def test_bad_options_are_one_line(run, dem, store, photo, tmp_path):
         (["build", dem, "-o", out, "--bounds", "1,2,3,4"], "do not meet the DEM"),
         (["build", dem, "-o", out, "--planner", "best"], "planner is 'best'"),
         (["build", dem], "--output"),
-        (["match", store, photo], "--fov-deg"),
+        (["match", store, photo, "--matcher", "paper"], "--fov-deg"),
         (["match", store, photo, "--fov-deg", "0"], "0"),
         (["match", store, photo, "--fov-deg", "200"], "200"),
         (["match", store, photo, "--fov-deg", "60", "--matcher", "magic"], "'magic'"),
