@@ -24,8 +24,6 @@ from skyline.geodesy import Curvature
 from skyline.photo import (
     Projection,
     extract_photo,
-    load_sky_model,
-    read_query,
     write_overlay,
     write_trace,
 )
@@ -37,6 +35,7 @@ from skyline.pipeline import (
     Matcher,
     MatchResult,
     PlannedResult,
+    QueryReading,
     RenderConfig,
     ShardPlan,
     build_planned,
@@ -304,16 +303,15 @@ def match(
     asked = (str(store), tuple(dem) if dem else None, matcher, config)
     matching = Matcher(*asked)
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
-    session = load_sky_model(sky_model) if sky_model else None
+    reading = QueryReading(fov_deg, projection, sky_model)
     results = []
-    skylines = (
-        read_query(path, fov_deg, projection=projection, sky_model=session) for path in query
-    )
     with runner_of(workers, scheduler) as runner:
         if runner is None:
-            found: Iterator[MatchResult] = (matching.match(one, top=top) for one in skylines)
+            found: Iterator[MatchResult] = (
+                matching.match(reading.read(path), top=top) for path in query
+            )
         else:
-            found = match_many(runner, asked, list(skylines), top)
+            found = match_many(runner, asked, query, reading, top)
         for path, result in zip(query, found, strict=True):
             results.append((path, result))
             record = describe_match(str(path), result, matching.frame)

@@ -12,7 +12,7 @@ from skyline.pipeline.build import (
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.match import FULL, MATCHER_NAMES, MatchConfig, Matcher, MatchResult
-from skyline.pipeline.match_many import match_many
+from skyline.pipeline.match_many import QueryReading, match_many
 from skyline.pipeline.planned import PlannedResult, build_planned
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.shards import ShardPlan, build_sharded
@@ -26,6 +26,7 @@ __all__ = [
     "Matcher",
     "PlannedResult",
     "Progress",
+    "QueryReading",
     "RenderConfig",
     "ShardPlan",
     "build_planned",
