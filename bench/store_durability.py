@@ -8,6 +8,7 @@ import argparse
 import json
 import tempfile
 import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -28,6 +29,8 @@ from skyline.store import RowCoding, create_store, open_store
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.views import Views
+
+Rows = Iterator[dict[str, object]]
 
 RESULT = Path(__file__).parent / "results" / "store_durability.json"
 
@@ -105,6 +108,7 @@ def measured(path: Path, exact: Views) -> dict[str, object]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("dem", type=Path)
+    parser.add_argument("--only", nargs="*", default=list(TESTS), choices=TESTS)
     parser.add_argument("--spacing", type=float, default=500.0, help="of the builds to kill, m")
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--flips", type=int, default=200)
@@ -113,32 +117,56 @@ def main() -> None:
     parser.add_argument("--renderings", type=int, default=1024, help="to compare codings on")
     parser.add_argument("--stores", type=Path, nargs="*", default=[])
     arguments = parser.parse_args()
+    kept = json.loads(RESULT.read_text())["rows"] if RESULT.exists() else []
     table: list[dict[str, object]] = []
-
-    def add(test: str, row: dict[str, object]) -> None:
-        table.append({"test": test, **row})
-        print(json.dumps(table[-1]), flush=True)
-
-    # Not rendering in this process: OpenGL does not outlive a fork.
-    terrain = read_dem([arguments.dem])
     with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        for store in arguments.stores:
-            for row in coding_rows(store, folder, arguments.renderings):
-                add("coding", row)
-        for rows in ("compact", "exact"):
-            whole, header = folder / f"{rows}.h5", numbered_header(640, rows)
-            numbered_build(320, header)(whole, lambda _: None)
-            add(f"flips, {rows} rows", flip_test(whole, folder, arguments.flips))
-            add(f"mutated, {rows} rows", fuzz_test(whole, folder, arguments.cases))
-        (folder / "writer").mkdir()
-        writer = numbered_build(1000, numbered_header())
-        add("kills of a writer", kill_test(writer, folder / "writer", arguments.kills))
-        add("readers", readers_test(folder, 8, arguments.seconds))
-        (folder / "build").mkdir()
-        build = partial(rendered_build, terrain, arguments.spacing)
-        add("kills of a build", kill_test(build, folder / "build", arguments.kills))
-    write_record(RESULT, "store-durability", table)
+        for test in arguments.only:
+            folder = Path(temporary) / test
+            folder.mkdir()
+            for row in TESTS[test](folder, arguments):
+                table.append({"test": test, **row})
+                print(json.dumps(table[-1]), flush=True)
+    kept = [row for row in kept if row["test"] not in arguments.only]
+    write_record(RESULT, "store-durability", [*kept, *table])
+
+
+def coding(folder: Path, arguments: argparse.Namespace) -> Rows:
+    for store in arguments.stores:
+        yield from coding_rows(store, folder, arguments.renderings)
+
+
+def damage(test: str, folder: Path, arguments: argparse.Namespace) -> Rows:
+    for rows in ("compact", "exact"):
+        whole, header = folder / f"{rows}.h5", numbered_header(640, rows)
+        numbered_build(320, header)(whole, lambda _: None)
+        if test == "flips":
+            yield {"rows": rows, **flip_test(whole, folder, arguments.flips)}
+        else:
+            yield {"rows": rows, **fuzz_test(whole, folder, arguments.cases)}
+
+
+def kills_of_writer(folder: Path, arguments: argparse.Namespace) -> Rows:
+    yield kill_test(numbered_build(1000, numbered_header()), folder, arguments.kills)
+
+
+def kills_of_build(folder: Path, arguments: argparse.Namespace) -> Rows:
+    # Nothing is rendered in this process: OpenGL does not outlive a fork.
+    terrain = read_dem([arguments.dem])
+    yield kill_test(partial(rendered_build, terrain, arguments.spacing), folder, arguments.kills)
+
+
+def readers(folder: Path, arguments: argparse.Namespace) -> Rows:
+    yield readers_test(folder, 8, arguments.seconds)
+
+
+TESTS: dict[str, Callable[[Path, argparse.Namespace], Rows]] = {
+    "coding": coding,
+    "flips": partial(damage, "flips"),
+    "mutated": partial(damage, "mutated"),
+    "kills of a writer": kills_of_writer,
+    "kills of a build": kills_of_build,
+    "readers": readers,
+}
 
 
 if __name__ == "__main__":
