@@ -23,10 +23,13 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> Said:
         folder = Path({str(tmp_path_factory.mktemp("durability"))!r})
         whole, header = folder / "finished.h5", numbered_header()
         numbered_build(150, header)(whole, lambda _: None)
+        exact = folder / "exact.h5"
+        numbered_build(150, numbered_header(rows="exact"))(exact, lambda _: None)
         print(json.dumps({{
             "kills": kill_test(numbered_build(500, header), folder, 10),
             "readers": readers_test(folder, 3, 1.5),
             "flips": flip_test(whole, folder, 20),
+            "flips of exact rows": flip_test(exact, folder, 20),
             "mutated": fuzz_test(whole, folder, 50),
         }}))
     """
@@ -50,9 +53,11 @@ def test_readers_beside_a_writer(said: Said) -> None:
     assert (readers["wrong"], readers["failed_readers"], readers["writer_failed"]) == (0, 0, False)
 
 
-def test_flipped_bits(said: Said) -> None:
-    flips = said["flips"]
+@pytest.mark.parametrize("name", ["flips", "flips of exact rows"])
+def test_flipped_bits(said: Said, name: str) -> None:
+    flips = said[name]
     assert flips["harmful"] == flips["found"] >= 1
+    assert flips["harmless"] >= 1
     assert flips["harmless"] + flips["harmful"] == 20
     assert (flips["silent"], flips["crashes"]) == (0, 0)
 
