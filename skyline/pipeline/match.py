@@ -109,7 +109,7 @@ class MatchResult:
     @property
     def answer(self) -> Candidate | None:
         """The best candidate, if the matcher stands by it."""
-        return None if self.refusal else self.candidates[0]
+        return self.candidates[0] if self.candidates and not self.refusal else None
 
 
 class Matcher:
