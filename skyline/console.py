@@ -40,6 +40,8 @@ def run_app(app: typer.Typer, stopped: str) -> None:
         What to say after Ctrl-C.
     """
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    # What GDAL cannot read becomes an error of one line; its own words on the way only confuse.
+    logging.getLogger("rasterio").setLevel(logging.CRITICAL)
     try:
         code = app(standalone_mode=False)
         if code == _INTERRUPTED:
