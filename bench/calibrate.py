@@ -1,6 +1,7 @@
-"""Learn the confidence on Sierra and Rofental, show its reliability on Davos: make calibrate.
+"""Learn the confidence on Sierra and Rofental, show its reliability on Davos.
 
-Not part of `make bench`: it takes some twenty minutes, and changes what answers are believed.
+Run as ``python bench/calibrate.py [--queries N]``: it takes some twenty minutes, and changes what
+answers are believed.
 """
 
 import argparse
@@ -26,7 +27,7 @@ from skyline.experiments.other_dems import perturbed
 from skyline.experiments.queries import MadeQuery, QueryConfig, make_queries
 from skyline.experiments.record import write_record
 from skyline.pipeline import RenderConfig, build_uniform
-from skyline.pipeline.match import open_full
+from skyline.pipeline.match import RenderedScene, open_full
 from skyline.prediction import shell_edges_m
 from skyline.store import open_store
 from skyline.terrain.dem import DemOptions
@@ -68,11 +69,13 @@ def told_by(
     build_uniform(terrain, store, SPACING_M, bounds_deg, config)
     told: dict[str, list[Example]] = {name: [] for name in MODELS}
     with open_store(store) as opened:
-        matcher = open_full(opened, terrain, MatchConfig())
+        scene = RenderedScene(terrain, opened.header, MatchConfig())
+        matcher = open_full(opened, terrain, scene, MatchConfig())
     for made in all_queries(terrain, middle, OUTSIDE * half, queries, seed):
         for example in examples(matcher, made):
             for name, one in example.items():
                 told[name].append(one)
+    scene.release()
     return told
 
 

@@ -1,7 +1,6 @@
 """The command line: ``skyline render build match extract info explain store dem`` (DESIGN 8)."""
 
 import json
-import logging
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,7 +18,7 @@ from skyline.describe import (
     describe_store,
     describe_terrain,
 )
-from skyline.errors import InputError, SkylineError
+from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.photo import (
     Projection,
@@ -48,7 +47,8 @@ from skyline.pipeline import (
     save_depth_pictures,
 )
 from skyline.pipeline import explain as explain_scene
-from skyline.pipeline.config import ROWS, read_dem_of
+from skyline.pipeline.config import ROWS
+from skyline.pipeline.match import terrain_at_hand
 from skyline.pipeline.shards import DEFAULT_TILE_M
 from skyline.planning.loop import PlanConfig
 from skyline.planning.strategies import STRATEGIES
@@ -58,10 +58,9 @@ from skyline.report.coverage import save_coverage_map
 from skyline.report.geojson import write_geojson
 from skyline.report.peaks import read_peaks
 from skyline.report.records import CandidateRecord, MatchRecord
-from skyline.store import StoreHeader, is_store
+from skyline.store import is_store
 from skyline.store_cli import store_app
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoint_csv import read_viewpoints
 from skyline.terrain.viewpoints import stand_on
 
@@ -325,7 +324,7 @@ def match(
     if report is not None:
         done = [f"The matcher `{matcher}` knew {len(matching.viewpoints)} stored locations."]
         told = (matched(path, result, done) for path, result in results)
-        terrain = matching.terrain or _dem_at_hand(matching.header)
+        terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
         report_matches(report, matching, told, terrain, gazetteer)
 
 
@@ -454,15 +453,6 @@ def _say_planned(done: PlannedResult) -> None:
         f"{made.batches} batches, rendering {done.plan.render_s:.1f} s, planning "
         f"{done.plan.plan_s:.1f} s"
     )
-
-
-def _dem_at_hand(header: StoreHeader) -> HeightField | None:
-    """Return the DEM of a store where it still lies, else None, with a warning."""
-    try:
-        return read_dem_of(header)
-    except SkylineError as error:
-        logging.getLogger(__name__).warning("the report goes without relief: %s", error)
-        return None
 
 
 def _how_sure(place: CandidateRecord) -> str:

@@ -9,7 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from skyline.experiments.matching import KINDS, Comparison
-from skyline.experiments.trials import RIGHT_WITHIN_M
+from skyline.matching.confidence import RIGHT_WITHIN_M
 
 _DASHES = ("solid", "dashed", "dotted", "dashdot")
 _LEAST_M = 1.0

@@ -14,13 +14,11 @@ from skyline.errors import InputError
 from skyline.experiments.queries import MadeQuery, Truth
 from skyline.experiments.record import write_record
 from skyline.matching import Candidate
+from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.photo import QuerySkyline
 from skyline.pipeline import MatchResult
 
 Float64Array = NDArray[np.float64]
-
-RIGHT_WITHIN_M = 200.0
-"""An answer this near is right."""
 
 _RESAMPLES = 2000
 _INTERVAL = (2.5, 97.5)

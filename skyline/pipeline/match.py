@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,7 @@ from skyline.geodesy import Frame
 from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays
 from skyline.matching.dense import DensifyConfig, densify
 from skyline.matching.full import FullConfig, FullMatcher
+from skyline.matching.pose import Scene
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.photo import Projection, QuerySkyline, read_query
 from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
@@ -147,18 +150,37 @@ class Matcher:
             raise InputError(f"matcher is {matcher!r}; expected one of {', '.join(MATCHER_NAMES)}")
         self._config = config or MatchConfig()
         self._rank: Callable[[QueryRays, int], list[Candidate]]
+        self._scene: RenderedScene | None = None
         self._needs_fov = matcher != FULL
         with open_store(store) as opened:
             self.header = opened.header
-            self.terrain = _terrain(self.header, dem, matcher == FULL)
+            self.viewpoints = _eyes(opened)
+            self.terrain = _given_terrain(self.header, dem)
             if matcher == FULL:
-                self.viewpoints = _eyes(opened)
-                self._rank = open_full(opened, self.terrain, self._config).rank
+                self.terrain = self.terrain or terrain_at_hand(self.header, "answers unrefined")
+                if self.terrain is not None and self._config.refine:
+                    self._scene = RenderedScene(self.terrain, self.header, self._config)
+                self._rank = open_full(opened, self.terrain, self._scene, self._config).rank
             else:
                 profiles = Profiles.from_views(_chunks(opened))
-                self.viewpoints = _viewpoints(profiles)
                 self._rank = partial(MATCHERS[matcher]().rank, profiles)
         self.frame = Frame(self.header.frame_wkt)
+
+    def release(self) -> None:
+        """Free what the matcher holds on the GPU; it cannot refine after that."""
+        if self._scene is not None:
+            self._scene.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.release()
 
     def match(
         self, query: str | Path | QuerySkyline, fov_deg: float | None = None, top: int = 5
@@ -239,13 +261,12 @@ class Matcher:
         return f"the best place has confidence {sure:.2f}, {least:.2f} is needed"
 
 
-def open_full(store: Store, terrain: HeightField | None, config: MatchConfig) -> FullMatcher:
-    """Return the full matcher of a store, and of its terrain where that is at hand."""
+def open_full(
+    store: Store, terrain: HeightField | None, scene: Scene | None, config: MatchConfig
+) -> FullMatcher:
+    """Return the full matcher of a store, which refines where there is a scene."""
     ground = None if terrain is None else terrain.height_at
     dense = densify(store.iter_views(_ROWS_A_READ), ground, config.densify)
-    scene = None
-    if terrain is not None and config.refine:
-        scene = RenderedScene(terrain, store.header, config)
     return FullMatcher(Retriever(dense, config.retrieval), scene, config.full)
 
 
@@ -262,38 +283,45 @@ class RenderedScene:
         """Render one view an eye, each along its heading, in order."""
         return self._renderer.render(viewpoints, headings)
 
+    def release(self) -> None:
+        """Free what it holds on the GPU."""
+        self._renderer.release()
 
-def _terrain(header: StoreHeader, dem: Dem | None, wanted: bool) -> HeightField | None:
-    """Return the terrain a store was rendered from: as given, else from where it lay."""
-    if isinstance(dem, HeightField):
-        check_dem(header, dem)
-        return dem
-    if dem is not None:
-        return read_dem_of(header, [dem] if isinstance(dem, str | Path) else dem)
-    if not wanted:
-        return None
-    # Only plain files: a store from a stranger must not make the reader go anywhere else.
+
+def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
+    """Return the terrain a store was rendered from, read from where it lay then.
+
+    Where it is not to be had there is a warning of what is left ``otherwise``. Only plain files
+    are read: a store from a stranger must not make the reader go anywhere else.
+    """
     if not header.dem_files or not all(Path(path).is_file() for path in header.dem_files):
         _log.warning(
-            "the store's DEM is not at %s any more: answers stay unrefined; say where it lies",
+            "%s: the store's DEM is not at %s any more; say where it lies",
+            otherwise,
             ", ".join(header.dem_files) or "any path",
         )
         return None
     try:
         return read_dem_of(header)
     except SkylineError as error:
-        _log.warning("the store's DEM cannot be used: answers stay unrefined; %s", error)
+        _log.warning("%s: the store's DEM cannot be used: %s", otherwise, error)
         return None
+
+
+def _given_terrain(header: StoreHeader, dem: Dem | None) -> HeightField | None:
+    """Return the terrain that was given, as the store's build read it."""
+    if isinstance(dem, HeightField):
+        check_dem(header, dem)
+        return dem
+    if dem is None:
+        return None
+    return read_dem_of(header, [dem] if isinstance(dem, str | Path) else dem)
 
 
 def _eyes(store: Store) -> Viewpoints:
     places = store.locations()
     eyes = np.stack([places.easting_m, places.northing_m, places.eye_elevation_m])
     return Viewpoints(*np.ascontiguousarray(np.unique(eyes, axis=1)))
-
-
-def _viewpoints(profiles: Profiles) -> Viewpoints:
-    return Viewpoints(profiles.easting_m, profiles.northing_m, profiles.eye_elevation_m)
 
 
 def _chunks(store: Store) -> Iterable[tuple[Views, NDArray[np.uint16]]]:

@@ -1,6 +1,8 @@
 """The command line as a user meets it: what it makes, and one line for every mistake."""
 
 import json
+import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -225,7 +227,7 @@ def test_a_report_goes_without_relief_where_the_dem_is_gone(run, dem, photo, tmp
     moved.unlink()
     done = run("match", store, photo, "--fov-deg", "60", "--report", tmp_path / "report")
     assert done.code == 0, done.err
-    assert "without relief" in caplog.text
+    assert "no relief: the store's DEM is not at" in caplog.text
     assert "no elevation model" in (tmp_path / "report" / "index.html").read_text()
 
 
@@ -243,7 +245,11 @@ def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert query.returncode == 0, query.stderr
-    assert 1 <= query.stdout.count("confidence") <= 3
+    places = re.findall(r": (\S+) (\S+) confidence 0\.\d\d$", query.stdout, re.MULTILINE)
+    assert 1 <= len(places) <= 3
+    lat, lon = map(float, places[0])
+    (east_m,), (north_m,) = read_dem([dem]).frame.from_lonlat([lon], [lat])
+    assert math.hypot(east_m - 601_800.0, north_m - 5_178_000.0) < 200.0
 
 
 BAD_CSV = {

@@ -5,9 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import rasterio
-from rasterio.transform import from_origin
-from scenes import fractal
+from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, RenderConfig, build_uniform, read_dem
 from skyline.errors import InputError, StoreMismatchError
@@ -15,31 +13,23 @@ from skyline.experiments.queries import QueryConfig, make_queries
 from skyline.photo import QuerySkyline
 from skyline.prediction import shell_edges_m
 
-UTM = "EPSG:32632"
-WEST, NORTH, SPACING_M = 600_000.0, 5_200_000.0, 30.0
-MIDDLE = (WEST + 3600.0, NORTH - 4800.0, WEST + 4800.0, NORTH - 3600.0)
+MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
 SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.03, 0.03), smooth_share=0.0)
 BOLD = MatchConfig(min_confidence=0.0)
 
 
-def write_dem(path, seed):
+def write_hills(path, seed):
     """Write hills within a ring of mountains, so that no skyline lies on the data's border."""
     heights = fractal(280, 280, relief_m=1200.0, seed=seed, exponent=2.2)
     across = SPACING_M * (np.arange(280) - 139.5)
     ring_m = np.hypot(across, across[:, np.newaxis]) - 3300.0
-    heights = (heights + 900.0 * np.exp(-((ring_m / 500.0) ** 2))).astype(np.float32)
-    corner = from_origin(WEST - SPACING_M / 2, NORTH + SPACING_M / 2, SPACING_M, SPACING_M)
-    with rasterio.open(
-        path, "w", driver="GTiff", width=280, height=280, count=1, dtype="float32", crs=UTM,
-        transform=corner,
-    ) as file:  # fmt: skip
-        file.write(heights, 1)
-    return path
+    heights = heights + 900.0 * np.exp(-((ring_m / 500.0) ** 2))
+    return write_dem(path, heights.astype(np.float32))
 
 
 @pytest.fixture(scope="module")
 def dem(tmp_path_factory):
-    return write_dem(tmp_path_factory.mktemp("dem") / "dem.tif", seed=11)
+    return write_hills(tmp_path_factory.mktemp("dem") / "dem.tif", seed=11)
 
 
 @pytest.fixture(scope="module")
@@ -66,14 +56,15 @@ def error_m(candidate, truth):
 
 
 def test_queries_are_found_where_they_were_taken(store, terrain, queries):
-    found = Matcher(store, terrain, config=BOLD).match_all(query.skyline for query in queries)
+    with Matcher(store, terrain, config=BOLD) as matcher:
+        found = matcher.match_all(query.skyline for query in queries)
     off_m = [error_m(one.answer, query.truth) for one, query in zip(found, queries, strict=True)]
     assert np.median(off_m) < 10.0
     for one, query in zip(found, queries, strict=True):
         best = one.answer
         assert best.refined
         assert 0.0 < best.confidence < 1.0
-        if error_m(best, query.truth) < 30.0:
+        if error_m(best, query.truth) < 10.0:
             assert np.linalg.eigvalsh(best.covariance_m2).min() > 0.0
             turn = (best.heading_deg - query.truth.heading_deg + 180.0) % 360.0 - 180.0
             assert abs(turn) < 1.0
@@ -89,7 +80,7 @@ def test_without_refinement_places_are_those_retrieved(store, terrain, queries):
 
 
 def test_a_dem_that_has_gone_leaves_answers_unrefined(tmp_path, caplog, queries):
-    dem = write_dem(tmp_path / "dem.tif", seed=11)
+    dem = write_hills(tmp_path / "dem.tif", seed=11)
     terrain, path = read_dem([dem]), tmp_path / "store.h5"
     lon, lat = terrain.frame.to_lonlat(MIDDLE[::2], MIDDLE[1::2])
     build_uniform(terrain, path, 400.0, (lon[0], lat[0], lon[1], lat[1]))
@@ -105,7 +96,7 @@ def test_a_dem_that_has_gone_leaves_answers_unrefined(tmp_path, caplog, queries)
 
 def test_the_dem_of_elsewhere_is_refused(tmp_path, store):
     with pytest.raises(StoreMismatchError, match="digest"):
-        Matcher(store, write_dem(tmp_path / "other.tif", seed=12))
+        Matcher(store, write_hills(tmp_path / "other.tif", seed=12))
 
 
 def test_too_little_skyline_is_refused_and_said(store, terrain, queries):
