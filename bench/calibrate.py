@@ -5,8 +5,9 @@ answers are believed.
 """
 
 import argparse
+import json
 import tempfile
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,9 @@ LEARNED = {
     "rofental": ("rofental/dem_rofental_50.asc", DemOptions(crs="EPSG:32632")),
 }
 HELD_OUT = {"davos": ("davos/davos_srtm1_30m.tif", DemOptions())}
+
+Told = dict[str, dict[str, list[Example]]]
+"""Examples by terrain and model."""
 
 KINDS = (
     QueryConfig(fov_deg=(40.0, 90.0), noise_deg=(0.05, 0.3)),
@@ -92,18 +96,48 @@ def all_queries(
     ]
 
 
+def matched(queries: int, seed: int) -> Told:
+    """Match queries on every terrain; examples by terrain and model."""
+    told: Told = {}
+    terrains = LEARNED | HELD_OUT
+    with progress_bar("terrains") as progress:
+        for number, (name, (path, options)) in enumerate(terrains.items()):
+            progress(number, len(terrains))
+            with tempfile.TemporaryDirectory() as folder:
+                terrain = read_dem([DATA / path], options)
+                told[name] = told_by(terrain, Path(folder), queries, seed)
+    return told
+
+
+def kept(path: Path) -> Told:
+    """Read examples that `keep` wrote."""
+    return {
+        terrain: {model: [Example(**one) for one in some] for model, some in models.items()}
+        for terrain, models in json.loads(path.read_text()).items()
+    }
+
+
+def keep(told: Told, path: Path) -> None:
+    """Write examples, so that another model can be learned from the same matches."""
+    written = {
+        terrain: {model: [asdict(one) for one in some] for model, some in models.items()}
+        for terrain, models in told.items()
+    }
+    path.write_text(json.dumps(written))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--queries", type=int, default=80, help="of each of four kinds")
     parser.add_argument("--seed", type=int, default=1000)
+    parser.add_argument("--examples", type=Path, help="kept here, and read where they are there")
     given = parser.parse_args()
-    told: dict[str, dict[str, list[Example]]] = {}
-    with progress_bar("terrains") as progress:
-        for number, (name, (path, options)) in enumerate((LEARNED | HELD_OUT).items()):
-            progress(number, len(LEARNED | HELD_OUT))
-            with tempfile.TemporaryDirectory() as folder:
-                terrain = read_dem([DATA / path], options)
-                told[name] = told_by(terrain, Path(folder), given.queries, given.seed)
+    if given.examples and given.examples.exists():
+        told = kept(given.examples)
+    else:
+        told = matched(given.queries, given.seed)
+        if given.examples:
+            keep(told, given.examples)
     rows, shown, models = [], [], {}
     for model in MODELS:
         learned_from = [one for name in LEARNED for one in told[name][model]]

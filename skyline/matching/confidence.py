@@ -32,6 +32,7 @@ RIGHT_WITHIN_M = 200.0
 
 _MAX_MARGIN = 60.0
 """Beyond this a margin says nothing more."""
+_MIN_MARGIN = 1e-3
 _MODELS = "confidence.json"
 
 
@@ -77,6 +78,7 @@ def refined_figures(poses: Poses, query: QueryRays) -> dict[str, Float64Array]:
         "inlier_share": poses.inlier_share,
         "log_columns": np.log(np.maximum(poses.effective_columns, 1.0)),
         "margin": _margin(poses.margin),
+        "log_margin": _log_margin(poses.margin),
         "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
         "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
     } | _query_figures(query, len(poses))
@@ -90,6 +92,7 @@ def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64A
     return {
         "score": found.score,
         "margin": _margin(rival - found.score),
+        "log_margin": _log_margin(rival - found.score),
     } | _query_figures(query, len(found))
 
 
@@ -122,3 +125,7 @@ def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
 
 def _margin(margin: Float64Array) -> Float64Array:
     return np.asarray(np.clip(margin, -_MAX_MARGIN, _MAX_MARGIN))
+
+
+def _log_margin(margin: Float64Array) -> Float64Array:
+    return np.asarray(np.log(np.clip(margin, _MIN_MARGIN, _MAX_MARGIN)))

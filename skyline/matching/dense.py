@@ -53,7 +53,7 @@ class DensifyConfig:
         Of the predicted eyes above the ground.
     """
 
-    pitch_m: float = 50.0
+    pitch_m: float = 40.0
     bins: int = 720
     columns: int = 180
     reach_m: float = 400.0

@@ -16,6 +16,11 @@ from skyline.matching.retrieval import Retriever
 Float64Array = NDArray[np.float64]
 
 
+_QUICK = RefineConfig(
+    shortlist=64, walkers=16, rounds=4, keep_least=6, restarts=1, finalists=6, final_rounds=3
+)
+
+
 @dataclass(frozen=True, slots=True)
 class FullConfig:
     """How a query is matched.
@@ -26,11 +31,19 @@ class FullConfig:
         Poses retrieved.
     separation_m : float
         Candidates are at least this far apart.
+    quick : RefineConfig
+        How the best of them are refined first.
+    sure_margin : float
+        Where the quick refinement's best pose is this much likelier than any elsewhere (natural
+        logarithm), it stands. Infinite never lets it.
     refine : RefineConfig
+        How they are refined where it does not.
     """
 
     shortlist: int = 400
     separation_m: float = 100.0
+    quick: RefineConfig = field(default_factory=lambda: _QUICK)
+    sure_margin: float = 75.0
     refine: RefineConfig = field(default_factory=RefineConfig)
 
     def __post_init__(self) -> None:
@@ -89,12 +102,18 @@ class FullMatcher:
         return self._retriever.shortlist(query, max(self._config.shortlist, least))
 
     def refine(self, found: Hypotheses, query: QueryRays, least: int = 1) -> Poses | None:
-        """Return retrieved poses refined; None without a scene."""
+        """Return retrieved poses refined, as far as it takes; None without a scene.
+
+        Most skylines fit one place far better than any other, and those show it at once.
+        """
         if self._scene is None:
             return None
-        config = self._config.refine
-        config = replace(config, finalists=max(config.finalists, least))
-        return refine(found, query, self._scene, config)
+        poses = refine(found, query, self._scene, _naming(self._config.quick, least))
+        if len(poses) and poses.margin[0] > self._config.sure_margin:
+            return poses
+        spent = poses.renderings
+        poses = refine(found, query, self._scene, _naming(self._config.refine, least))
+        return replace(poses, renderings=spent + poses.renderings)
 
     def _sure(self, model: str, figures: dict[str, Float64Array]) -> Float64Array:
         return self._models[model].probability(figures)
@@ -104,6 +123,11 @@ class FullMatcher:
 
     def _candidates(self, poses: Hypotheses, sure: Float64Array, top: int) -> list[Candidate]:
         return [_candidate(poses, index, float(sure[index])) for index in self._chosen(poses, top)]
+
+
+def _naming(config: RefineConfig, least: int) -> RefineConfig:
+    """Return a refinement that ends with at least so many places."""
+    return replace(config, finalists=max(config.finalists, least))
 
 
 def _candidate(poses: Hypotheses, index: int, sure: float) -> Candidate:

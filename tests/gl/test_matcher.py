@@ -10,8 +10,11 @@ from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 from skyline import MatchConfig, Matcher, RenderConfig, build_uniform, read_dem
 from skyline.errors import InputError, StoreMismatchError
 from skyline.experiments.queries import QueryConfig, make_queries
+from skyline.matching.full import FullConfig
 from skyline.photo import QuerySkyline
+from skyline.pipeline.match import RenderedScene, open_full
 from skyline.prediction import shell_edges_m
+from skyline.store import open_store
 
 MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
 SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.03, 0.03), smooth_share=0.0)
@@ -68,6 +71,27 @@ def test_queries_are_found_where_they_were_taken(store, terrain, queries):
             assert np.linalg.eigvalsh(best.covariance_m2).min() > 0.0
             turn = (best.heading_deg - query.truth.heading_deg + 180.0) % 360.0 - 180.0
             assert abs(turn) < 1.0
+
+
+def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
+    found = {}
+    with open_store(store) as opened:
+        scene = RenderedScene(terrain, opened.header, BOLD)
+    for sure_margin in (0.0, 75.0, np.inf):
+        config = replace(BOLD, full=FullConfig(sure_margin=sure_margin))
+        with open_store(store) as opened:
+            matcher = open_full(opened, terrain, scene, config)
+        rays = [query.rays() for query in queries]
+        found[sure_margin] = [matcher.refine(matcher.retrieve(one), one) for one in rays]
+    scene.release()
+    for quick, chosen, thorough in zip(*found.values(), strict=True):
+        assert quick.renderings < thorough.renderings
+        sure = quick.margin[0] > 75.0
+        assert chosen.renderings == (quick if sure else thorough).renderings
+        if sure:
+            apart = [quick.hypotheses, thorough.hypotheses]
+            assert np.hypot(*np.subtract(*[(h.easting_m[0], h.northing_m[0]) for h in apart])) < 15
+    assert any(quick.margin[0] > 75.0 for quick in found[0.0])
 
 
 def test_without_refinement_places_are_those_retrieved(store, terrain, queries):
