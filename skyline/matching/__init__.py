@@ -14,7 +14,7 @@ from skyline.matching.paper import PaperMatcher
 from skyline.matching.pose import Poses, RefineConfig, Scene, refine
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import Attitudes, QueryRays
-from skyline.matching.ranking import Candidate, Matcher
+from skyline.matching.ranking import Candidate, Matcher, Ranker
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 
 MATCHERS: Mapping[str, Callable[[], Matcher]] = MappingProxyType(
@@ -35,6 +35,7 @@ __all__ = [
     "Poses",
     "Profiles",
     "QueryRays",
+    "Ranker",
     "RefineConfig",
     "RetrievalConfig",
     "Retriever",

@@ -47,32 +47,47 @@ def align_curves(
     """
     count, bins = y_px.shape
     slope = (np.roll(y_px, -1, axis=1) - np.roll(y_px, 1, axis=1)) / np.float32(2.0 * bin_px)
+    # The first bin again at the end: the bins to either side of a position are then neighbours.
+    flat_y, flat_slope = (np.hstack([c, c[:, :1]]).ravel() for c in (y_px, slope))
+    begin = np.arange(count)[:, np.newaxis] * (bins + 1)
     homogeneous = np.concatenate([points_px, np.ones((len(points_px), 1))], axis=1)
-    row = np.arange(count)[:, np.newaxis]
     affine = affine.copy()
     for _ in range(_ROUNDS):
         x, y = np.moveaxis(np.nan_to_num(affine) @ homogeneous.T, 1, 0)
         position = x / bin_px + bins // 2
-        left = np.floor(position).astype(np.intp)
+        position -= bins * np.floor(position / bins)
+        left = np.minimum(position.astype(np.intp), bins - 1)
         share = position - left
-        there = y_px[row, left % bins] * (1.0 - share) + y_px[row, (left + 1) % bins] * share
-        steepness = slope[row, np.rint(position).astype(np.intp) % bins]
+        at = begin + left
+        there = flat_y.take(at)
+        there = there + (flat_y.take(at + 1) - there) * share
+        steepness = flat_slope.take(at + (share > 0.5))
         miss = y - there
         usable = np.isfinite(miss) & np.isfinite(steepness)
         miss, steepness = np.where(usable, miss, 0.0), np.where(usable, steepness, 0.0)
         pull = np.where(usable, weight, 0.0) / (1.0 + (miss / outlier_px) ** 2)
-        change = np.concatenate(
-            [
-                -steepness[:, :, np.newaxis] * homogeneous,
-                np.broadcast_to(homogeneous, (count, *homogeneous.shape)),
-            ],
-            axis=2,
-        )
-        weighted = change * pull[:, :, np.newaxis]
-        normal = np.einsum("crk,crl->ckl", weighted, change)
-        gradient = np.einsum("crk,cr->ck", weighted, miss)
+        normal, gradient = _normal_equations(pull, steepness, miss, homogeneous)
         diagonal = np.einsum("ckk->ck", normal)
         damping = _DAMPING * diagonal + 1e-9 * (1.0 + diagonal.max(axis=1, keepdims=True))
         normal += damping[:, :, np.newaxis] * np.eye(6)
         affine -= np.linalg.solve(normal, gradient[:, :, np.newaxis]).reshape(count, 2, 3)
     return affine
+
+
+def _normal_equations(
+    pull: Float64Array, steepness: Float64Array, miss: Float64Array, points: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return the matrices (C, 6, 6) and right-hand sides (C, 6) of the least squares.
+
+    A miss changes with the map's entries by (-steepness * p, p), where p are the homogeneous
+    points (R, 3) that all maps share; so all sums over the points are products of two matrices.
+    """
+    outer = (points[:, :, np.newaxis] * points[:, np.newaxis]).reshape(-1, 9)
+    slanted = pull * steepness
+    of_y, of_both, of_x = (
+        (weight @ outer).reshape(-1, 3, 3) for weight in (pull, slanted, slanted * steepness)
+    )
+    upper = np.concatenate([of_x, -of_both], axis=2)
+    lower = np.concatenate([-of_both, of_y], axis=2)
+    gradient = np.concatenate([-(slanted * miss) @ points, (pull * miss) @ points], axis=1)
+    return np.concatenate([upper, lower], axis=1), gradient

@@ -33,7 +33,7 @@ from skyline.matching.ranking import Candidate, Fits, select
 
 Float64Array = NDArray[np.float64]
 
-_CHUNK = 32
+_CHUNK = 8
 """Locations at a time; keeps the transforms' arrays in the cache."""
 
 
@@ -64,7 +64,15 @@ class CorrelationMatcher:
 
     def rank(self, profiles: Profiles, query: QueryRays, top: int) -> list[Candidate]:
         """Return the best candidates, best first; see `Matcher.rank`."""
-        return select(profiles, self.fit(profiles, query), query.fov_deg, top, self.separation_m)
+        return self.prepare(profiles).rank(query, top)
+
+    def prepare(self, profiles: Profiles) -> "PreparedCorrelation":
+        """Take a store; see `Matcher.prepare`.
+
+        Nothing is computed yet: the transforms of profiles are few beside those that a query
+        needs, and would take several times the profiles' memory.
+        """
+        return PreparedCorrelation(self, profiles)
 
     def fit(self, profiles: Profiles, query: QueryRays) -> Fits:
         """Return the best pose at every location; score is 1 - ncc."""
@@ -85,16 +93,17 @@ class CorrelationMatcher:
     ) -> tuple[Float64Array, NDArray[np.intp], NDArray[np.intp]]:
         """Return the greatest ncc of each location (-inf if none), its attitude and its turn."""
         known = _Known.of(y)
-        ncc = np.stack(
-            [
-                self._ncc(known, q, weight)
-                for q, weight in zip(curves.y, curves.weight, strict=True)
-            ],
-            axis=1,
-        ).reshape(len(y), -1)
-        best = np.argmax(ncc, axis=1)
-        attitude, turn = np.divmod(best, y.shape[1])
-        return np.take_along_axis(ncc, best[:, np.newaxis], axis=1)[:, 0], attitude, turn
+        row = np.arange(len(y))
+        best = np.full(len(y), -np.inf)
+        attitude, turn = np.zeros((2, len(y)), dtype=np.intp)
+        for number, (q, weight) in enumerate(zip(curves.y, curves.weight, strict=True)):
+            ncc = self._ncc(known, q, weight)
+            peak = ncc.argmax(axis=1)
+            greater = ncc[row, peak] > best
+            best = np.where(greater, ncc[row, peak], best)
+            attitude = np.where(greater, number, attitude)
+            turn = np.where(greater, peak, turn)
+        return best, attitude, turn
 
     def _ncc(self, known: "_Known", q: Float64Array, weight: Float64Array) -> Float64Array:
         """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""
@@ -103,13 +112,20 @@ class CorrelationMatcher:
         q = np.where(weight > 0.0, q - np.average(q, weights=weight), 0.0)
         flat_w, flat_wq, flat_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
         bins = len(q)
-        total = fft.irfft(known.n * flat_w, bins)
-        enough = total >= self.min_overlap * weight.sum() - 1e-9
-        total = np.where(enough, total, 1.0)
-        sum_q, sum_y = fft.irfft(known.n * flat_wq, bins), fft.irfft(known.y * flat_w, bins)
-        variance_q = fft.irfft(known.n * flat_wq2, bins) - sum_q**2 / total
-        variance_y = fft.irfft(known.y2 * flat_w, bins) - sum_y**2 / total
-        covariance = fft.irfft(known.y * flat_wq, bins) - sum_q * sum_y / total
+        sum_y, sum_y2 = fft.irfft(known.y * flat_w, bins), fft.irfft(known.y2 * flat_w, bins)
+        covariance = fft.irfft(known.y * flat_wq, bins)
+        if known.n is None:
+            # Then all of the query lands on known profile, and its mean over that is 0.
+            total, enough = np.full(1, weight.sum()), np.full(1, True)
+            variance_q = np.full(1, np.sum(weight * q**2))
+        else:
+            total = fft.irfft(known.n * flat_w, bins)
+            enough = total >= self.min_overlap * weight.sum() - 1e-9
+            total = np.where(enough, total, 1.0)
+            sum_q = fft.irfft(known.n * flat_wq, bins)
+            variance_q = fft.irfft(known.n * flat_wq2, bins) - sum_q**2 / total
+            covariance -= sum_q * sum_y / total
+        variance_y = sum_y2 - sum_y**2 / total
         flat = (self.flat_px * TANGENT_PER_PX) ** 2 * total
         usable = enough & (variance_q > flat) & (variance_y > flat)
         scale = np.sqrt(np.where(usable, variance_q * variance_y, 1.0))
@@ -117,10 +133,26 @@ class CorrelationMatcher:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Known:
-    """Fourier transforms (L, B / 2 + 1) of where profiles are known, of y and of y squared."""
+class PreparedCorrelation:
+    """The correlation matcher with the store it matches to."""
 
-    n: NDArray[np.complex128]
+    matcher: CorrelationMatcher
+    profiles: Profiles
+
+    def rank(self, query: QueryRays, top: int) -> list[Candidate]:
+        """Return the best candidates, best first; see `Ranker.rank`."""
+        fits = self.matcher.fit(self.profiles, query)
+        return select(self.profiles, fits, query.fov_deg, top, self.matcher.separation_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Known:
+    """Fourier transforms (L, B / 2 + 1) of where profiles are known, of y and of y squared.
+
+    The first is None where all is known.
+    """
+
+    n: NDArray[np.complex128] | None
     y: NDArray[np.complex128]
     y2: NDArray[np.complex128]
 
@@ -130,4 +162,4 @@ class _Known:
         y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)
         mean = y0.sum(axis=1, keepdims=True) / np.maximum(n.sum(axis=1, keepdims=True), 1.0)
         y0 = (y0 - mean) * n
-        return cls(fft.rfft(n), fft.rfft(y0), fft.rfft(y0**2))
+        return cls(None if n.all() else fft.rfft(n), fft.rfft(y0), fft.rfft(y0**2))

@@ -11,6 +11,7 @@ from skyline.matching.profiles import Profiles
 from skyline.matching.query import QueryRays
 
 Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +52,26 @@ class Candidate:
     eye_elevation_m: float | None = None
 
 
-class Matcher(Protocol):
-    """Anything that ranks the places of a store for a query."""
+class Ranker(Protocol):
+    """Anything that ranks the places of the store it was made for."""
 
-    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> list[Candidate]:
+    def rank(self, query: QueryRays, top: int) -> list[Candidate]:
         """Return up to ``top`` candidates, best first, at most one a location.
 
-        Locations the matcher finds no fit for are left out, so the list may be empty.
+        Locations nothing fits at are left out, so the list may be empty.
         """
+        ...
+
+
+class Matcher(Protocol):
+    """Anything that can rank the places of any store."""
+
+    def prepare(self, profiles: Profiles) -> Ranker:
+        """Return what ranks the places of a store; what queries share is done here, once."""
+        ...
+
+    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> list[Candidate]:
+        """Return what a prepared matcher does, for a single query; see `Ranker.rank`."""
         ...
 
 
@@ -83,12 +96,17 @@ class Fits:
         """Return no fit at any location."""
         return cls(np.full(locations, np.inf), *np.zeros((3, locations)))
 
-    @classmethod
-    def concatenate(cls, parts: list["Fits"]) -> "Fits":
-        """Join the fits of one location after another; at least one part."""
-        return cls(
-            *(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls))
-        )
+    def spread(self, rows: IntArray, locations: int) -> "Fits":
+        """Return these as the fits of ``rows`` among ``locations``, with none elsewhere."""
+        wide = Fits.none(locations)
+        for f in fields(self):
+            getattr(wide, f.name)[rows] = getattr(self, f.name)
+        return wide
+
+    def split(self, parts: int) -> list["Fits"]:
+        """Return so many parts of equal length, in order."""
+        columns = [np.split(getattr(self, f.name), parts) for f in fields(self)]
+        return [Fits(*part) for part in zip(*columns, strict=True)]
 
     def best_with(self, other: "Fits") -> "Fits":
         """Return the better of two at each location; this one where they are equal."""

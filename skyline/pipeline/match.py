@@ -4,7 +4,6 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -163,7 +162,7 @@ class Matcher:
                 self._rank = open_full(opened, self.terrain, self._scene, self._config).rank
             else:
                 profiles = Profiles.from_views(_chunks(opened))
-                self._rank = partial(MATCHERS[matcher]().rank, profiles)
+                self._rank = MATCHERS[matcher]().prepare(profiles).rank
         self.frame = Frame(self.header.frame_wkt)
 
     def release(self) -> None:

@@ -1,0 +1,134 @@
+"""Query and stored skylines in px with the local skylines around their keypoints."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.features import NO_KEYPOINT, local_patches, polyline_vertices
+from skyline.matching.profiles import TANGENT_PER_PX, Profiles
+from skyline.matching.query import QueryCurves
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QueryCurve:
+    """The query at one assumed attitude: R points of its skyline and Q keypoints, in px.
+
+    Attributes
+    ----------
+    points_px : (R, 2) float64
+        x from the optical axis, and y.
+    weight : (R,) float64
+    point_bins : (R,) intp
+        Bin B / 2 is straight ahead.
+    bins : (Q,) intp
+        Of the keypoints.
+    local_bins : (3,) intp
+        Points of a local skyline, relative to its keypoint.
+    local_px : (Q, 3, 2) float64
+        Those points.
+    patches : (Q, S) float32
+        Local skylines relative to their keypoints; NaN where unknown.
+    pitch_deg, roll_deg : float
+    """
+
+    points_px: Float64Array
+    weight: Float64Array
+    point_bins: IntArray
+    bins: IntArray
+    local_bins: IntArray
+    local_px: Float64Array
+    patches: Float32Array
+    pitch_deg: float
+    roll_deg: float
+
+    @classmethod
+    def of(
+        cls,
+        curves: QueryCurves,
+        row: int,
+        tolerance_px: float,
+        max_keypoints: int,
+        offsets: IntArray,
+    ) -> Self:
+        """Take the query at attitude ``row``, with patches sampled at ``offsets`` bins."""
+        y = curves.y[row : row + 1]
+        table = polyline_vertices(y, tolerance_px * TANGENT_PER_PX, max_keypoints)
+        keypoints = table[table != NO_KEYPOINT].astype(np.intp)
+        y_px = y[0] / TANGENT_PER_PX
+        bin_px = 2.0 * np.pi / len(y_px) / TANGENT_PER_PX
+        x_px = (np.arange(len(y_px)) - len(y_px) // 2) * bin_px
+        seen = np.flatnonzero(curves.weight[row] > 0.0)
+        local_bins = np.array([-1, 0, 1], dtype=np.intp) * (offsets[-1] // 2)
+        near = np.clip(keypoints[:, np.newaxis] + local_bins, 0, len(y_px) - 1)
+        rows = np.zeros(len(keypoints), dtype=np.intp)
+        patches = local_patches(y_px[np.newaxis], rows, keypoints, offsets, wrap=True)
+        return cls(
+            np.stack([x_px[seen], y_px[seen]], axis=1),
+            curves.weight[row, seen],
+            seen,
+            keypoints,
+            local_bins,
+            np.stack([x_px[near], y_px[near]], axis=-1),
+            patches.astype(np.float32),
+            float(curves.pitch_deg[row]),
+            float(curves.roll_deg[row]),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StoredCurves:
+    """C locations of a store: skylines and, padded to the most, K keypoints each, in px.
+
+    Attributes
+    ----------
+    y_px : (C, B) float32
+        NaN where unknown.
+    bins : (C, K) intp
+        Of the keypoints; 0 where padded.
+    patches : (C, K, S) float32
+        Local skylines relative to their keypoints; NaN where unknown and where padded.
+    bin_px : float
+        Width of a bin.
+    """
+
+    y_px: Float32Array
+    bins: IntArray
+    patches: Float32Array
+    bin_px: float
+
+    @classmethod
+    def of(cls, profiles: Profiles, rows: IntArray, offsets: IntArray) -> Self:
+        """Take the locations ``rows``, with patches sampled at ``offsets`` bins."""
+        y_px = profiles.y[rows] / np.float32(TANGENT_PER_PX)
+        begin = profiles.keypoint_start[rows]
+        count = profiles.keypoint_start[rows + 1] - begin
+        row = np.repeat(np.arange(len(rows)), count)
+        slot = np.arange(len(row)) - (np.cumsum(count) - count)[row]
+        bin_ = profiles.keypoint_bin[begin[row] + slot]
+        bins = np.zeros((len(rows), int(count.max(initial=0))), dtype=np.intp)
+        bins[row, slot] = bin_
+        patches = np.full((*bins.shape, len(offsets)), np.nan, dtype=np.float32)
+        patches[row, slot] = local_patches(y_px, row, bin_, offsets, wrap=True)
+        return cls(y_px, bins, patches, profiles.bin_px)
+
+    def __len__(self) -> int:
+        return len(self.y_px)
+
+    def at(self, bins: IntArray) -> Float32Array:
+        """Return y in px (C, ...) at bins (C, ...) of each location, which may be off the turn."""
+        return np.take_along_axis(self.y_px, bins % self.y_px.shape[1], axis=1)
+
+    def repeated(self, times: int) -> Self:
+        """Return the same locations several times over, one round after the other."""
+        return replace(
+            self,
+            y_px=np.tile(self.y_px, (times, 1)),
+            bins=np.tile(self.bins, (times, 1)),
+            patches=np.tile(self.patches, (times, 1, 1)),
+        )

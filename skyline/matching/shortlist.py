@@ -1,0 +1,264 @@
+r"""Which locations, at which assumed attitudes, are worth the dear steps of the paper's matcher.
+
+Two cheap steps look at every location at every attitude:
+
+1. Each query keypoint corresponds to the stored keypoint of a location with the nearest local
+   skyline, by squared vertical difference, which is a matrix product. Correspondences vote
+   for the direction they put the query in.
+2. In the direction with most votes the skylines, thinned, are laid over each other. A tilt and
+   an affine map near the identity change the query's skyline q(x) to first order by a
+   combination of a few known curves (1, cos x, sin x, q, q', x q'), so the least rms distance
+   after such a warp is that of the difference with those curves projected out:
+
+   .. math:: \sum w (s - q)^2 - |B^T (s - q)|^2
+
+   where B is an orthonormal basis of them and s the stored skyline. Expanded, each sum is the
+   product of a window of s, or of its square, with a matrix that is the query's alone.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from skyline.matching.patches import QueryCurve, StoredCurves
+from skyline.matching.profiles import TANGENT_PER_PX, Profiles
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+_AT_ONCE = 32
+"""Locations whose patches are compared together; keeps a product in the cache."""
+
+_SAMPLES = 2
+"""Every such sample of a patch is compared."""
+
+_FAR = np.float32(1e12)
+"""px squared; what pads the patches of a location is farther than any patch."""
+
+_VOTE_TURNS = 1.0 / 64.0
+"""Width of a direction's window, which advances by half of it."""
+
+_RUN = 4
+"""Bins that are averaged to one for the distance; profiles have a multiple of 8."""
+
+_REACH = 4
+"""Thinned bins that a direction is off by at most, either way."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Patches:
+    """The K patches each of C locations, S samples a patch, as a right-hand side."""
+
+    rows: IntArray  # (C,)
+    bins: IntArray  # (C, K)
+    terms: Float32Array  # (2 S + 1, C * K): squares, values, and how far padding is off
+    comparable: NDArray[np.bool_]  # (C,): which locations have patches that are wholly known
+
+    @classmethod
+    def of(cls, profiles: Profiles, rows: IntArray, offsets: IntArray) -> Self:
+        stored = StoredCurves.of(profiles, rows, offsets)
+        patches = (
+            stored.patches[:, :, ::_SAMPLES]
+            .transpose(2, 0, 1)
+            .reshape(len(offsets[::_SAMPLES]), -1)
+        )
+        whole = np.asarray(np.isfinite(patches).all(axis=0))
+        values = np.where(whole, patches, np.float32(0.0))
+        far = np.where(whole, np.float32(0.0), _FAR)[np.newaxis]
+        comparable = np.asarray(whole.reshape(stored.bins.shape).any(axis=1))
+        return cls(rows, stored.bins, np.concatenate([values**2, values, far]), comparable)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shortlist:
+    """What of a store of L locations is compared with every query; see the module.
+
+    Stored patches with unknown samples, at the borders of what is known, have no vote.
+    """
+
+    _bins: int
+    _patches: tuple[_Patches, ...]
+    _around: Float32Array  # (L, 2 B / _RUN + 2 _REACH), thinned skylines in px, gaps bridged
+    _known: Float32Array | None  # likewise, the known share of each; None where all is known
+
+    @classmethod
+    def of(cls, profiles: Profiles, offsets: IntArray) -> Self:
+        """Prepare a store; a patch has samples at ``offsets`` bins from its keypoint."""
+        by_count = np.argsort(np.diff(profiles.keypoint_start), kind="stable")
+        blocks = [by_count[k : k + _AT_ONCE] for k in range(0, len(by_count), _AT_ONCE)]
+        known = np.isfinite(profiles.y)
+        y = profiles.y if known.all() else _bridged(profiles.y, known)
+        return cls(
+            profiles.bins,
+            tuple(_Patches.of(profiles, rows, offsets) for rows in blocks),
+            _around(y / np.float32(TANGENT_PER_PX)),
+            None if known.all() else _around(known.astype(np.float32)),
+        )
+
+    def distances_px(
+        self, queries: list[QueryCurve], min_known: int, min_overlap: float
+    ) -> Float32Array:
+        """Return the least distance (L, A) of every location to the query at A attitudes.
+
+        Parameters
+        ----------
+        queries : list of QueryCurve
+            The query at each attitude.
+        min_known : int
+            Query patches with fewer known samples have no vote.
+        min_overlap : float
+            Least share of the query's weight that must land on known profile; the distance is
+            infinite where it does not, and where there is no correspondence.
+        """
+        least = np.full((len(self._around), len(queries)), np.inf, dtype=np.float32)
+        used = [np.isfinite(query.patches).sum(axis=1) >= min_known for query in queries]
+        shifts = self._shifts(queries, used)
+        for column, (query, shift) in enumerate(zip(queries, shifts, strict=True)):
+            if not shift.shape[1]:
+                continue
+            thin = _ThinQuery.of(query)
+            turn = most_voted(shift, self._bins)
+            least[:, column] = thin.distances_px(self._around, self._known, turn, min_overlap)
+        for block in self._patches:
+            least[block.rows[~block.comparable]] = np.inf
+        return least
+
+    def _shifts(self, queries: list[QueryCurve], used: list[NDArray[np.bool_]]) -> list[IntArray]:
+        """Return stored minus query bin (L, Q) of the used keypoints' correspondences.
+
+        Keypoints of all attitudes are compared in one product. Stored patches that take part are
+        known everywhere, so sums over a query patch's known samples can be compared as they are,
+        less its own squares, which are the same for all.
+        """
+        patches = np.concatenate(
+            [query.patches[rows, ::_SAMPLES] for query, rows in zip(queries, used, strict=True)]
+        )
+        bins = np.concatenate([q.bins[rows] for q, rows in zip(queries, used, strict=True)])
+        known = np.isfinite(patches)
+        values = np.where(known, patches, np.float32(0.0))
+        terms = np.concatenate([known, -2.0 * values, np.ones((len(values), 1))], axis=1)
+        terms = terms.astype(np.float32)
+        shift = np.zeros((len(self._around), len(patches)), dtype=np.intp)
+        for block in self._patches:
+            if not block.bins.shape[1]:
+                continue
+            squared = (terms @ block.terms).reshape(len(terms), *block.bins.shape)
+            nearest = squared.argmin(axis=2).T
+            shift[block.rows] = np.take_along_axis(block.bins, nearest, axis=1) - bins
+        return np.split(shift, np.cumsum([rows.sum() for rows in used])[:-1], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ThinQuery:
+    """A query's skyline on N thinned bins, as what products with stored windows are made of."""
+
+    first: int  # thinned bin of the first
+    squares: Float64Array  # (N,): weights
+    values: Float64Array  # (N, 1 + F): w q and w times each basis curve
+    constant: Float64Array  # (1 + F,): the same products of q with itself
+
+    @classmethod
+    def of(cls, query: QueryCurve) -> Self:
+        thin_bin = query.point_bins // _RUN
+        first = int(thin_bin[0])
+        slot = thin_bin - first
+        weight: Float64Array = np.bincount(slot, query.weight).astype(np.float64)
+        seen = weight > 0.0
+        x, q = (
+            np.bincount(slot, query.weight * values) / np.where(seen, weight, 1.0)
+            for values in query.points_px.T
+        )
+        azimuth = x * TANGENT_PER_PX
+        whole = np.pad(np.interp(np.arange(len(q)), np.flatnonzero(seen), q[seen]), 1, "edge")
+        slope = whole[2:] - whole[:-2]
+        curves = np.stack([np.ones_like(x), np.cos(azimuth), np.sin(azimuth), slope, x * slope])
+        root = np.sqrt(weight)
+        left, size, _ = np.linalg.svd((curves * root).T, full_matrices=False)
+        basis = left[:, size > 1e-6 * size[0]]
+        q = np.where(seen, q - np.average(q, weights=weight), 0.0)
+        values = np.concatenate([(weight * q)[:, np.newaxis], root[:, np.newaxis] * basis], axis=1)
+        return cls(first, weight, values, q @ values)
+
+    def distances_px(
+        self,
+        around: Float32Array,
+        known: Float32Array | None,
+        turn: IntArray,
+        min_overlap: float,
+    ) -> Float32Array:
+        """Return the least distance (L,) within `_REACH` of each location's turn in bins."""
+        steps, weight = 2 * _REACH + 1, self.squares.sum()
+        start = (self.first + (turn + _RUN // 2) // _RUN - _REACH) % _thinned_bins(around)
+        window = self._window(around, start)
+        window = window - window.mean(axis=1, keepdims=True)
+        squares = window**2 @ _slid(self.squares[:, np.newaxis], steps)
+        values = (window @ _slid(self.values, steps)).reshape(len(window), steps, -1)
+        values -= self.constant.astype(np.float32)
+        rest = squares - 2.0 * values[:, :, 0] - np.square(values[:, :, 1:]).sum(axis=2)
+        rest -= np.float32(self.constant[0])
+        if known is not None:
+            landed = self._window(known, start) @ _slid(self.squares[:, np.newaxis], steps)
+            rest[landed < min_overlap * weight] = np.inf
+        least = np.maximum(rest.min(axis=1), 0.0) / np.float32(weight)
+        return np.asarray(np.sqrt(least), dtype=np.float32)
+
+    def _window(self, around: Float32Array, start: IntArray) -> Float32Array:
+        size = len(self.squares) + 2 * _REACH
+        windows = sliding_window_view(around, size, axis=1)
+        return np.asarray(windows[np.arange(len(start)), start])
+
+
+def _slid(values: Float64Array, steps: int) -> Float32Array:
+    """Return values (N, F) slid down by 0 to steps - 1 rows, as (N + steps - 1, steps * F)."""
+    count, curves = values.shape
+    slid = np.zeros((count + steps - 1, steps, curves), dtype=np.float32)
+    for step in range(steps):
+        slid[step : step + count, step] = values
+    return slid.reshape(len(slid), -1)
+
+
+def _around(y: Float32Array) -> Float32Array:
+    """Return curves (L, B) thinned, and so often round that no window comes to their end."""
+    thin = y.reshape(len(y), -1, _RUN).mean(axis=2)
+    return np.concatenate([thin, thin, thin[:, : 2 * _REACH]], axis=1)
+
+
+def _thinned_bins(around: Float32Array) -> int:
+    return int(around.shape[1] - 2 * _REACH) // 2
+
+
+def _bridged(y: Float32Array, known: NDArray[np.bool_]) -> Float32Array:
+    """Return curves (L, B) with straight lines over what is unknown; 0 where all is."""
+    bins = np.arange(y.shape[1])
+    filled = np.zeros_like(y)
+    for row in np.flatnonzero(known.any(axis=1)):
+        there = bins[known[row]]
+        filled[row] = np.interp(bins, there, y[row, there], period=len(bins))
+    return filled
+
+
+def most_voted(shift: IntArray, bins: int) -> IntArray:
+    """Return the turns (L,) in bins that most of the shifts (L, Q) agree on.
+
+    That is the mean of the shifts in the fullest window, of equals the first from north on.
+    """
+    halves = round(2.0 / _VOTE_TURNS)
+    width = bins / halves
+    shift = shift % bins
+    half = (shift / width).astype(np.intp)
+    row = np.arange(len(shift))
+    place = (row[:, np.newaxis] * halves + half).ravel()
+    beyond = (shift - half * width).ravel()
+    votes, summed = (
+        np.bincount(place, weights, minlength=len(shift) * halves).reshape(-1, halves)
+        for weights in (None, beyond)
+    )
+    left = (votes + np.roll(votes, -1, axis=1)).argmax(axis=1)
+    right = (left + 1) % halves
+    total = summed[row, left] + summed[row, right] + votes[row, right] * width
+    turn = left * width + total / (votes[row, left] + votes[row, right])
+    return np.asarray(np.rint(turn), dtype=np.intp)

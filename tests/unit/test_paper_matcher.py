@@ -1,0 +1,274 @@
+"""The fast steps of the paper's matcher against slow, plain ones, on random profiles."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skyline.errors import InputError
+from skyline.features import NO_KEYPOINT, polyline_vertices
+from skyline.matching.alignment import _normal_equations
+from skyline.matching.paper import PaperMatcher
+from skyline.matching.patches import QueryCurve
+from skyline.matching.profiles import TANGENT_PER_PX, Profiles
+from skyline.matching.query import Attitudes, QueryCurves, QueryRays
+from skyline.matching.ransac import Ransac, proposals
+from skyline.matching.shortlist import Shortlist
+
+BINS = 1024
+OFFSETS = np.arange(-10, 11) * 2
+RANSAC = Ransac(iterations=60, inlier_px=2.0, min_inliers=3, max_scale=1.25, max_turn_deg=15.0)
+
+
+def profiles_of(y):
+    """Return profiles with the curves y (L, B) and the keypoints these have."""
+    table = polyline_vertices(y, 2.0 * TANGENT_PER_PX, 64)
+    row, slot = np.nonzero(table != NO_KEYPOINT)
+    start = np.searchsorted(row, np.arange(len(y) + 1))
+    place = np.arange(len(y), dtype=np.float64)
+    return Profiles(place, place, 0.0 * place, y, table[row, slot].astype(np.intp), start)
+
+
+def random_profiles(seed, count):
+    generator = np.random.default_rng(seed)
+    turn = np.arange(BINS) * 2.0 * np.pi / BINS
+    waves = np.arange(1, 60)
+    size = generator.normal(size=(count, 59)) * 0.15 / waves
+    phase = generator.uniform(0.0, 2.0 * np.pi, (count, 59))
+    y = (size[:, np.newaxis] * np.sin(waves * turn[:, np.newaxis] + phase[:, np.newaxis])).sum(2)
+    return profiles_of(y.astype(np.float32))
+
+
+def query_of(profiles, location, axis_bin, seed=0):
+    """Return 60 degrees of a profile, level, with noise."""
+    azimuth = np.arange(-BINS // 12, BINS // 12 + 1) * 2.0 * np.pi / BINS
+    y = profiles.y[location, (axis_bin + np.arange(-BINS // 12, BINS // 12 + 1)) % BINS]
+    y = y + np.random.default_rng(seed).normal(0.0, 0.001, y.shape)
+    u, v = np.tan(azimuth), y / np.cos(azimuth)
+    return QueryRays.equally_trusted(u, v, 60.0)
+
+
+def assumed(query, attitudes):
+    curves = QueryCurves.of(query, attitudes, BINS)
+    return [QueryCurve.of(curves, row, 1.0, 64, OFFSETS) for row in range(len(curves.y))]
+
+
+def voted_turn(shifts):
+    """Return the mean of the shifts in the fullest of 128 windows of 8 + 8 bins."""
+    width, best, turn = BINS // 128, 0, 0.0
+    for left in range(128):
+        inside = [(s - left * width) % BINS for s in shifts]
+        inside = [s for s in inside if s < 2 * width]
+        if len(inside) > best:
+            best, turn = len(inside), left * width + np.mean(inside)
+    return round(turn)
+
+
+def plain_distance_px(profiles, location, query):
+    """Return what `Shortlist.distances_px` says of one location at one attitude, step by step."""
+    y = profiles.y[location].astype(np.float64) / TANGENT_PER_PX
+    begin, end = profiles.keypoint_start[location : location + 2]
+    stored_bins = profiles.keypoint_bin[begin:end]
+    shifts = []
+    for patch, bin_ in zip(query.patches, query.bins, strict=True):
+        known = np.isfinite(patch)
+        if known.sum() < 15:
+            continue
+        compared = known & (np.arange(len(patch)) % 2 == 0)
+        off = [np.sum((y[(k + OFFSETS) % BINS] - y[k] - patch)[compared] ** 2) for k in stored_bins]
+        shifts.append(stored_bins[int(np.argmin(off))] - bin_)
+    turn = voted_turn(shifts)
+    run = query.point_bins // 4
+    weight = np.array([query.weight[run == r].sum() for r in range(BINS // 4)])
+    seen = np.flatnonzero(weight)
+    x, q = (
+        np.array([np.average(v[run == r], weights=query.weight[run == r]) for r in seen])
+        for v in query.points_px.T
+    )
+    filled = np.pad(np.interp(np.arange(seen[0], seen[-1] + 1), seen, q), 1, "edge")
+    slope = (filled[2:] - filled[:-2])[seen - seen[0]]
+    azimuth = x * TANGENT_PER_PX
+    curves = np.stack([np.ones_like(x), np.cos(azimuth), np.sin(azimuth), slope, x * slope], axis=1)
+    root = np.sqrt(weight[seen])
+    thin = y.reshape(-1, 4).mean(axis=1)
+    least = np.inf
+    for step in range(-4, 5):
+        off = thin[(seen + (turn + 2) // 4 + step) % (BINS // 4)] - q
+        fitted = curves @ np.linalg.lstsq(curves * root[:, np.newaxis], off * root)[0]
+        least = min(least, np.sqrt(np.average((off - fitted) ** 2, weights=weight[seen])))
+    return least
+
+
+def test_shortlist_equals_a_plain_loop():
+    profiles = random_profiles(1, 10)
+    queries = assumed(query_of(profiles, 6, 300), Attitudes((-4.0, 0.0)))
+    found = Shortlist.of(profiles, OFFSETS).distances_px(queries, 15, 0.8)
+    expected = np.array([[plain_distance_px(profiles, k, q) for q in queries] for k in range(10)])
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=0.02)
+    assert found.argmin() // 2 == 6
+
+
+def test_shortlist_leaves_out_what_is_mostly_unknown():
+    whole = random_profiles(2, 3)
+    y = whole.y.copy()
+    # The query looks at bins 415 to 585; of location 1 only half of that is known, and of
+    # location 2 nothing but the query's part.
+    y[1, 500:] = np.nan
+    y[2, :400] = y[2, 600:] = np.nan
+    profiles = profiles_of(y)
+    distances = [
+        Shortlist.of(profiles, OFFSETS).distances_px(
+            assumed(query_of(whole, location, 500), Attitudes((0.0,))), 15, 0.8
+        )[location, 0]
+        for location in range(3)
+    ]
+    assert distances[1] == np.inf
+    assert max(distances[0], distances[2]) < 1.0
+
+
+def test_shortlist_of_everything_is_no_shortlist():
+    profiles, attitudes = random_profiles(3, 12), Attitudes((-5.0, 0.0))
+    query = query_of(profiles, 7, 40)
+    plain = PaperMatcher(attitudes, shortlist_poses=None).prepare(profiles).fit(query)
+    all_listed = PaperMatcher(attitudes, shortlist_poses=24).prepare(profiles).fit(query)
+    # Correspondences without a vote may leave a location out; else nothing differs.
+    assert np.isfinite(all_listed.score).sum() >= 10
+    listed = np.isfinite(all_listed.score)
+    np.testing.assert_allclose(all_listed.score[listed], plain.score[listed], rtol=1e-6)
+    np.testing.assert_allclose(all_listed.heading_deg[listed], plain.heading_deg[listed], rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_listed_poses_are_scored_as_without_a_shortlist(seed):
+    profiles = random_profiles(10 + seed, 30)
+    query = query_of(profiles, 3 * seed, 100 * seed + 50, seed)
+    matcher = PaperMatcher(Attitudes((0.0,)), shortlist_poses=None)
+    plain = matcher.prepare(profiles).fit(query)
+    listed = replace(matcher, shortlist_poses=8).prepare(profiles).fit(query)
+    chosen = np.isfinite(listed.score)
+    assert 1 <= chosen.sum() <= 8
+    np.testing.assert_allclose(listed.score[chosen], plain.score[chosen], rtol=1e-6)
+    assert listed.score.argmin() == plain.score.argmin() == 3 * seed
+
+
+def correspondences(seed, sets=20, points=30):
+    """Return points, where affine maps put them, 40 % of them wrong, and which are used."""
+    generator = np.random.default_rng(seed)
+    source = generator.uniform(-150.0, 150.0, (points, 2)) * [1.0, 0.3]
+    maps = np.eye(2, 3) + generator.normal(0.0, 0.04, (sets, 2, 3)) * [1.0, 1.0, 500.0]
+    target = source @ maps[:, :, :2].swapaxes(1, 2) + maps[:, np.newaxis, :, 2]
+    wrong = generator.random((sets, points)) < 0.4
+    target[wrong] += generator.uniform(-80.0, 80.0, (wrong.sum(), 2))
+    used = generator.random((sets, points)) < 0.8
+    target[~used] = np.nan
+    return source, target, used, maps
+
+
+def plain_consensus(source, target):
+    """Return the greatest number of points that one of the maps drawn puts right."""
+    draws = (np.random.default_rng(0).random((RANSAC.iterations, 3)) * len(source)).astype(int)
+    most = 0
+    for draw in draws:
+        a, b = np.column_stack([source[draw], np.ones(3)]), target[draw]
+        candidates = []
+        if np.linalg.matrix_rank(a) == 3:
+            candidates.append(np.linalg.solve(a, b).T)
+        from_, to = (complex(*(p[draw[1]] - p[draw[0]])) for p in (source, target))
+        if from_ != 0:
+            z = to / from_
+            linear = np.array([[z.real, -z.imag], [z.imag, z.real]])
+            moved = target[draw[0]] - linear @ source[draw[0]]
+            candidates.append(np.column_stack([linear, moved]))
+        for found in candidates:
+            scales = np.linalg.svd(found[:, :2], compute_uv=False)
+            turn_deg = np.degrees(np.arctan2(found[1, 0], found[0, 0]))
+            if (
+                np.linalg.det(found[:, :2]) > 0.0
+                and scales[0] <= RANSAC.max_scale
+                and scales[1] >= 1.0 / RANSAC.max_scale
+                and abs(turn_deg) <= RANSAC.max_turn_deg
+            ):
+                off = np.linalg.norm(source @ found[:, :2].T + found[:, 2] - target, axis=1)
+                most = max(most, int((off <= RANSAC.inlier_px).sum()))
+    return most
+
+
+def test_ransac_finds_the_consensus_of_a_plain_loop():
+    source, target, used, _ = correspondences(5)
+    a = np.broadcast_to(source, target.shape)
+    for k in range(len(target)):
+        here, there = a[k][used[k]], target[k][used[k]]
+        drawn = RANSAC._drawn(here[np.newaxis], there[np.newaxis], used[k : k + 1].sum(axis=1))
+        moved = here @ drawn[0, :, :2].T + drawn[0, :, 2]
+        inliers = (np.linalg.norm(moved - there, axis=1) <= RANSAC.inlier_px).sum()
+        assert inliers == plain_consensus(here, there)
+
+
+def test_ransac_recovers_maps_among_wrong_correspondences():
+    source, target, used, true = correspondences(6)
+    plausible = RANSAC.plausible(true)
+    assert plausible.sum() > 10
+    found = RANSAC.maps(source, target, used)
+    np.testing.assert_allclose(found[plausible], true[plausible], atol=0.02, rtol=1e-3)
+
+
+def test_ransac_gives_a_set_the_same_map_whatever_is_beside_it():
+    source, target, used, _ = correspondences(7)
+    together = RANSAC.maps(source, target, used)
+    alone = [RANSAC.maps(source, target[k : k + 1], used[k : k + 1])[0] for k in range(20)]
+    np.testing.assert_allclose(together, alone, rtol=1e-9, atol=1e-9)
+
+
+def test_ransac_has_no_map_for_too_little():
+    source, target, used, _ = correspondences(8, sets=3)
+    used[0], used[1, 2:] = False, False
+    assert np.isnan(RANSAC.maps(source, target, used)[:2]).all()
+    on_one_spot = RANSAC.maps(np.zeros((9, 2)), np.ones((1, 9, 2)), np.ones((1, 9), dtype=bool))
+    assert np.isnan(on_one_spot).all()
+
+
+def test_points_on_a_line_have_a_similarity():
+    x = np.linspace(-100.0, 100.0, 12)
+    source = np.stack([x, np.zeros(12)], axis=1)
+    target = np.stack([1.1 * x + 3.0, 0.1 * x - 2.0], axis=1)[np.newaxis]
+    found = RANSAC.maps(source, target, np.ones((1, 12), dtype=bool))[0]
+    np.testing.assert_allclose(found, [[1.1, -0.1, 3.0], [0.1, 1.1, -2.0]], atol=1e-9)
+
+
+def test_plausible_maps_are_those_of_singular_values_and_turn():
+    maps = np.eye(2) + np.random.default_rng(9).normal(0.0, 0.3, (500, 2, 2))
+    scales = np.linalg.svd(maps, compute_uv=False)
+    turn_deg = np.degrees(np.arctan2(maps[:, 1, 0], maps[:, 0, 0]))
+    expected = np.linalg.det(maps) > 0.0
+    expected &= (scales[:, 0] <= 1.25) & (scales[:, 1] >= 0.8) & (np.abs(turn_deg) <= 15.0)
+    assert 10 < expected.sum() < 400
+    np.testing.assert_array_equal(RANSAC.plausible(maps), expected)
+    assert not RANSAC.plausible(np.full((2, 3), np.nan))
+
+
+def test_proposals_put_their_samples_where_they_belong():
+    a, b = np.random.default_rng(10).normal(size=(2, 4, 5, 3, 2))
+    maps = proposals(a, b)
+    moved = np.einsum("fhij,fhkj->fhki", maps[..., :2], np.concatenate([a, a], axis=1))
+    moved += maps[:, :, np.newaxis, :, 2]
+    np.testing.assert_allclose(moved[:, :5], b, atol=1e-6)
+    np.testing.assert_allclose(moved[:, 5:, :2], b[:, :, :2], atol=1e-6)
+
+
+def test_normal_equations_are_the_sums_over_points():
+    generator = np.random.default_rng(11)
+    pull, steepness, miss = generator.normal(size=(3, 4, 25))
+    points = np.column_stack([generator.normal(size=(25, 2)), np.ones(25)])
+    shared = np.broadcast_to(points, (4, 25, 3))
+    change = np.concatenate([-steepness[:, :, np.newaxis] * points, shared], axis=2)
+    normal, gradient = _normal_equations(pull, steepness, miss, points)
+    np.testing.assert_allclose(normal, np.einsum("cr,crk,crl->ckl", pull, change, change))
+    np.testing.assert_allclose(gradient, np.einsum("cr,crk,cr->ck", pull, change, miss))
+
+
+@pytest.mark.parametrize(
+    ("setting", "named"), [({"shortlist_poses": 0}, "are 0"), ({"max_turn_deg": 90.0}, "is 90")]
+)
+def test_settings_out_of_range_are_refused(setting, named):
+    with pytest.raises(InputError, match=named):
+        PaperMatcher(**setting)
