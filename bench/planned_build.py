@@ -16,7 +16,7 @@ from PIL import Image
 from skyline.console import parse_bounds
 from skyline.experiments.record import Row, write_record
 from skyline.pipeline import build_planned
-from skyline.planning.loop import PlanConfig
+from skyline.planning.plan import PlanConfig
 from skyline.report.coverage import save_coverage_map
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

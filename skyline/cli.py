@@ -50,7 +50,7 @@ from skyline.pipeline import explain as explain_scene
 from skyline.pipeline.config import ROWS
 from skyline.pipeline.match import terrain_at_hand
 from skyline.pipeline.shards import DEFAULT_TILE_M
-from skyline.planning.loop import PlanConfig
+from skyline.planning.plan import PlanConfig
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
 from skyline.prediction import shell_edges_m
@@ -175,6 +175,10 @@ def build(
     coverage: Annotated[
         float, typer.Option(help="Share of the candidates a planner covers.")
     ] = _PLANNED.coverage,
+    budget: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="A planner's renderings; its threshold is raised to fit."),
+    ] = _PLANNED.budget,
     seed: Annotated[int, typer.Option(help="Of a planner's random choices.")] = _PLANNED.seed,
     shells: Annotated[
         int | None,
@@ -202,6 +206,10 @@ def build(
     if coverage_map is not None and planner == "uniform":
         raise InputError(
             f"--map {coverage_map} maps tolerance areas; give a --planner that has any"
+        )
+    if budget is not None and planner == "uniform":
+        raise InputError(
+            f"--budget {budget} is for a planner; give --planner, or a --spacing to a uniform grid"
         )
     config = replace(
         _render_config(width, tolerance_px, k, no_curvature),
@@ -234,16 +242,19 @@ def build(
         threshold_px,
         coverage,
         seed=seed,
+        budget=budget,
     )
     terrain = read_dem(dem, dem_options)
-    with progress_bar("covering, %") as percent:
+    with progress_bar("covering, %" if budget is None else "rendering") as bar:
         done = build_planned(
             terrain,
             output,
             planned,
             corners,
             config,
-            lambda now: percent(int(100 * now.coverage), 100),
+            lambda now: (
+                bar(int(100 * now.coverage), 100) if budget is None else bar(now.renderings, budget)
+            ),
         )
     _say_built(done.built, output)
     _say_planned(done)
@@ -447,9 +458,10 @@ def _say_built(result: BuildResult, path: Path) -> None:
 def _say_planned(done: PlannedResult) -> None:
     proof, made = done.verification, done.plan.progress
     typer.echo(
-        f"coverage {100 * proof.predicted:.1f} % predicted, {100 * proof.verified:.1f} % verified "
-        f"by rendering ({proof.sampled} covered locations: {100 * proof.share:.1f} % hold, 95 % "
-        f"interval {100 * proof.low:.1f} to {100 * proof.high:.1f}); overlap {made.overlap}, "
+        f"to {done.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
+        f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "
+        f"{100 * proof.share:.1f} % hold, 95 % interval {100 * proof.low:.1f} to "
+        f"{100 * proof.high:.1f}); overlap {made.overlap}, "
         f"{made.batches} batches, rendering {done.plan.render_s:.1f} s, planning "
         f"{done.plan.plan_s:.1f} s"
     )

@@ -10,15 +10,24 @@ from pathlib import Path
 from skyline.features import polyline_keypoints
 from skyline.pipeline.build import BuildResult
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
+from skyline.planning.budget import check_coarse, spaced_for
 from skyline.planning.candidates import lay_out
-from skyline.planning.loop import Oracles, Plan, PlanConfig, PlanProgress, plan
+from skyline.planning.loop import plan
+from skyline.planning.plan import Oracles, Plan, PlanConfig, PlanProgress
 from skyline.planning.requests import Headings
 from skyline.planning.tolerance import Neighbourhood, ToleranceMeter
 from skyline.planning.uniform import map_bounds
 from skyline.planning.verify import Checks, Verification, verify_coverage
 from skyline.prediction import PREDICTORS, predict, shell_edges_m, true_errors_px
 from skyline.render.horizon import HorizonRenderer
-from skyline.store import StoreWriter, as_stored, create_store, open_for_append, open_store
+from skyline.store import (
+    StoreWriter,
+    amend_config,
+    as_stored,
+    create_store,
+    open_for_append,
+    open_store,
+)
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
@@ -33,6 +42,9 @@ _CAUTION = 0.8
 """`cover` plans by predictions within this share of the threshold. Its errors are predicted to
 some tenths of a px, and it chooses: of what is predicted between 2.5 and 3 px only 75 % is."""
 
+_REACHED = "reached_px"
+"""The setting that names the threshold a budget sufficed for."""
+
 
 @dataclass(frozen=True, slots=True)
 class PlannedResult:
@@ -44,11 +56,14 @@ class PlannedResult:
     plan : Plan
     verification : Verification
         The predicted coverage held to renderings.
+    threshold_px : float
+        What was covered to: as asked, or with a budget what its renderings sufficed for.
     """
 
     built: BuildResult
     plan: Plan
     verification: Verification
+    threshold_px: float
 
 
 def build_planned(
@@ -63,7 +78,9 @@ def build_planned(
 
     `cover` plans by distance shells, which are kept in the store; the paper's strategies plan by
     Equation 4 with the mean depth. A build that was stopped goes on: its plan is followed again,
-    and what the store holds is not rendered again.
+    and what the store holds is not rendered again. With a budget, distances of the plan are
+    widened to suit it (`spaced_for`), and the store's settings name the threshold that was reached
+    once it is.
 
     Parameters
     ----------
@@ -85,7 +102,10 @@ def build_planned(
         The store at ``path`` was built from another DEM or with another configuration.
     """
     config = config or RenderConfig()
+    area = map_bounds(terrain, bounds_deg)
     planned = replace(planned, eye_height_m=config.eye_height_m)
+    if planned.budget is not None:
+        planned = replace(planned, spacing=spaced_for(planned.spacing, planned.budget, area))
     if planned.strategy == "cover" and not config.shell_edges_m:
         config = replace(
             config, shell_edges_m=shell_edges_m(_SHELLS), reach_m=planned.spacing.reach_m
@@ -93,30 +113,36 @@ def build_planned(
     started = time.perf_counter()
     settings: dict[str, object] = {
         "planner": planned.strategy,
-        "plan": asdict(planned),
+        "plan": {name: value for name, value in asdict(planned).items() if value is not None},
         "bounds_deg": bounds_deg,
     }
-    area = map_bounds(terrain, bounds_deg)
     # An area that cannot be planned is refused before a store is made for it.
-    lay_out(terrain, planned.spacing, area, planned.eye_height_m)
+    candidates = lay_out(terrain, planned.spacing, area, planned.eye_height_m)
+    check_coarse(candidates, planned.budget)
     with make_renderer(terrain, config) as renderer, ExitStack() as held:
-        header = store_header(terrain, renderer.description, config, settings)
         there: Views | None = None
         if Path(path).exists():
             with open_store(path) as store:
                 there = store.views()
-            writer = held.enter_context(open_for_append(path, header))
-        else:
+                settings |= {k: v for k, v in store.header.config.items() if k == _REACHED}
+        header = store_header(terrain, renderer.description, config, settings)
+        if there is None:
             writer = held.enter_context(create_store(path, header))
+        else:
+            writer = held.enter_context(open_for_append(path, header))
         before = len(writer)
         cautious = replace(planned, threshold_px=_caution(planned) * planned.threshold_px)
         oracles = _oracles(terrain, cautious, partial(_render_and_keep, renderer, writer, config))
         done = plan(terrain, oracles, cautious, area, there, progress)
-        writer.flush()
+        writer.close()
         built = BuildResult(len(writer), len(writer) - before, time.perf_counter() - started)
+        threshold_px = done.threshold_px / _caution(planned)
+        if planned.budget is not None:
+            amend_config(path, {_REACHED: threshold_px})
         # Stored views are rendered again rather than held: a rendering costs less than its memory.
         checks = Checks(renderer.render, renderer.render, true_errors_px)
-        return PlannedResult(built, done, verify_coverage(done, checks, planned.threshold_px))
+        proof = verify_coverage(done, checks, threshold_px)
+        return PlannedResult(built, done, proof, threshold_px)
 
 
 def _caution(planned: PlanConfig) -> float:
@@ -135,7 +161,7 @@ def _oracles(
         Neighbourhood(size, spacing.pitch_m),
         PREDICTORS["shells" if shells else "affine-mean"],
         planned.eye_height_m,
-        planned.threshold_px if shells else None,
+        planned.threshold_px if shells and planned.budget is None else None,
     )
     foresee = partial(predict, with_shells=shells) if planned.strategy in PREDICTING else None
     return Oracles(render, meter, foresee)

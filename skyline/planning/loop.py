@@ -11,7 +11,6 @@ goes on where they end.
 import logging
 import time
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
@@ -19,7 +18,8 @@ from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
-from skyline.planning.candidates import CandidateMap, Spacing, lay_out
+from skyline.planning.budget import AIMS, ENOUGH, Outlook, check_coarse, covering_px
+from skyline.planning.candidates import CandidateMap, lay_out
 from skyline.planning.coverage import (
     AreaModel,
     BoolArray,
@@ -27,133 +27,17 @@ from skyline.planning.coverage import (
     Float32Array,
     IntArray,
     Problem,
-    check_target,
-    check_threshold,
 )
-from skyline.planning.models import Archive, InterpolatedModel, Measure, Predict, PredictedModel
-from skyline.planning.requests import Headings, Render, in_order, places, rows_by_place
+from skyline.planning.models import Archive, InterpolatedModel, PredictedModel
+from skyline.planning.plan import Oracles, Plan, PlanConfig, PlanProgress
+from skyline.planning.requests import Headings, in_order, places, rows_by_place
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import MapBounds
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
+from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class PlanConfig:
-    """What to plan.
-
-    Attributes
-    ----------
-    strategy : str
-        A name of `skyline.planning.strategies.STRATEGIES`.
-    spacing : Spacing
-    threshold_px : float
-        A location is covered where some view's skyline is predicted within this.
-    coverage : float
-        Share of the candidates to cover in each heading, in (0, 1].
-    eye_height_m : float
-    seed : int
-
-    Raises
-    ------
-    InputError
-        No such strategy, a coverage outside (0, 1] or a threshold that is not positive.
-    """
-
-    strategy: str = "cover"
-    spacing: Spacing = field(default_factory=Spacing)
-    threshold_px: float = 3.0
-    coverage: float = 0.98
-    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.strategy not in STRATEGIES:
-            raise InputError(
-                f"strategy is {self.strategy!r}; expected one of {', '.join(STRATEGIES)}"
-            )
-        check_target(self.coverage)
-        check_threshold(self.threshold_px)
-
-
-@dataclass(frozen=True, slots=True)
-class Oracles:
-    """What the loop asks others for.
-
-    Attributes
-    ----------
-    render : Render
-    measure : Measure
-        Tolerance areas of rendered views.
-    predict : Predict, optional
-        Views at candidates that have not been rendered. Without it, areas of candidates are
-        interpolated from those of the rendered views around.
-    measure_predicted : Measure, optional
-        Tolerance areas of predicted views; by default ``measure``.
-    """
-
-    render: Render
-    measure: Measure
-    predict: Predict | None = None
-    measure_predicted: Measure | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class PlanProgress:
-    """How far a plan has come: after each batch.
-
-    Attributes
-    ----------
-    coverage : float
-        Share of the candidates covered, over all headings.
-    renderings : int
-        Views so far, those handed in at the start included.
-    overlap : int
-        Inclusions in tolerance areas less covered candidates, over all headings.
-    renderings_per_s : float
-    batches : int
-        So far.
-    """
-
-    coverage: float
-    renderings: int
-    overlap: int
-    renderings_per_s: float
-    batches: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plan:
-    """What was planned and rendered.
-
-    Attributes
-    ----------
-    candidates : CandidateMap
-    coverages : tuple of Coverage
-        One a heading: its viewpoints and their tolerance areas.
-    progress : PlanProgress
-        At the end.
-    render_s, plan_s : float
-        Seconds spent in the renderer, and on everything else.
-    render_cpu_s, plan_cpu_s : float
-        The same in processor time, all threads of the process.
-    """
-
-    candidates: CandidateMap
-    coverages: tuple[Coverage, ...]
-    progress: PlanProgress
-    render_s: float
-    plan_s: float
-    render_cpu_s: float
-    plan_cpu_s: float
-
-    @property
-    def coverage(self) -> float:
-        """Predicted coverage over all headings."""
-        return self.progress.coverage
 
 
 class _Model(AreaModel, Protocol):
@@ -189,11 +73,12 @@ def plan(
     Raises
     ------
     InputError
-        A spacing larger than the area, an area wholly in holes, or a renderer that does not
-        return what it was asked for.
+        A spacing larger than the area, an area wholly in holes, a coarse grid beyond the budget,
+        or a renderer that does not return what it was asked for.
     """
     config = config or PlanConfig()
     candidates = lay_out(terrain, config.spacing, bounds_m, config.eye_height_m)
+    check_coarse(candidates, config.budget)
     loop = _Loop(candidates, oracles, config, rendered, progress)
     loop.run()
     return loop.result()
@@ -214,7 +99,9 @@ class _Loop:
         self._rendered = rendered
         self._at = {} if rendered is None else rows_by_place(rendered)
         self._progress = progress
+        self._errors: tuple[list[Float32Array], ...] = tuple([] for _ in HEADINGS)
         self._coverages = tuple(Coverage(candidates.grid) for _ in HEADINGS)
+        self._threshold_px = config.threshold_px
         self._archive = Archive()
         self._models = tuple(self._model(heading) for heading in HEADINGS)
         self._started = _clocks()
@@ -224,12 +111,53 @@ class _Loop:
 
     def run(self) -> None:
         """Render the coarse grid, then what the strategies ask for."""
-        coarse = self._candidates.coarse
+        coarse, budget = self._candidates.coarse, self._config.budget
         self._batch([coarse for _ in HEADINGS], list(HEADINGS))
+        if budget is None:
+            self._cover()
+        else:
+            self._spend(budget)
+
+    def _spend(self, budget: int) -> None:
+        """Cover to one threshold after the other, each lower, while there is budget left."""
+        lowest_px, share = self._config.threshold_px, self._config.coverage
+        outlook = Outlook(
+            np.concatenate([errors for one in self._errors for errors in one]),
+            len(HEADINGS) * int(self._candidates.grid.valid.sum()),
+            share,
+        )
+        for aim in AIMS:
+            self._hold_to(outlook.threshold_px(aim * budget, lowest_px))
+            self._cover()
+            made = self._now().renderings
+            if made >= ENOUGH * budget or self._threshold_px <= lowest_px:
+                break
+            outlook.learn(self._threshold_px, made)
+        reached_px = max(
+            covering_px(one.grid, one.viewpoints, np.concatenate(errors), share)
+            for one, errors in zip(self._coverages, self._errors, strict=True)
+        )
+        if np.isfinite(reached_px):
+            self._hold_to(max(reached_px, lowest_px))
+
+    def _hold_to(self, threshold_px: float) -> None:
+        """Go on with the areas that the views have at another threshold."""
+        self._threshold_px = threshold_px
+        before = self._coverages
+        self._coverages = tuple(Coverage(self._candidates.grid) for _ in HEADINGS)
+        for old, new, errors in zip(before, self._coverages, self._errors, strict=True):
+            new.add(old.viewpoints, np.concatenate(errors) <= threshold_px)
+
+    def _cover(self) -> None:
+        """Render what the strategies ask for, to the coverage asked for or the budget's end."""
         waiting = [self._start(heading) for heading in HEADINGS]
         while any(waiting):
             asked = [(heading, one) for heading in HEADINGS for one in waiting[heading]]
-            errors = self._batch([one[1] for _, one in asked], [heading for heading, _ in asked])
+            headings = [heading for heading, _ in asked]
+            wanted = self._affordable([one[1] for _, one in asked], headings)
+            errors = self._batch(wanted, headings)
+            if self._left() == 0:
+                return
             waiting = [[] for _ in HEADINGS]
             for (heading, (requests, _)), answer in zip(asked, errors, strict=True):
                 if self._coverages[heading].fraction() >= self._config.coverage:
@@ -240,6 +168,28 @@ class _Loop:
                 except StopIteration:
                     continue
 
+    def _left(self) -> int | None:
+        """Return how many more renderings there may be; None for any number."""
+        made = sum(len(one.viewpoints) for one in self._coverages)
+        return None if self._config.budget is None else self._config.budget - made
+
+    def _affordable(self, asked: list[IntArray], headings: list[int]) -> list[IntArray]:
+        """Return requests, of too many those that are predicted to cover most."""
+        left = self._left()
+        if left is None or sum(map(len, asked)) <= left:
+            return asked
+        gains = [
+            self._coverages[heading].gains(
+                one, self._models[heading].predict_errors(one) <= self._threshold_px
+            )
+            for one, heading in zip(asked, headings, strict=True)
+        ]
+        order = np.argsort(-np.concatenate(gains), kind="stable")
+        kept = np.zeros(len(order), dtype=bool)
+        kept[order[:left]] = True
+        parts = np.split(kept, np.cumsum([len(one) for one in asked])[:-1])
+        return [one[part] for one, part in zip(asked, parts, strict=True)]
+
     def result(self) -> Plan:
         """Return the plan as it stands."""
         (render_s, render_cpu_s), whole_s = self._render_s.tolist(), _clocks() - self._started
@@ -247,6 +197,7 @@ class _Loop:
         return Plan(
             self._candidates,
             self._coverages,
+            self._threshold_px,
             self._now(),
             render_s,
             plan_s,
@@ -269,7 +220,7 @@ class _Loop:
             problem = Problem(
                 self._coverages[heading],
                 self._models[heading],
-                config.threshold_px,
+                self._threshold_px,
                 config.coverage,
                 region,
             )
@@ -305,8 +256,8 @@ class _Loop:
         for one in HEADINGS:
             rows = np.flatnonzero(heading == one)
             if rows.size:
-                areas = errors[rows] <= self._config.threshold_px
-                self._coverages[one].add(candidates[rows], areas)
+                self._errors[one].append(errors[rows])
+                self._coverages[one].add(candidates[rows], errors[rows] <= self._threshold_px)
                 self._models[one].learn(candidates[rows], views[rows], errors[rows])
         self._report()
         return np.split(errors, np.cumsum([len(one) for one in asked])[:-1])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError
 from skyline.planning.coverage import Coverage, IntArray
-from skyline.planning.loop import Plan
+from skyline.planning.plan import Plan
 from skyline.planning.requests import Headings, Render, in_order, places
 from skyline.views import Views
 

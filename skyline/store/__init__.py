@@ -20,7 +20,7 @@ from skyline.store.header import SCHEMA, SCHEMA_VERSION, KeypointColumns, StoreH
 from skyline.store.integrity import Damage, StoreReport, check_store
 from skyline.store.reader import Locations, RowIndex, Store, is_store, open_store
 from skyline.store.rows import as_stored
-from skyline.store.writer import StoreWriter, create_store, open_for_append
+from skyline.store.writer import StoreWriter, amend_config, create_store, open_for_append
 
 __all__ = [
     "SCHEMA",
@@ -35,6 +35,7 @@ __all__ = [
     "StoreHeader",
     "StoreReport",
     "StoreWriter",
+    "amend_config",
     "as_stored",
     "check_store",
     "compact_store",

@@ -3,7 +3,7 @@
 import logging
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -265,11 +265,30 @@ def _refuse_mismatch(path: Path, stored: StoreHeader, wanted: StoreHeader) -> No
         )
 
 
-def _rewrite(path: Path, store: Store) -> None:
+def amend_config(path: str | os.PathLike[str], settings: Mapping[str, object]) -> None:
+    """Add settings that were known only when a store was complete, or replace them.
+
+    The file is written anew and takes the old one's place whole; rows are kept to the bit.
+
+    Raises
+    ------
+    InputError
+        Settings that JSON cannot hold.
+    StoreError
+        Not a store, damaged, not writable, or being written by another process.
+    """
+    path = Path(path).resolve()
+    with writer_lock(path), open_store(path) as store:
+        config = {**store.header.config, **settings}
+        if config != store.header.config:
+            _rewrite(path, store, replace(store.header, config=config))
+
+
+def _rewrite(path: Path, store: Store, header: StoreHeader | None = None) -> None:
     """Replace the file by one that holds the committed rows of ``store`` alone."""
     blocks = (store.stored(slice(start, start + 1024)) for start in range(0, len(store), 1024))
     with complete_or_absent(path) as partial:
-        write_rows(partial, store.header, blocks)
+        write_rows(partial, header or store.header, blocks)
         shutil.copymode(path, partial)
 
 

@@ -7,7 +7,8 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline.planning.candidates import Spacing, lay_out
 from skyline.planning.coverage import CandidateGrid, Coverage, Problem
-from skyline.planning.loop import Oracles, PlanConfig, plan
+from skyline.planning.loop import plan
+from skyline.planning.plan import Oracles, PlanConfig
 from skyline.planning.simulation import TABLE_1, Simulation, simulate
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.verify import Checks, verify_coverage, wilson_interval
