@@ -84,6 +84,9 @@ class RefineConfig:
         Finalists are at least this far apart.
     elsewhere_m : float
         A pose farther off than this is a different answer.
+    rivals : int
+        The best of those are kept to the end beside the best: what an answer is worth shows in
+        how much worse they fit.
     temperature : float
         What differences of scores are divided by to be log odds: neighbouring columns share
         errors that no model here knows of.
@@ -112,6 +115,7 @@ class RefineConfig:
     final_rounds: int = 5
     separation_m: float = 12.0
     elsewhere_m: float = 200.0
+    rivals: int = 3
     temperature: float = 8.0
     first_step_m: float = 40.0
     longest_step_m: float = 120.0
@@ -126,7 +130,7 @@ class RefineConfig:
         for name in ("shortlist", "walkers", "rounds", "keep_least", "finalists"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}; expected at least 1")
-        for name in ("restarts", "restart_rounds", "final_rounds", "eye_height_m"):
+        for name in ("restarts", "restart_rounds", "final_rounds", "rivals", "eye_height_m"):
             if getattr(self, name) < 0:
                 raise InputError(f"{name} is {getattr(self, name)}; expected at least 0")
         if not 0.0 < self.keep_share <= 1.0:
@@ -244,15 +248,15 @@ class _Refinement:
         walkers = self._set_out(self._rough, taken)
         for _ in range(config.rounds - 1):
             kept = max(config.keep_least, int(np.ceil(config.keep_share * len(walkers))))
-            walkers = self._walked(self._rough, walkers.best(kept))
+            walkers = self._walked(self._rough, self._kept(walkers, kept))
         if config.restarts and config.restart_rounds:
             walkers = _joined(walkers, self._restarted(self._apart(walkers, config.restarts)))
-        walkers = self._apart(walkers, config.finalists)
+        walkers = self._finalists(walkers)
         if config.final_rounds:
             walkers = self._weighed_anew(walkers)
         for _ in range(config.final_rounds):
             walkers = self._walked(self._fine, walkers)
-        return self._poses(self._apart(walkers, config.finalists))
+        return self._poses(self._finalists(walkers))
 
     def _scouted(self, hypotheses: Hypotheses) -> Hypotheses:
         """Return the hypotheses that one rendering each, coarsely compared, speaks for."""
@@ -354,6 +358,29 @@ class _Refinement:
         """Return the best that stand apart or look elsewhere, best first."""
         standing = self._hypotheses(walkers, self._rough)
         return walkers[standing.spread(count, self._config.separation_m, _SAME_VIEW_DEG)]
+
+    def _kept(self, walkers: _Walkers, count: int) -> _Walkers:
+        """Return the best, and the rivals of the very best where they are not among them."""
+        ordered = walkers.best(len(walkers))
+        rivals = self._elsewhere(ordered)[: self._config.rivals]
+        return ordered[np.union1d(np.arange(min(count, len(ordered))), rivals)]
+
+    def _finalists(self, walkers: _Walkers) -> _Walkers:
+        """Return the best that stand apart, and rivals that do, best first."""
+        ordered = walkers.best(len(walkers))
+        standing = self._hypotheses(ordered, self._rough)
+        apart = self._config.separation_m, _SAME_VIEW_DEG
+        chosen = standing.spread(self._config.finalists, *apart)
+        elsewhere = self._elsewhere(ordered)
+        if self._config.rivals and len(elsewhere):
+            rivals = elsewhere[standing[elsewhere].spread(self._config.rivals, *apart)]
+            chosen = np.union1d(chosen, rivals)
+        return ordered[chosen]
+
+    def _elsewhere(self, ordered: _Walkers) -> IntArray:
+        """Return the indices of those whose answer is not the first one's."""
+        place = ordered.easting_m + 1j * ordered.northing_m
+        return np.flatnonzero(np.abs(place - place[:1]) > self._config.elsewhere_m)
 
     def _hypotheses(self, walkers: _Walkers, solver: Solver) -> Hypotheses:
         easting_m, northing_m = walkers.easting_m, walkers.northing_m
