@@ -30,11 +30,12 @@ BoundsDeg = tuple[float, float, float, float]
 _DEFAULT_AREA_M = (5_000.0, 10_000.0)
 """East by north, in the DEM's middle."""
 
-PLAIN, OTHER_DEM, OCCLUDED = "plain", "other-dem", "occluded"
+PLAIN, WHITE, OTHER_DEM, OCCLUDED = "plain", "white", "other-dem", "occluded"
 KINDS: Mapping[str, str] = MappingProxyType(
     {
-        PLAIN: "a tenth of the columns masked, 0.1 degrees of noise",
-        OTHER_DEM: "the same from a DEM of another spacing and phase, 10 m rms off",
+        PLAIN: "a tenth of the columns masked, 0.1 degrees of noise, half of it smooth",
+        WHITE: "the same with noise drawn anew in each column",
+        OTHER_DEM: "plain from a DEM of another spacing and phase, 10 m rms off",
         OCCLUDED: "plain with 30 % of the columns hidden, half of it unnoticed",
     }
 )
@@ -220,6 +221,8 @@ def _queries(
     if kind == OTHER_DEM:
         other = resampled(terrain, _OTHER_SPACING * terrain.spacing_m, _OTHER_PHASE)
         seen = perturbed(other, seed=config.seed)
+    elif kind == WHITE:
+        query = replace(query, smooth_share=0.0)
     elif kind == OCCLUDED:
         query = replace(query, occluded_share=(_HIDDEN_SHARE, _HIDDEN_SHARE))
     return make_queries(seen, map_bounds(terrain, bounds_deg), config.queries, config.seed, query)

@@ -43,7 +43,7 @@ def test_stores_matchers_and_queries_are_compared(measure, tmp_path):
     assert [(row["store"], row["queries"]) for row in rows] == [
         (store, kind)
         for store in ("uniform-600", "uniform-300")
-        for kind in ("plain", "other-dem", "occluded")
+        for kind in ("plain", "white", "other-dem", "occluded")
     ]
     for row in rows:
         assert row.keys() >= KEYS
@@ -59,7 +59,7 @@ def test_stores_matchers_and_queries_are_compared(measure, tmp_path):
         listed = list(csv.DictReader(file))
     best = [row for row in listed if row["rank"] in ("1", "")]
     assert len(best) == 6 * 5
-    assert {row["queries"] for row in listed} == {"plain", "other-dem", "occluded"}
+    assert {row["queries"] for row in listed} == {"plain", "white", "other-dem", "occluded"}
 
 
 def test_the_same_seed_gives_the_same_table(measure):
