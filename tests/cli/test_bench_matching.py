@@ -58,7 +58,7 @@ def test_stores_matchers_and_queries_are_compared(measure, tmp_path):
     with candidates.open() as file:
         listed = list(csv.DictReader(file))
     best = [row for row in listed if row["rank"] in ("1", "")]
-    assert len(best) == 6 * 5
+    assert len(best) == 8 * 5
     assert {row["queries"] for row in listed} == {"plain", "white", "other-dem", "occluded"}
 
 
