@@ -5,7 +5,7 @@ import json
 import cv2
 import pytest
 
-from skyline import bench
+from skyline.bench import rendering
 from skyline.experiments import speed_error, stability
 from skyline.experiments.embree import is_installed
 
@@ -141,7 +141,7 @@ def test_ctrl_c_ends_in_one_line(run_bench, dem, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(bench, "measure", interrupted)
+    monkeypatch.setattr(rendering, "measure", interrupted)
     done = run_bench("speed-error", dem, "--quick")
     assert done.code == 130
     assert done.err == "error: stopped; nothing was written\n"
