@@ -183,7 +183,7 @@ def measure(
     StoreMismatchError
         The folder has a store of another DEM, area or configuration.
     """
-    bounds_deg = config.bounds_deg or _middle(terrain)
+    bounds_deg = config.bounds_deg or middle_deg(terrain)
     for spacing_m in config.spacings_m:
         check_spacing(terrain, spacing_m, bounds_deg)
     stores = list(_stores(terrain, config, bounds_deg, folder))
@@ -228,7 +228,7 @@ def _queries(
     return make_queries(seen, map_bounds(terrain, bounds_deg), config.queries, config.seed, query)
 
 
-def _middle(terrain: HeightField) -> BoundsDeg:
+def middle_deg(terrain: HeightField) -> BoundsDeg:
     """Return the default area, or as much of it as the DEM has."""
     west, south, east, north = terrain.bounds_m
     half_east = min(_DEFAULT_AREA_M[0], east - west) / 2.0

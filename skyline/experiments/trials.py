@@ -81,21 +81,27 @@ def run_trials(
         except InputError:
             # Too little of the skyline is in the image: a refusal, and no answer.
             result = None
-        seconds = time.perf_counter() - started
-        candidates = result.candidates if result else ()
-        error_m, turn_deg = miss_m, np.nan
-        if candidates:
-            error_m, turn_deg = errors(candidates[0], query.truth)
-        yield Trial(
-            index,
-            query.truth,
-            query.distance_m,
-            candidates,
-            result is not None and result.answer is not None,
-            error_m,
-            turn_deg,
-            seconds,
-        )
+        yield trial_of(index, query, result, time.perf_counter() - started, miss_m)
+
+
+def trial_of(
+    index: int, query: MadeQuery, result: MatchResult | None, seconds: float, miss_m: float
+) -> Trial:
+    """Return what a result, None for a refusal, makes of the query of that number."""
+    candidates = result.candidates if result else ()
+    error_m, turn_deg = miss_m, np.nan
+    if candidates:
+        error_m, turn_deg = errors(candidates[0], query.truth)
+    return Trial(
+        index,
+        query.truth,
+        query.distance_m,
+        candidates,
+        result is not None and result.answer is not None,
+        error_m,
+        turn_deg,
+        seconds,
+    )
 
 
 def errors(candidate: Candidate, truth: Truth) -> tuple[float, float]:
@@ -120,6 +126,7 @@ def summarize(trials: Sequence[Trial], seed: int) -> dict[str, object]:
     turn_deg = np.array([trial.heading_error_deg for trial in trials])[right]
     draws = np.random.default_rng(seed).integers(0, len(trials), (_RESAMPLES, len(trials)))
     within = np.percentile(right[draws].mean(axis=1), _INTERVAL)
+    mean = np.percentile(error_m[draws].mean(axis=1), _INTERVAL)
     median = np.percentile(np.median(error_m[draws], axis=1), _INTERVAL)
     return {
         "n": len(trials),
@@ -127,6 +134,8 @@ def summarize(trials: Sequence[Trial], seed: int) -> dict[str, object]:
         "within_200m_low": float(within[0]),
         "within_200m_high": float(within[1]),
         "mean_m": float(error_m.mean()),
+        "mean_m_low": float(mean[0]),
+        "mean_m_high": float(mean[1]),
         "median_m": float(np.median(error_m)),
         "median_m_low": float(median[0]),
         "median_m_high": float(median[1]),

@@ -1,0 +1,93 @@
+"""Trials kept in a folder, so that a measurement that was stopped goes on where it was."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import skyline
+from skyline.experiments.queries import MadeQuery
+from skyline.experiments.trials import Trial
+from skyline.matching import Candidate
+
+Key = Mapping[str, object]
+"""What a result depends on, as JSON holds it."""
+
+_MEASURED = (
+    "camera.py", "geodesy.py", "views.py", "features", "matching", "pipeline", "prediction",
+    "render", "store", "terrain", "experiments/queries.py", "experiments/stages.py",
+)  # fmt: skip
+"""Code that an answer depends on."""
+
+
+def save_trials(path: Path, key: Key, trials: Sequence[Trial]) -> None:
+    """Write trials, whole or not at all; of the candidates the best is kept."""
+    kept = [
+        {
+            "best": asdict(trial.candidates[0]) if trial.candidates else None,
+            "answered": trial.answered,
+            "error_m": trial.error_m,
+            "heading_error_deg": trial.heading_error_deg,
+            "seconds": trial.seconds,
+        }
+        for trial in trials
+    ]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(json.dumps({"key": key, "trials": kept}) + "\n", encoding="utf-8")
+    partial.replace(path)
+
+
+def kept_trials(path: Path, key: Key, queries: Sequence[MadeQuery]) -> list[Trial] | None:
+    """Return the trials of these queries that were kept under a key; None where there are none.
+
+    A file that holds others, or cannot be read, counts as none: it will be written again.
+    """
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+        if held["key"] != json.loads(json.dumps(key)):
+            return None
+        return [
+            Trial(
+                index,
+                query.truth,
+                query.distance_m,
+                () if kept["best"] is None else (_candidate(kept["best"]),),
+                kept["answered"],
+                kept["error_m"],
+                kept["heading_error_deg"],
+                kept["seconds"],
+            )
+            for index, (query, kept) in enumerate(zip(queries, held["trials"], strict=True))
+        ]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _candidate(kept: dict[str, Any]) -> Candidate:
+    covariance = kept.pop("covariance_m2")
+    return Candidate(**kept, covariance_m2=covariance and tuple(map(tuple, covariance)))
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@cache
+def code_digest() -> str:
+    """Return a SHA-256 of the code that an answer depends on."""
+    root = Path(skyline.__file__).parent
+    files = [file for name in _MEASURED for file in _sources(root / name)]
+    told = hashlib.sha256()
+    for file in files:
+        told.update(f"{file.relative_to(root)}\0".encode() + file.read_bytes())
+    return told.hexdigest()
+
+
+def _sources(path: Path) -> list[Path]:
+    return [path] if path.is_file() else sorted(path.rglob("*.py"))
