@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from skyline import __version__
+from skyline.bench.adaptive import uniform_adaptive
 from skyline.bench.matching import matching
 from skyline.bench.rendering import speed_error, stability
 from skyline.bench.simulation import table1
@@ -20,6 +21,7 @@ app.command("speed-error")(speed_error)
 app.command()(stability)
 app.command()(table1)
 app.command()(matching)
+app.command("uniform-adaptive")(uniform_adaptive)
 
 
 @app.callback(invoke_without_command=True)

@@ -38,17 +38,25 @@ def machine() -> dict[str, object]:
     }
 
 
-def write_record(path: Path, bench: str, rows: Sequence[Row]) -> None:
+def write_record(
+    path: Path, bench: str, rows: Sequence[Row], summary: Mapping[str, Sequence[Row]] | None = None
+) -> None:
     """Write rows and the machine they come from as JSON, whole or not at all.
 
-    Numbers that are not finite, for which JSON has no word, are written as null.
+    Numbers that are not finite, for which JSON has no word, are written as null. A summary, which
+    follows from the rows, is tables by name.
     """
-    finite = [{key: _finite(value) for key, value in row.items()} for row in rows]
-    record = {"bench": bench, "machine": machine(), "rows": finite}
+    record: dict[str, object] = {"bench": bench, "machine": machine(), "rows": _plain(rows)}
+    if summary:
+        record["summary"] = {name: _plain(table) for name, table in summary.items()}
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
     partial = path.with_name(path.name + ".partial")
     partial.write_text(text, encoding="utf-8")
     partial.replace(path)
+
+
+def _plain(rows: Sequence[Row]) -> list[Row]:
+    return [{key: _finite(value) for key, value in row.items()} for row in rows]
 
 
 def _finite(value: object) -> object:

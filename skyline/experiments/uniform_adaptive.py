@@ -1,0 +1,373 @@
+"""Uniform against adaptive stores: which accuracy renderings, bytes and time buy (paper 5.2)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from skyline import __version__
+from skyline.errors import InputError
+from skyline.experiments.cost_summary import UNIFORM
+from skyline.experiments.crew import Crew, crew
+from skyline.experiments.distance_groups import DistanceGroup, distance_groups
+from skyline.experiments.kept_trials import (
+    Key,
+    code_digest,
+    file_digest,
+    kept_trials,
+    save_trials,
+)
+from skyline.experiments.matching import BoundsDeg, middle_deg
+from skyline.experiments.queries import MadeQuery, QueryConfig, make_queries
+from skyline.experiments.reference_stores import (
+    ReferenceStore,
+    check_spacing,
+    planned_store,
+    uniform_store,
+)
+from skyline.experiments.stages import GROUPS, PAPER, READS_SHELLS, STAGES, open_stages
+from skyline.experiments.timing import core_count
+from skyline.experiments.trials import Trial, summarize, trial_of
+from skyline.pipeline import Progress, RenderConfig
+from skyline.planning.budget import check_coarse, spaced_for
+from skyline.planning.candidates import Spacing, lay_out
+from skyline.planning.plan import PlanConfig
+from skyline.planning.uniform import MapBounds, map_bounds
+from skyline.prediction import shell_edges_m
+from skyline.terrain.heightfield import HeightField
+
+_QUICK_QUERIES = 30
+
+
+@dataclass(frozen=True, slots=True)
+class AdaptiveConfig:
+    """What is compared.
+
+    Attributes
+    ----------
+    bounds_deg : (float, float, float, float), optional
+        West, south, east, north of the area; by default 5 x 10 km in the DEM's middle.
+    spacings_m : tuple of float
+        Of the uniform stores.
+    strategies : tuple of str
+        Planners of the adaptive stores.
+    budgets : tuple of int
+        Renderings each of them may make: a store for each.
+    spacing : Spacing
+        Of the viewpoints that a planner chooses from.
+    shells : int
+        Distance shells that every store keeps.
+    matchers : tuple of str
+        Names of `skyline.experiments.stages.STAGES`.
+    queries : int
+        At least 3: one a group.
+    seed : int
+        Of the queries, the plans and the intervals.
+    workers : int
+        Processes at work; makes no difference but to the time.
+    query : QueryConfig
+    """
+
+    bounds_deg: BoundsDeg | None = None
+    spacings_m: tuple[float, ...] = (1024.0, 512.0, 256.0, 128.0)
+    strategies: tuple[str, ...] = ("lpov", "cover")
+    budgets: tuple[int, ...] = (800, 1600, 2800)
+    spacing: Spacing = field(default_factory=Spacing)
+    shells: int = 12
+    matchers: tuple[str, ...] = tuple(STAGES)
+    queries: int = 300
+    seed: int = 0
+    workers: int = field(default_factory=core_count)
+    query: QueryConfig = field(default_factory=QueryConfig)
+
+    def __post_init__(self) -> None:
+        if self.queries < 3:
+            raise InputError(
+                f"the number of queries is {self.queries}; expected at least 3, one for each "
+                "group of distances"
+            )
+        if self.seed < 0:
+            raise InputError(f"seed is {self.seed}; expected 0 or more")
+        if not self.spacings_m or not self.matchers:
+            raise InputError("nothing to compare with; give a spacing and a matcher")
+        unknown = [name for name in self.matchers if name not in STAGES]
+        if unknown:
+            raise InputError(f"matcher is {unknown[0]!r}; expected one of {', '.join(STAGES)}")
+        if self.workers < 1:
+            raise InputError(f"workers is {self.workers}; expected 1 or more")
+
+    def quick(self) -> "AdaptiveConfig":
+        """Return a version that takes a minute or two: few queries, few renderings."""
+        coarse = tuple(spacing for spacing in self.spacings_m if spacing >= 512.0)
+        return replace(
+            self,
+            queries=min(self.queries, _QUICK_QUERIES),
+            spacings_m=coarse or self.spacings_m[:1],
+            budgets=self.budgets[:1],
+        )
+
+    def plans(self) -> list[PlanConfig]:
+        """Return what the planners are asked for, by strategy, then budget."""
+        return [
+            PlanConfig(strategy, self.spacing, seed=self.seed, budget=budget)
+            for strategy in self.strategies
+            for budget in sorted(self.budgets)
+        ]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """One matcher's trials on one store.
+
+    Attributes
+    ----------
+    planner : str
+        What chose the store's viewpoints.
+    store : ReferenceStore
+    matcher : str
+    trials : tuple of Trial
+        In the order of the queries.
+    """
+
+    planner: str
+    store: ReferenceStore
+    matcher: str
+    trials: tuple[Trial, ...]
+
+    def row(self, group: DistanceGroup, seed: int) -> dict[str, object]:
+        """Return the table's row of a group; ``bytes_used`` leaves out what is never read."""
+        store = self.store
+        spared = 0 if self.matcher in READS_SHELLS else store.shell_bytes
+        return {
+            "store": store.name,
+            "planner": self.planner,
+            "matcher": self.matcher,
+            "group": group.name,
+            "group_from_m": group.from_m,
+            "group_to_m": group.to_m,
+            **summarize([self.trials[index] for index in group.queries], seed),
+            "renderings": store.renderings,
+            "bytes": store.size_bytes,
+            "bytes_used": store.size_bytes - spared,
+            "build_s": store.build_s,
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UniformAdaptive:
+    """The whole comparison.
+
+    Attributes
+    ----------
+    terrain : HeightField
+    bounds_deg : tuple
+        Of the area.
+    queries : tuple of MadeQuery
+    groups : tuple of DistanceGroup
+        Close, medium, far and all.
+    measured : tuple of Measured
+        By store, then matcher.
+    seed : int
+    """
+
+    terrain: HeightField
+    bounds_deg: BoundsDeg
+    queries: tuple[MadeQuery, ...]
+    groups: tuple[DistanceGroup, ...]
+    measured: tuple[Measured, ...]
+    seed: int
+
+    def rows(self) -> list[dict[str, object]]:
+        """Return the table: a row for each store, matcher and group."""
+        return [one.row(group, self.seed) for one in self.measured for group in self.groups]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bench:
+    """What every worker holds."""
+
+    terrain: HeightField
+    bounds_deg: BoundsDeg
+    queries: tuple[MadeQuery, ...]
+    miss_m: float
+    render: RenderConfig
+    folder: Path
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """Matchers of one group on one store, and where their trials are kept."""
+
+    store: ReferenceStore
+    matchers: tuple[str, ...]
+    keys: Mapping[str, Key]
+    files: Mapping[str, Path]
+
+
+def check(terrain: HeightField, config: AdaptiveConfig) -> BoundsDeg:
+    """Return the bounds of the area, if everything asked for fits into it.
+
+    Raises
+    ------
+    InputError
+        Bounds outside the DEM, an area too small for a spacing, an unknown strategy, or a budget
+        that is too small to begin with.
+    """
+    bounds_deg = config.bounds_deg or middle_deg(terrain)
+    for spacing_m in config.spacings_m:
+        check_spacing(terrain, spacing_m, bounds_deg)
+    area = map_bounds(terrain, bounds_deg)
+    for planned in config.plans():
+        spacing = _spacing(planned, area)
+        check_coarse(lay_out(terrain, spacing, area, planned.eye_height_m), planned.budget)
+    return bounds_deg
+
+
+def _spacing(planned: PlanConfig, area: MapBounds) -> Spacing:
+    """Return the distances that a plan's budget makes of those asked for."""
+    return (
+        planned.spacing
+        if planned.budget is None
+        else spaced_for(planned.spacing, planned.budget, area)
+    )
+
+
+def measure(
+    terrain: HeightField,
+    config: AdaptiveConfig,
+    folder: Path,
+    progress: Progress | None = None,
+) -> UniformAdaptive:
+    """Match the same queries to uniform and to adaptive stores, with every matcher.
+
+    Parameters
+    ----------
+    terrain : HeightField
+        What the stores are rendered from, and the queries.
+    config : AdaptiveConfig
+    folder : Path
+        Where stores and trials are kept: what is there already is not done again.
+    progress : callable, optional
+        Called with stores and matchers done and to do.
+
+    Returns
+    -------
+    UniformAdaptive
+        Position errors are those of the best candidate, whether or not the matcher stands by it;
+        a query without any counts as wrong by half of the area's diagonal.
+
+    Raises
+    ------
+    InputError
+        As `check`.
+    StoreMismatchError
+        The folder has a store of another DEM, area or configuration.
+    BuildError
+        A worker died.
+    """
+    bounds_deg = check(terrain, config)
+    west, south, east, north = area = map_bounds(terrain, bounds_deg)
+    queries = make_queries(terrain, area, config.queries, config.seed, config.query)
+    groups = distance_groups([query.distance_m for query in queries])
+    render = RenderConfig(shell_edges_m=shell_edges_m(config.shells))
+    miss_m = float(np.hypot(east - west, north - south)) / 2.0
+    bench = _Bench(terrain, bounds_deg, queries, miss_m, render, folder)
+    asked: list[float | PlanConfig] = [*config.spacings_m, *config.plans()]
+    families = [tuple(n for n in names if n in config.matchers) for names in GROUPS]
+    families = [names for names in families if names]
+    count = _Counter(progress, len(asked) * (1 + len(families)))
+    with crew(bench, config.workers) as run:
+        stores = _stores(run, asked, count)
+        jobs = [
+            _job(bench, config, stores[index], names)
+            for names in sorted(families, key=lambda names: PAPER not in names)
+            for index in sorted(range(len(asked)), key=lambda i: -stores[i].renderings)
+        ]
+        found: dict[tuple[str, str], tuple[Trial, ...]] = {}
+        for job, trials in run(_match, jobs):
+            count()
+            found |= {(job.store.name, name): made for name, made in trials.items()}
+    measured = tuple(
+        Measured(_planner(one), store, name, found[store.name, name])
+        for one, store in zip(asked, stores, strict=True)
+        for name in config.matchers
+    )
+    return UniformAdaptive(terrain, bounds_deg, queries, groups, measured, config.seed)
+
+
+class _Counter:
+    """Tells a progress how many parts are done."""
+
+    def __init__(self, progress: Progress | None, total: int) -> None:
+        self._progress, self._done, self._total = progress, -1, total
+        self()
+
+    def __call__(self) -> None:
+        self._done += 1
+        if self._progress:
+            self._progress(self._done, self._total)
+
+
+def _planner(asked: float | PlanConfig) -> str:
+    return asked.strategy if isinstance(asked, PlanConfig) else UNIFORM
+
+
+def _stores(
+    run: Crew, asked: Sequence[float | PlanConfig], count: _Counter
+) -> list[ReferenceStore]:
+    """Build the stores, the planned ones first, since they take longest; return them in order."""
+    built = {}
+    for one, store in run(_build, sorted(asked, key=lambda one: not isinstance(one, PlanConfig))):
+        count()
+        built[one] = store
+    return [built[one] for one in asked]
+
+
+def _build(bench: _Bench, asked: float | PlanConfig) -> ReferenceStore:
+    where = bench.terrain, bench.folder
+    if isinstance(asked, PlanConfig):
+        # Shells tell of all places that a tolerance area may hold.
+        reach_m = _spacing(asked, map_bounds(bench.terrain, bench.bounds_deg)).reach_m
+        render = replace(bench.render, reach_m=reach_m)
+        return planned_store(*where, asked, bench.bounds_deg, render)
+    store = uniform_store(*where, asked, bench.bounds_deg, bench.render)
+    return replace(store, name=f"{UNIFORM}-{asked:g}")
+
+
+def _job(
+    bench: _Bench, config: AdaptiveConfig, store: ReferenceStore, matchers: tuple[str, ...]
+) -> _Job:
+    depends: Key = {
+        "package_version": __version__,
+        "code": code_digest(),
+        "dem": bench.terrain.digest,
+        "store": file_digest(store.path),
+        "bounds_deg": bench.bounds_deg,
+        "queries": config.queries,
+        "seed": config.seed,
+        "query": asdict(config.query),
+    }
+    return _Job(
+        store,
+        matchers,
+        {name: {**depends, "matcher": name} for name in matchers},
+        {name: bench.folder / "trials" / f"{store.name}.{name}.json" for name in matchers},
+    )
+
+
+def _match(bench: _Bench, job: _Job) -> dict[str, tuple[Trial, ...]]:
+    """Return the trials of a job's matchers: those kept, or new ones, which are kept then."""
+    kept = {
+        name: kept_trials(job.files[name], job.keys[name], bench.queries) for name in job.matchers
+    }
+    if not any(trials is None for trials in kept.values()):
+        return {name: tuple(trials) for name, trials in kept.items() if trials is not None}
+    made: dict[str, list[Trial]] = {name: [] for name in job.matchers}
+    with open_stages(job.matchers, job.store.path, bench.terrain) as stages:
+        for index, query in enumerate(bench.queries):
+            for name, result in stages.match(query).items():
+                made[name].append(trial_of(index, query, result, result.seconds, bench.miss_m))
+    for name, trials in made.items():
+        save_trials(job.files[name], job.keys[name], trials)
+    return {name: tuple(trials) for name, trials in made.items()}

@@ -1,0 +1,193 @@
+"""``skyline-bench uniform-adaptive`` as a user meets it."""
+
+import json
+import shutil
+import subprocess
+
+import cv2
+import numpy as np
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+
+KEYS = {
+    "store", "matcher", "group", "renderings", "mean_m", "median_m", "p90_m", "within_200m",
+    "build_s", "bytes", "query_ms", "mean_m_low", "mean_m_high", "within_200m_low",
+    "within_200m_high", "median_m_low", "median_m_high", "group_from_m", "group_to_m", "n",
+}  # fmt: skip
+TIMES = ("query_ms", "build_s")
+PICTURES = (
+    "fig1-30-m-apart.png", "fig2-depth.png", "fig4-affine.png", "fig6-query.png",
+    "fig6-viewpoints-cover.png", "fig7-costs.png",
+)  # fmt: skip
+COARSE = (
+    "--spacing", 600, "--strategy", "cover", "--budget", 60, "--pitch", 250, "--queries", 3,
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A folder in which stores and trials are kept."""
+    return tmp_path_factory.mktemp("kept")
+
+
+@pytest.fixture
+def compare(run_bench, dem, tmp_path):
+    """Return a function that runs the command and gives its record and what it printed."""
+
+    def run(*arguments):
+        record = tmp_path / "record.json"
+        done = run_bench("uniform-adaptive", dem, *COARSE, "--json", record, *arguments)
+        assert done.code == 0, done.err
+        return json.loads(record.read_text()), done.out
+
+    return run
+
+
+def without_times(record):
+    return [
+        {key: value for key, value in row.items() if key not in TIMES} for row in record["rows"]
+    ]
+
+
+def pixels(data):
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).astype(int)
+
+
+@pytest.fixture(scope="module")
+def made(kept):
+    """What the first run made, for the tests after it."""
+    return {}
+
+
+def test_stores_matchers_and_groups_are_compared(compare, kept, made, tmp_path):
+    plot, report = tmp_path / "plot.png", kept / "report"
+    matchers = ("paper", "full", "full+refine")
+    record, printed = compare(
+        "--folder", kept, "--plot", plot, "--report", report,
+        *(word for name in matchers for word in ("--matcher", name)),
+    )  # fmt: skip
+    made["rows"] = without_times(record)
+    assert record["bench"] == "uniform-adaptive"
+    rows = record["rows"]
+    assert [(row["store"], row["matcher"], row["group"]) for row in rows] == [
+        (store, matcher, group)
+        for store in ("uniform-600", "cover-60")
+        for matcher in matchers
+        for group in ("close", "medium", "far", "all")
+    ]
+    for row in rows:
+        assert row.keys() >= KEYS
+        assert row["mean_m_low"] <= row["mean_m"] <= row["mean_m_high"] < 5000.0
+        assert row["group_from_m"] <= row["group_to_m"]
+        assert row["build_s"] > 0.0
+        assert (row["bytes_used"] == row["bytes"]) == row["matcher"].startswith("full")
+        assert row["store"] in printed
+        assert row["renderings"] <= 60 or row["store"] == "uniform-600"
+    # No query is dropped, and the groups make up the whole.
+    for begin in range(0, len(rows), 4):
+        *parts, every = rows[begin : begin + 4]
+        assert every["n"] == sum(row["n"] for row in parts) == 3
+        mean_m = sum(row["n"] * row["mean_m"] for row in parts) / 3.0
+        assert every["mean_m"] == pytest.approx(mean_m)
+    assert {one["planner"] for one in record["summary"]["as_accurate"]} == {"cover"}
+    assert len(record["summary"]["as_many_renderings"]) == len(matchers)
+    assert "median over its columns" in printed
+    assert pixels(plot.read_bytes()).std() > 20.0
+
+
+def test_the_report_is_one_page_and_small_pictures(kept, made):
+    assert made
+    report = kept / "report"
+    assert sorted(path.name for path in report.iterdir()) == sorted([*PICTURES, "index.html"])
+    for name in PICTURES:
+        data = (report / name).read_bytes()
+        assert len(data) < 150_000
+        picture = pixels(data)
+        assert picture.std() > 15.0
+        assert picture.shape[1] > 600
+    html = (report / "index.html").read_text()
+    assert "<script" not in html
+    assert "http" not in html.split("<body>")[1]
+    assert html.count("data:image/png") == len(PICTURES)
+    for said in ("uniform-600", "full+refine", "close (", "30 m apart", "Table 2 of the paper"):
+        assert said in html
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium to look at the page with")
+def test_a_browser_shows_the_report(kept, made, tmp_path):
+    assert made
+    shot = tmp_path / "shot.png"
+    subprocess.run(
+        [
+            CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars",
+            f"--user-data-dir={tmp_path / 'profile'}", "--window-size=1200,5000",
+            f"--screenshot={shot}", (kept / "report" / "index.html").as_uri(),
+        ],
+        check=True, capture_output=True, timeout=120,
+    )  # fmt: skip
+    seen = pixels(shot.read_bytes())
+    assert seen.shape == (5000, 1200, 3)
+    # The plot with its two colours of stores, then tables, then maps.
+    orange = np.abs(seen[..., ::-1] - np.array((213, 94, 0))).sum(axis=-1) < 90
+    assert orange[100:800].sum() > 100
+    for begin in range(0, 4000, 800):
+        assert seen[begin : begin + 800].std() > 10.0
+
+
+def test_what_is_there_is_not_done_again(compare, kept, made):
+    assert made
+    trials = sorted((kept / "trials").iterdir())
+    before = {path: path.stat().st_mtime_ns for path in trials}
+    stores = {path: path.read_bytes() for path in kept.glob("*.h5")}
+    matchers = ("--matcher", "paper", "--matcher", "full+refine")
+    record, _ = compare("--folder", kept, *matchers)
+    asked = [row for row in made["rows"] if row["matcher"] in ("paper", "full+refine")]
+    assert without_times(record) == asked
+    assert {path: path.stat().st_mtime_ns for path in trials} == before
+    assert {path: path.read_bytes() for path in kept.glob("*.h5")} == stores
+    # One is stale, one is gone: both are measured again, and come out the same.
+    stale, gone = (kept / "trials" / f"{store}.paper.json" for store in ("cover-60", "uniform-600"))
+    stale.write_text(stale.read_text().replace('"seed": 0', '"seed": 1', 1))
+    gone.unlink()
+    record, _ = compare("--folder", kept, *matchers)
+    assert without_times(record) == asked
+    assert {path for path in trials if path.stat().st_mtime_ns != before[path]} == {stale, gone}
+
+
+def test_the_same_seed_gives_the_same_table(compare):
+    first, again, other = (
+        without_times(compare("--matcher", "depth", "--workers", workers, "--seed", seed)[0])
+        for workers, seed in ((2, 7), (1, 7), (2, 8))
+    )
+    assert first == again != other
+
+
+def test_bad_options_are_one_line_and_write_nothing(run_bench, dem, tmp_path):
+    record = tmp_path / "record.json"
+    (tmp_path / "file").touch()
+    for arguments, message in [
+        (["--queries", "0"], "queries is 0"),
+        (["--seed", "-1"], "seed is -1"),
+        (["--workers", "0"], "workers is 0"),
+        (["--bounds", "40,10,41,11"], "do not meet the DEM"),
+        (["--bounds", "40,10,41"], "W,S,E,N"),
+        (["--bounds", "10.32,46.75,10.325,46.755"], "too small for a grid of 1024 m"),
+        (["--strategy", "best"], "strategy is 'best'"),
+        (["--matcher", "best"], "matcher is 'best'"),
+        (["--spacing", "600", "--budget", "2"], "budget is 2"),
+        (["--spacing", "600", "--budget", "0"], "budget is 0"),
+        (["--spacing", "0"], "spacing is 0"),
+        (["--report", tmp_path / "file" / "report"], "cannot be written to"),
+        (["--json", tmp_path / "no" / "record.json"], "no folder"),
+        (["--plot", tmp_path / "plot.doc"], ".doc"),
+    ]:
+        done = run_bench(
+            "uniform-adaptive", dem, "--json", record, "--folder", tmp_path / "kept", *arguments
+        )
+        assert done.code == 2, (arguments, done)
+        assert message in done.err
+        assert done.err.startswith("error: ")
+        assert done.err.count("\n") == 1
+        assert done.out == ""
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
