@@ -7,6 +7,7 @@ processes as there are cores, so that none of them idles.
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -84,7 +85,16 @@ def _start(held: object) -> None:
     global _held  # noqa: PLW0603  (a process's own)
     # Ctrl-C goes to workers as well, which are stopped by the one process that answers it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     _held = held
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent is no more, however that ended."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _do(work: Callable[[Any, T], R], item: T) -> R:

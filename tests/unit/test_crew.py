@@ -2,6 +2,8 @@
 
 import multiprocessing
 import os
+import subprocess
+import sys
 import time
 
 import pytest
@@ -30,6 +32,31 @@ def sleep(_, item):
 def stop_after(outcomes):
     next(outcomes)
     raise KeyboardInterrupt
+
+
+LEADER = """
+import sys
+sys.path[:0] = {path}
+from test_crew import sleep
+from skyline.experiments.crew import crew
+
+if __name__ == "__main__":
+    with crew(None, 1) as run:
+        list(run(sleep, [0.0]))
+        print("at work", flush=True)
+        list(run(sleep, [600.0]))
+"""
+
+
+def test_workers_end_when_their_leader_is_killed(tmp_path):
+    script = tmp_path / "leader.py"
+    script.write_text(LEADER.format(path=[*sys.path]))
+    with subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True) as leader:
+        assert leader.stdout is not None
+        assert leader.stdout.readline() == "at work\n"
+        leader.kill()
+        # The worker holds the other end of the pipe: it is closed when the worker is gone.
+        assert leader.stdout.read() == ""
 
 
 def test_every_item_is_done_elsewhere_with_one_thread(monkeypatch):
