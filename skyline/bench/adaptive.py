@@ -143,9 +143,9 @@ def uniform_adaptive(
         seed=seed,
         workers=workers,
     )
-    config = config.quick() if quick else config
     check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
+    config = config.quick(terrain) if quick else config
     check(terrain, config)
     check_report(report)
     with store_folder(folder) as place:

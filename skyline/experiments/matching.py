@@ -27,7 +27,7 @@ from skyline.terrain.heightfield import HeightField
 
 BoundsDeg = tuple[float, float, float, float]
 
-_DEFAULT_AREA_M = (5_000.0, 10_000.0)
+DEFAULT_AREA_M = (5_000.0, 10_000.0)
 """East by north, in the DEM's middle."""
 
 PLAIN, WHITE, OTHER_DEM, OCCLUDED = "plain", "white", "other-dem", "occluded"
@@ -228,11 +228,15 @@ def _queries(
     return make_queries(seen, map_bounds(terrain, bounds_deg), config.queries, config.seed, query)
 
 
-def middle_deg(terrain: HeightField) -> BoundsDeg:
-    """Return the default area, or as much of it as the DEM has."""
-    west, south, east, north = terrain.bounds_m
-    half_east = min(_DEFAULT_AREA_M[0], east - west) / 2.0
-    half_north = min(_DEFAULT_AREA_M[1], north - south) / 2.0
+def middle_deg(
+    terrain: HeightField,
+    size_m: tuple[float, float] = DEFAULT_AREA_M,
+    bounds_deg: BoundsDeg | None = None,
+) -> BoundsDeg:
+    """Return the middle of bounds, by default of the DEM: so far east and north at most."""
+    west, south, east, north = map_bounds(terrain, bounds_deg)
+    half_east = min(size_m[0], east - west) / 2.0
+    half_north = min(size_m[1], north - south) / 2.0
     middle_east, middle_north = (west + east) / 2.0, (south + north) / 2.0
     lon, lat = terrain.frame.to_lonlat(
         [middle_east - half_east, middle_east + half_east, middle_east, middle_east],

@@ -1,5 +1,6 @@
 """Uniform against adaptive stores: which accuracy renderings, bytes and time buy (paper 5.2)."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -37,7 +38,8 @@ from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.prediction import shell_edges_m
 from skyline.terrain.heightfield import HeightField
 
-_QUICK_QUERIES = 30
+_QUICK_QUERIES = 12
+_QUICK_M = 3000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,22 +91,33 @@ class AdaptiveConfig:
             )
         if self.seed < 0:
             raise InputError(f"seed is {self.seed}; expected 0 or more")
-        if not self.spacings_m or not self.matchers:
-            raise InputError("nothing to compare with; give a spacing and a matcher")
+        if not all((self.spacings_m, self.strategies, self.budgets, self.matchers)):
+            raise InputError(
+                "nothing to compare; give a spacing, a strategy, a budget and a matcher"
+            )
         unknown = [name for name in self.matchers if name not in STAGES]
         if unknown:
             raise InputError(f"matcher is {unknown[0]!r}; expected one of {', '.join(STAGES)}")
         if self.workers < 1:
             raise InputError(f"workers is {self.workers}; expected 1 or more")
 
-    def quick(self) -> "AdaptiveConfig":
-        """Return a version that takes a minute or two: few queries, few renderings."""
+    def quick(self, terrain: HeightField) -> "AdaptiveConfig":
+        """Return a version that takes a minute or two: few queries in the area's middle.
+
+        There are no fine grids, and the least budget, by as much as the area is smaller.
+        """
+        west, south, east, north = map_bounds(terrain, self.bounds_deg or middle_deg(terrain))
+        width_m, height_m = (min(side, _QUICK_M) for side in (east - west, north - south))
+        share = width_m * height_m / ((east - west) * (north - south))
         coarse = tuple(spacing for spacing in self.spacings_m if spacing >= 512.0)
         return replace(
             self,
+            bounds_deg=middle_deg(
+                terrain, (width_m, height_m), self.bounds_deg or middle_deg(terrain)
+            ),
             queries=min(self.queries, _QUICK_QUERIES),
             spacings_m=coarse or self.spacings_m[:1],
-            budgets=self.budgets[:1],
+            budgets=(math.ceil(share * min(self.budgets)),),
         )
 
     def plans(self) -> list[PlanConfig]:
