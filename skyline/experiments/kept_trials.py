@@ -16,8 +16,8 @@ from skyline.matching import Candidate
 Key = Mapping[str, object]
 """What a result depends on, as JSON holds it."""
 
-_MEASURED = (
-    "camera.py", "geodesy.py", "views.py", "features", "matching", "pipeline", "prediction",
+MEASURED_CODE = (
+    "camera.py", "geodesy.py", "views.py", "features.py", "matching", "pipeline", "prediction",
     "render", "store", "terrain", "experiments/queries.py", "experiments/stages.py",
 )  # fmt: skip
 """Code that an answer depends on."""
@@ -82,7 +82,7 @@ def file_digest(path: Path) -> str:
 def code_digest() -> str:
     """Return a SHA-256 of the code that an answer depends on."""
     root = Path(skyline.__file__).parent
-    files = [file for name in _MEASURED for file in _sources(root / name)]
+    files = [file for name in MEASURED_CODE for file in _sources(root / name)]
     told = hashlib.sha256()
     for file in files:
         told.update(f"{file.relative_to(root)}\0".encode() + file.read_bytes())

@@ -1,11 +1,19 @@
 """Trials kept in a folder: found again where nothing they depend on has changed."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from skyline.experiments.kept_trials import code_digest, file_digest, kept_trials, save_trials
+import skyline
+from skyline.experiments.kept_trials import (
+    MEASURED_CODE,
+    code_digest,
+    file_digest,
+    kept_trials,
+    save_trials,
+)
 from skyline.experiments.queries import MadeQuery, Truth
 from skyline.experiments.trials import summarize, trial_of
 from skyline.matching import Candidate
@@ -67,6 +75,8 @@ def test_digests_tell_files_apart(tmp_path):
     a, b, c = (file_digest(tmp_path / name) for name in "abc")
     assert a == b != c
     assert len(code_digest()) == 64
+    package = Path(skyline.__file__).parent
+    assert all((package / name).exists() for name in MEASURED_CODE)
 
 
 def test_the_best_candidate_alone_is_kept(trials, tmp_path):
