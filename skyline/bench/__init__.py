@@ -8,6 +8,7 @@ from skyline import __version__
 from skyline.bench.adaptive import uniform_adaptive
 from skyline.bench.matching import matching
 from skyline.bench.rendering import speed_error, stability
+from skyline.bench.scale import scale
 from skyline.bench.simulation import table1
 from skyline.console import run_app
 
@@ -22,6 +23,7 @@ app.command()(stability)
 app.command()(table1)
 app.command()(matching)
 app.command("uniform-adaptive")(uniform_adaptive)
+app.command()(scale)
 
 
 @app.callback(invoke_without_command=True)

@@ -89,6 +89,10 @@ class ScaleConfig:
                     raise InputError(f"{what} is {value} {unit}; expected more than 0")
         if self.queries < 1:
             raise InputError(f"the number of queries is {self.queries}; expected at least 1")
+        if not self.open_limit_s >= 0.0:
+            raise InputError(
+                f"the limit of opening a store is {self.open_limit_s} s; expected 0 or more"
+            )
         if self.seed < 0:
             raise InputError(f"seed is {self.seed}; expected 0 or more")
         for shells in filter(None, self.shells):
