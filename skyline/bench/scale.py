@@ -82,6 +82,7 @@ def scale(
         "renderings": "renderings",
         "build_s": "build s",
         "ms_a_rendering": "ms each",
+        "cpu_ms_a_rendering": "cpu ms",
         "megabytes": "MB",
         "bytes_a_rendering": "bytes each",
         "places": "places",
@@ -115,11 +116,18 @@ def _say_more(row: Mapping[str, Any]) -> None:
         if row["not_matched"]:
             typer.echo(f"{of}: not matched: {row['not_matched']}")
         return
+    fitted = _cost(row["build_s"], row["build_cpu_s"], row["bytes"])
+    probed = _cost(
+        row["build_s_at_probe_rate"], row["build_cpu_s_at_probe_rate"], row["bytes_at_probe_rate"]
+    )
     typer.echo(
-        f"{of}: {row['build_s'] / 3600.0:.3g} hours and {row['bytes'] / 1e9:.3g} GB "
-        f"({row['build_s_at_probe_rate'] / 3600.0:.3g} and {row['bytes_at_probe_rate'] / 1e9:.3g} "
-        f"at the probe's rate); opening it would take {row['opening_bytes'] / 1e9:.3g} GB of "
-        "memory. Assumed:"
+        f"{of}: {fitted}; at the probe's rate {probed}; opening it would take "
+        f"{row['opening_bytes'] / 1e9:.3g} GB of memory. Assumed:"
     )
     for assumption in row["assumptions"]:
         typer.echo(f"  - {assumption}")
+
+
+def _cost(build_s: float, cpu_s: float, size: float) -> str:
+    hours, cpu_hours = build_s / 3600.0, cpu_s / 3600.0
+    return f"{hours:.3g} hours ({cpu_hours:.3g} of processor time), {size / 1e9:.3g} GB"

@@ -102,6 +102,11 @@ class BuildCost:
         return self.build_s / self.renderings
 
     @property
+    def cpu_seconds_a_rendering(self) -> float:
+        """Processor time over renderings."""
+        return self.build_cpu_s / self.renderings
+
+    @property
     def bytes_a_rendering(self) -> float:
         """Bytes over renderings."""
         return self.bytes / self.renderings
@@ -159,6 +164,7 @@ class AreaCost:
             "shells": self.area.shells,
             **asdict(self.build),
             "ms_a_rendering": 1e3 * self.build.seconds_a_rendering,
+            "cpu_ms_a_rendering": 1e3 * self.build.cpu_seconds_a_rendering,
             "bytes_a_rendering": self.build.bytes_a_rendering,
             "query_ms": None,
             "not_matched": None,

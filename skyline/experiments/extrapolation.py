@@ -57,8 +57,8 @@ def extrapolate(
     Returns
     -------
     dict
-        The keys of a measured row; beside them what `build_s` and `bytes` are at the probe's rate,
-        the memory that opening the store would take, and the `assumptions`.
+        The keys of a measured row; beside them what times and bytes are at the probe's rate, the
+        memory that opening the store would take, and the `assumptions`.
     """
     target = Area(target_km2, probe.area.spacing_m, probe.area.shells)
     viewpoints = round(target_km2 * _M2_IN_KM2 / target.spacing_m**2)
@@ -66,6 +66,7 @@ def extrapolate(
     places = predicted_places(target_km2, viewpoints)
     n = [cost.build.renderings for cost in measured]
     seconds = Line.fit(n, [cost.build.build_s for cost in measured])
+    cpu = Line.fit(n, [cost.build.build_cpu_s for cost in measured])
     size = Line.fit(n, [cost.build.bytes for cost in measured])
     matched = [cost.match for cost in measured if isinstance(cost.match, MatchCost)]
     query_ms = None
@@ -78,16 +79,19 @@ def extrapolate(
         "shells": target.shells,
         "renderings": renderings,
         "build_s": seconds.at(renderings),
+        "build_cpu_s": cpu.at(renderings),
         "build_s_at_probe_rate": renderings * probe.build.seconds_a_rendering,
+        "build_cpu_s_at_probe_rate": renderings * probe.build.cpu_seconds_a_rendering,
         "bytes": round(size.at(renderings)),
         "bytes_at_probe_rate": round(renderings * probe.build.bytes_a_rendering),
         "ms_a_rendering": 1e3 * seconds.each,
+        "cpu_ms_a_rendering": 1e3 * cpu.each,
         "bytes_a_rendering": size.each,
         "places": places,
         "query_ms": query_ms,
         "opening_bytes": opening_bytes(places, viewpoints, target.shells),
         "assumptions": [
-            _of_build(measured, seconds, size),
+            _of_build(measured, seconds, cpu, size),
             _of_spacing(measured[0].area.spacing_m, probe),
             "the terrain is like this, seen as far; one process on this machine builds it all",
             _of_query(matched),
@@ -95,13 +99,14 @@ def extrapolate(
     }
 
 
-def _of_build(measured: Sequence[AreaCost], seconds: Line, size: Line) -> str:
+def _of_build(measured: Sequence[AreaCost], seconds: Line, cpu: Line, size: Line) -> str:
     areas = ", ".join(f"{cost.area.km2:g}" for cost in measured)
     rates = [1e3 * cost.build.seconds_a_rendering for cost in measured]
     return (
-        f"a build takes {seconds.fixed:.1f} s and {1e3 * seconds.each:.3f} ms a rendering, a store "
-        f"{size.fixed / 1e3:.0f} kB and {size.each:.0f} bytes a rendering: fits to {areas} km2, "
-        f"which took {min(rates):.3f} to {max(rates):.3f} ms a rendering in all"
+        f"a build takes {seconds.fixed:.1f} s and {1e3 * seconds.each:.3f} ms a rendering "
+        f"({1e3 * cpu.each:.3f} ms of processor time), a store {size.fixed / 1e3:.0f} kB and "
+        f"{size.each:.0f} bytes a rendering: fits to {areas} km2, which took {min(rates):.3f} to "
+        f"{max(rates):.3f} ms a rendering in all"
     )
 
 
@@ -109,7 +114,8 @@ def _of_spacing(spacing_m: float, probe: AreaCost) -> str:
     return (
         f"viewpoints {probe.area.spacing_m:g} m apart cost what they cost {spacing_m:g} m apart; "
         f"a patch of {probe.area.km2:g} km2 took {1e3 * probe.build.seconds_a_rendering:.3f} ms "
-        f"and {probe.build.bytes_a_rendering:.0f} bytes a rendering"
+        f"({1e3 * probe.build.cpu_seconds_a_rendering:.3f} ms of processor time) and "
+        f"{probe.build.bytes_a_rendering:.0f} bytes a rendering"
     )
 
 

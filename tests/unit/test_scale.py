@@ -55,7 +55,8 @@ def test_no_cost_is_below_nothing_and_one_point_is_a_proportion():
 
 def cost_of(area, renderings, fixed_s=2.0, match="not asked"):
     """Make a cost of 2 ms and 600 bytes a rendering, but for what is fixed."""
-    build = BuildCost(renderings, fixed_s + 0.002 * renderings, 1.0, 5000 + 600 * renderings)
+    seconds = fixed_s + 0.002 * renderings
+    build = BuildCost(renderings, seconds, 1.5 * seconds, 5000 + 600 * renderings)
     return AreaCost(area, build, match, None)
 
 
@@ -71,6 +72,8 @@ def test_a_larger_area_is_extrapolated_and_its_assumptions_are_said():
     assert row["renderings"] == 4 * 10_000 * 400
     assert row["build_s"] == pytest.approx(2.0 + 0.002 * 16e6)
     assert row["bytes"] == pytest.approx(5000 + 600 * 16e6)
+    assert row["build_cpu_s"] == pytest.approx(1.5 * row["build_s"])
+    assert row["build_cpu_s_at_probe_rate"] == pytest.approx(0.0045 * 16e6)
     assert row["build_s_at_probe_rate"] == pytest.approx(0.003 * 16e6)
     assert row["places"] == 4_000_000
     assert row["query_ms"] == pytest.approx(1000.0 + 0.01 * 4e6)
