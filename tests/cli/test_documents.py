@@ -1,0 +1,285 @@
+"""What README and docs/ say is so: commands run, names exist, the store's format is the store's.
+
+All commands run in one folder, README first, over terrain made for it; what takes long is made
+smaller. The public server of elevation tiles is one on this machine.
+"""
+
+import io
+import json
+import re
+import shlex
+import shutil
+import sys
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import typer
+from documents import (
+    DOCUMENTS,
+    ROOT,
+    blocks_of,
+    defined_in,
+    links,
+    named_tests,
+    references,
+    table_under,
+)
+from PIL import Image
+from range_server import Behaviour, serve
+from rasterio.io import MemoryFile
+from rasterio.transform import from_origin
+from scenes import fractal
+
+from skyline import bench, cli, read_dem, stand_on
+from skyline.experiments.photographs import photograph
+from skyline.experiments.pinhole import Camera
+from skyline.fetch.sources import SOURCES
+from skyline.render.depth import DepthRenderer
+from skyline.store import open_store
+
+README, *DOCS = DOCUMENTS
+STORE_DOC = ROOT / "docs" / "store.md"
+
+SMALLER = {
+    "--spacing 500": "--spacing 5000",
+    "spacing_m=500.0": "spacing_m=5000.0",
+    "--threshold-px 3 --coverage 0.98": "--threshold-px 9 --coverage 0.5 --pitch 200",
+}
+"""What the documents say -> what is run."""
+
+PROGRAMS = {"skyline": cli, "skyline-bench": bench}
+
+_PER_DEGREE = 240
+_FOCAL_LENGTH_35MM = 31
+
+
+def tiles():
+    """Make four degrees of rough terrain, by the path a server has them under."""
+    heights = 1500.0 + fractal(2 * _PER_DEGREE, 2 * _PER_DEGREE, 1200.0, seed=5)
+    for row, lat in enumerate((47, 46)):
+        for col, lon in enumerate((9, 10)):
+            part = heights[row * _PER_DEGREE :, col * _PER_DEGREE :][:_PER_DEGREE, :_PER_DEGREE]
+            step = 1 / _PER_DEGREE
+            with MemoryFile() as memory:
+                with memory.open(
+                    driver="GTiff", width=_PER_DEGREE, height=_PER_DEGREE, count=1,
+                    dtype="float32", crs="EPSG:4326",
+                    transform=from_origin(lon, lat + 1, step, step),
+                ) as file:  # fmt: skip
+                    file.write(part, 1)
+                yield f"/N{lat}E{lon:03d}.tif", bytes(memory.getbuffer())
+
+
+def matching(word):
+    """Return the files that a word of a command stands for, else the word."""
+    return sorted(str(path) for path in Path().glob(word)) if "*" in word else [word]
+
+
+def run_command(line):
+    """Run one line of a document; return what it printed."""
+    for said, run in SMALLER.items():
+        line = line.replace(said, run)
+    program, *words = shlex.split(line, comments=True)
+    assert program in PROGRAMS, f"{line}: only this repository's commands are run"
+    out = io.StringIO()
+    target = None
+    if ">" in words:
+        cut = words.index(">")
+        words, target = words[:cut], words[cut + 1]
+    arguments = [path for word in words for path in matching(word)]
+    err, argv = io.StringIO(), sys.argv
+    try:
+        sys.argv = [program, *arguments]
+        with redirect_stdout(out), redirect_stderr(err), pytest.raises(SystemExit) as stop:
+            PROGRAMS[program].main()
+    finally:
+        sys.argv = argv
+    assert not stop.value.code, f"{line}: {err.getvalue()}"
+    if target:
+        Path(target).write_text(out.getvalue())
+    return out.getvalue()
+
+
+def run_block(block):
+    """Run a block; return the names its Python defines."""
+    names = {}
+    if block.language == "python":
+        text = block.text
+        for said, run in SMALLER.items():
+            text = text.replace(said, run)
+        with redirect_stdout(io.StringIO()):
+            exec(compile(text, f"{block.document}:{block.line}", "exec"), names)
+        return names
+    for line in block.commands():
+        run_command(line)
+    return names
+
+
+def to_run(document):
+    return [block for block in blocks_of(document) if block.not_run is None]
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """A folder in which every block of the README has run."""
+    folder = tmp_path_factory.mktemp("world")
+    fetch = next(
+        line for block in blocks_of(README) for line in block.commands() if "dem fetch" in line
+    )
+    with serve(Behaviour(files=dict(tiles()))) as address, pytest.MonkeyPatch.context() as patch:
+        patch.setitem(SOURCES, "copernicus", address + "/{ns}{lat:02d}{ew}{lon:03d}.tif")
+        with chdir(folder):
+            assert "4 tiles, 4 of them new" in run_command(fetch)
+            make_queries()
+            for block in to_run(README):
+                run_block(block)
+            shutil.copy("davos.h5", "other.h5")
+            run_command(
+                "skyline build alps/*.tif -o exact.h5 --rows exact --spacing 500 "
+                "--bounds 9.8,46.7,9.9,46.8"
+            )
+    return folder
+
+
+def make_queries():
+    """Write the photos and lists that the documents name."""
+    terrain = read_dem(matching("alps/*.tif"))
+    eye = stand_on(terrain, *terrain.frame.from_lonlat(9.85, 46.75))
+    with DepthRenderer(terrain, 1024) as renderer:
+        picture = photograph(renderer, eye, 0, Camera(140.0, fov_deg=60.0), seed=3)
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = _FOCAL_LENGTH_35MM
+    Image.fromarray(picture).save("photo.jpg", quality=92, exif=exif)
+    Path("photos").mkdir()
+    shutil.copy("photo.jpg", "photos/a.jpg")
+    Path("viewpoints.csv").write_text("lon,lat\n9.85,46.75\n")
+    Path("peaks.csv").write_text("name,lon,lat\nGrat,9.87,46.72\n")
+
+
+def test_the_readme_leaves_what_it_says(world):
+    for name in (
+        "report/index.html", "overlay.png", "trace.csv", "candidates.geojson", "cover.png",
+        "pictures/0000.png",
+    ):  # fmt: skip
+        assert (world / name).stat().st_size > 0, name
+    told = [json.loads(line) for line in (world / "matches.jsonl").read_text().splitlines()]
+    assert [each["query"] for each in told] == ["photos/a.jpg"]
+    with open_store(world / "davos.h5") as store:
+        assert len(store.header.shell_edges_m) == 13
+
+
+@pytest.mark.parametrize("document", DOCS, ids=lambda path: path.name)
+def test_what_the_docs_show_runs(world, document):
+    with chdir(world):
+        for block in to_run(document):
+            run_block(block)
+
+
+def test_decoded_as_the_docs_say_a_store_is_what_its_reader_returns(world):
+    block = next(block for block in blocks_of(STORE_DOC) if "zigzag" in block.text)
+    with chdir(world):
+        names = run_block(block)
+    with open_store(world / "davos.h5") as store:
+        views = store.views()
+    np.testing.assert_allclose(names["elevation_tan"], views.elevation_tan, rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(names["depth_m"], views.depth_m, rtol=1e-6)
+
+
+def test_a_store_holds_what_the_docs_say_and_no_more(world):
+    attributes = {row["attribute"] for row in table_under(STORE_DOC, "attribute")}
+    datasets = {row["dataset"]: row for row in table_under(STORE_DOC, "dataset")}
+    assert len(attributes) == 11
+    for name, rows in (("exact.h5", "exact rows"), ("davos.h5", "compact rows")):
+        with h5py.File(world / name) as file:
+            found = {}
+            file.visititems(
+                lambda path, item, found=found: (
+                    found.update({path: item}) if isinstance(item, h5py.Dataset) else None
+                )
+            )
+            shells = "shell_edges_m" in file.attrs
+            only = "only in stores with shells"
+            said = {
+                path: row for path, row in datasets.items() if shells or only not in row["what"]
+            }
+            assert set(file.attrs) == attributes - (set() if shells else {"shell_edges_m"})
+            assert found.keys() == said.keys()
+            sizes = {
+                "N": int(file["committed"][()]), "W": 640, "P": 128, "K": 12,
+            }  # fmt: skip
+            for path, row in said.items():
+                shape = tuple(sizes[size] for size in re.findall(r"\w", row["shape"]))
+                assert found[path].shape == shape, path
+                assert found[path].dtype == np.dtype(row[rows]), path
+            assert file.attrs["schema"] == "skyline-store"
+            assert file.attrs["schema_version"] == 2
+    assert shells
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_every_block_says_what_it_is_and_why_it_is_not_run(document):
+    for block in blocks_of(document):
+        assert block.language in ("sh", "python"), f"{block.document}:{block.line}"
+        assert block.not_run is None or len(block.not_run) > 10
+
+
+def parse(line):
+    """Hold a command line to its program's options without running it."""
+    program, *words = shlex.split(line, comments=True)
+    command = typer.main.get_command(PROGRAMS[program].app)
+    while hasattr(command, "commands"):
+        name, *words = words
+        assert name in command.commands, line
+        command = command.commands[name]
+    command.make_context(program, words)
+
+
+def test_commands_that_are_not_run_are_commands():
+    lines = [
+        line
+        for document in DOCUMENTS
+        for block in blocks_of(document)
+        if block.not_run and block.language == "sh"
+        for line in block.commands()
+    ]
+    ours = [line for line in lines if line.split()[0] in PROGRAMS]
+    for line in ours:
+        parse(line)
+    targets = {line.split()[1] for line in lines if line.startswith("make ")}
+    known = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert targets <= set(known)
+    assert len(ours) > 5
+    assert targets
+
+
+def test_commands_that_are_none_are_found_out():
+    for line in ("skyline-bench stability --no-such-option 3", "skyline match store.h5"):
+        with pytest.raises(typer.BadParameter.__base__):
+            parse(line)
+
+
+def test_what_is_made_smaller_is_there():
+    shown = "\n".join(block.text for document in DOCUMENTS for block in to_run(document))
+    for said in SMALLER:
+        assert said in shown
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_files_and_names_the_documents_point_to_exist(document):
+    for path, names in references(document):
+        assert (ROOT / path).exists(), path
+        for name in names:
+            assert name in defined_in(ROOT / path), f"{path}: {name}"
+    for target in links(document):
+        assert target.exists(), target
+    for name in named_tests(document):
+        assert list(ROOT.glob(f"tests/**/{Path(name).name}")), name
+
+
+def test_the_method_names_its_places():
+    named = references(ROOT / "docs" / "method.md")
+    assert len(named) > 50
+    assert sum(len(names) for _, names in named) > 50
