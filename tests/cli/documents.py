@@ -90,6 +90,6 @@ def table_under(document: Path, heading: str) -> list[dict[str, str]]:
             columns = cells if line.startswith("|") and cells[0] == heading else None
         elif not line.startswith("|"):
             return rows
-        elif set(line) > set("| -"):
+        elif not set(line) <= set("| -"):
             rows.append(dict(zip(columns, cells, strict=True)))
     return rows

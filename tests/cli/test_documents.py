@@ -283,3 +283,31 @@ def test_the_method_names_its_places():
     named = references(ROOT / "docs" / "method.md")
     assert len(named) > 50
     assert sum(len(names) for _, names in named) > 50
+
+
+PLACES = {
+    "plain correlation": ("correlation", "plain"),
+    "ours, on the stored skylines alone": ("stored", "plain"),
+    "ours, on predictions": ("retrieved", "plain"),
+    "ours, on predictions, refined by rendering": ("full", "plain"),
+    "the same, photos of another DEM (other grid, other heights)": ("full", "other-dem"),
+    "the same, 30 % of the skyline hidden by trees and houses": ("full", "occluded"),
+}
+"""Row of the README's table -> matcher and kind of queries in the record."""
+
+
+def test_the_readmes_figures_are_the_records():
+    record = json.loads((ROOT / "bench" / "results" / "matching.json").read_text())
+    measured = {(row["matcher"], row["queries"]): row for row in record["rows"]}
+    shown = {row["matcher"].strip("*"): row for row in table_under(README, "matcher")}
+    assert shown.keys() == PLACES.keys()
+    for name, key in PLACES.items():
+        row = measured[key]
+        for column, value, unit in (
+            ("within 200 m", 100.0 * row["within_200m"], 1.0),
+            ("median error", row["median_m"], 1.0),
+            ("mean error", row["mean_m"], 1.0),
+            ("a query", row["query_ms"] / 1000.0, 0.1),
+        ):
+            said = float(re.sub(r"[^\d.]", "", shown[name][column]))
+            assert abs(said - value) <= 0.501 * unit, f"{name}, {column}"

@@ -9,6 +9,7 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline.experiments import scale
 from skyline.experiments.area_cost import (
+    MATCHING,
     Area,
     AreaCost,
     BuildCost,
@@ -75,9 +76,10 @@ def test_a_larger_area_is_extrapolated_and_its_assumptions_are_said():
     assert row["build_cpu_s"] == pytest.approx(1.5 * row["build_s"])
     assert row["build_cpu_s_at_probe_rate"] == pytest.approx(0.0045 * 16e6)
     assert row["build_s_at_probe_rate"] == pytest.approx(0.003 * 16e6)
-    assert row["places"] == 4_000_000
-    assert row["query_ms"] == pytest.approx(1000.0 + 0.01 * 4e6)
-    assert row["opening_bytes"] == opening_bytes(4_000_000, 4_000_000, 12) > 2e11
+    places = predicted_places(10_000.0, 4_000_000)
+    assert row["places"] == places >= 4_000_000
+    assert row["query_ms"] == pytest.approx(1000.0 + 0.01 * places)
+    assert row["opening_bytes"] == opening_bytes(places, 4_000_000, 12) > 2e11
     assert row.keys() >= {"area_km2", "spacing_m", "shells"}
     said = " ".join(row["assumptions"])
     for figure in ("2.000 ms", "600 bytes", "50, 200 km2", "50 m apart", "3.000 ms", "20,000"):
@@ -92,8 +94,9 @@ def test_query_time_is_not_extrapolated_from_one_area():
 
 
 def test_places_are_those_of_the_finer_of_store_and_lattice():
-    assert predicted_places(1.0, 4) == 400
-    assert predicted_places(1.0, 10_000) == 10_000
+    lattice = predicted_places(1.0, 4)
+    assert lattice == pytest.approx(1e6 / MATCHING.densify.pitch_m**2, abs=1.0)
+    assert predicted_places(1.0, 10 * lattice) == 10 * lattice
 
 
 CONFIG = ScaleConfig(
