@@ -20,15 +20,17 @@ from rich.table import Table
 
 from skyline.experiments.photographs import photograph
 from skyline.experiments.pinhole import Camera
-from skyline.matching import MATCHERS
 from skyline.photo import write_overlay
 from skyline.pipeline import (
+    FULL,
+    MATCHER_NAMES,
     Matcher,
     MatchResult,
     RenderConfig,
     build_uniform,
     save_depth_pictures,
 )
+from skyline.prediction import shell_edges_m
 from skyline.render.depth import DepthRenderer
 from skyline.report import Found, save_map, save_panorama
 from skyline.terrain.dem import read_dem
@@ -37,6 +39,7 @@ from skyline.terrain.viewpoints import Viewpoints, stand_on
 
 BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
 SPACING_M = 400.0
+SHELLS = 12
 QUERIES = 5
 SEED = 2014
 FOCAL_LENGTH_35MM = 31
@@ -66,17 +69,18 @@ def main() -> None:
 
     store = out / "store.h5"
     store.unlink(missing_ok=True)
-    built = build_uniform(terrain, store, SPACING_M, BOUNDS_DEG)
+    config = RenderConfig(shell_edges_m=shell_edges_m(SHELLS))
+    built = build_uniform(terrain, store, SPACING_M, BOUNDS_DEG, config)
     console.print(f"store: {built.renderings} renderings in {built.seconds:.0f} s -> {store}")
 
     queries = take_pictures(terrain, out / "queries")
-    matchers = {name: Matcher(store, matcher=name) for name in MATCHERS}
+    matchers = {name: Matcher(store, matcher=name) for name in MATCHER_NAMES}
     results = {name: [m.match(query.path) for query in queries] for name, m in matchers.items()}
-    for query, result in zip(queries, results["paper"], strict=True):
+    for query, result in zip(queries, results[FULL], strict=True):
         picture = np.asarray(Image.open(query.path))
         write_overlay(picture, result.query, query.path.with_suffix(".skyline.png"))
 
-    draw(terrain, matchers["paper"].viewpoints, queries, results["paper"], out)
+    draw(terrain, matchers[FULL].viewpoints, queries, results[FULL], out)
     for name, found in results.items():
         console.print(table_of(name, queries, found))
     console.print(f"all in {time.perf_counter() - started:.0f} s; pictures in {out}:")
@@ -162,7 +166,7 @@ def draw(
 def table_of(matcher: str, queries: list[Query], results: list[MatchResult]) -> Table:
     """Say where each picture was put and how far off that is."""
     table = Table(title=f"{len(queries)} pictures, {SPACING_M:.0f} m grid, matcher: {matcher}")
-    for name in ("query", "put at (E, N)", "off by", "heading", "off by", "score", "seconds"):
+    for name in ("query", "put at (E, N)", "off by", "heading", "off by", "sure", "seconds"):
         table.add_column(name, justify="right")
     for query, result in zip(queries, results, strict=True):
         answer = result.answer
@@ -177,7 +181,7 @@ def table_of(matcher: str, queries: list[Query], results: list[MatchResult]) -> 
             f"{away:.0f} m",
             f"{answer.heading_deg:.1f}",
             f"{abs(turn):.1f} deg",
-            f"{answer.score:.3f}",
+            "-" if answer.confidence is None else f"{answer.confidence:.2f}",
             f"{result.seconds:.1f}",
         )
     return table
