@@ -175,16 +175,11 @@ class AreaCost:
         return row | asdict(self.match)
 
 
-def measure_build(terrain: HeightField, area: Area, path: Path) -> BuildCost:
-    """Build an area's store at a path and say what it took.
-
-    Raises
-    ------
-    InputError
-        The area is narrower than its spacing, or has no surface.
-    """
-    viewpoints = area.viewpoints(terrain)
-    edges = shell_edges_m(area.shells) if area.shells else ()
+def measure_build(
+    terrain: HeightField, viewpoints: Viewpoints, shells: int, path: Path
+) -> BuildCost:
+    """Build a store at a path and say what it took."""
+    edges = shell_edges_m(shells) if shells else ()
     wall, cpu = time.perf_counter(), time.process_time()
     built = render_to_store(terrain, viewpoints, path, RenderConfig(shell_edges_m=edges))
     wall_s, cpu_s = time.perf_counter() - wall, time.process_time() - cpu

@@ -10,6 +10,7 @@ from skyline.camera import HEADINGS
 from skyline.experiments.area_cost import (
     Area,
     AreaCost,
+    BuildCost,
     MatchCost,
     opening_bytes,
     predicted_places,
@@ -29,12 +30,16 @@ class Line:
     def fit(cls, n: Sequence[float], cost: Sequence[float]) -> "Line":
         """Fit costs by least squares of their relative errors, so that small ones count as much.
 
-        A single cost is taken as proportional to n.
+        Where they do not grow with n, noise hides what each costs: that of the greatest n is then
+        taken for proportional, which is more than it can be.
         """
         n_, cost_ = np.asarray(n, dtype=np.float64), np.asarray(cost, dtype=np.float64)
-        fixed = np.full_like(n_, float(len(n_) > 1))
-        (a, b), _ = nnls(np.column_stack([fixed, n_]) / cost_[:, np.newaxis], np.ones_like(n_))
-        return cls(float(a), float(b))
+        design = np.column_stack([np.ones_like(n_), n_]) / cost_[:, np.newaxis]
+        (fixed, each), _ = nnls(design, np.ones_like(n_))
+        if each > 0.0 and len(n_) > 1:
+            return cls(float(fixed), float(each))
+        most = int(np.argmax(n_))
+        return cls(0.0, float(cost_[most] / n_[most]))
 
     def at(self, n: float) -> float:
         """Return the cost of n."""
@@ -42,12 +47,14 @@ class Line:
 
 
 def extrapolate(
-    measured: Sequence[AreaCost], probe: AreaCost, target_km2: float
+    one: BuildCost, measured: Sequence[AreaCost], probe: AreaCost, target_km2: float
 ) -> dict[str, object]:
     """Return the row of an area too large to measure.
 
     Parameters
     ----------
+    one : BuildCost
+        Of a single viewpoint: what is fixed.
     measured : sequence of AreaCost
         At least one; of one spacing and one number of shells.
     probe : AreaCost
@@ -64,10 +71,11 @@ def extrapolate(
     viewpoints = round(target_km2 * _M2_IN_KM2 / target.spacing_m**2)
     renderings = len(HEADINGS) * viewpoints
     places = predicted_places(target_km2, viewpoints)
-    n = [cost.build.renderings for cost in measured]
-    seconds = Line.fit(n, [cost.build.build_s for cost in measured])
-    cpu = Line.fit(n, [cost.build.build_cpu_s for cost in measured])
-    size = Line.fit(n, [cost.build.bytes for cost in measured])
+    builds = [one, *(cost.build for cost in measured)]
+    n = [build.renderings for build in builds]
+    seconds = Line.fit(n, [build.build_s for build in builds])
+    cpu = Line.fit(n, [build.build_cpu_s for build in builds])
+    size = Line.fit(n, [build.bytes for build in builds])
     matched = [cost.match for cost in measured if isinstance(cost.match, MatchCost)]
     query_ms = None
     if len(matched) > 1:
@@ -105,8 +113,8 @@ def _of_build(measured: Sequence[AreaCost], seconds: Line, cpu: Line, size: Line
     return (
         f"a build takes {seconds.fixed:.1f} s and {1e3 * seconds.each:.3f} ms a rendering "
         f"({1e3 * cpu.each:.3f} ms of processor time), a store {size.fixed / 1e3:.0f} kB and "
-        f"{size.each:.0f} bytes a rendering: fits to {areas} km2, which took {min(rates):.3f} to "
-        f"{max(rates):.3f} ms a rendering in all"
+        f"{size.each:.0f} bytes a rendering: fits to one viewpoint and {areas} km2, which took "
+        f"{min(rates):.3f} to {max(rates):.3f} ms a rendering in all"
     )
 
 

@@ -48,10 +48,13 @@ def test_a_line_is_found_and_small_costs_count_as_much():
     assert bent.at(10_000.0) == pytest.approx(90.0)
 
 
-def test_no_cost_is_below_nothing_and_one_point_is_a_proportion():
+def test_no_cost_is_below_nothing():
     assert Line.fit([100.0, 1000.0], [0.5, 10.0]).fixed == 0.0
-    assert Line.fit([100.0, 1000.0], [5.0, 4.0]).each == 0.0
-    assert Line.fit([200.0], [5.0]) == Line(0.0, pytest.approx(0.025))
+    assert Line.fit([200.0], [5.0]) == Line(0.0, 0.025)
+
+
+def test_costs_that_noise_hides_are_not_taken_for_nothing():
+    assert Line.fit([4.0, 100.0, 1000.0], [5.0, 7.0, 4.0]) == Line(0.0, 0.004)
 
 
 def cost_of(area, renderings, fixed_s=2.0, match="not asked"):
@@ -59,6 +62,9 @@ def cost_of(area, renderings, fixed_s=2.0, match="not asked"):
     seconds = fixed_s + 0.002 * renderings
     build = BuildCost(renderings, seconds, 1.5 * seconds, 5000 + 600 * renderings)
     return AreaCost(area, build, match, None)
+
+
+ONE = cost_of(Area(1.0, 500.0, 12), 4).build
 
 
 def test_a_larger_area_is_extrapolated_and_its_assumptions_are_said():
@@ -69,7 +75,7 @@ def test_a_larger_area_is_extrapolated_and_its_assumptions_are_said():
         cost_of(Area(200.0, 500.0, 12), 3200, match=matched[1]),
     ]
     probe = cost_of(Area(4.0, 50.0, 12), 6400, fixed_s=6.4)
-    row = extrapolate(measured, probe, 10_000.0)
+    row = extrapolate(ONE, measured, probe, 10_000.0)
     assert row["renderings"] == 4 * 10_000 * 400
     assert row["build_s"] == pytest.approx(2.0 + 0.002 * 16e6)
     assert row["bytes"] == pytest.approx(5000 + 600 * 16e6)
@@ -88,7 +94,7 @@ def test_a_larger_area_is_extrapolated_and_its_assumptions_are_said():
 
 def test_query_time_is_not_extrapolated_from_one_area():
     alone = cost_of(Area(50.0, 500.0, 0), 800, match=MatchCost(1, 1.0, 1, 1.0, 1.0, 1.0, 1.0))
-    row = extrapolate([alone], cost_of(Area(4.0, 50.0, 0), 6400), 10_000.0)
+    row = extrapolate(ONE, [alone], cost_of(Area(4.0, 50.0, 0), 6400), 10_000.0)
     assert row["query_ms"] is None
     assert "query time is not extrapolated" in row["assumptions"][-1]
 
