@@ -86,7 +86,6 @@ def test_command_line(dem, run, tmp_path):
     [
         (["--budget", 100], "--budget 100 is for a planner"),
         (["--planner", "cover", "--budget", 2], "budget is 2 renderings"),
-        (["--planner", "cover", "--budget", 4], "the coarse grid alone takes"),
     ],
 )
 def test_bad_budgets_are_refused(dem, run, tmp_path, options, said):

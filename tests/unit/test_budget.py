@@ -7,7 +7,7 @@ from scenes import field_of, fractal
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
 from skyline.planning.budget import Outlook, covering_px, spaced_for
-from skyline.planning.candidates import Spacing
+from skyline.planning.candidates import Spacing, lay_out
 from skyline.planning.coverage import CandidateGrid
 from skyline.planning.loop import plan
 from skyline.planning.plan import Oracles, PlanConfig
@@ -143,6 +143,11 @@ def test_the_threshold_asked_for_is_not_undercut(terrain):
     assert ample.threshold_px == 4.0
     for one, other in zip(free.coverages, ample.coverages, strict=True):
         np.testing.assert_array_equal(one.viewpoints, other.viewpoints)
+
+
+def test_a_budget_that_the_coarse_grid_spends_is_kept(terrain):
+    coarse = 4 * len(lay_out(terrain, SPACING).coarse)
+    assert run_plan(terrain, "cover", budget=coarse).progress.renderings == coarse
 
 
 @pytest.mark.parametrize(
