@@ -150,12 +150,17 @@ class _Loop:
 
     def _cover(self) -> None:
         """Render what the strategies ask for, to the coverage asked for or the budget's end."""
+        if self._left() == 0:
+            return
         waiting = [self._start(heading) for heading in HEADINGS]
-        while any(waiting) and self._left() != 0:
+        while any(waiting):
             asked = [(heading, one) for heading in HEADINGS for one in waiting[heading]]
             headings = [heading for heading, _ in asked]
             wanted = self._affordable([one[1] for _, one in asked], headings)
             errors = self._batch(wanted, headings)
+            # The last requests may have been cut: their strategies are not to go on.
+            if self._left() == 0:
+                return
             waiting = [[] for _ in HEADINGS]
             for (heading, (requests, _)), answer in zip(asked, errors, strict=True):
                 if self._coverages[heading].fraction() >= self._config.coverage:
