@@ -1,10 +1,13 @@
 """Profiles of many places predicted from few stored views: the store, made dense.
 
-Every point of a lattice is predicted, heading by heading, from the nearest stored view of that
-heading, and the stored eyes stay entries of their own.
+Every point of a lattice is predicted, heading by heading, from the nearest stored views of that
+heading, and the stored eyes stay entries of their own. What a view predicts is terrain it has seen,
+so a prediction misses what its view could not see, and hardly ever shows too much: the upper
+envelope of several is nearer to the truth than any.
 """
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -47,6 +50,8 @@ class DensifyConfig:
         Azimuth bins B of a profile, a multiple of 8; an entry takes 3 B + 32 bytes.
     columns : int
         Columns Q of a quadrant that predictions are made in.
+    sources : int
+        Views whose predictions are joined, for each heading of an entry.
     reach_m : float
         No view predicts for eyes farther off than this.
     eye_height_m : float
@@ -56,7 +61,8 @@ class DensifyConfig:
     pitch_m: float = 40.0
     bins: int = 720
     columns: int = 180
-    reach_m: float = 400.0
+    sources: int = 2
+    reach_m: float = 750.0
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
 
     def __post_init__(self) -> None:
@@ -67,6 +73,8 @@ class DensifyConfig:
             )
         if self.bins < 8 or self.bins % 8:
             raise InputError(f"{self.bins} azimuth bins; expected a positive multiple of 8")
+        if self.sources < 1:
+            raise InputError(f"{self.sources} views to predict from; expected at least 1")
         if self.columns < 8:
             raise InputError(f"{self.columns} columns a quadrant; expected at least 8")
 
@@ -176,18 +184,18 @@ def densify(
         np.full((len(eye_m), config.bins), UNKNOWN_Y, dtype=np.int16),
         np.zeros((len(eye_m), config.bins), dtype=np.uint8),
     )
-    source = stored.sources(eye_m, config.reach_m)
-    order = np.argsort(source, axis=None, kind="stable")
-    ends = np.searchsorted(source.ravel()[order], np.arange(len(stored.eye_m) + 1))
     resample = _Resample.of(stored.elevation_tan.shape[2], config.bins)
-
-    def fill(eye: int) -> None:
-        target, heading = np.divmod(order[ends[eye] : ends[eye + 1]], len(HEADINGS))
-        _fill(profiles, stored, resample, eye, target, heading)
-
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for _ in pool.map(fill, range(len(stored.eye_m))):
-            pass
+        # A quadrant has one source at a time, so threads never write to the same place.
+        for source in stored.sources(eye_m, config.sources, config.reach_m):
+            order = np.argsort(source, axis=None, kind="stable")
+            ends = np.searchsorted(source.ravel()[order], np.arange(len(stored.eye_m) + 1))
+
+            def fill(eye: int, order: IntArray = order, ends: IntArray = ends) -> None:
+                target, heading = np.divmod(order[ends[eye] : ends[eye + 1]], len(HEADINGS))
+                _fill(profiles, stored, resample, eye, target, heading)
+
+            deque(pool.map(fill, np.flatnonzero(np.diff(ends))), maxlen=0)
     return profiles
 
 
@@ -275,21 +283,25 @@ class _Stored:
             reach,
         )
 
-    def sources(self, eye_m: Float64Array, reach_m: float) -> IntArray:
-        """Return the nearest stored eye with a view of each heading, (L, 4).
+    def sources(self, eye_m: Float64Array, count: int, reach_m: float) -> IntArray:
+        """Return the nearest stored eyes with a view of each heading, (S, L, 4), nearest first.
 
-        The number of stored eyes where none is within reach.
+        The number of stored eyes where there are no more within reach.
         """
-        source = np.full((len(eye_m), len(HEADINGS)), len(self.eye_m), dtype=np.intp)
+        none = len(self.eye_m)
+        source = np.full((count, len(eye_m), len(HEADINGS)), none, dtype=np.intp)
         for heading in HEADINGS:
             eyes = np.flatnonzero(self.view[:, heading] >= 0)
             if eyes.size:
                 tree = cKDTree(self.eye_m[eyes, :2])
-                _, nearest = tree.query(eye_m[:, :2], distance_upper_bound=reach_m)
-                source[:, heading] = np.append(eyes, len(self.eye_m))[nearest]
-        # Of eyes at one place but different heights each is its own source.
-        own = np.arange(len(self.eye_m))[:, np.newaxis]
-        source[: len(own)] = np.where(self.view >= 0, own, source[: len(own)])
+                ranks = np.arange(1, count + 1)
+                _, nearest = tree.query(eye_m[:, :2], ranks, distance_upper_bound=reach_m)
+                source[:, :, heading] = np.append(eyes, none)[nearest.T]
+        # What was rendered is not predicted, not even from another height at its place.
+        own = np.arange(none)[:, np.newaxis]
+        rendered = self.view >= 0
+        source[0, :none] = np.where(rendered, own, source[0, :none])
+        source[1:, :none][:, rendered] = none
         return source
 
 
@@ -381,7 +393,7 @@ def _fill(
     target: IntArray,
     heading: IntArray,
 ) -> None:
-    """Predict quadrants (target, heading) from a stored eye and put them in their places."""
+    """Predict quadrants (target, heading) from a stored eye; they raise what is there."""
     targets, row = np.unique(target, return_inverse=True)
     moved = np.column_stack(
         [
@@ -394,5 +406,8 @@ def _fill(
     wanted = np.zeros((len(targets), len(HEADINGS)), dtype=bool)
     wanted[row, heading] = True
     row, bin_ = np.nonzero(wanted[:, resample.heading])
+    # Unknown is the least step there is.
+    higher = steps[row, bin_] > profiles.y_steps[targets[row], bin_]
+    row, bin_ = row[higher], bin_[higher]
     profiles.y_steps[targets[row], bin_] = steps[row, bin_]
     profiles.distance[targets[row], bin_] = distance[row, bin_]
