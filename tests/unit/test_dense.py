@@ -1,5 +1,7 @@
 """Stores made dense: the lattice, where its predictions come from, and that they are right."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from prediction_scenes import views_of
@@ -115,6 +117,19 @@ def test_each_heading_comes_from_the_nearest_view_of_that_heading():
     assert middle[1, 1] == pytest.approx(0.3, abs=1e-3)
 
 
+def test_what_several_views_predict_is_joined_by_its_upper_envelope(rough):
+    field, views = rough
+    near, joined = (
+        densify([views], field.height_at, replace(CONFIG, sources=count)) for count in (1, 3)
+    )
+    stored = len(np.unique(np.stack([views.easting_m, views.northing_m]), axis=1).T)
+    np.testing.assert_array_equal(joined.y_steps[:stored], near.y_steps[:stored])
+    assert (joined.y_steps >= near.y_steps).all()
+    assert (joined.y_steps[stored:] > near.y_steps[stored:]).any()
+    same = joined.y_steps == near.y_steps
+    np.testing.assert_array_equal(joined.distance[same], near.distance[same])
+
+
 def test_headings_out_of_reach_are_unknown():
     config = DensifyConfig(pitch_m=np.inf, bins=360, columns=WIDTH, reach_m=300.0)
     views = type(panorama()).concatenate(
@@ -176,7 +191,7 @@ def test_dense_profiles_are_taken_apart_and_made_plain():
 
 
 @pytest.mark.parametrize(
-    "options", [{"pitch_m": 0.0}, {"reach_m": -1.0}, {"bins": 12}, {"columns": 2}]
+    "options", [{"pitch_m": 0.0}, {"reach_m": -1.0}, {"bins": 12}, {"columns": 2}, {"sources": 0}]
 )
 def test_senseless_configurations_are_refused(options):
     with pytest.raises(InputError, match="expected"):
