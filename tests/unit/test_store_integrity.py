@@ -190,15 +190,22 @@ class TestCheck:
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """Forged structures can make HDF5 loop or crash; the process that checks lives on."""
-        path = build(tmp_path / "s.h5", (0, 3))
+        path, examine = build(tmp_path / "s.h5", (0, 3)), integrity._EXAMINE
         monkeypatch.setattr(integrity, "_EXAMINE", "import os; os.abort()")
         assert "crashes on it (signal 6)" in check_store(path).damage[0].what
         monkeypatch.setattr(integrity, "_EXAMINE", "raise MemoryError")
         with pytest.raises(StoreError, match="could not be examined: MemoryError"):
             check_store(path)
-        monkeypatch.setattr(integrity, "_EXAMINE", "while True: pass")
         monkeypatch.setattr(integrity, "_PATIENCE_S", 0.2)
-        assert "had not read it after" in check_store(path).damage[0].what
+        monkeypatch.setattr(integrity, "_EXAMINE", "import time; time.sleep(1000)")
+        with monkeypatch.context() as patch:
+            patch.setattr(integrity, "_WAITED", 1.0)
+            assert "had not read it after 0 s" in check_store(path).damage[0].what
+        loops = examine.replace("json.dump(", "while True: pass\njson.dump(")
+        assert loops != examine
+        monkeypatch.setattr(integrity, "_EXAMINE", loops)
+        monkeypatch.setattr(integrity, "_WAITED", 3000.0)
+        assert "of processor time" in check_store(path).damage[0].what
 
 
 class TestRepair:
