@@ -44,8 +44,8 @@ README, *DOCS = DOCUMENTS
 STORE_DOC = ROOT / "docs" / "store.md"
 
 SMALLER = {
-    "--spacing 500": "--spacing 5000",
-    "spacing_m=500.0": "spacing_m=5000.0",
+    "--spacing 500": "--spacing 6000",
+    "spacing_m=500.0": "spacing_m=6000.0",
     "--threshold-px 3 --coverage 0.98": "--threshold-px 9 --coverage 0.5 --pitch 200",
 }
 """What the documents say -> what is run."""
