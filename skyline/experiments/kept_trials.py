@@ -12,15 +12,19 @@ import skyline
 from skyline.experiments.queries import MadeQuery
 from skyline.experiments.trials import Trial
 from skyline.matching import Candidate
+from skyline.render.shaders import SHADER_FOLDERS
 
 Key = Mapping[str, object]
 """What a result depends on, as JSON holds it."""
 
 MEASURED_CODE = (
-    "camera.py", "geodesy.py", "views.py", "features.py", "matching", "pipeline", "prediction",
-    "render", "store", "terrain", "experiments/queries.py", "experiments/stages.py",
+    "camera.py", "geodesy.py", "views.py", "features.py", "matching", "photo", "pipeline",
+    "prediction", "render", "store", "terrain", "experiments/queries.py", "experiments/stages.py",
 )  # fmt: skip
-"""Code that an answer depends on."""
+"""Code that an answer depends on; shaders beside it."""
+
+_SUFFIXES = (".py", ".json")
+"""Of code, and of what was learned for it."""
 
 
 def save_trials(path: Path, key: Key, trials: Sequence[Trial]) -> None:
@@ -80,14 +84,17 @@ def file_digest(path: Path) -> str:
 
 @cache
 def code_digest() -> str:
-    """Return a SHA-256 of the code that an answer depends on."""
-    root = Path(skyline.__file__).parent
-    files = [file for name in MEASURED_CODE for file in _sources(root / name)]
+    """Return a SHA-256 of the `measured_files`."""
     told = hashlib.sha256()
-    for file in files:
-        told.update(f"{file.relative_to(root)}\0".encode() + file.read_bytes())
+    for file in measured_files():
+        told.update(f"{file.parent.name}/{file.name}\0".encode() + file.read_bytes())
     return told.hexdigest()
 
 
-def _sources(path: Path) -> list[Path]:
-    return [path] if path.is_file() else sorted(path.rglob("*.py"))
+def measured_files() -> list[Path]:
+    """Return the files that an answer depends on: code, learned models and shaders."""
+    package = Path(skyline.__file__).parent
+    roots = [package / name for name in MEASURED_CODE]
+    files = [file for root in roots for file in ([root] if root.is_file() else root.rglob("*"))]
+    code = [file for file in files if file.suffix in _SUFFIXES]
+    return sorted(code) + sorted(file for folder in SHADER_FOLDERS for file in folder.glob("*.*"))

@@ -12,6 +12,7 @@ from skyline.experiments.kept_trials import (
     code_digest,
     file_digest,
     kept_trials,
+    measured_files,
     save_trials,
 )
 from skyline.experiments.queries import MadeQuery, Truth
@@ -75,8 +76,14 @@ def test_digests_tell_files_apart(tmp_path):
     a, b, c = (file_digest(tmp_path / name) for name in "abc")
     assert a == b != c
     assert len(code_digest()) == 64
+
+
+def test_answers_depend_on_code_learned_models_and_shaders():
     package = Path(skyline.__file__).parent
     assert all((package / name).exists() for name in MEASURED_CODE)
+    names = {file.name for file in measured_files()}
+    assert {"retrieval.py", "stages.py", "confidence.json", "horizon_walk.glsl"} <= names
+    assert "bench.py" not in names
 
 
 def test_the_best_candidate_alone_is_kept(trials, tmp_path):
