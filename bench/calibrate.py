@@ -1,7 +1,8 @@
 """Learn the confidence on Sierra and Rofental, show its reliability on Davos.
 
-Run as ``python bench/calibrate.py [--queries N]``: it takes some twenty minutes, and changes what
-answers are believed.
+Run as ``python bench/calibrate.py [--queries N] [--examples FILE]``: it takes some twenty minutes,
+and changes what answers are believed. From examples that were kept another model is learned in
+seconds.
 """
 
 import argparse

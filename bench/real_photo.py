@@ -5,7 +5,7 @@ The store covers all of the Rofental DEM, 725 km2, and the station's place is go
 it is not there.
 """
 
-import sys
+import argparse
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -61,4 +61,6 @@ def main(store: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("store", type=Path, help="built where it is not there")
+    main(parser.parse_args().store)

@@ -27,7 +27,7 @@ PlotFile = Annotated[
     Path | None, typer.Option("--plot", metavar="FILE", help="Draw them: PNG, PDF or SVG.")
 ]
 Seed = Annotated[int, typer.Option(help="Of whatever is drawn at random.")]
-Quick = Annotated[bool, typer.Option("--quick", help="A smaller version, in seconds.")]
+Quick = Annotated[bool, typer.Option("--quick", help="A much smaller version.")]
 Crs = Annotated[
     str | None, typer.Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")
 ]
