@@ -17,6 +17,7 @@ from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.retrieval import Retriever
 from skyline.pipeline import MatchConfig, Matcher, MatchResult
+from skyline.pipeline.config import mapped_area_m
 from skyline.pipeline.match import RenderedScene
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
@@ -72,7 +73,9 @@ def open_stages(names: Sequence[str], store: Path, terrain: HeightField) -> Iter
         chunks = opened.iter_views(_ROWS_A_READ)
         if not READS_SHELLS & set(names):
             chunks = (replace(views, shells=None) for views in chunks)
-        retriever = _Remembering(densify(chunks, terrain.height_at, densified), config.retrieval)
+        area_m = mapped_area_m(header, terrain)
+        dense = densify(chunks, terrain.height_at, densified, area_m)
+    retriever = _Remembering(dense, config.retrieval)
     unrefined = [name for name in names if name != REFINED]
     matchers = {name: FullMatcher(retriever, None, config.full) for name in unrefined}
     if REFINED not in names:

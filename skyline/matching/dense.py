@@ -30,6 +30,8 @@ Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
+Area = tuple[float, float, float, float]
+"""West, south, east, north, metres."""
 
 Y_STEP = 2.0**-13
 """Tangents are kept in steps of 0.007 degrees, up to 4."""
@@ -144,7 +146,10 @@ class DenseProfiles:
 
 
 def densify(
-    chunks: Iterable[Views], ground: Ground | None = None, config: DensifyConfig | None = None
+    chunks: Iterable[Views],
+    ground: Ground | None = None,
+    config: DensifyConfig | None = None,
+    area_m: Area | None = None,
 ) -> DenseProfiles:
     """Predict the profiles of a lattice of eyes from stored views.
 
@@ -161,6 +166,9 @@ def densify(
         none. Without it, interpolated from the stored eyes, which are taken to stand
         ``eye_height_m`` above ground.
     config : DensifyConfig, optional
+    area_m : tuple of float, optional
+        West, south, east, north of what the store stands for. Without it, a little more than
+        the stored eyes span.
 
     Returns
     -------
@@ -175,7 +183,7 @@ def densify(
     config = config or DensifyConfig()
     stored = _Stored.of(chunks, config.columns)
     ground = ground or ground_between(stored.eye_m - [0.0, 0.0, config.eye_height_m])
-    eye_m = np.concatenate([stored.eye_m, _lattice_m(stored.eye_m, ground, config)])
+    eye_m = np.concatenate([stored.eye_m, _lattice_m(stored.eye_m, ground, config, area_m)])
     profiles = DenseProfiles(
         eye_m[:, 0].copy(),
         eye_m[:, 1].copy(),
@@ -305,24 +313,35 @@ class _Stored:
         return source
 
 
-def _lattice_m(eye_m: Float64Array, ground: Ground, config: DensifyConfig) -> Float64Array:
+def _lattice_m(
+    eye_m: Float64Array, ground: Ground, config: DensifyConfig, area_m: Area | None
+) -> Float64Array:
     """Return the eyes (M, 3) of the lattice's points near stored eyes, those on holes left out."""
     if not np.isfinite(config.pitch_m):
         return np.zeros((0, 3))
     tree = cKDTree(eye_m[:, :2])
-    margin_m = config.reach_m
-    if len(eye_m) > 1:
-        apart_m = np.asarray(tree.query(eye_m[:, :2], k=2)[0])[:, 1]
-        margin_m = min(margin_m, 0.5 * float(np.median(apart_m)))
-    low, high = eye_m[:, :2].min(axis=0) - margin_m, eye_m[:, :2].max(axis=0) + margin_m
-    first, last = np.ceil(low / config.pitch_m), np.floor(high / config.pitch_m)
-    east, north = (config.pitch_m * np.arange(a, b + 1) for a, b in zip(first, last, strict=True))
-    place = np.stack(np.meshgrid(east, north), axis=-1).reshape(-1, 2)
+    west, south, east, north = area_m or _spanned_m(eye_m, tree, config.reach_m)
+    easting_m, northing_m = (
+        config.pitch_m * np.arange(np.ceil(low / config.pitch_m), high // config.pitch_m + 1.0)
+        for low, high in ((west, east), (south, north))
+    )
+    place = np.stack(np.meshgrid(easting_m, northing_m), axis=-1).reshape(-1, 2)
     distance_m, _ = tree.query(place, distance_upper_bound=config.reach_m)
     place = place[np.isfinite(distance_m) & (distance_m > 0.25 * config.pitch_m)]
     elevation_m = ground(place[:, 0], place[:, 1]) + config.eye_height_m
     standing = np.isfinite(elevation_m)
     return np.column_stack([place, elevation_m])[standing]
+
+
+def _spanned_m(eye_m: Float64Array, tree: cKDTree, reach_m: float) -> Area:
+    """Return the box that eyes span, and half of how far they are apart."""
+    margin_m = reach_m
+    if len(eye_m) > 1:
+        apart_m = np.asarray(tree.query(eye_m[:, :2], k=2)[0])[:, 1]
+        margin_m = min(margin_m, 0.5 * float(np.median(apart_m)))
+    west, south = eye_m[:, :2].min(axis=0) - margin_m
+    east, north = eye_m[:, :2].max(axis=0) + margin_m
+    return float(west), float(south), float(east), float(north)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,14 @@ Float64Array = NDArray[np.float64]
 
 
 _QUICK = RefineConfig(
-    shortlist=64, walkers=16, rounds=4, keep_least=6, restarts=1, finalists=6, final_rounds=3
+    shortlist=64,
+    walkers=16,
+    rounds=4,
+    keep_share=0.6,
+    keep_least=6,
+    restarts=1,
+    finalists=6,
+    final_rounds=3,
 )
 
 

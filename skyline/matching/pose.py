@@ -104,11 +104,11 @@ class RefineConfig:
     """
 
     shortlist: int = 400
-    walkers: int = 64
-    rounds: int = 6
-    keep_share: float = 0.6
-    keep_least: int = 12
-    restarts: int = 3
+    walkers: int = 128
+    rounds: int = 8
+    keep_share: float = 0.9
+    keep_least: int = 48
+    restarts: int = 6
     restart_m: float = 30.0
     restart_rounds: int = 3
     finalists: int = 12

@@ -7,6 +7,7 @@ from pathlib import Path
 from skyline.camera import DEFAULT_WIDTH
 from skyline.errors import InputError, StoreMismatchError
 from skyline.geodesy import Curvature
+from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import RowCoding, StoreHeader
 from skyline.terrain.dem import DemOptions, read_dem
@@ -132,3 +133,14 @@ def curvature_of(header: StoreHeader) -> Curvature:
         return Curvature()
     names = {f.name for f in fields(Curvature)}
     return Curvature(**{name: value for name, value in stored.items() if name in names})
+
+
+def mapped_area_m(header: StoreHeader, terrain: HeightField) -> MapBounds | None:
+    """Return the part of a terrain that a store was built for; None where it does not say."""
+    if "bounds_deg" not in header.config:
+        return None
+    bounds_deg = header.config["bounds_deg"]
+    if not isinstance(bounds_deg, Sequence) or len(bounds_deg) != 4:
+        return map_bounds(terrain, None)
+    west, south, east, north = map(float, bounds_deg)
+    return map_bounds(terrain, (west, south, east, north))

@@ -19,7 +19,7 @@ from skyline.matching.full import FullConfig, FullMatcher
 from skyline.matching.pose import Scene
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.photo import Projection, QuerySkyline, read_query
-from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
+from skyline.pipeline.config import check_dem, curvature_of, mapped_area_m, read_dem_of
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import Store, StoreHeader, open_store
 from skyline.terrain.heightfield import HeightField
@@ -265,7 +265,8 @@ def open_full(
 ) -> FullMatcher:
     """Return the full matcher of a store, which refines where there is a scene."""
     ground = None if terrain is None else terrain.height_at
-    dense = densify(store.iter_views(_ROWS_A_READ), ground, config.densify)
+    area_m = None if terrain is None else mapped_area_m(store.header, terrain)
+    dense = densify(store.iter_views(_ROWS_A_READ), ground, config.densify, area_m)
     return FullMatcher(Retriever(dense, config.retrieval), scene, config.full)
 
 

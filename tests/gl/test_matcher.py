@@ -12,6 +12,7 @@ from skyline.errors import InputError, StoreMismatchError
 from skyline.experiments.queries import QueryConfig, make_queries
 from skyline.matching.full import FullConfig
 from skyline.photo import QuerySkyline
+from skyline.pipeline.config import mapped_area_m
 from skyline.pipeline.match import RenderedScene, open_full
 from skyline.prediction import shell_edges_m
 from skyline.store import open_store
@@ -96,6 +97,17 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
             apart_m = np.hypot(*np.subtract(one, other))
             assert apart_m < FullConfig().refine.separation_m
     assert any(quick.margin[0] > 75.0 for quick in found[0.0])
+
+
+def test_a_store_says_what_area_it_stands_for(store, terrain):
+    with open_store(store) as opened:
+        header = opened.header
+    # Meridians are not parallel to the map's north.
+    np.testing.assert_allclose(mapped_area_m(header, terrain), MIDDLE, atol=25.0)
+    whole = replace(header, config=header.config | {"bounds_deg": None})
+    assert mapped_area_m(whole, terrain) == terrain.bounds_m
+    unsaid = {key: value for key, value in header.config.items() if key != "bounds_deg"}
+    assert mapped_area_m(replace(header, config=unsaid), terrain) is None
 
 
 def test_without_refinement_places_are_those_retrieved(store, terrain, queries):

@@ -73,6 +73,27 @@ def test_the_lattice_is_shared_and_stands_on_the_ground(rough):
     assert len(dense) == 9 * 9
 
 
+def test_the_lattice_fills_the_area_it_is_given(rough):
+    field, views = rough
+    dense = densify([views], field.height_at, CONFIG, area_m=(1020.0, -1900.0, 1700.0, -1300.0))
+    east, north = dense.easting_m[9:], dense.northing_m[9:]
+    assert (east.min(), east.max()) == (1050.0, 1700.0)
+    assert (north.min(), north.max()) == (-1900.0, -1300.0)
+    assert len(dense) == 14 * 13
+
+
+def test_the_area_reaches_no_farther_than_predictions(rough):
+    field, views = rough
+    near = replace(CONFIG, reach_m=80.0)
+    dense = densify([views], field.height_at, near, area_m=(0.0, -2000.0, 2000.0, 0.0))
+    lattice, eyes = (
+        np.stack([dense.easting_m[part], dense.northing_m[part]], axis=1)
+        for part in (slice(9, None), slice(9))
+    )
+    apart_m = np.linalg.norm(lattice[:, np.newaxis] - eyes, axis=2).min(axis=1)
+    assert 60.0 < apart_m.max() <= 80.0
+
+
 def test_predictions_are_nearer_to_the_truth_than_the_nearest_stored_skyline(rough):
     field, views = rough
     dense = densify([views], field.height_at, CONFIG)
