@@ -49,6 +49,7 @@ from skyline.pipeline import (
 from skyline.pipeline import explain as explain_scene
 from skyline.pipeline.config import ROWS
 from skyline.pipeline.match import terrain_at_hand
+from skyline.pipeline.predicted import cache_folder
 from skyline.pipeline.shards import DEFAULT_TILE_M
 from skyline.planning.plan import PlanConfig
 from skyline.planning.strategies import STRATEGIES
@@ -286,6 +287,17 @@ def match(
     min_confidence: Annotated[
         float, typer.Option(help="Below it there is no answer, only candidates.")
     ] = _MATCHING.min_confidence,
+    cache: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Where predicted views are kept for the next time.",
+            show_default="$XDG_CACHE_HOME/skyline",
+        ),
+    ] = None,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Predict anew, and keep nothing.")
+    ] = False,
     top: Annotated[int, typer.Option(help="Candidates to name.")] = 5,
     as_json: AsJson = False,
     report: Annotated[
@@ -308,6 +320,7 @@ def match(
         _MATCHING,
         refine=not no_refine,
         min_confidence=min_confidence,
+        cache=None if no_cache else cache or cache_folder(),
         densify=replace(_MATCHING.densify, pitch_m=densify),
     )
     asked = (str(store), tuple(dem) if dem else None, matcher, config)

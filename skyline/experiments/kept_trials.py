@@ -1,6 +1,5 @@
 """Trials kept in a folder, so that a measurement that was stopped goes on where it was."""
 
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -8,10 +7,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import skyline
 from skyline.experiments.queries import MadeQuery
 from skyline.experiments.trials import Trial
 from skyline.matching import Candidate
+from skyline.pipeline.digests import code_files, files_digest
 from skyline.render.shaders import SHADER_FOLDERS
 
 Key = Mapping[str, object]
@@ -22,9 +21,6 @@ MEASURED_CODE = (
     "prediction", "render", "store", "terrain", "experiments/queries.py", "experiments/stages.py",
 )  # fmt: skip
 """Code that an answer depends on; shaders beside it."""
-
-_SUFFIXES = (".py", ".json")
-"""Of code, and of what was learned for it."""
 
 
 def save_trials(path: Path, key: Key, trials: Sequence[Trial]) -> None:
@@ -76,25 +72,13 @@ def _candidate(kept: dict[str, Any]) -> Candidate:
     return Candidate(**kept, covariance_m2=covariance and tuple(map(tuple, covariance)))
 
 
-def file_digest(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
 @cache
-def code_digest() -> str:
+def measured_code_digest() -> str:
     """Return a SHA-256 of the `measured_files`."""
-    told = hashlib.sha256()
-    for file in measured_files():
-        told.update(f"{file.parent.name}/{file.name}\0".encode() + file.read_bytes())
-    return told.hexdigest()
+    return files_digest(measured_files())
 
 
 def measured_files() -> list[Path]:
     """Return the files that an answer depends on: code, learned models and shaders."""
-    package = Path(skyline.__file__).parent
-    roots = [package / name for name in MEASURED_CODE]
-    files = [file for root in roots for file in ([root] if root.is_file() else root.rglob("*"))]
-    code = [file for file in files if file.suffix in _SUFFIXES]
-    return sorted(code) + sorted(file for folder in SHADER_FOLDERS for file in folder.glob("*.*"))
+    shaders = sorted(file for folder in SHADER_FOLDERS for file in folder.glob("*.*"))
+    return code_files(MEASURED_CODE) + shaders

@@ -14,9 +14,8 @@ from skyline.experiments.crew import Crew, crew
 from skyline.experiments.distance_groups import DistanceGroup, distance_groups
 from skyline.experiments.kept_trials import (
     Key,
-    code_digest,
-    file_digest,
     kept_trials,
+    measured_code_digest,
     save_trials,
 )
 from skyline.experiments.matching import BoundsDeg, middle_deg
@@ -31,6 +30,7 @@ from skyline.experiments.stages import GROUPS, PAPER, READS_SHELLS, STAGES, open
 from skyline.experiments.timing import core_count
 from skyline.experiments.trials import Trial, summarize, trial_of
 from skyline.pipeline import Progress, RenderConfig
+from skyline.pipeline.digests import file_digest
 from skyline.planning.budget import check_coarse, spaced_for
 from skyline.planning.candidates import Spacing, lay_out
 from skyline.planning.plan import PlanConfig
@@ -353,7 +353,7 @@ def _job(
 ) -> _Job:
     depends: Key = {
         "package_version": __version__,
-        "code": code_digest(),
+        "code": measured_code_digest(),
         "dem": bench.terrain.digest,
         "store": file_digest(store.path),
         "bounds_deg": bench.bounds_deg,

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Frame
 from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays
-from skyline.matching.dense import DensifyConfig, densify
+from skyline.matching.dense import DensifyConfig
 from skyline.matching.full import FullConfig, FullMatcher
 from skyline.matching.pose import Scene
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.photo import Projection, QuerySkyline, read_query
-from skyline.pipeline.config import check_dem, curvature_of, mapped_area_m, read_dem_of
+from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
+from skyline.pipeline.predicted import predicted_profiles
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import Store, StoreHeader, open_store
 from skyline.terrain.heightfield import HeightField
@@ -56,6 +57,8 @@ class MatchConfig:
         Columns of the views that refinement renders.
     render_tolerance_px : float
         How far their skylines may fall short.
+    cache : Path, optional
+        Folder where what is predicted from a store is kept for the next time.
     densify : DensifyConfig
     retrieval : RetrievalConfig
     full : FullConfig
@@ -68,6 +71,7 @@ class MatchConfig:
     fov_range_deg: tuple[float, float] = (25.0, 100.0)
     render_width: int = 360
     render_tolerance_px: float = 0.05
+    cache: Path | None = None
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     retrieval: RetrievalConfig = field(default_factory=RetrievalConfig)
     full: FullConfig = field(default_factory=FullConfig)
@@ -264,9 +268,7 @@ def open_full(
     store: Store, terrain: HeightField | None, scene: Scene | None, config: MatchConfig
 ) -> FullMatcher:
     """Return the full matcher of a store, which refines where there is a scene."""
-    ground = None if terrain is None else terrain.height_at
-    area_m = None if terrain is None else mapped_area_m(store.header, terrain)
-    dense = densify(store.iter_views(_ROWS_A_READ), ground, config.densify, area_m)
+    dense = predicted_profiles(store, terrain, config.densify, config.cache)
     return FullMatcher(Retriever(dense, config.retrieval), scene, config.full)
 
 
