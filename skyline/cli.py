@@ -1,64 +1,41 @@
 """The command line: ``skyline render build match extract info explain store dem`` (DESIGN 8)."""
 
 import json
-import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from skyline import __version__, dem_cli
+from skyline import __version__, dem_cli, photo_cli
 from skyline.console import Scheduler, Workers, parse_bounds, progress_bar, run_app, runner_of
 from skyline.describe import (
     describe_gl,
-    describe_match,
     describe_scene,
     describe_store,
     describe_terrain,
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.photo import (
-    Projection,
-    extract_photo,
-    write_overlay,
-    write_trace,
-)
 from skyline.pipeline import (
-    FULL,
-    MATCHER_NAMES,
     BuildResult,
-    MatchConfig,
-    Matcher,
-    MatchResult,
     PlannedResult,
-    QueryReading,
     RenderConfig,
     ShardPlan,
     build_planned,
     build_sharded,
     build_uniform,
-    match_many,
-    matched,
     render_to_store,
-    report_matches,
     save_depth_pictures,
 )
 from skyline.pipeline import explain as explain_scene
 from skyline.pipeline.config import ROWS
-from skyline.pipeline.match import terrain_at_hand
-from skyline.pipeline.predicted import cache_folder
 from skyline.pipeline.shards import DEFAULT_TILE_M
 from skyline.planning.plan import PlanConfig
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
 from skyline.prediction import shell_edges_m
 from skyline.report.coverage import save_coverage_map
-from skyline.report.geojson import write_geojson
-from skyline.report.peaks import read_peaks
-from skyline.report.records import CandidateRecord, MatchRecord
 from skyline.store import is_store
 from skyline.store_cli import store_app
 from skyline.terrain.dem import DemOptions, read_dem
@@ -67,7 +44,6 @@ from skyline.terrain.viewpoints import stand_on
 
 _DEFAULTS = RenderConfig()
 _PLANNED = PlanConfig()
-_MATCHING = MatchConfig()
 
 app = typer.Typer(
     name="skyline",
@@ -102,15 +78,6 @@ ShardKm = Annotated[
     typer.Option(
         metavar="K", help="Build in tiles of K km, each a job of its own (10 with workers)."
     ),
-]
-FieldOfView = Annotated[
-    float | None, typer.Option(help="Horizontal field of view; else from the photo's EXIF or XMP.")
-]
-PhotoProjection = Annotated[
-    Projection | None, typer.Option("--projection", help="Of a panorama: cylindrical, mostly.")
-]
-SkyModel = Annotated[
-    Path | None, typer.Option(metavar="ONNX", help="Your own sky segmentation model.")
 ]
 Rows = Annotated[
     str, typer.Option(help=f"How the store holds rows: {' or '.join(ROWS)} (README, Store).")
@@ -263,113 +230,8 @@ def build(
         save_coverage_map(done.plan, coverage_map)
 
 
-@app.command()
-def match(
-    store: Annotated[Path, typer.Argument(metavar="STORE.h5")],
-    query: Annotated[
-        list[Path],
-        typer.Argument(metavar="QUERY...", help="Photos, sky masks (white = sky) or CSV traces."),
-    ],
-    fov_deg: FieldOfView = None,
-    projection: PhotoProjection = None,
-    sky_model: SkyModel = None,
-    dem: Annotated[
-        list[str] | None,
-        typer.Option(metavar="DEM", help="Where the store's DEM lies now; once for each tile."),
-    ] = None,
-    matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHER_NAMES)}.")] = FULL,
-    no_refine: Annotated[
-        bool, typer.Option("--no-refine", help="Do not render around what was found.")
-    ] = False,
-    densify: Annotated[
-        float, typer.Option(metavar="M", help="Metres between the views predicted from the store.")
-    ] = _MATCHING.densify.pitch_m,
-    min_confidence: Annotated[
-        float, typer.Option(help="Below it there is no answer, only candidates.")
-    ] = _MATCHING.min_confidence,
-    cache: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Where predicted views are kept for the next time.",
-            show_default="$XDG_CACHE_HOME/skyline",
-        ),
-    ] = None,
-    no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Predict anew, and keep nothing.")
-    ] = False,
-    top: Annotated[int, typer.Option(help="Candidates to name.")] = 5,
-    as_json: AsJson = False,
-    report: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write a page with pictures and maps.")
-    ] = None,
-    peaks: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="Peaks to name in it: name,lon,lat[,height_m]."),
-    ] = None,
-    geojson: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the candidates as GeoJSON.")
-    ] = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-) -> None:
-    """Find where photos were taken and which way the camera looked."""
-    if peaks is not None and report is None:
-        raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
-    config = replace(
-        _MATCHING,
-        refine=not no_refine,
-        min_confidence=min_confidence,
-        cache=None if no_cache else cache or cache_folder(),
-        densify=replace(_MATCHING.densify, pitch_m=densify),
-    )
-    asked = (str(store), tuple(dem) if dem else None, matcher, config)
-    matching = Matcher(*asked)
-    gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
-    reading = QueryReading(fov_deg, projection, sky_model)
-    results = []
-    with runner_of(workers, scheduler) as runner:
-        if runner is None:
-            found: Iterator[MatchResult] = (
-                matching.match(reading.read(path), top=top) for path in query
-            )
-        else:
-            found = match_many(runner, asked, query, reading, top)
-        for path, result in zip(query, found, strict=True):
-            results.append((path, result))
-            record = describe_match(str(path), result, matching.frame)
-            if as_json:
-                typer.echo(json.dumps(record))
-            else:
-                _say_match(record)
-    if geojson is not None:
-        candidates = [(str(path), result.candidates) for path, result in results]
-        write_geojson(geojson, candidates, matching.frame)
-    if report is not None:
-        done = [f"The matcher `{matcher}` knew {len(matching.viewpoints)} stored locations."]
-        told = (matched(path, result, done) for path, result in results)
-        terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
-        report_matches(report, matching, told, terrain, gazetteer)
-
-
-@app.command()
-def extract(
-    photo: Annotated[Path, typer.Argument(metavar="PHOTO")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The trace to write (CSV).")],
-    overlay: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="The photo with the skyline drawn.")
-    ] = None,
-    fov_deg: FieldOfView = None,
-    projection: PhotoProjection = None,
-    sky_model: SkyModel = None,
-) -> None:
-    """Find the skyline in a photo and write it as a trace that a person can correct."""
-    image, skyline = extract_photo(photo, fov_deg, projection=projection, sky_model=sky_model)
-    write_trace(skyline, output)
-    if overlay is not None:
-        write_overlay(image, skyline, overlay)
-    trusted = sum(math.isfinite(row) for row in skyline.row_px)
-    typer.echo(f"{output}: skyline in {trusted} of {skyline.width_px} columns")
+app.command()(photo_cli.match)
+app.command()(photo_cli.extract)
 
 
 @app.command()
@@ -478,22 +340,3 @@ def _say_planned(done: PlannedResult) -> None:
         f"{made.batches} batches, rendering {done.plan.render_s:.1f} s, planning "
         f"{done.plan.plan_s:.1f} s"
     )
-
-
-def _how_sure(place: CandidateRecord) -> str:
-    if place["confidence"] is None:
-        return f"score {place['score']:.3f}"
-    return f"confidence {place['confidence']:.2f}"
-
-
-def _say_match(record: MatchRecord) -> None:
-    typer.echo(f"{record['query']} ({record['seconds']:.2f} s)")
-    if "refusal" in record:
-        typer.echo(f"  no answer: {record['refusal']}")
-    for rank, place in enumerate(record["candidates"], start=1):
-        typer.echo(
-            f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
-            f"{place['easting']:.0f} northing {place['northing']:.0f}  heading "
-            f"{place['heading_deg']:.1f}  pitch {place['pitch_deg']:.1f}  "
-            f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"
-        )

@@ -1,0 +1,169 @@
+"""``skyline match extract``: photos in, places and skylines out."""
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skyline.console import Scheduler, Workers, runner_of
+from skyline.describe import describe_match
+from skyline.errors import InputError
+from skyline.photo import Projection, extract_photo, write_overlay, write_trace
+from skyline.pipeline import (
+    FULL,
+    MATCHER_NAMES,
+    MatchConfig,
+    Matcher,
+    MatchResult,
+    QueryReading,
+    match_many,
+    matched,
+    report_matches,
+)
+from skyline.pipeline.match import terrain_at_hand
+from skyline.pipeline.predicted import cache_folder
+from skyline.report.geojson import write_geojson
+from skyline.report.peaks import read_peaks
+from skyline.report.records import CandidateRecord, MatchRecord
+
+_DEFAULTS = MatchConfig()
+
+FieldOfView = Annotated[
+    float | None, typer.Option(help="Horizontal field of view; else from the photo's EXIF or XMP.")
+]
+PhotoProjection = Annotated[
+    Projection | None, typer.Option("--projection", help="Of a panorama: cylindrical, mostly.")
+]
+SkyModel = Annotated[
+    Path | None, typer.Option(metavar="ONNX", help="Your own sky segmentation model.")
+]
+
+
+def match(
+    store: Annotated[Path, typer.Argument(metavar="STORE.h5")],
+    query: Annotated[
+        list[Path],
+        typer.Argument(metavar="QUERY...", help="Photos, sky masks (white = sky) or CSV traces."),
+    ],
+    fov_deg: FieldOfView = None,
+    projection: PhotoProjection = None,
+    sky_model: SkyModel = None,
+    dem: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DEM", help="Where the store's DEM lies now; once for each tile."),
+    ] = None,
+    matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHER_NAMES)}.")] = FULL,
+    no_refine: Annotated[
+        bool, typer.Option("--no-refine", help="Do not render around what was found.")
+    ] = False,
+    densify: Annotated[
+        float, typer.Option(metavar="M", help="Metres between the views predicted from the store.")
+    ] = _DEFAULTS.densify.pitch_m,
+    min_confidence: Annotated[
+        float, typer.Option(help="Below it there is no answer, only candidates.")
+    ] = _DEFAULTS.min_confidence,
+    cache: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="Where predicted views are kept for the next time.",
+            show_default="$XDG_CACHE_HOME/skyline",
+        ),
+    ] = None,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Predict anew, and keep nothing.")
+    ] = False,
+    top: Annotated[int, typer.Option(help="Candidates to name.")] = 5,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write a page with pictures and maps.")
+    ] = None,
+    peaks: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Peaks to name in it: name,lon,lat[,height_m]."),
+    ] = None,
+    geojson: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the candidates as GeoJSON.")
+    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+) -> None:
+    """Find where photos were taken and which way the camera looked."""
+    if peaks is not None and report is None:
+        raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
+    config = replace(
+        _DEFAULTS,
+        refine=not no_refine,
+        min_confidence=min_confidence,
+        cache=None if no_cache else cache or cache_folder(),
+        densify=replace(_DEFAULTS.densify, pitch_m=densify),
+    )
+    asked = (str(store), tuple(dem) if dem else None, matcher, config)
+    matching = Matcher(*asked)
+    gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
+    reading = QueryReading(fov_deg, projection, sky_model)
+    results = []
+    with runner_of(workers, scheduler) as runner:
+        if runner is None:
+            found: Iterator[MatchResult] = (
+                matching.match(reading.read(path), top=top) for path in query
+            )
+        else:
+            found = match_many(runner, asked, query, reading, top)
+        for path, result in zip(query, found, strict=True):
+            results.append((path, result))
+            record = describe_match(str(path), result, matching.frame)
+            if as_json:
+                typer.echo(json.dumps(record))
+            else:
+                _say_match(record)
+    if geojson is not None:
+        candidates = [(str(path), result.candidates) for path, result in results]
+        write_geojson(geojson, candidates, matching.frame)
+    if report is not None:
+        done = [f"The matcher `{matcher}` knew {len(matching.viewpoints)} stored locations."]
+        told = (matched(path, result, done) for path, result in results)
+        terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
+        report_matches(report, matching, told, terrain, gazetteer)
+
+
+def extract(
+    photo: Annotated[Path, typer.Argument(metavar="PHOTO")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The trace to write (CSV).")],
+    overlay: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="The photo with the skyline drawn.")
+    ] = None,
+    fov_deg: FieldOfView = None,
+    projection: PhotoProjection = None,
+    sky_model: SkyModel = None,
+) -> None:
+    """Find the skyline in a photo and write it as a trace that a person can correct."""
+    image, skyline = extract_photo(photo, fov_deg, projection=projection, sky_model=sky_model)
+    write_trace(skyline, output)
+    if overlay is not None:
+        write_overlay(image, skyline, overlay)
+    trusted = sum(math.isfinite(row) for row in skyline.row_px)
+    typer.echo(f"{output}: skyline in {trusted} of {skyline.width_px} columns")
+
+
+def _how_sure(place: CandidateRecord) -> str:
+    if place["confidence"] is None:
+        return f"score {place['score']:.3f}"
+    return f"confidence {place['confidence']:.2f}"
+
+
+def _say_match(record: MatchRecord) -> None:
+    typer.echo(f"{record['query']} ({record['seconds']:.2f} s)")
+    if "refusal" in record:
+        typer.echo(f"  no answer: {record['refusal']}")
+    for rank, place in enumerate(record["candidates"], start=1):
+        typer.echo(
+            f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
+            f"{place['easting']:.0f} northing {place['northing']:.0f}  heading "
+            f"{place['heading_deg']:.1f}  pitch {place['pitch_deg']:.1f}  "
+            f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"
+        )
