@@ -1,73 +1,24 @@
+"""Elevation files: where their samples are, how high, and in what frame."""
+
 import gzip
 import json
-import subprocess
-import sys
 import tracemalloc
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 import rasterio
-from numpy.typing import NDArray
+from dem_files import UTM, AnyArray, plane, plane_grid, write
 from pyproj import CRS, Transformer
 from rasterio.transform import Affine, from_origin
 
-from skyline.errors import InputError, MissingFileError
+from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.terrain import cleaning
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.tiles import Grid, mosaic_grid, open_tile, read_mosaic
+from skyline.terrain.tiles import Grid
 from skyline.terrain.warp import square_spacing_m, warp
-
-UTM = "EPSG:32632"
-CALIFORNIA = [f"N{lat}W{lon}" for lat in (38, 37, 36) for lon in (120, 119)]
-
-AnyArray = NDArray[Any]
-
-
-def write(
-    path: Path,
-    heights: AnyArray,
-    transform: Affine | None = None,
-    crs: str | None = UTM,
-    **profile: Any,
-) -> Path:
-    transform = from_origin(500_000.0, 5_200_000.0, 30.0, 30.0) if transform is None else transform
-    bands = heights if heights.ndim == 3 else heights[np.newaxis]
-    with rasterio.open(
-        path,
-        "w",
-        driver=profile.pop("driver", "GTiff"),
-        count=bands.shape[0],
-        height=bands.shape[1],
-        width=bands.shape[2],
-        dtype=heights.dtype,
-        crs=crs,
-        transform=transform,
-        **{key: value for key, value in profile.items() if key != "tags"},
-    ) as dataset:
-        dataset.write(bands)
-        dataset.update_tags(**profile.get("tags", {}))
-    return path
-
-
-def plane(x: AnyArray, y: AnyArray) -> AnyArray:
-    """A height that says where it is: no flip and no shift leaves it the same."""
-    return 1000.0 + 0.25 * x - 0.5 * y
-
-
-def plane_grid(rows: int, cols: int, transform: Affine) -> NDArray[np.float32]:
-    """Heights of the plane at pixel centres, relative to the grid's first corner."""
-    row, col = np.mgrid[0:rows, 0:cols] + 0.5
-    x = transform.a * col + transform.b * row
-    y = transform.d * col + transform.e * row
-    return plane(x, y).astype(np.float32)
-
-
-# --- where the samples are -----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("step_east", [30.0, -30.0])
@@ -237,191 +188,6 @@ def test_warped_spacing_is_round(ground: tuple[float, float], spacing: float) ->
     assert square_spacing_m(ground) == pytest.approx(spacing, rel=1e-12)
 
 
-# --- voids and spikes ----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("dtype", "nodata", "value"),
-    [
-        ("int16", -32768, -32768),
-        ("int16", None, -32768),
-        ("int16", 7, 7),
-        ("float32", -9999.0, -9999.0),
-        ("float32", None, -9999.0),
-        ("float32", None, np.nan),
-        ("float32", np.nan, np.nan),
-        ("float32", None, np.inf),
-        ("float64", -3.4028234663852886e38, -3.4028234663852886e38),
-    ],
-)
-def test_voids_of_every_kind(
-    tmp_path: Path, dtype: str, nodata: float | None, value: float
-) -> None:
-    heights = np.full((40, 40), 500, dtype=dtype)
-    heights[5:8, 5:8] = value
-    heights[20:32, 20:32] = value
-    field = read_dem(write(tmp_path / "dem.tif", heights, nodata=nodata))
-    assert np.isnan(field.heights_m[20:32, 20:32]).all()
-    assert np.count_nonzero(np.isnan(field.heights_m)) == 144
-    assert field.heights_m[6, 6] == 500.0
-    counts = field.provenance
-    assert (counts.filled, counts.hollow, counts.despiked) == (9, 144, 0)
-
-
-def test_masked_samples_are_voids(tmp_path: Path) -> None:
-    path = write(tmp_path / "dem.tif", np.full((9, 9), 500, np.int16))
-    mask = np.full((9, 9), 255, np.uint8)
-    mask[4, 4] = 0
-    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), rasterio.open(path, "r+") as dataset:
-        dataset.write_mask(mask)
-    assert read_dem(path, DemOptions(max_void_samples=0)).provenance.hollow == 1
-
-
-def test_spikes_become_ground(tmp_path: Path) -> None:
-    transform = from_origin(500_000.0, 5_200_000.0, 30.0, 30.0)
-    heights = plane_grid(30, 30, transform)
-    spiked = heights.copy()
-    spiked[10, 10], spiked[0, 29], spiked[20, 5] = 32767.0, 9000.0, -2000.0
-    field = read_dem(write(tmp_path / "dem.tif", spiked, transform))
-    assert (field.provenance.despiked, field.provenance.filled) == (3, 3)
-    np.testing.assert_allclose(field.heights_m[1:, :-1], heights[1:, :-1], atol=1e-2)
-    assert abs(field.heights_m[0, 29] - heights[0, 29]) < 20.0
-    kept = read_dem(tmp_path / "dem.tif", DemOptions(spike_m=np.inf))
-    assert kept.provenance.despiked == 1
-    assert kept.heights_m[0, 29] == 9000.0
-
-
-def test_holes_and_spikes_do_not_bleed_through_the_warp(tmp_path: Path) -> None:
-    step = 1.0 / 1200.0
-    transform = from_origin(9.0, 47.0, step, step)
-    row, col = np.mgrid[0:120, 0:120].astype(np.float32)
-    heights = 800.0 + 4.0 * row + 2.0 * col
-    heights[40:70, 50:60] = -32768.0
-    heights[90, 90] = 32767.0
-    field = read_dem(write(tmp_path / "dem.tif", heights, transform, "EPSG:4326", nodata=-32768))
-    assert (field.provenance.hollow, field.provenance.despiked) == (300, 1)
-    east, north = field.to_map(*np.indices(field.heights_m.shape))
-    lon, lat = field.frame.to_lonlat(east, north)
-    source_row, source_col = (47.0 - lat) / step - 0.5, (lon - 9.0) / step - 0.5
-    inside = (np.minimum(source_row, source_col) >= 0) & (np.maximum(source_row, source_col) <= 119)
-    hole = (source_row > 39.5) & (source_row < 69.5) & (source_col > 49.5) & (source_col < 59.5)
-    np.testing.assert_array_equal(np.isnan(field.heights_m), hole | ~inside)
-    known = inside & ~hole
-    expected = 800.0 + 4.0 * source_row + 2.0 * source_col
-    # At the rim of a hole the nearest known samples stand in: up to half a sample's slope.
-    off = np.abs(field.heights_m - expected)
-    assert off[known].max() <= 3.0
-    rim = (np.abs(source_row - 54.5) < 17.0) & (np.abs(source_col - 54.5) < 7.0)
-    assert off[known & ~rim].max() < 0.01
-
-
-# --- tiles ---------------------------------------------------------------------------------
-
-
-def tile_at(folder: Path, heights: AnyArray, row: int, col: int) -> Path:
-    transform = from_origin(500_000.0 + 30.0 * col, 5_200_000.0 - 30.0 * row, 30.0, 30.0)
-    return write(folder / f"tile_{row}_{col}.tif", heights, transform)
-
-
-def test_metric_tiles_become_one_grid_with_gaps_as_holes(tmp_path: Path) -> None:
-    whole = np.random.default_rng(0).uniform(0, 50, (20, 30)).astype(np.float32)
-    # Adjacent, sharing a border, and none in the south-east.
-    paths = [
-        tile_at(tmp_path, whole[10:, :16], 10, 0),
-        tile_at(tmp_path, whole[:10, :15], 0, 0),
-        tile_at(tmp_path, whole[:11, 14:], 0, 14),
-    ]
-    field = read_dem(paths)
-    expected = whole.copy()
-    expected[11:, 16:] = np.nan
-    np.testing.assert_array_equal(field.heights_m, expected)
-    assert (field.west_m, field.north_m) == (500_015.0, 5_199_985.0)
-    counts = field.provenance
-    assert (counts.filled, counts.hollow, counts.resampling) == (0, 0, "none")
-    assert counts.files == tuple(str(path) for path in paths)
-
-
-def test_a_void_on_a_border_is_read_from_the_neighbour(tmp_path: Path) -> None:
-    left = np.full((5, 5), 10.0, np.float32)
-    left[2, 4] = np.nan
-    right = np.full((5, 5), 10.0, np.float32)
-    right[2, 0] = 10.5
-    field = read_dem([tile_at(tmp_path, left, 0, 0), tile_at(tmp_path, right, 0, 4)])
-    assert field.heights_m[2, 4] == 10.5
-    assert field.provenance.filled == 0
-
-
-def test_tiles_that_disagree_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    first = tile_at(tmp_path, np.full((5, 5), 10.0, np.float32), 0, 0)
-    close = tile_at(tmp_path, np.full((5, 5), 11.0, np.float32), 0, 4)
-    assert read_dem([first, close]).heights_m[0, 4] == 10.0
-    assert caplog.text == ""
-    other = tile_at(tmp_path, np.full((5, 5), 42.0, np.float32), 4, 0)
-    assert read_dem([other, first]).heights_m[4, 4] == 42.0
-    assert "up to 32.00 m" in caplog.text
-
-
-@pytest.mark.parametrize(
-    ("transform", "crs", "message"),
-    [
-        (from_origin(500_165.0, 5_200_000.0, 30.0, 30.0), UTM, "0.50 columns off"),
-        (from_origin(500_150.0, 5_200_010.0, 30.0, 30.0), UTM, "0.33 rows"),
-        (from_origin(500_150.0, 5_200_000.0, 10.0, 10.0), UTM, "spacing of 10 x 10"),
-        (from_origin(500_150.0, 5_200_000.0, 30.0, 30.0), "EPSG:32633", "zone 33N"),
-        (from_origin(900_500_000.0, 5_200_000.0, 30.0, 30.0), UTM, "spans"),
-    ],
-)
-def test_tiles_that_do_not_fit(tmp_path: Path, transform: Affine, crs: str, message: str) -> None:
-    first = tile_at(tmp_path, np.ones((200, 5), np.float32), 0, 0)
-    second = write(tmp_path / "b.tif", np.ones((200, 5), np.float32), transform, crs)
-    with pytest.raises(InputError, match=message):
-        read_dem([first, second])
-
-
-def california(shared_data: Path) -> list[Path]:
-    return [shared_data / "california" / f"{name}.hgt.gz" for name in CALIFORNIA]
-
-
-def test_six_californian_tiles_have_no_seam(shared_data: Path, tmp_path: Path) -> None:
-    raw = {}
-    for path, name in zip(california(shared_data), CALIFORNIA, strict=True):
-        content = gzip.decompress(path.read_bytes())
-        raw[name] = np.frombuffer(content, ">i2").reshape(1201, 1201).astype(np.int16)
-    tiles = [open_tile(path, None) for path in california(shared_data)]
-    grid, offsets = mosaic_grid(tiles)
-    assert (grid.rows, grid.cols) == (3601, 2401)
-    heights = read_mosaic(tiles, grid, offsets)
-    merged = np.full(heights.shape, -32768, np.int16)
-    for (row, col), name in reversed(list(zip(offsets, CALIFORNIA, strict=True))):
-        merged[row : row + 1201, col : col + 1201] = raw[name]
-        # All of each tile is there; the file's own borders differ by a metre here and there.
-        difference = np.abs(heights[row : row + 1201, col : col + 1201] - raw[name])
-        assert not difference[1:-1, 1:-1].any()
-        assert difference.max() <= 1.0
-    np.testing.assert_array_equal(heights, merged)
-
-    step = 1.0 / 1200.0
-    whole = write(
-        tmp_path / "merged.tif",
-        merged,
-        from_origin(-120.0 - step / 2, 39.0 + step / 2, step, step),
-        "EPSG:4326",
-        nodata=-32768,
-    )
-    one, six = read_dem(whole), read_dem(california(shared_data))
-    assert one.heights_m.shape == six.heights_m.shape
-    np.testing.assert_allclose(six.heights_m, one.heights_m, atol=1e-3)
-    assert six.spacing_m == 90.0
-    easting, northing = six.frame.from_lonlat(-118.2925, 36.5783)
-    around = six.height_at(
-        *np.meshgrid(easting + np.arange(-200, 201, 20), northing + np.arange(-200, 201, 20))
-    )
-    assert 4380.0 < around.max() < 4430.0  # Mount Whitney
-
-
-# --- the warp ------------------------------------------------------------------------------
-
-
 def test_warp_is_keys_cubic_convolution() -> None:
     rng = np.random.default_rng(5)
     heights = rng.uniform(0.0, 1000.0, (50, 60)).astype(np.float32)
@@ -484,9 +250,6 @@ def test_digest_is_the_same_each_time(tmp_path: Path) -> None:
     assert read_dem(path).digest != read_dem(path, DemOptions(max_void_samples=0)).digest
 
 
-# --- frames that are not true ----------------------------------------------------------------
-
-
 def test_albers_is_used_with_a_warning_or_warped(
     shared_data: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -523,132 +286,6 @@ def test_conformal_frames_raise_no_warning(
         write(tmp_path / "dem.tif", np.ones((9, 9), np.float32), from_origin(*place, 5.0, 5.0), crs)
     )
     assert caplog.text == ""
-
-
-# --- what is refused -------------------------------------------------------------------------
-
-
-def refused(paths: Any, options: DemOptions = DemOptions()) -> str:  # noqa: B008
-    with pytest.raises(InputError) as caught:
-        read_dem(paths, options)
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
-
-
-def test_missing_files_and_folders(tmp_path: Path) -> None:
-    with pytest.raises(MissingFileError, match=r"no\.tif"):
-        read_dem(tmp_path / "no.tif")
-    assert "folder" in refused(tmp_path)
-    assert "no DEM file" in refused([])
-
-
-def test_not_a_raster(tmp_path: Path) -> None:
-    (tmp_path / "a.tif").write_text("hello")
-    assert "cannot be read as a raster" in refused(tmp_path / "a.tif")
-    (tmp_path / "empty.tif").write_bytes(b"")
-    assert "cannot be read as a raster" in refused(tmp_path / "empty.tif")
-
-
-def test_two_bands(tmp_path: Path) -> None:
-    message = refused(write(tmp_path / "rg.tif", np.ones((2, 4, 4), np.int16)))
-    assert "rg.tif has 2 bands" in message
-
-
-@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-def test_no_place_on_the_map(tmp_path: Path) -> None:
-    ones = np.ones((4, 4), np.int16)
-    assert "--crs" in refused(write(tmp_path / "a.tif", ones, crs=None))
-    assert "no georeference" in refused(write(tmp_path / "b.tif", ones, Affine.identity()))
-    assert "Geocentric" in refused(write(tmp_path / "c.tif", ones, crs="EPSG:4978"))
-    turned = Affine(30.0, 5.0, 0.0, 5.0, -30.0, 0.0)
-    assert "gdalwarp" in refused(write(tmp_path / "d.tif", ones, turned))
-
-
-@pytest.mark.parametrize("crs", ["EPSG:99999", "rubbish", ""])
-def test_crs_that_is_not_understood(tmp_path: Path, crs: str) -> None:
-    path = write(tmp_path / "a.tif", np.ones((4, 4), np.int16), crs=None)
-    assert "not understood" in refused(path, DemOptions(crs=crs))
-
-
-def test_another_planet_in_degrees(tmp_path: Path) -> None:
-    transform = from_origin(10.0, 10.0, 0.01, 0.01)
-    path = write(tmp_path / "moon.tif", np.ones((4, 4), np.int16), transform, "IAU_2015:30100")
-    assert "Moon" in refused(path)
-
-
-def test_nothing_but_voids(tmp_path: Path) -> None:
-    path = write(tmp_path / "a.tif", np.full((4, 4), -9999.0, np.float32), nodata=-9999.0)
-    assert "all samples are nodata" in refused(path)
-
-
-@pytest.mark.parametrize("share", [0.5, 0.9])
-def test_truncated_tiff_and_no_chatter(tmp_path: Path, share: float) -> None:
-    heights = np.random.default_rng(0).integers(0, 900, (300, 300)).astype(np.int16)
-    path = write(
-        tmp_path / "a.tif", heights, tiled=True, blockxsize=64, blockysize=64, compress="deflate"
-    )
-    content = path.read_bytes()
-    path.write_bytes(content[: int(share * len(content))])
-    assert "a.tif cannot be read as a raster" in refused(path)
-
-
-def test_gdal_prints_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "a.tif"
-    write(path, np.ones((300, 300), np.int16), compress="deflate")
-    path.write_bytes(path.read_bytes()[:600])
-    program = (
-        "import sys\nfrom skyline.errors import SkylineError\n"
-        "from skyline.terrain.dem import read_dem\n"
-        "try:\n    read_dem(sys.argv[1])\n"
-        "except SkylineError as error:\n    sys.exit(error.exit_code)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program, str(path)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stdout, done.stderr) == (2, "", "")
-
-
-def test_damaged_gzip(tmp_path: Path) -> None:
-    good = gzip.compress(np.zeros((1201, 1201), ">i2").tobytes(), 1)
-    for number, content in enumerate(
-        [b"not gzip", good[: len(good) // 2], good[:-300] + bytes(300)]
-    ):
-        path = tmp_path / f"N0{number}E000.hgt.gz"
-        path.write_bytes(content)
-        assert "cannot be unpacked" in refused(path)
-    path = tmp_path / "N05E000.hgt.gz"
-    path.write_bytes(gzip.compress(b"short"))
-    assert "cannot be read as a raster" in refused(path)
-
-
-def test_a_gzip_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("skyline.terrain.tiles.MAX_UNPACKED_BYTES", 1 << 20)
-    path = tmp_path / "N05E000.hgt.gz"
-    path.write_bytes(gzip.compress(bytes(1 << 22)))
-    assert "gunzip" in refused(path)
-
-
-@pytest.mark.parametrize("wrong", [{"max_void_samples": -1}, {"spike_m": 0.0}, {"spike_m": np.nan}])
-def test_options_out_of_range(wrong: dict[str, float]) -> None:
-    with pytest.raises(InputError):
-        replace(DemOptions(), **wrong)
-
-
-def test_netcdf_by_its_gdal_name(shared_data: Path) -> None:
-    path = shared_data / "sierra" / "lakes_topo.nc"
-    assert f"netcdf:{path}:dem" in refused(path)
-    field = read_dem(f"netcdf:{path}:dem")
-    assert (field.rows, field.cols, field.spacing_m) == (168, 156, 50.0)
-    assert field.frame.name == "EPSG:32611"
-    assert field.provenance.files == (f"netcdf:{path}:dem",)
-    assert "cannot be read" in refused(f"netcdf:{path}:nothing")
-
-
-# --- size ------------------------------------------------------------------------------------
 
 
 def test_a_metric_dem_is_read_in_little_more_than_its_samples(

@@ -1,0 +1,136 @@
+"""Elevation files that cannot be used, and what is said of them."""
+
+import gzip
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dem_files import write
+from rasterio.transform import Affine, from_origin
+
+from skyline.errors import InputError, MissingFileError
+from skyline.terrain.dem import DemOptions, read_dem
+
+
+def refused(paths: Any, options: DemOptions = DemOptions()) -> str:  # noqa: B008
+    with pytest.raises(InputError) as caught:
+        read_dem(paths, options)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def test_missing_files_and_folders(tmp_path: Path) -> None:
+    with pytest.raises(MissingFileError, match=r"no\.tif"):
+        read_dem(tmp_path / "no.tif")
+    assert "folder" in refused(tmp_path)
+    assert "no DEM file" in refused([])
+
+
+def test_not_a_raster(tmp_path: Path) -> None:
+    (tmp_path / "a.tif").write_text("hello")
+    assert "cannot be read as a raster" in refused(tmp_path / "a.tif")
+    (tmp_path / "empty.tif").write_bytes(b"")
+    assert "cannot be read as a raster" in refused(tmp_path / "empty.tif")
+
+
+def test_two_bands(tmp_path: Path) -> None:
+    message = refused(write(tmp_path / "rg.tif", np.ones((2, 4, 4), np.int16)))
+    assert "rg.tif has 2 bands" in message
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_no_place_on_the_map(tmp_path: Path) -> None:
+    ones = np.ones((4, 4), np.int16)
+    assert "--crs" in refused(write(tmp_path / "a.tif", ones, crs=None))
+    assert "no georeference" in refused(write(tmp_path / "b.tif", ones, Affine.identity()))
+    assert "Geocentric" in refused(write(tmp_path / "c.tif", ones, crs="EPSG:4978"))
+    turned = Affine(30.0, 5.0, 0.0, 5.0, -30.0, 0.0)
+    assert "gdalwarp" in refused(write(tmp_path / "d.tif", ones, turned))
+
+
+@pytest.mark.parametrize("crs", ["EPSG:99999", "rubbish", ""])
+def test_crs_that_is_not_understood(tmp_path: Path, crs: str) -> None:
+    path = write(tmp_path / "a.tif", np.ones((4, 4), np.int16), crs=None)
+    assert "not understood" in refused(path, DemOptions(crs=crs))
+
+
+def test_another_planet_in_degrees(tmp_path: Path) -> None:
+    transform = from_origin(10.0, 10.0, 0.01, 0.01)
+    path = write(tmp_path / "moon.tif", np.ones((4, 4), np.int16), transform, "IAU_2015:30100")
+    assert "Moon" in refused(path)
+
+
+def test_nothing_but_voids(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.tif", np.full((4, 4), -9999.0, np.float32), nodata=-9999.0)
+    assert "all samples are nodata" in refused(path)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9])
+def test_truncated_tiff_and_no_chatter(tmp_path: Path, share: float) -> None:
+    heights = np.random.default_rng(0).integers(0, 900, (300, 300)).astype(np.int16)
+    path = write(
+        tmp_path / "a.tif", heights, tiled=True, blockxsize=64, blockysize=64, compress="deflate"
+    )
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    assert "a.tif cannot be read as a raster" in refused(path)
+
+
+def test_gdal_prints_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.tif"
+    write(path, np.ones((300, 300), np.int16), compress="deflate")
+    path.write_bytes(path.read_bytes()[:600])
+    program = (
+        "import sys\nfrom skyline.errors import SkylineError\n"
+        "from skyline.terrain.dem import read_dem\n"
+        "try:\n    read_dem(sys.argv[1])\n"
+        "except SkylineError as error:\n    sys.exit(error.exit_code)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", "")
+
+
+def test_damaged_gzip(tmp_path: Path) -> None:
+    good = gzip.compress(np.zeros((1201, 1201), ">i2").tobytes(), 1)
+    for number, content in enumerate(
+        [b"not gzip", good[: len(good) // 2], good[:-300] + bytes(300)]
+    ):
+        path = tmp_path / f"N0{number}E000.hgt.gz"
+        path.write_bytes(content)
+        assert "cannot be unpacked" in refused(path)
+    path = tmp_path / "N05E000.hgt.gz"
+    path.write_bytes(gzip.compress(b"short"))
+    assert "cannot be read as a raster" in refused(path)
+
+
+def test_a_gzip_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("skyline.terrain.tiles.MAX_UNPACKED_BYTES", 1 << 20)
+    path = tmp_path / "N05E000.hgt.gz"
+    path.write_bytes(gzip.compress(bytes(1 << 22)))
+    assert "gunzip" in refused(path)
+
+
+@pytest.mark.parametrize("wrong", [{"max_void_samples": -1}, {"spike_m": 0.0}, {"spike_m": np.nan}])
+def test_options_out_of_range(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError):
+        replace(DemOptions(), **wrong)
+
+
+def test_netcdf_by_its_gdal_name(shared_data: Path) -> None:
+    path = shared_data / "sierra" / "lakes_topo.nc"
+    assert f"netcdf:{path}:dem" in refused(path)
+    field = read_dem(f"netcdf:{path}:dem")
+    assert (field.rows, field.cols, field.spacing_m) == (168, 156, 50.0)
+    assert field.frame.name == "EPSG:32611"
+    assert field.provenance.files == (f"netcdf:{path}:dem",)
+    assert "cannot be read" in refused(f"netcdf:{path}:nothing")

@@ -1,0 +1,114 @@
+"""Tiles of one grid become one elevation model."""
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dem_files import CALIFORNIA, UTM, AnyArray, write
+from rasterio.transform import Affine, from_origin
+
+from skyline.errors import InputError
+from skyline.terrain.dem import read_dem
+from skyline.terrain.tiles import mosaic_grid, open_tile, read_mosaic
+
+
+def tile_at(folder: Path, heights: AnyArray, row: int, col: int) -> Path:
+    transform = from_origin(500_000.0 + 30.0 * col, 5_200_000.0 - 30.0 * row, 30.0, 30.0)
+    return write(folder / f"tile_{row}_{col}.tif", heights, transform)
+
+
+def test_metric_tiles_become_one_grid_with_gaps_as_holes(tmp_path: Path) -> None:
+    whole = np.random.default_rng(0).uniform(0, 50, (20, 30)).astype(np.float32)
+    # Adjacent, sharing a border, and none in the south-east.
+    paths = [
+        tile_at(tmp_path, whole[10:, :16], 10, 0),
+        tile_at(tmp_path, whole[:10, :15], 0, 0),
+        tile_at(tmp_path, whole[:11, 14:], 0, 14),
+    ]
+    field = read_dem(paths)
+    expected = whole.copy()
+    expected[11:, 16:] = np.nan
+    np.testing.assert_array_equal(field.heights_m, expected)
+    assert (field.west_m, field.north_m) == (500_015.0, 5_199_985.0)
+    counts = field.provenance
+    assert (counts.filled, counts.hollow, counts.resampling) == (0, 0, "none")
+    assert counts.files == tuple(str(path) for path in paths)
+
+
+def test_a_void_on_a_border_is_read_from_the_neighbour(tmp_path: Path) -> None:
+    left = np.full((5, 5), 10.0, np.float32)
+    left[2, 4] = np.nan
+    right = np.full((5, 5), 10.0, np.float32)
+    right[2, 0] = 10.5
+    field = read_dem([tile_at(tmp_path, left, 0, 0), tile_at(tmp_path, right, 0, 4)])
+    assert field.heights_m[2, 4] == 10.5
+    assert field.provenance.filled == 0
+
+
+def test_tiles_that_disagree_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    first = tile_at(tmp_path, np.full((5, 5), 10.0, np.float32), 0, 0)
+    close = tile_at(tmp_path, np.full((5, 5), 11.0, np.float32), 0, 4)
+    assert read_dem([first, close]).heights_m[0, 4] == 10.0
+    assert caplog.text == ""
+    other = tile_at(tmp_path, np.full((5, 5), 42.0, np.float32), 4, 0)
+    assert read_dem([other, first]).heights_m[4, 4] == 42.0
+    assert "up to 32.00 m" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("transform", "crs", "message"),
+    [
+        (from_origin(500_165.0, 5_200_000.0, 30.0, 30.0), UTM, "0.50 columns off"),
+        (from_origin(500_150.0, 5_200_010.0, 30.0, 30.0), UTM, "0.33 rows"),
+        (from_origin(500_150.0, 5_200_000.0, 10.0, 10.0), UTM, "spacing of 10 x 10"),
+        (from_origin(500_150.0, 5_200_000.0, 30.0, 30.0), "EPSG:32633", "zone 33N"),
+        (from_origin(900_500_000.0, 5_200_000.0, 30.0, 30.0), UTM, "spans"),
+    ],
+)
+def test_tiles_that_do_not_fit(tmp_path: Path, transform: Affine, crs: str, message: str) -> None:
+    first = tile_at(tmp_path, np.ones((200, 5), np.float32), 0, 0)
+    second = write(tmp_path / "b.tif", np.ones((200, 5), np.float32), transform, crs)
+    with pytest.raises(InputError, match=message):
+        read_dem([first, second])
+
+
+def california(shared_data: Path) -> list[Path]:
+    return [shared_data / "california" / f"{name}.hgt.gz" for name in CALIFORNIA]
+
+
+def test_six_californian_tiles_have_no_seam(shared_data: Path, tmp_path: Path) -> None:
+    raw = {}
+    for path, name in zip(california(shared_data), CALIFORNIA, strict=True):
+        content = gzip.decompress(path.read_bytes())
+        raw[name] = np.frombuffer(content, ">i2").reshape(1201, 1201).astype(np.int16)
+    tiles = [open_tile(path, None) for path in california(shared_data)]
+    grid, offsets = mosaic_grid(tiles)
+    assert (grid.rows, grid.cols) == (3601, 2401)
+    heights = read_mosaic(tiles, grid, offsets)
+    merged = np.full(heights.shape, -32768, np.int16)
+    for (row, col), name in reversed(list(zip(offsets, CALIFORNIA, strict=True))):
+        merged[row : row + 1201, col : col + 1201] = raw[name]
+        # All of each tile is there; the file's own borders differ by a metre here and there.
+        difference = np.abs(heights[row : row + 1201, col : col + 1201] - raw[name])
+        assert not difference[1:-1, 1:-1].any()
+        assert difference.max() <= 1.0
+    np.testing.assert_array_equal(heights, merged)
+
+    step = 1.0 / 1200.0
+    whole = write(
+        tmp_path / "merged.tif",
+        merged,
+        from_origin(-120.0 - step / 2, 39.0 + step / 2, step, step),
+        "EPSG:4326",
+        nodata=-32768,
+    )
+    one, six = read_dem(whole), read_dem(california(shared_data))
+    assert one.heights_m.shape == six.heights_m.shape
+    np.testing.assert_allclose(six.heights_m, one.heights_m, atol=1e-3)
+    assert six.spacing_m == 90.0
+    easting, northing = six.frame.from_lonlat(-118.2925, 36.5783)
+    around = six.height_at(
+        *np.meshgrid(easting + np.arange(-200, 201, 20), northing + np.arange(-200, 201, 20))
+    )
+    assert 4380.0 < around.max() < 4430.0  # Mount Whitney
