@@ -51,6 +51,11 @@ LEARNED = {
 }
 HELD_OUT = {"davos": ("davos/davos_srtm1_30m.tif", DemOptions())}
 
+STRANGERS = {"sierra": "rofental", "rofental": "sierra", "davos": "sierra"}
+"""Terrain -> one whose skylines its store must refuse."""
+STRANGERS_SHARE = 5
+"""One stranger to so many queries of a kind."""
+
 Told = dict[str, dict[str, list[Example]]]
 """Examples by terrain and model."""
 
@@ -61,12 +66,10 @@ KINDS = (
 
 
 def told_by(
-    terrain: HeightField, folder: Path, queries: int, seed: int
+    terrain: HeightField, strange: HeightField, folder: Path, queries: int, seed: int
 ) -> dict[str, list[Example]]:
-    """Match queries of all kinds in the terrain's middle; examples by model."""
-    west, south, east, north = terrain.bounds_m
-    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
-    half = 0.5 * min(SIDE_M, 0.7 * (east - west), 0.7 * (north - south))
+    """Match queries of all kinds in the terrain's middle, and some of another; by model."""
+    middle, half = middle_of(terrain)
     store = folder / "store.h5"
     lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + [[-half, half], [-half, half]]))
     bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
@@ -80,8 +83,29 @@ def told_by(
         for example in examples(matcher, made):
             for name, one in example.items():
                 told[name].append(one)
+    for made in strangers(strange, max(queries // STRANGERS_SHARE, 1), seed):
+        for example in examples(matcher, made):
+            for name, one in example.items():
+                told[name].append(replace(one, right=False))
     scene.release()
     return told
+
+
+def middle_of(terrain: HeightField) -> tuple[np.ndarray, float]:
+    """Return the middle of a terrain and half the side of the square that is built there."""
+    west, south, east, north = terrain.bounds_m
+    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
+    return middle, 0.5 * min(SIDE_M, 0.7 * (east - west), 0.7 * (north - south))
+
+
+def strangers(terrain: HeightField, queries: int, seed: int) -> list[tuple[MadeQuery, ...]]:
+    """Make queries of every kind, and plain ones, in a terrain's middle."""
+    middle, half = middle_of(terrain)
+    area = (*(middle - half), *(middle + half))
+    return [
+        make_queries(terrain, area, queries, seed + number, replace(kind, fov_error=0.05))
+        for number, kind in enumerate((*KINDS, QueryConfig()), start=100)
+    ]
 
 
 def all_queries(
@@ -100,13 +124,16 @@ def all_queries(
 def matched(queries: int, seed: int) -> Told:
     """Match queries on every terrain; examples by terrain and model."""
     told: Told = {}
-    terrains = LEARNED | HELD_OUT
+    terrains = {
+        name: read_dem([DATA / path], options)
+        for name, (path, options) in (LEARNED | HELD_OUT).items()
+    }
     with progress_bar("terrains") as progress:
-        for number, (name, (path, options)) in enumerate(terrains.items()):
+        for number, (name, terrain) in enumerate(terrains.items()):
             progress(number, len(terrains))
+            strange = terrains[STRANGERS[name]]
             with tempfile.TemporaryDirectory() as folder:
-                terrain = read_dem([DATA / path], options)
-                told[name] = told_by(terrain, Path(folder), queries, seed)
+                told[name] = told_by(terrain, strange, Path(folder), queries, seed)
     return told
 
 

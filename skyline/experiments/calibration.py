@@ -60,7 +60,7 @@ def examples(
             figures = confidence.retrieved_figures(found, rays)
             told["retrieved"] = _example(figures, found, query)
         if poses is not None and len(poses):
-            figures = confidence.refined_figures(poses, rays)
+            figures = confidence.refined_figures(poses, found, rays)
             told["refined"] = _example(figures, poses.hypotheses, query)
         yield told
 

@@ -70,8 +70,13 @@ class Logistic:
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
 
 
-def refined_figures(poses: Poses, query: QueryRays) -> dict[str, Float64Array]:
-    """Return what a refinement says of each of its M poses, (M,) by name."""
+def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[str, Float64Array]:
+    """Return what a refinement says of each of its M poses, (M,) by name.
+
+    That with what the retrieval it began with says of its best: skylines of elsewhere can be bent
+    to fit some place well, but were hardly like it before.
+    """
+    retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
     return {
         "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
@@ -81,6 +86,8 @@ def refined_figures(poses: Poses, query: QueryRays) -> dict[str, Float64Array]:
         "log_margin": _log_margin(poses.margin),
         "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
         "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
+        "retrieved_score": np.full(len(poses), retrieved["score"][best]),
+        "retrieved_log_margin": np.full(len(poses), retrieved["log_margin"][best]),
     } | _query_figures(query, len(poses))
 
 

@@ -95,7 +95,7 @@ class FullMatcher:
         if poses is None:
             sure = self._sure("retrieved", confidence.retrieved_figures(found, query))
             return self._candidates(found, sure, top)
-        sure = self._sure("refined", confidence.refined_figures(poses, query))
+        sure = self._sure("refined", confidence.refined_figures(poses, found, query))
         chosen = self._chosen(poses.hypotheses, top)
         return [
             replace(candidate, refined=True, covariance_m2=_as_rows(poses.covariance_m2[index]))
