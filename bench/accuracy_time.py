@@ -17,9 +17,9 @@ import numpy as np
 
 from skyline import MatchConfig, read_dem
 from skyline.console import progress_bar
+from skyline.errors import InputError
 from skyline.experiments.queries import MadeQuery, QueryConfig, make_queries
 from skyline.experiments.record import write_record
-from skyline.matching import QueryRays
 from skyline.matching.dense import DenseProfiles
 from skyline.matching.full import FullConfig, FullMatcher
 from skyline.matching.pose import RefineConfig
@@ -96,7 +96,10 @@ def _told(
 ) -> tuple[float, float]:
     """Return the error, metres, and the processor time, seconds."""
     started = time.process_time()
-    rays: QueryRays = query.rays()
+    try:
+        rays = query.rays()
+    except InputError:  # No skyline is left to be seen.
+        return AT_MOST_M, time.process_time() - started
     found = matcher.retrieve(rays)
     best = found[np.arange(min(shortlist, len(found)))]
     if depth.full is not None:
