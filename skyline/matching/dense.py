@@ -320,7 +320,9 @@ def _lattice_m(
     if not np.isfinite(config.pitch_m):
         return np.zeros((0, 3))
     tree = cKDTree(eye_m[:, :2])
-    west, south, east, north = area_m or _spanned_m(eye_m, tree, config.reach_m)
+    west, south, east, north = _within_reach(
+        area_m or _spanned_m(eye_m, tree, config.reach_m), eye_m, config.reach_m
+    )
     easting_m, northing_m = (
         config.pitch_m * np.arange(np.ceil(low / config.pitch_m), high // config.pitch_m + 1.0)
         for low, high in ((west, east), (south, north))
@@ -331,6 +333,13 @@ def _lattice_m(
     elevation_m = ground(place[:, 0], place[:, 1]) + config.eye_height_m
     standing = np.isfinite(elevation_m)
     return np.column_stack([place, elevation_m])[standing]
+
+
+def _within_reach(area_m: Area, eye_m: Float64Array, reach_m: float) -> Area:
+    """Return the part of an area that may lie within reach of an eye."""
+    west, south, east, north = area_m
+    low, high = eye_m[:, :2].min(axis=0) - reach_m, eye_m[:, :2].max(axis=0) + reach_m
+    return max(west, low[0]), max(south, low[1]), min(east, high[0]), min(north, high[1])
 
 
 def _spanned_m(eye_m: Float64Array, tree: cKDTree, reach_m: float) -> Area:

@@ -1,8 +1,10 @@
 """How skylines are rendered, and the renderer and the store header that this asks for."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import cast
 
 from skyline.camera import DEFAULT_WIDTH
 from skyline.errors import InputError, StoreMismatchError
@@ -13,6 +15,8 @@ from skyline.store import RowCoding, StoreHeader
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
+
+_log = logging.getLogger(__name__)
 
 ROWS = ("compact", "exact")
 """How a store may hold its rows."""
@@ -136,11 +140,18 @@ def curvature_of(header: StoreHeader) -> Curvature:
 
 
 def mapped_area_m(header: StoreHeader, terrain: HeightField) -> MapBounds | None:
-    """Return the part of a terrain that a store was built for; None where it does not say."""
+    """Return the part of a terrain that a store was built for; None where it does not say.
+
+    Bounds that are no box on the terrain count as unsaid, with a warning.
+    """
     if "bounds_deg" not in header.config:
         return None
     bounds_deg = header.config["bounds_deg"]
-    if not isinstance(bounds_deg, Sequence) or len(bounds_deg) != 4:
+    if bounds_deg is None:
         return map_bounds(terrain, None)
-    west, south, east, north = map(float, bounds_deg)
-    return map_bounds(terrain, (west, south, east, north))
+    try:
+        west, south, east, north = (float(degrees) for degrees in cast(list[float], bounds_deg))
+        return map_bounds(terrain, (west, south, east, north))
+    except (TypeError, ValueError) as error:
+        _log.warning("the store's own bounds_deg, %r, are of no use: %s", bounds_deg, error)
+        return None

@@ -9,26 +9,33 @@ import hashlib
 import logging
 import os
 import tempfile
+import time
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from skyline.matching.dense import DenseProfiles, DensifyConfig, densify
 from skyline.pipeline.config import mapped_area_m
 from skyline.pipeline.digests import code_files, file_digest, files_digest
-from skyline.store import Store
+from skyline.store import Store, StoreHeader
 from skyline.terrain.heightfield import HeightField
+from skyline.views import Views
 
 _log = logging.getLogger(__name__)
 
-PREDICTING_CODE = ("camera.py", "geodesy.py", "views.py", "matching/dense.py", "prediction")
+PREDICTING_CODE = (
+    "camera.py", "geodesy.py", "views.py", "matching/dense.py", "pipeline/config.py",
+    "pipeline/predicted.py", "planning/uniform.py", "prediction", "store", "terrain",
+)  # fmt: skip
 """Code that a prediction depends on, in the package."""
 FOLDER_LIMIT_BYTES = 4 << 30
 _SUFFIX = ".predicted.npz"
-_ROWS_A_READ = 1024
+_PARTIAL = ".predicted.partial"
+_STRAY_S = 24 * 3600.0
+"""A partial file that old was left behind by a process that was killed."""
 _FIELDS = tuple(field.name for field in fields(DenseProfiles))
 
 
@@ -53,11 +60,11 @@ def predicted_profiles(
         Made if need be; where it cannot be written to, there is a warning. None keeps nothing.
     """
     if folder is None:
-        return _predicted(store, terrain, config)
+        return densified(store.iter_views(), store.header, terrain, config)
     path = folder / (_key(store, terrain, config) + _SUFFIX)
     profiles = _kept(path)
     if profiles is None:
-        profiles = _predicted(store, terrain, config)
+        profiles = densified(store.iter_views(), store.header, terrain, config)
         try:
             _keep(profiles, path)
         except OSError as error:
@@ -65,21 +72,27 @@ def predicted_profiles(
     return profiles
 
 
+def densified(
+    chunks: Iterable[Views],
+    header: StoreHeader,
+    terrain: HeightField | None,
+    config: DensifyConfig,
+) -> DenseProfiles:
+    """Return a store's views made dense over the area it was built for; see `densify`."""
+    if terrain is None:
+        return densify(chunks, None, config)
+    return densify(chunks, terrain.height_at, config, mapped_area_m(header, terrain))
+
+
 def _key(store: Store, terrain: HeightField | None, config: DensifyConfig) -> str:
     told = (
         files_digest(code_files(PREDICTING_CODE)),
         file_digest(store.path),
+        store.committed,
         None if terrain is None else terrain.digest,
         config,
     )
     return hashlib.sha256(repr(told).encode()).hexdigest()
-
-
-def _predicted(store: Store, terrain: HeightField | None, config: DensifyConfig) -> DenseProfiles:
-    views = store.iter_views(_ROWS_A_READ)
-    if terrain is None:
-        return densify(views, None, config)
-    return densify(views, terrain.height_at, config, mapped_area_m(store.header, terrain))
 
 
 def _kept(path: Path) -> DenseProfiles | None:
@@ -89,7 +102,7 @@ def _kept(path: Path) -> DenseProfiles | None:
             profiles = DenseProfiles(*(held[name] for name in _FIELDS))
     except (FileNotFoundError, NotADirectoryError):
         return None
-    except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
+    except Exception as error:  # A damaged archive may raise anything.
         _log.warning("%s is not as it was written and will be made again: %s", path, error)
         return None
     with suppress(OSError):
@@ -100,7 +113,7 @@ def _kept(path: Path) -> DenseProfiles | None:
 def _keep(profiles: DenseProfiles, path: Path) -> None:
     """Write profiles, whole or not at all, and make room for them."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, suffix=".partial")
+    handle, name = tempfile.mkstemp(dir=path.parent, suffix=_PARTIAL)
     partial = Path(name)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -114,6 +127,9 @@ def _keep(profiles: DenseProfiles, path: Path) -> None:
 
 def _make_room(newest: Path) -> None:
     """Remove what was longest not asked for from a folder that is too large."""
+    for stray in newest.parent.glob(f"*{_PARTIAL}"):
+        if time.time() - stray.stat().st_mtime > _STRAY_S:
+            stray.unlink(missing_ok=True)
     kept = [(path.stat(), path) for path in newest.parent.glob(f"*{_SUFFIX}")]
     excess = sum(stat.st_size for stat, _ in kept) - FOLDER_LIMIT_BYTES
     for stat, path in sorted(kept, key=lambda one: one[0].st_mtime):

@@ -110,6 +110,14 @@ def test_a_store_says_what_area_it_stands_for(store, terrain):
     assert mapped_area_m(replace(header, config=unsaid), terrain) is None
 
 
+@pytest.mark.parametrize("wrong", ["abcd", 7.0, [1.0, 2.0], ["w", "s", "e", "n"], [9, 9, 8, 8]])
+def test_an_area_that_is_none_counts_as_unsaid(store, terrain, caplog, wrong):
+    with open_store(store) as opened:
+        header = opened.header
+    assert mapped_area_m(replace(header, config={"bounds_deg": wrong}), terrain) is None
+    assert "bounds_deg" in caplog.text
+
+
 def test_without_refinement_places_are_those_retrieved(store, terrain, queries):
     matcher = Matcher(store, terrain, config=replace(BOLD, refine=False))
     found = matcher.match_all(query.skyline for query in queries)

@@ -54,7 +54,7 @@ def never(monkeypatch):
     def predict(*_):
         raise AssertionError("predicted again")
 
-    return lambda: monkeypatch.setattr(predicted, "_predicted", predict)
+    return lambda: monkeypatch.setattr(predicted, "densified", predict)
 
 
 def test_predictions_are_kept_and_found_again(tmp_path, store, terrain, never):
@@ -85,11 +85,20 @@ def test_whatever_they_depend_on_makes_others(tmp_path, store, terrain, monkeypa
     assert len(list(folder.iterdir())) == 5
 
 
-@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 and then something else", b"no archive"])
+def encrypted(archive: bytes) -> bytes:
+    """Set the bit by which an archive's directory says that its first member is encrypted."""
+    flags = archive.index(b"PK\x01\x02") + 8
+    return archive[:flags] + bytes([archive[flags] | 1]) + archive[flags + 1 :]
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [lambda _: b"", lambda _: b"no archive", lambda whole: whole[: len(whole) // 2], encrypted],
+)
 def test_a_damaged_file_is_made_again(tmp_path, store, terrain, caplog, damage):
     whole = ask(store, terrain, folder=tmp_path)
     (path,) = tmp_path.iterdir()
-    path.write_bytes(damage)
+    path.write_bytes(damage(path.read_bytes()))
     with caplog.at_level(logging.WARNING):
         assert_same(ask(store, terrain, folder=tmp_path), whole)
     assert "made again" in caplog.text
@@ -118,6 +127,20 @@ def test_the_longest_unused_goes_when_there_is_no_room(tmp_path, store, terrain,
     assert first.exists()
     assert not second.exists()
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_what_a_killed_process_left_behind_goes(tmp_path, store, terrain):
+    old, new, other = (
+        tmp_path / name for name in ("a.predicted.partial", "b.predicted.partial", "c.partial")
+    )
+    for path in (old, new, other):
+        path.touch()
+    os.utime(old, (1.0, 1.0))
+    os.utime(other, (1.0, 1.0))
+    ask(store, terrain, folder=tmp_path)
+    assert not old.exists()
+    assert new.exists()
+    assert other.exists()
 
 
 def test_the_folder_is_where_the_system_wants_it(monkeypatch, tmp_path):

@@ -92,6 +92,9 @@ def test_the_area_reaches_no_farther_than_predictions(rough):
     )
     apart_m = np.linalg.norm(lattice[:, np.newaxis] - eyes, axis=2).min(axis=1)
     assert 60.0 < apart_m.max() <= 80.0
+    # No more memory for the whole Earth.
+    huge = densify([views], field.height_at, near, area_m=(-2e7, -2e7, 2e7, 2e7))
+    np.testing.assert_array_equal(huge.easting_m, dense.easting_m)
 
 
 def test_predictions_are_nearer_to_the_truth_than_the_nearest_stored_skyline(rough):

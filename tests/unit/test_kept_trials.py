@@ -75,7 +75,7 @@ def test_answers_depend_on_code_learned_models_and_shaders():
     assert len(measured_code_digest()) == 64
     names = {file.name for file in measured_files()}
     assert {"retrieval.py", "stages.py", "confidence.json", "horizon_walk.glsl"} <= names
-    assert "bench.py" not in names
+    assert not {"adaptive.py", "uniform_adaptive.py"} & names
 
 
 def test_the_best_candidate_alone_is_kept(trials, tmp_path):
