@@ -12,13 +12,13 @@ import numpy as np
 
 from skyline.experiments.queries import MadeQuery, QueryConfig
 from skyline.matching import QueryRays
-from skyline.matching.dense import DensifyConfig, densify
+from skyline.matching.dense import DensifyConfig
 from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.retrieval import Retriever
 from skyline.pipeline import MatchConfig, Matcher, MatchResult
-from skyline.pipeline.config import mapped_area_m
-from skyline.pipeline.match import RenderedScene
+from skyline.pipeline.match import RenderedScene, too_little, unsure
+from skyline.pipeline.predicted import densified
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
 
@@ -39,7 +39,6 @@ READS_SHELLS = frozenset({SHELLS, REFINED})
 GROUPS: tuple[tuple[str, ...], ...] = ((PAPER,), (STORED,), (DEPTH,), (SHELLS, REFINED))
 """Matchers measured together, since they share what is retrieved."""
 
-_ROWS_A_READ = 1024
 _TOP = 1
 """Candidates asked for: the best is what counts."""
 
@@ -67,14 +66,13 @@ def open_stages(names: Sequence[str], store: Path, terrain: HeightField) -> Iter
     if PAPER in names:
         yield _Paper(Matcher(store, terrain, PAPER, config))
         return
-    densified = DensifyConfig(pitch_m=np.inf) if STORED in names else config.densify
+    densify = DensifyConfig(pitch_m=np.inf) if STORED in names else config.densify
     with open_store(store) as opened:
         header = opened.header
-        chunks = opened.iter_views(_ROWS_A_READ)
+        chunks = opened.iter_views()
         if not READS_SHELLS & set(names):
             chunks = (replace(views, shells=None) for views in chunks)
-        area_m = mapped_area_m(header, terrain)
-        dense = densify(chunks, terrain.height_at, densified, area_m)
+        dense = densified(chunks, header, terrain, densify)
     retriever = _Remembering(dense, config.retrieval)
     unrefined = [name for name in names if name != REFINED]
     matchers = {name: FullMatcher(retriever, None, config.full) for name in unrefined}
@@ -105,17 +103,13 @@ class _Ours:
 
     def match(self, query: MadeQuery) -> dict[str, MatchResult]:
         started = time.perf_counter()
-        least_deg = self._config.min_visible_deg
-        if query.skyline.visible_deg(query.given_fov_deg) < least_deg:
-            refused = MatchResult(query.skyline, (), 0.0, f"less than {least_deg:g} degrees")
-            return dict.fromkeys(self._matchers, refused)
+        if refusal := too_little(query.skyline, self._config):
+            return dict.fromkeys(self._matchers, MatchResult(query.skyline, (), 0.0, refusal))
         rays = query.rays()
         results = {}
         for name, matcher in self._matchers.items():
             candidates = tuple(matcher.rank(rays, _TOP))
-            sure = candidates[0].confidence if candidates else 0.0
-            unsure = sure is not None and sure < self._config.min_confidence
-            refusal = "not sure enough" if unsure else None
+            refusal = unsure(candidates, self._config)
             seconds = time.perf_counter() - started
             results[name] = MatchResult(query.skyline, candidates, seconds, refusal)
         return results

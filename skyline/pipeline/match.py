@@ -29,8 +29,6 @@ from skyline.views import Views
 
 _log = logging.getLogger(__name__)
 
-_ROWS_A_READ = 1024
-
 FULL = "full"
 MATCHER_NAMES = (FULL, *MATCHERS)
 
@@ -211,10 +209,10 @@ class Matcher:
         elif fov_deg is not None:
             query = query.with_fov(fov_deg)
         candidates: list[Candidate] = []
-        refusal = self._too_little(query)
+        refusal = too_little(query, self._config)
         if refusal is None:
             candidates = self._rank(self._rays(query), top)
-            refusal = self._unsure(candidates)
+            refusal = unsure(candidates, self._config)
         return MatchResult(query, tuple(candidates), time.perf_counter() - started, refusal)
 
     def match_all(
@@ -244,25 +242,27 @@ class Matcher:
         u, v = query.image_plane(fov_deg)
         return QueryRays(u, v, query.confidence[query.trusted], fov_deg, bounds_deg)
 
-    def _too_little(self, query: QuerySkyline) -> str | None:
-        """Say why a query shows too little of a skyline to be matched, if so."""
-        widest_deg = self._config.fov_range_deg[1] if query.fov_deg is None else query.fov_deg
-        visible_deg, least_deg = query.visible_deg(widest_deg), self._config.min_visible_deg
-        if visible_deg >= least_deg:
-            return None
-        return (
-            f"{visible_deg:.1f} degrees of skyline are visible, {least_deg:g} are needed; correct "
-            "the skyline by a trace or a mask, or check the field of view"
-        )
 
-    def _unsure(self, candidates: Sequence[Candidate]) -> str | None:
-        """Say why candidates are no answer, if so."""
-        if not candidates:
-            return "no place fits"
-        sure, least = candidates[0].confidence, self._config.min_confidence
-        if sure is None or sure >= least:
-            return None
-        return f"the best place has confidence {sure:.2f}, {least:.2f} is needed"
+def too_little(query: QuerySkyline, config: MatchConfig) -> str | None:
+    """Say why a query shows too little of a skyline to be matched, if so."""
+    widest_deg = config.fov_range_deg[1] if query.fov_deg is None else query.fov_deg
+    visible_deg, least_deg = query.visible_deg(widest_deg), config.min_visible_deg
+    if visible_deg >= least_deg:
+        return None
+    return (
+        f"{visible_deg:.1f} degrees of skyline are visible, {least_deg:g} are needed; correct "
+        "the skyline by a trace or a mask, or check the field of view"
+    )
+
+
+def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
+    """Say why candidates are no answer, if so."""
+    if not candidates:
+        return "no place fits"
+    sure, least = candidates[0].confidence, config.min_confidence
+    if sure is None or sure >= least:
+        return None
+    return f"the best place has confidence {sure:.2f}, {least:.2f} is needed"
 
 
 def open_full(
@@ -328,6 +328,8 @@ def _eyes(store: Store) -> Viewpoints:
 
 
 def _chunks(store: Store) -> Iterable[tuple[Views, NDArray[np.uint16]]]:
-    for start in range(0, store.committed, _ROWS_A_READ):
-        rows = slice(start, min(start + _ROWS_A_READ, store.committed))
-        yield store.views(rows), store.keypoint_columns(rows)
+    start = 0
+    for views in store.iter_views():
+        rows = slice(start, start + len(views))
+        yield views, store.keypoint_columns(rows)
+        start = rows.stop
