@@ -2,26 +2,31 @@
 
 Run as ``python bench/accuracy_time.py STORE.h5 DEM...``; writes accuracy_time.json and .png to
 bench/results. Queries are drawn over the store's own area. Seconds are processor time a query,
-which other work on the machine does not change; predictions are made once, before.
+which other work on the machine hardly changes; predictions are made once, before.
 """
 
 import argparse
 import math
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple, TypeVar
 
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from skyline import MatchConfig, read_dem
 from skyline.console import progress_bar
 from skyline.errors import InputError
-from skyline.experiments.queries import MadeQuery, QueryConfig, make_queries
+from skyline.experiments.queries import MadeQuery, QueryConfig, Truth, make_queries
 from skyline.experiments.record import write_record
-from skyline.matching.dense import DenseProfiles
+from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.full import FullConfig, FullMatcher
+from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.pose import RefineConfig
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.pipeline.config import mapped_area_m
@@ -30,118 +35,152 @@ from skyline.pipeline.predicted import cache_folder, predicted_profiles
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 
+T = TypeVar("T")
+
 RESULTS = Path(__file__).parent / "results"
 FULL = FullConfig()
-SHORTLISTS = (4, 16, 64, 400)
-"""Retrieved poses that are refined, or of which the best is taken."""
 FITTED = (250, 1000, 4000)
-"""Entries whose pose is fitted in retrieval."""
-AT_MOST_M = 11_000.0
+"""Entries whose pose is fitted in retrieval; the last before every refinement."""
+SHORTLISTS = (4, 16, 64, 400)
+"""Retrieved poses that a refinement starts from."""
+UNREFINED = "none"
+DEPTHS = {
+    "least": (
+        RefineConfig(
+            walkers=4, rounds=2, keep_least=2, restarts=0, finalists=3, final_rounds=1, rivals=1
+        ),
+        -math.inf,
+    ),
+    "quick": (FULL.quick, -math.inf),
+    "thorough where unsure (the default)": (FULL.quick, FULL.sure_margin),
+    "thorough": (FULL.quick, math.inf),
+}
+"""How a query is refined at first, and with what margin that stands."""
 
 
-@dataclass(frozen=True)
-class Depth:
-    """A depth of refinement: its name, and its configuration for a short list."""
+class Setting(NamedTuple):
+    """What a point of the plot was measured with."""
 
-    name: str
-    full: FullConfig | None
+    refinement: str
+    fitted: int
+    shortlist: int
 
 
-def depths(shortlist: int) -> list[Depth]:
-    """Return how far a short list may be refined, from not at all to always thoroughly."""
+class Outcome(NamedTuple):
+    """What became of a query: how far off it was found, and what that took."""
 
-    def cut(config: RefineConfig) -> RefineConfig:
-        return replace(config, shortlist=min(config.shortlist, shortlist))
+    error_m: float
+    cpu_s: float
 
-    least = RefineConfig(
-        walkers=4, rounds=2, keep_least=2, restarts=0, finalists=3, final_rounds=1, rivals=1
+
+class Bench:
+    """Matches a query in every setting.
+
+    Parameters
+    ----------
+    retrievers : dict of int to Retriever
+        By how many entries they fit.
+    scene : RenderedScene
+    miss_m : float
+        The error of a query that nothing fits, or without a skyline.
+    """
+
+    def __init__(
+        self, retrievers: dict[int, Retriever], scene: RenderedScene, miss_m: float
+    ) -> None:
+        self._retrieval = {
+            fitted: FullMatcher(retriever) for fitted, retriever in retrievers.items()
+        }
+        self._refinement = {
+            (name, shortlist): FullMatcher(retrievers[FITTED[-1]], scene, _full(name, shortlist))
+            for name in DEPTHS
+            for shortlist in SHORTLISTS
+        }
+        self._miss_m = miss_m
+
+    def outcomes(self, query: MadeQuery) -> Iterator[tuple[Setting, Outcome]]:
+        """Yield what became of a query in every setting."""
+        try:
+            rays = query.rays()
+        except InputError:  # No skyline is left to be seen.
+            settings = [Setting(UNREFINED, fitted, FULL.shortlist) for fitted in self._retrieval]
+            settings += [Setting(name, FITTED[-1], count) for name, count in self._refinement]
+            yield from ((setting, Outcome(self._miss_m, 0.0)) for setting in settings)
+            return
+        for fitted, matcher in self._retrieval.items():
+            found, retrieval_s = _timed(lambda m=matcher: m.retrieve(rays))
+            error_m = self._error_m(found, query.truth)
+            yield Setting(UNREFINED, fitted, FULL.shortlist), Outcome(error_m, retrieval_s)
+        # What was found last, by the retrieval that fits most, is refined.
+        for (name, shortlist), matcher in self._refinement.items():
+            best = found[np.arange(min(shortlist, len(found)))]
+            poses, refinement_s = _timed(lambda m=matcher, b=best: m.refine(b, rays))
+            error_m = self._error_m(poses.hypotheses, query.truth)
+            yield (
+                Setting(name, FITTED[-1], shortlist),
+                Outcome(error_m, retrieval_s + refinement_s),
+            )
+
+    def _error_m(self, found: Hypotheses, truth: Truth) -> float:
+        if not len(found):
+            return self._miss_m
+        best = int(np.argmin(found.score))
+        east_m = found.easting_m[best] - truth.easting_m
+        north_m = found.northing_m[best] - truth.northing_m
+        return float(np.hypot(east_m, north_m))
+
+
+def _full(name: str, shortlist: int) -> FullConfig:
+    first, sure_margin = DEPTHS[name]
+    first, then = (
+        replace(config, shortlist=min(config.shortlist, shortlist))
+        for config in (first, FULL.refine)
     )
-    base = FullConfig(quick=cut(FULL.quick), refine=cut(FULL.refine))
-    alone = -math.inf
-    return [
-        Depth("not refined", None),
-        Depth("least", replace(base, quick=cut(least), sure_margin=alone)),
-        Depth("quick", replace(base, sure_margin=alone)),
-        Depth("as it is: thorough where unsure", base),
-        Depth("always thorough", replace(base, sure_margin=math.inf)),
-    ]
+    return replace(FULL, quick=first, sure_margin=sure_margin, refine=then)
 
 
-def rows_of(
-    profiles: DenseProfiles, scene: RenderedScene, queries: tuple[MadeQuery, ...]
-) -> Iterator[dict[str, object]]:
-    """Yield a row of the table for every length of the short list and depth of refinement."""
-    for fitted in FITTED:
-        retriever = Retriever(profiles, RetrievalConfig(fitted=fitted))
-        for shortlist in SHORTLISTS if fitted == FITTED[-1] else SHORTLISTS[-1:]:
-            for depth in depths(shortlist):
-                matcher = FullMatcher(retriever, scene, depth.full)
-                told = [_told(matcher, query, shortlist, depth) for query in queries]
-                error_m, seconds = np.array(told).T
-                yield {
-                    "fitted": fitted,
-                    "shortlist": shortlist,
-                    "refinement": depth.name,
-                    "n": len(queries),
-                    "within_200m": float((error_m <= 200.0).mean()),
-                    "median_m": float(np.median(error_m)),
-                    "mean_m": float(error_m.mean()),
-                    "cpu_ms": float(1000.0 * seconds.mean()),
-                    "cpu_ms_p90": float(1000.0 * np.percentile(seconds, 90.0)),
-                }
-
-
-def _told(
-    matcher: FullMatcher, query: MadeQuery, shortlist: int, depth: Depth
-) -> tuple[float, float]:
-    """Return the error, metres, and the processor time, seconds."""
+def _timed(work: Callable[[], T]) -> tuple[T, float]:
     started = time.process_time()
-    try:
-        rays = query.rays()
-    except InputError:  # No skyline is left to be seen.
-        return AT_MOST_M, time.process_time() - started
-    found = matcher.retrieve(rays)
-    best = found[np.arange(min(shortlist, len(found)))]
-    if depth.full is not None:
-        poses = matcher.refine(best, rays)
-        best = best[:0] if poses is None else poses.hypotheses
-    seconds = time.process_time() - started
-    if not len(best):
-        return AT_MOST_M, seconds
-    east_m = best.easting_m[0] - query.truth.easting_m
-    north_m = best.northing_m[0] - query.truth.northing_m
-    return float(np.hypot(east_m, north_m)), seconds
+    done = work()
+    return done, time.process_time() - started
 
 
-def draw(rows: list[dict[str, object]], path: Path) -> None:
-    """Draw error against time, one line a depth of refinement."""
-    figure, axes = plt.subplots(1, 2, figsize=(10.0, 4.2), layout="constrained")
-    names = list(dict.fromkeys(str(row["refinement"]) for row in rows))
-    for axis, key, label in (
-        (axes[0], "median_m", "median error, m"),
-        (axes[1], "within_200m", "share within 200 m"),
-    ):
-        for name in names:
-            line = [row for row in rows if row["refinement"] == name]
-            for fitted, style in ((FITTED[-1], "o-"), (None, "x:")):
-                some = [
-                    row for row in line if (row["fitted"] == FITTED[-1]) == (fitted is not None)
-                ]
-                x, y = [row["cpu_ms"] for row in some], [row[key] for row in some]
-                colour = f"C{names.index(name)}"
-                axis.plot(x, y, style, color=colour, label=name if fitted else None)
-        axis.set_xscale("log")
-        axis.set_xlabel("processor time a query, ms")
-        axis.set_ylabel(label)
-        axis.grid(alpha=0.3)
-    axes[0].set_yscale("log")
-    axes[1].legend(fontsize=8, title="refinement")
+def summary(setting: Setting, outcomes: Sequence[Outcome]) -> dict[str, object]:
+    """Return a row of the table."""
+    error_m, cpu_s = np.array(outcomes).T
+    return setting._asdict() | {
+        "n": len(outcomes),
+        "within_200m": float((error_m <= RIGHT_WITHIN_M).mean()),
+        "median_m": float(np.median(error_m)),
+        "mean_m": float(error_m.mean()),
+        "cpu_ms": float(1000.0 * cpu_s.mean()),
+        "cpu_ms_p90": float(1000.0 * np.percentile(cpu_s, 90.0)),
+    }
+
+
+def save_plot(rows: Sequence[dict[str, object]], path: Path) -> None:
+    """Save error against time, one line a depth of refinement."""
+    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    error, within = figure.subplots(1, 2)
+    _draw(error, rows, "median_m", "median error (m)")
+    _draw(within, rows, "within_200m", f"share within {RIGHT_WITHIN_M:.0f} m")
+    error.set_yscale("log")
+    within.legend(fontsize=8, title="refinement")
     figure.suptitle(
-        f"Short lists of {', '.join(map(str, SHORTLISTS))} (dots); crosses: "
-        f"{', '.join(map(str, FITTED[:-1]))} entries fitted",
+        f"retrieval fits {', '.join(map(str, FITTED))} entries; the best "
+        f"{', '.join(map(str, SHORTLISTS))} are refined",
         fontsize=10,
     )
     figure.savefig(path, dpi=90)
+
+
+def _draw(axis: Axes, rows: Sequence[dict[str, object]], key: str, label: str) -> None:
+    for name in (UNREFINED, *DEPTHS):
+        line = [row for row in rows if row["refinement"] == name]
+        axis.plot([row["cpu_ms"] for row in line], [row[key] for row in line], "o-", label=name)
+    axis.set(xscale="log", xlabel="processor time a query (ms)", ylabel=label)
+    axis.grid(alpha=0.3)
 
 
 def main() -> None:
@@ -154,19 +193,24 @@ def main() -> None:
     terrain = read_dem(given.dem)
     config = MatchConfig()
     with open_store(given.store) as store:
-        area_m = mapped_area_m(store.header, terrain) or map_bounds(terrain, None)
+        west, south, east, north = mapped_area_m(store.header, terrain) or map_bounds(terrain, None)
         profiles = predicted_profiles(store, terrain, config.densify, cache_folder())
         scene = RenderedScene(terrain, store.header, config)
+    retrievers = {fitted: Retriever(profiles, RetrievalConfig(fitted=fitted)) for fitted in FITTED}
+    bench = Bench(retrievers, scene, 0.5 * math.hypot(east - west, north - south))
+    area_m = west, south, east, north
     queries = make_queries(terrain, area_m, given.queries, given.seed, QueryConfig())
-    rows = []
-    total = len(depths(1)) * (len(SHORTLISTS) + len(FITTED) - 1)
-    with progress_bar("configurations") as progress:
-        for row in rows_of(profiles, scene, queries):
-            rows.append(row)
-            progress(len(rows), total)
+    deque(bench.outcomes(queries[0]), maxlen=0)  # The first compiles shaders.
+    told: dict[Setting, list[Outcome]] = {}
+    with progress_bar("queries") as progress:
+        for number, query in enumerate(queries, start=1):
+            for setting, outcome in bench.outcomes(query):
+                told.setdefault(setting, []).append(outcome)
+            progress(number, len(queries))
     scene.release()
+    rows = [summary(setting, outcomes) for setting, outcomes in told.items()]
     write_record(RESULTS / "accuracy_time.json", "accuracy-time", rows)
-    draw(rows, RESULTS / "accuracy_time.png")
+    save_plot(rows, RESULTS / "accuracy_time.png")
 
 
 if __name__ == "__main__":
