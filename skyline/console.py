@@ -61,7 +61,10 @@ def run_app(app: typer.Typer, stopped: str) -> None:
 
 @contextmanager
 def progress_bar(what: str) -> Iterator[Progress]:
-    """Show a bar on the terminal's error stream, and nothing where there is no terminal."""
+    """Show a bar on the terminal's error stream, from the first step reported on.
+
+    Nothing is shown where there is no terminal.
+    """
     bar = ProgressBar(
         TextColumn(what),
         BarColumn(),
@@ -71,8 +74,8 @@ def progress_bar(what: str) -> Iterator[Progress]:
         disable=not sys.stderr.isatty(),
     )
     with bar:
-        task = bar.add_task(what, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
+        task = bar.add_task(what, total=None, visible=False)
+        yield lambda done, total: bar.update(task, completed=done, total=total, visible=True)
 
 
 def runner_of(workers: int | None, scheduler: str | None) -> AbstractContextManager[Runner | None]:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from skyline.console import Scheduler, Workers, runner_of
+from skyline.console import Scheduler, Workers, progress_bar, runner_of
 from skyline.describe import describe_match
 from skyline.errors import InputError
 from skyline.photo import Projection, extract_photo, write_overlay, write_trace
@@ -103,7 +103,8 @@ def match(
         densify=replace(_DEFAULTS.densify, pitch_m=densify),
     )
     asked = (str(store), tuple(dem) if dem else None, matcher, config)
-    matching = Matcher(*asked)
+    with progress_bar("predicting") as progress:
+        matching = Matcher(*asked, progress)
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
     reading = QueryReading(fov_deg, projection, sky_model)
     results = []

@@ -7,7 +7,6 @@ envelope of several is nearer to the truth than any.
 """
 
 import os
-from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -30,6 +29,7 @@ Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
+Progress = Callable[[int, int], None]
 Area = tuple[float, float, float, float]
 """West, south, east, north, metres."""
 
@@ -150,6 +150,7 @@ def densify(
     ground: Ground | None = None,
     config: DensifyConfig | None = None,
     area_m: Area | None = None,
+    progress: Progress | None = None,
 ) -> DenseProfiles:
     """Predict the profiles of a lattice of eyes from stored views.
 
@@ -169,6 +170,9 @@ def densify(
     area_m : tuple of float, optional
         West, south, east, north of what the store stands for. Without it, a little more than
         the stored eyes span.
+    progress : callable, optional
+        Called with how many stored eyes have been predicted from, and of how many; an eye counts
+        once for each of the ``sources``.
 
     Returns
     -------
@@ -193,17 +197,21 @@ def densify(
         np.zeros((len(eye_m), config.bins), dtype=np.uint8),
     )
     resample = _Resample.of(stored.elevation_tan.shape[2], config.bins)
+    eyes = len(stored.eye_m)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         # A quadrant has one source at a time, so threads never write to the same place.
-        for source in stored.sources(eye_m, config.sources, config.reach_m):
+        for rank, source in enumerate(stored.sources(eye_m, config.sources, config.reach_m)):
             order = np.argsort(source, axis=None, kind="stable")
-            ends = np.searchsorted(source.ravel()[order], np.arange(len(stored.eye_m) + 1))
+            ends = np.searchsorted(source.ravel()[order], np.arange(eyes + 1))
 
             def fill(eye: int, order: IntArray = order, ends: IntArray = ends) -> None:
                 target, heading = np.divmod(order[ends[eye] : ends[eye + 1]], len(HEADINGS))
                 _fill(profiles, stored, resample, eye, target, heading)
 
-            deque(pool.map(fill, np.flatnonzero(np.diff(ends))), maxlen=0)
+            used = np.flatnonzero(np.diff(ends))
+            for eye, _ in zip(used, pool.map(fill, used), strict=True):
+                if progress:
+                    progress(rank * eyes + int(eye) + 1, config.sources * eyes)
     return profiles
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Frame
 from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays
-from skyline.matching.dense import DensifyConfig
+from skyline.matching.dense import DensifyConfig, Progress
 from skyline.matching.full import FullConfig, FullMatcher
 from skyline.matching.pose import Scene
 from skyline.matching.retrieval import RetrievalConfig, Retriever
@@ -130,6 +130,8 @@ class Matcher:
     matcher : str
         ``full``, which is ours, or one of `skyline.matching.MATCHERS`.
     config : MatchConfig, optional
+    progress : callable, optional
+        Called while the full matcher predicts from the store; see `densify`.
 
     Raises
     ------
@@ -147,6 +149,7 @@ class Matcher:
         dem: Dem | None = None,
         matcher: str = FULL,
         config: MatchConfig | None = None,
+        progress: Progress | None = None,
     ) -> None:
         if matcher not in MATCHER_NAMES:
             raise InputError(f"matcher is {matcher!r}; expected one of {', '.join(MATCHER_NAMES)}")
@@ -162,7 +165,8 @@ class Matcher:
                 self.terrain = self.terrain or terrain_at_hand(self.header, "answers unrefined")
                 if self.terrain is not None and self._config.refine:
                     self._scene = RenderedScene(self.terrain, self.header, self._config)
-                self._rank = open_full(opened, self.terrain, self._scene, self._config).rank
+                full = open_full(opened, self.terrain, self._scene, self._config, progress)
+                self._rank = full.rank
             else:
                 profiles = Profiles.from_views(_chunks(opened))
                 self._rank = MATCHERS[matcher]().prepare(profiles).rank
@@ -266,10 +270,14 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
 
 
 def open_full(
-    store: Store, terrain: HeightField | None, scene: Scene | None, config: MatchConfig
+    store: Store,
+    terrain: HeightField | None,
+    scene: Scene | None,
+    config: MatchConfig,
+    progress: Progress | None = None,
 ) -> FullMatcher:
     """Return the full matcher of a store, which refines where there is a scene."""
-    dense = predicted_profiles(store, terrain, config.densify, config.cache)
+    dense = predicted_profiles(store, terrain, config.densify, config.cache, progress)
     return FullMatcher(Retriever(dense, config.retrieval), scene, config.full)
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skyline.matching.dense import DenseProfiles, DensifyConfig, densify
+from skyline.matching.dense import DenseProfiles, DensifyConfig, Progress, densify
 from skyline.pipeline.config import mapped_area_m
 from skyline.pipeline.digests import code_files, file_digest, files_digest
 from skyline.store import Store, StoreHeader
@@ -46,7 +46,11 @@ def cache_folder() -> Path:
 
 
 def predicted_profiles(
-    store: Store, terrain: HeightField | None, config: DensifyConfig, folder: Path | None = None
+    store: Store,
+    terrain: HeightField | None,
+    config: DensifyConfig,
+    folder: Path | None = None,
+    progress: Progress | None = None,
 ) -> DenseProfiles:
     """Return a store made dense, from a folder where it is kept there, and kept there if not.
 
@@ -58,13 +62,15 @@ def predicted_profiles(
     config : DensifyConfig
     folder : Path, optional
         Made if need be; where it cannot be written to, there is a warning. None keeps nothing.
+    progress : callable, optional
+        See `densify`; not called where there is nothing to predict.
     """
     if folder is None:
-        return densified(store.iter_views(), store.header, terrain, config)
+        return densified(store.iter_views(), store.header, terrain, config, progress)
     path = folder / (_key(store, terrain, config) + _SUFFIX)
     profiles = _kept(path)
     if profiles is None:
-        profiles = densified(store.iter_views(), store.header, terrain, config)
+        profiles = densified(store.iter_views(), store.header, terrain, config, progress)
         try:
             _keep(profiles, path)
         except OSError as error:
@@ -77,11 +83,12 @@ def densified(
     header: StoreHeader,
     terrain: HeightField | None,
     config: DensifyConfig,
+    progress: Progress | None = None,
 ) -> DenseProfiles:
     """Return a store's views made dense over the area it was built for; see `densify`."""
-    if terrain is None:
-        return densify(chunks, None, config)
-    return densify(chunks, terrain.height_at, config, mapped_area_m(header, terrain))
+    ground = None if terrain is None else terrain.height_at
+    area_m = None if terrain is None else mapped_area_m(header, terrain)
+    return densify(chunks, ground, config, area_m, progress)
 
 
 def _key(store: Store, terrain: HeightField | None, config: DensifyConfig) -> str:

@@ -73,6 +73,14 @@ def test_the_lattice_is_shared_and_stands_on_the_ground(rough):
     assert len(dense) == 9 * 9
 
 
+def test_progress_ends_where_it_said_it_would(rough):
+    field, views = rough
+    told = []
+    densify([views], field.height_at, CONFIG, progress=lambda *step: told.append(step))
+    assert [done for done, _ in told] == sorted({done for done, _ in told})
+    assert told[-1][0] == told[-1][1] == 9 * CONFIG.sources
+
+
 def test_the_lattice_fills_the_area_it_is_given(rough):
     field, views = rough
     dense = densify([views], field.height_at, CONFIG, area_m=(1020.0, -1900.0, 1700.0, -1300.0))
