@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.spatial import cKDTree
 
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
+from skyline.matching.lattice import Area, Ground, ground_between, ground_slope, lattice_m
 from skyline.matching.profiles import Profiles
 from skyline.prediction.curves import Scenery
 from skyline.prediction.displacement import Reach
@@ -28,15 +28,11 @@ from skyline.views import Views
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]
-Ground = Callable[[Float64Array, Float64Array], Float64Array]
 Progress = Callable[[int, int], None]
-Area = tuple[float, float, float, float]
-"""West, south, east, north, metres."""
 
 Y_STEP = 2.0**-13
 """Tangents are kept in steps of 0.007 degrees, up to 4."""
 UNKNOWN_Y = np.int16(np.iinfo(np.int16).min)
-_SLOPE_BASE_M = 30.0
 _Y_LIMIT = np.iinfo(np.int16).max
 
 
@@ -187,12 +183,15 @@ def densify(
     config = config or DensifyConfig()
     stored = _Stored.of(chunks, config.columns)
     ground = ground or ground_between(stored.eye_m - [0.0, 0.0, config.eye_height_m])
-    eye_m = np.concatenate([stored.eye_m, _lattice_m(stored.eye_m, ground, config, area_m)])
+    place = lattice_m(stored.eye_m[:, :2], config.pitch_m, config.reach_m, area_m)
+    elevation_m = ground(place[:, 0], place[:, 1]) + config.eye_height_m
+    predicted_m = np.column_stack([place, elevation_m])[np.isfinite(elevation_m)]
+    eye_m = np.concatenate([stored.eye_m, predicted_m])
     profiles = DenseProfiles(
         eye_m[:, 0].copy(),
         eye_m[:, 1].copy(),
         eye_m[:, 2].copy(),
-        _ground_slope(eye_m, ground),
+        ground_slope(eye_m[:, :2], ground),
         np.full((len(eye_m), config.bins), UNKNOWN_Y, dtype=np.int16),
         np.zeros((len(eye_m), config.bins), dtype=np.uint8),
     )
@@ -213,39 +212,6 @@ def densify(
                 if progress:
                     progress(rank * eyes + int(eye) + 1, config.sources * eyes)
     return profiles
-
-
-def _ground_slope(eye_m: Float64Array, ground: Ground) -> Float32Array:
-    """Return the ground's rise (L, 2) to the east and to the north; 0 beside a hole."""
-    east, north, half = eye_m[:, 0], eye_m[:, 1], _SLOPE_BASE_M / 2.0
-    rise = np.stack(
-        [
-            ground(east + half, north) - ground(east - half, north),
-            ground(east, north + half) - ground(east, north - half),
-        ],
-        axis=1,
-    )
-    return np.nan_to_num(rise / _SLOPE_BASE_M).astype(np.float32)
-
-
-def ground_between(known_m: Float64Array) -> Ground:
-    """Return a ground that is linear between known points (N, 3): east, north, height.
-
-    Outside their convex hull, and where they lie on a line, it is that of the nearest.
-    """
-    place, height = known_m[:, :2], known_m[:, 2]
-    nearest = NearestNDInterpolator(place, height)
-    spread = np.linalg.matrix_rank(place - place[0], tol=1.0)
-    linear = LinearNDInterpolator(place, height) if spread == 2 and len(place) > 3 else None
-
-    def ground(easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
-        beyond = np.asarray(nearest(easting_m, northing_m), dtype=np.float64)
-        if linear is None:
-            return beyond
-        within = linear(easting_m, northing_m)
-        return np.where(np.isnan(within), beyond, within)
-
-    return ground
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -319,46 +285,6 @@ class _Stored:
         source[0, :none] = np.where(rendered, own, source[0, :none])
         source[1:, :none][:, rendered] = none
         return source
-
-
-def _lattice_m(
-    eye_m: Float64Array, ground: Ground, config: DensifyConfig, area_m: Area | None
-) -> Float64Array:
-    """Return the eyes (M, 3) of the lattice's points near stored eyes, those on holes left out."""
-    if not np.isfinite(config.pitch_m):
-        return np.zeros((0, 3))
-    tree = cKDTree(eye_m[:, :2])
-    west, south, east, north = _within_reach(
-        area_m or _spanned_m(eye_m, tree, config.reach_m), eye_m, config.reach_m
-    )
-    easting_m, northing_m = (
-        config.pitch_m * np.arange(np.ceil(low / config.pitch_m), high // config.pitch_m + 1.0)
-        for low, high in ((west, east), (south, north))
-    )
-    place = np.stack(np.meshgrid(easting_m, northing_m), axis=-1).reshape(-1, 2)
-    distance_m, _ = tree.query(place, distance_upper_bound=config.reach_m)
-    place = place[np.isfinite(distance_m) & (distance_m > 0.25 * config.pitch_m)]
-    elevation_m = ground(place[:, 0], place[:, 1]) + config.eye_height_m
-    standing = np.isfinite(elevation_m)
-    return np.column_stack([place, elevation_m])[standing]
-
-
-def _within_reach(area_m: Area, eye_m: Float64Array, reach_m: float) -> Area:
-    """Return the part of an area that may lie within reach of an eye."""
-    west, south, east, north = area_m
-    low, high = eye_m[:, :2].min(axis=0) - reach_m, eye_m[:, :2].max(axis=0) + reach_m
-    return max(west, low[0]), max(south, low[1]), min(east, high[0]), min(north, high[1])
-
-
-def _spanned_m(eye_m: Float64Array, tree: cKDTree, reach_m: float) -> Area:
-    """Return the box that eyes span, and half of how far they are apart."""
-    margin_m = reach_m
-    if len(eye_m) > 1:
-        apart_m = np.asarray(tree.query(eye_m[:, :2], k=2)[0])[:, 1]
-        margin_m = min(margin_m, 0.5 * float(np.median(apart_m)))
-    west, south = eye_m[:, :2].min(axis=0) - margin_m
-    east, north = eye_m[:, :2].max(axis=0) + margin_m
-    return float(west), float(south), float(east), float(north)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

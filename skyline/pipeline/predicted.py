@@ -27,8 +27,9 @@ from skyline.views import Views
 _log = logging.getLogger(__name__)
 
 PREDICTING_CODE = (
-    "camera.py", "geodesy.py", "views.py", "matching/dense.py", "pipeline/config.py",
-    "pipeline/predicted.py", "planning/uniform.py", "prediction", "store", "terrain",
+    "camera.py", "geodesy.py", "views.py", "matching/dense.py", "matching/lattice.py",
+    "pipeline/config.py", "pipeline/predicted.py", "planning/uniform.py", "prediction", "store",
+    "terrain",
 )  # fmt: skip
 """Code that a prediction depends on, in the package."""
 FOLDER_LIMIT_BYTES = 4 << 30

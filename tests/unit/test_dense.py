@@ -18,7 +18,6 @@ from skyline.matching.dense import (
     DenseProfiles,
     DensifyConfig,
     densify,
-    ground_between,
 )
 from skyline.terrain.viewpoints import stand_on
 
@@ -100,9 +99,6 @@ def test_the_area_reaches_no_farther_than_predictions(rough):
     )
     apart_m = np.linalg.norm(lattice[:, np.newaxis] - eyes, axis=2).min(axis=1)
     assert 60.0 < apart_m.max() <= 80.0
-    # No more memory for the whole Earth.
-    huge = densify([views], field.height_at, near, area_m=(-2e7, -2e7, 2e7, 2e7))
-    np.testing.assert_array_equal(huge.easting_m, dense.easting_m)
 
 
 def test_predictions_are_nearer_to_the_truth_than_the_nearest_stored_skyline(rough):
@@ -191,19 +187,6 @@ def test_holes_are_left_out_and_have_no_slope():
     assert dense.easting_m.max() <= 20.0
     np.testing.assert_allclose(dense.ground_slope[:, 1], 0.5)
     assert (dense.ground_slope[:, 0] == 0.0).all()
-
-
-def test_ground_between_eyes_is_linear_inside_and_the_nearest_outside():
-    known = np.array([[0, 0, 10], [100, 0, 20], [0, 100, 30], [100, 100, 40]], dtype=np.float64)
-    ground = ground_between(known)
-    np.testing.assert_allclose(ground(np.array([50.0, 25.0]), np.array([50.0, 75.0])), [25.0, 27.5])
-    np.testing.assert_allclose(ground(np.array([900.0]), np.array([900.0])), [40.0])
-
-
-@pytest.mark.parametrize("count", [1, 2, 5])
-def test_ground_between_eyes_on_a_line_is_the_nearest(count):
-    known = np.stack([np.arange(count) * 10.0] * 3, axis=1)
-    np.testing.assert_allclose(ground_between(known)(np.array([1.0]), np.array([-2.0])), [0.0])
 
 
 def test_without_a_ground_eyes_stand_as_high_as_the_stored_ones():
