@@ -31,7 +31,7 @@ RIGHT_WITHIN_M = 200.0
 """An answer this near is right."""
 
 _MAX_MARGIN = 60.0
-"""Beyond this a margin says nothing more."""
+"""Margins beyond teach no more, with caps of up to 1,000: strangers have been fitted with 124."""
 _MIN_MARGIN = 1e-3
 _MODELS = "confidence.json"
 

@@ -15,6 +15,7 @@ from skyline.experiments.calibration import (
 )
 from skyline.matching import confidence
 from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.pose import Poses
 from skyline.matching.query import QueryRays
 
 
@@ -75,6 +76,27 @@ def test_a_margin_is_over_the_best_place_elsewhere() -> None:
         np.array([0.0, 50.0, 900.0]), zero, zero, zero, zero, zero, zero + 60.0, score
     )
     assert confidence.retrieved_figures(some, query)["margin"].tolist() == [4.0, 3.0, -4.0]
+
+
+def test_every_refined_pose_hears_of_the_best_that_was_retrieved() -> None:
+    azimuth = np.linspace(-0.5, 0.5, 200)
+    query = QueryRays.equally_trusted(azimuth, 0.1 * np.sin(9.0 * azimuth), 60.0)
+    zero = np.zeros(3)
+    place = np.array([0.0, 500.0, 900.0])
+    found = Hypotheses(place, zero, zero, zero, zero, zero, zero + 60.0, np.array([2.0, 1.0, 5.0]))
+    one = np.ones(2)
+    poses = Poses(
+        found[np.arange(2)], np.tile(np.eye(2), (2, 1, 1)), one, one, one, one, one, one,
+        np.array([90.0, -90.0]), 7,
+    )  # fmt: skip
+    figures = confidence.refined_figures(poses, found, query)
+    assert figures["retrieved_score"].tolist() == [1.0, 1.0]
+    np.testing.assert_allclose(figures["retrieved_log_margin"], 0.0)  # 2 - 1
+    # Margins count up to 60; whoever is not the best has none.
+    assert figures["margin"].tolist() == [60.0, -60.0]
+    assert figures["log_margin"][0] == pytest.approx(np.log(60.0))
+    assert figures["log_margin"][1] < figures["log_margin"][0] - 10.0
+    assert set(confidence.models()["refined"].names) == set(figures)
 
 
 def test_models_are_written_as_they_are_read(tmp_path, monkeypatch) -> None:
