@@ -27,7 +27,7 @@ from skyline.experiments.record import write_record
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.full import FullConfig, FullMatcher
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.pose import RefineConfig
+from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.pipeline.config import mapped_area_m
 from skyline.pipeline.match import RenderedScene

@@ -11,10 +11,11 @@ from skyline.matching.correlation import CorrelationMatcher
 from skyline.matching.dense import DenseProfiles, DensifyConfig, densify
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.paper import PaperMatcher
-from skyline.matching.pose import Poses, RefineConfig, Scene, refine
+from skyline.matching.pose import Poses, Scene, refine
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import Attitudes, QueryRays
 from skyline.matching.ranking import Candidate, Matcher, Ranker
+from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 
 MATCHERS: Mapping[str, Callable[[], Matcher]] = MappingProxyType(

@@ -8,9 +8,10 @@ from numpy.typing import NDArray
 from skyline.errors import InputError
 from skyline.matching import confidence
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.pose import Poses, RefineConfig, Scene, refine
+from skyline.matching.pose import Poses, Scene, refine
 from skyline.matching.query import QueryRays
 from skyline.matching.ranking import Candidate
+from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import Retriever
 
 Float64Array = NDArray[np.float64]

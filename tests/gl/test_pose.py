@@ -10,7 +10,8 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline.matching import Hypotheses
 from skyline.matching.panoramas import Panoramas
-from skyline.matching.pose import RefineConfig, refine
+from skyline.matching.pose import refine
+from skyline.matching.refine_config import RefineConfig
 from skyline.matching.solver import Curves
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
