@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from skyline import MatchConfig, read_dem
 from skyline.console import progress_bar
@@ -165,8 +166,7 @@ def save_plot(rows: Sequence[dict[str, object]], path: Path) -> None:
     error, within = figure.subplots(1, 2)
     _draw(error, rows, "median_m", "median error (m)")
     _draw(within, rows, "within_200m", f"share within {RIGHT_WITHIN_M:.0f} m")
-    error.set_yscale("log")
-    within.legend(fontsize=8, title="refinement")
+    error.legend(fontsize=8, title="refinement")
     figure.suptitle(
         f"retrieval fits {', '.join(map(str, FITTED))} entries; the best "
         f"{', '.join(map(str, SHORTLISTS))} are refined",
@@ -180,6 +180,9 @@ def _draw(axis: Axes, rows: Sequence[dict[str, object]], key: str, label: str) -
         line = [row for row in rows if row["refinement"] == name]
         axis.plot([row["cpu_ms"] for row in line], [row[key] for row in line], "o-", label=name)
     axis.set(xscale="log", xlabel="processor time a query (ms)", ylabel=label)
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter(ScalarFormatter())
+    axis.xaxis.set_minor_formatter(NullFormatter())
     axis.grid(alpha=0.3)
 
 
