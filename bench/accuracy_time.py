@@ -20,7 +20,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
-from skyline import MatchConfig, read_dem
+from skyline import MatchConfig
 from skyline.console import progress_bar
 from skyline.errors import InputError
 from skyline.experiments.queries import MadeQuery, QueryConfig, Truth, make_queries
@@ -30,7 +30,7 @@ from skyline.matching.full import FullConfig, FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import RetrievalConfig, Retriever
-from skyline.pipeline.config import mapped_area_m
+from skyline.pipeline.config import mapped_area_m, read_dem_of
 from skyline.pipeline.match import RenderedScene
 from skyline.pipeline.predicted import cache_folder, predicted_profiles
 from skyline.planning.uniform import map_bounds
@@ -193,9 +193,9 @@ def main() -> None:
     parser.add_argument("--queries", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
-    terrain = read_dem(given.dem)
     config = MatchConfig()
     with open_store(given.store) as store:
+        terrain = read_dem_of(store.header, given.dem)
         west, south, east, north = mapped_area_m(store.header, terrain) or map_bounds(terrain, None)
         profiles = predicted_profiles(store, terrain, config.densify, cache_folder())
         scene = RenderedScene(terrain, store.header, config)

@@ -30,8 +30,9 @@ from skyline.experiments.crew import crew
 from skyline.experiments.other_dems import perturbed
 from skyline.experiments.queries import MadeQuery, QueryConfig, make_queries
 from skyline.experiments.record import write_record
+from skyline.matching.full import FullMatcher
 from skyline.pipeline import RenderConfig, build_uniform
-from skyline.pipeline.match import RenderedScene, open_full
+from skyline.pipeline.match import RenderedScene, open_retriever
 from skyline.prediction import shell_edges_m
 from skyline.store import open_store
 from skyline.terrain.dem import DemOptions
@@ -80,7 +81,7 @@ def told_by(
     told: dict[str, list[Example]] = {name: [] for name in MODELS}
     with open_store(store) as opened:
         scene = RenderedScene(terrain, opened.header, MatchConfig())
-        matcher = open_full(opened, terrain, scene, MatchConfig())
+        matcher = FullMatcher(open_retriever(opened, terrain, MatchConfig()), scene)
     for made in all_queries(terrain, middle, OUTSIDE * half, queries, seed):
         for example in examples(matcher, made):
             for name, one in example.items():
@@ -195,7 +196,10 @@ def main() -> None:
             rows.append(row)
             if name in HELD_OUT:
                 shown.append((f"{model}, {name}", sure, right))
-    about = {"terrain": list(LEARNED), "queries": 4 * given.queries, "seed": given.seed}
+    about = {
+        "terrain": list(LEARNED),
+        "examples": {model: sum(len(told[name][model]) for name in LEARNED) for model in MODELS},
+    }
     write_models(MODEL, models, about)
     write_record(RESULTS / "confidence.json", "confidence", rows)
     save_reliability(

@@ -47,7 +47,7 @@ def main() -> None:
     config = MatchConfig(cache=cache_folder(), fov_slack=asked.fov_error)
     sure, answered, seconds = [], 0, []
     with (
-        Matcher(given.store, read_dem(given.dem), config=config) as matcher,
+        Matcher(given.store, given.dem, config=config) as matcher,
         progress_bar("strangers") as progress,
     ):
         for number, query in enumerate(queries, start=1):

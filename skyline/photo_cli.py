@@ -99,10 +99,12 @@ def match(
         _DEFAULTS,
         refine=not no_refine,
         min_confidence=min_confidence,
-        cache=None if no_cache else cache or cache_folder(),
+        cache=None if no_cache else (cache or cache_folder()).absolute(),
         densify=replace(_DEFAULTS.densify, pitch_m=densify),
     )
-    asked = (str(store), tuple(dem) if dem else None, matcher, config)
+    # Workers may have another working directory.
+    tiles = tuple(str(Path(one).absolute()) if Path(one).is_file() else one for one in dem or ())
+    asked = (str(store), tiles or None, matcher, config)
     with progress_bar("predicting") as progress:
         matching = Matcher(*asked, progress)
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)

@@ -211,8 +211,8 @@ def measure_match(
 
 
 def predicted_places(km2: float, viewpoints: int) -> int:
-    """Return about how many places a store is matched by: a lattice's, or its own if more."""
-    return max(viewpoints, round(km2 * _M2_IN_KM2 / MATCHING.densify.pitch_m**2))
+    """Return about how many places a store is matched by: its own and a lattice's."""
+    return viewpoints + round(km2 * _M2_IN_KM2 / MATCHING.densify.pitch_m**2)
 
 
 def opening_bytes(places: int, viewpoints: int, shells: int) -> int:

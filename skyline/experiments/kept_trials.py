@@ -18,7 +18,9 @@ Key = Mapping[str, object]
 
 MEASURED_CODE = (
     "camera.py", "geodesy.py", "views.py", "features.py", "matching", "photo", "pipeline",
-    "prediction", "render", "store", "terrain", "experiments/queries.py", "experiments/stages.py",
+    "planning/uniform.py", "prediction", "render", "store", "terrain", "experiments/occluders.py",
+    "experiments/panoramas.py", "experiments/pinhole.py", "experiments/queries.py",
+    "experiments/stages.py", "experiments/trials.py",
 )  # fmt: skip
 """Code that an answer depends on; shaders beside it."""
 

@@ -17,7 +17,7 @@ from skyline.experiments.reference_stores import (
     given_store,
     uniform_store,
 )
-from skyline.experiments.trials import QueryMatcher, Trial, run_trials, summarize
+from skyline.experiments.trials import Trial, run_trials, summarize
 from skyline.matching import MATCHERS
 from skyline.matching.dense import DensifyConfig
 from skyline.pipeline import FULL, MatchConfig, Matcher, Progress, RenderConfig
@@ -46,10 +46,10 @@ _HIDDEN_SHARE = 0.3
 
 _SPARSE = DensifyConfig(pitch_m=np.inf)
 
-Opener = Callable[[Path, HeightField], QueryMatcher]
+Opener = Callable[[Path, HeightField], Matcher]
 
 
-def _open(name: str, config: MatchConfig, store: Path, terrain: HeightField) -> QueryMatcher:
+def _open(name: str, config: MatchConfig, store: Path, terrain: HeightField) -> Matcher:
     return Matcher(store, terrain, name, config)
 
 
@@ -194,12 +194,12 @@ def measure(
     total = len(stores) * len(config.matchers) * len(config.kinds)
     for store in stores:
         for name in config.matchers:
-            matcher = OPENERS[name](store.path, terrain)
-            for kind, made in queries.items():
-                if progress:
-                    progress(len(compared), total)
-                trials = tuple(run_trials(matcher, made, miss_m, config.top))
-                compared.append(Comparison(store, name, kind, trials))
+            with OPENERS[name](store.path, terrain) as matcher:
+                for kind, made in queries.items():
+                    if progress:
+                        progress(len(compared), total)
+                    trials = tuple(run_trials(matcher, made, miss_m, config.top))
+                    compared.append(Comparison(store, name, kind, trials))
     return compared
 
 

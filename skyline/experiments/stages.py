@@ -17,6 +17,7 @@ from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.retrieval import Retriever
 from skyline.pipeline import MatchConfig, Matcher, MatchResult
+from skyline.pipeline.config import check_dem
 from skyline.pipeline.match import RenderedScene, too_little, unsure
 from skyline.pipeline.predicted import densified
 from skyline.store import open_store
@@ -69,6 +70,7 @@ def open_stages(names: Sequence[str], store: Path, terrain: HeightField) -> Iter
     densify = DensifyConfig(pitch_m=np.inf) if STORED in names else config.densify
     with open_store(store) as opened:
         header = opened.header
+        check_dem(header, terrain)
         chunks = opened.iter_views()
         if not READS_SHELLS & set(names):
             chunks = (replace(views, shells=None) for views in chunks)
@@ -118,10 +120,10 @@ class _Ours:
 class _Remembering(Retriever):
     """A retriever that is asked the same twice and works once."""
 
-    _asked: tuple[QueryRays, int] | None = None
+    _asked: tuple[QueryRays | None, int] = (None, 0)
     _found: Hypotheses | None = None
 
     def shortlist(self, query: QueryRays, count: int) -> Hypotheses:
-        if self._found is None or self._asked is None or self._asked[0] is not query:
+        if self._found is None or self._asked[0] is not query or self._asked[1] != count:
             self._asked, self._found = (query, count), super().shortlist(query, count)
         return self._found

@@ -66,8 +66,8 @@ class Trial:
 
     @property
     def right(self) -> bool:
-        """Whether the best candidate is within 200 m."""
-        return self.error_m <= RIGHT_WITHIN_M
+        """Whether there is a best candidate, and it is within 200 m."""
+        return bool(self.candidates) and self.error_m <= RIGHT_WITHIN_M
 
 
 def run_trials(

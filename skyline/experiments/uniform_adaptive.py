@@ -95,6 +95,9 @@ class AdaptiveConfig:
             raise InputError(
                 "nothing to compare; give a spacing, a strategy, a budget and a matcher"
             )
+        for name in ("spacings_m", "strategies", "budgets", "matchers"):
+            # Asked for twice is asked for once: two processes must not build the same store.
+            object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
         unknown = [name for name in self.matchers if name not in STAGES]
         if unknown:
             raise InputError(f"matcher is {unknown[0]!r}; expected one of {', '.join(STAGES)}")

@@ -26,6 +26,7 @@ from skyline.matching.pose import Poses
 from skyline.matching.query import QueryRays, level
 
 Float64Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
 
 RIGHT_WITHIN_M = 200.0
 """An answer this near is right."""
@@ -74,16 +75,18 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
     """Return what a refinement says of each of its M poses, (M,) by name.
 
     That with what the retrieval it began with says of its best: skylines of elsewhere can be bent
-    to fit some place well, but were hardly like it before.
+    to fit some place well, but were hardly like it before. Where all that was retrieved is one
+    place, there is nothing to be told apart from, and no margin.
     """
     retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
+    margin = np.where(_elsewhere(found).any(), poses.margin, 0.0)
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
     return {
         "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
         "inlier_share": poses.inlier_share,
         "log_columns": np.log(np.maximum(poses.effective_columns, 1.0)),
-        "margin": _margin(poses.margin),
-        "log_margin": _log_margin(poses.margin),
+        "margin": _margin(margin),
+        "log_margin": _log_margin(margin),
         "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
         "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
         "retrieved_score": np.full(len(poses), retrieved["score"][best]),
@@ -93,13 +96,13 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
 
 def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64Array]:
     """Return what a retrieval says of each of its M poses, (M,) by name."""
-    place = found.easting_m + 1j * found.northing_m
-    elsewhere = np.abs(place[:, np.newaxis] - place) > RIGHT_WITHIN_M
+    elsewhere = _elsewhere(found)
     rival = np.where(elsewhere, found.score, np.inf).min(axis=1, initial=np.inf)
+    margin = np.where(elsewhere.any(axis=1), rival - found.score, 0.0)
     return {
         "score": found.score,
-        "margin": _margin(rival - found.score),
-        "log_margin": _log_margin(rival - found.score),
+        "margin": _margin(margin),
+        "log_margin": _log_margin(margin),
     } | _query_figures(query, len(found))
 
 
@@ -116,6 +119,12 @@ def models() -> dict[str, Logistic]:
         )
         for name, model in json.loads(text)["models"].items()
     }
+
+
+def _elsewhere(found: Hypotheses) -> BoolArray:
+    """Return which of M poses are another answer than which, (M, M)."""
+    place = found.easting_m + 1j * found.northing_m
+    return np.asarray(np.abs(place[:, np.newaxis] - place) > RIGHT_WITHIN_M)
 
 
 def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:

@@ -18,7 +18,6 @@ from scipy.spatial import cKDTree
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
 from skyline.matching.lattice import Area, Ground, ground_between, ground_slope, lattice_m
-from skyline.matching.profiles import Profiles
 from skyline.prediction.curves import Scenery
 from skyline.prediction.displacement import Reach
 from skyline.prediction.panorama import Ring, depth_code, depth_of_code_m
@@ -128,17 +127,6 @@ class DenseProfiles:
     def distance_m(self, index: slice | NDArray[np.integer] = slice(None)) -> Float32Array:
         """Return horizontal distances (L, B) float32."""
         return depth_of_code_m(self.distance[index])
-
-    def as_profiles(self) -> Profiles:
-        """Return plain profiles without keypoints, for the correlation baseline."""
-        return Profiles(
-            self.easting_m,
-            self.northing_m,
-            self.eye_elevation_m,
-            self.y(),
-            np.zeros(0, dtype=np.intp),
-            np.zeros(len(self) + 1, dtype=np.intp),
-        )
 
 
 def densify(

@@ -134,7 +134,7 @@ class FullMatcher:
 
 
 def _naming(config: RefineConfig, least: int) -> RefineConfig:
-    """Return a refinement that ends with at least so many places."""
+    """Return a refinement that has room for at least so many places at its end."""
     return replace(config, finalists=max(config.finalists, least))
 
 

@@ -81,10 +81,10 @@ class Phases:
     @classmethod
     def of(cls, profiles: DenseProfiles, bins: int, rise_to_turn: float) -> "Phases":
         """Reduce profiles to phases; ``bins`` must divide theirs."""
-        if bins < 8 or profiles.bins % bins:
+        if bins < 8 or bins % 2 or profiles.bins % bins:
             raise InputError(
-                f"{bins} coarse bins; expected at least 8 that divide the {profiles.bins} bins "
-                "of the profiles"
+                f"{bins} coarse bins; expected an even number of at least 8 that divides the "
+                f"{profiles.bins} bins of the profiles"
             )
         run = profiles.bins // bins
         code = np.empty((len(profiles), bins), dtype=np.uint8)

@@ -66,15 +66,14 @@ class Poses:
         mean anything.
     covariance_m2 : (M, 2, 2) float64
         Of easting and northing about the pose, other optima of the same answer included.
-    heading_sd_deg : (M,) float64
     residual_deg : (M,) float64
         Root mean square over the columns that show terrain, in elevation.
     inlier_share : (M,) float64
         Part of the query that shows terrain.
     effective_columns : (M,) float64
         Independent columns that would say as much as those do.
-    angle_sd_deg, height_sd_m : (M,) float64
-        Deviations of the photo and of the terrain model that the fit suggests.
+    height_sd_m : (M,) float64
+        Deviation of the terrain model's heights that the fit suggests.
     margin : (M,) float64
         Score of the best pose elsewhere minus this one's: below 0 unless this is the best;
         infinite where there is none elsewhere.
@@ -84,11 +83,9 @@ class Poses:
 
     hypotheses: Hypotheses
     covariance_m2: Float64Array
-    heading_sd_deg: Float64Array
     residual_deg: Float64Array
     inlier_share: Float64Array
     effective_columns: Float64Array
-    angle_sd_deg: Float64Array
     height_sd_m: Float64Array
     margin: Float64Array
     renderings: int
@@ -314,11 +311,9 @@ class _Refinement:
         return Poses(
             hypotheses,
             self._spread(hypotheses, covariance[:, :HEADING, :HEADING]),
-            np.degrees(np.sqrt(covariance[:, HEADING, HEADING])),
             np.degrees(np.sqrt(squares / shown)),
             shown / trust.sum(),
             judged.effective_columns,
-            np.array(noise.angle_deg)[walkers.fit.angle],
             np.array(noise.height_m)[walkers.fit.height],
             _margin(hypotheses, self._config.elsewhere_m),
             self._renderings,
@@ -338,6 +333,8 @@ class _Refinement:
 
 def _joined(first: _Walkers, second: _Walkers) -> _Walkers:
     """Return both; the fields of walkers are rows, or rows of rows."""
+    if not len(first) or not len(second):
+        return first if len(first) else second
     both = np.arange(len(first) + len(second))
     return first[np.minimum(both, len(first) - 1)].replaced(
         both >= len(first), second[np.maximum(both - len(first), 0)]

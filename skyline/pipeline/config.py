@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import cast
 
 from skyline.camera import DEFAULT_WIDTH
-from skyline.errors import InputError, StoreMismatchError
+from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
 from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.render.horizon import HorizonRenderer
@@ -131,12 +131,23 @@ def check_dem(header: StoreHeader, terrain: HeightField) -> None:
 
 
 def curvature_of(header: StoreHeader) -> Curvature:
-    """Return the curvature a store was rendered with; the default where it does not say."""
+    """Return the curvature a store was rendered with; the default where it does not say.
+
+    Raises
+    ------
+    StoreError
+        It says what is no curvature.
+    """
     stored = header.config.get("curvature")
     if not isinstance(stored, dict):
         return Curvature()
     names = {f.name for f in fields(Curvature)}
-    return Curvature(**{name: value for name, value in stored.items() if name in names})
+    try:
+        return Curvature(**{name: value for name, value in stored.items() if name in names})
+    except (TypeError, ValueError) as error:
+        raise StoreError(
+            f"the store's curvature is {stored!r}, which is none ({error}); build it anew"
+        ) from error
 
 
 def mapped_area_m(header: StoreHeader, terrain: HeightField) -> MapBounds | None:

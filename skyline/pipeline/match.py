@@ -16,7 +16,6 @@ from skyline.geodesy import Frame
 from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays
 from skyline.matching.dense import DensifyConfig, Progress
 from skyline.matching.full import FullConfig, FullMatcher
-from skyline.matching.pose import Scene
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.photo import Projection, QuerySkyline, read_query
 from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
@@ -163,10 +162,10 @@ class Matcher:
             self.terrain = _given_terrain(self.header, dem)
             if matcher == FULL:
                 self.terrain = self.terrain or terrain_at_hand(self.header, "answers unrefined")
+                retriever = open_retriever(opened, self.terrain, self._config, progress)
                 if self.terrain is not None and self._config.refine:
                     self._scene = RenderedScene(self.terrain, self.header, self._config)
-                full = open_full(opened, self.terrain, self._scene, self._config, progress)
-                self._rank = full.rank
+                self._rank = FullMatcher(retriever, self._scene, self._config.full).rank
             else:
                 profiles = Profiles.from_views(_chunks(opened))
                 self._rank = MATCHERS[matcher]().prepare(profiles).rank
@@ -237,7 +236,7 @@ class Matcher:
         elif fov_deg is not None:
             widest = min(fov_deg * (1.0 + config.fov_slack), 0.5 * (fov_deg + 180.0))
             bounds_deg = (fov_deg * (1.0 - config.fov_slack), widest)
-        elif not self._needs_fov:
+        elif not self._needs_fov and query.projection is Projection.PERSPECTIVE:
             fov_deg = float(np.sqrt(bounds_deg[0] * bounds_deg[1]))
         else:
             raise InputError(
@@ -269,16 +268,15 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
     return f"the best place has confidence {sure:.2f}, {least:.2f} is needed"
 
 
-def open_full(
+def open_retriever(
     store: Store,
     terrain: HeightField | None,
-    scene: Scene | None,
     config: MatchConfig,
     progress: Progress | None = None,
-) -> FullMatcher:
-    """Return the full matcher of a store, which refines where there is a scene."""
+) -> Retriever:
+    """Return what retrieves places among all that a store predicts."""
     dense = predicted_profiles(store, terrain, config.densify, config.cache, progress)
-    return FullMatcher(Retriever(dense, config.retrieval), scene, config.full)
+    return Retriever(dense, config.retrieval)
 
 
 class RenderedScene:

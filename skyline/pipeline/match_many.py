@@ -47,7 +47,8 @@ def match_many(
     Parameters
     ----------
     runner : Runner
-        What does the matching. Workers need the store and the queries under the same paths.
+        What does the matching. Workers need the store, the DEM and the queries under the same
+        paths.
     matcher : tuple
         What a `Matcher` is made of, in order: the store's path first.
     queries : sequence of paths
@@ -74,6 +75,14 @@ def _match(
     return _opened(stamp, *matcher).match(reading.read(query), top=top)
 
 
-@lru_cache(maxsize=1)
-def _opened(_stamp: int, *matcher: Hashable) -> Matcher:
-    return Matcher(*matcher)  # type: ignore[arg-type]
+_here: dict[tuple[Hashable, ...], Matcher] = {}
+"""The matcher that this process has open."""
+
+
+def _opened(*asked: Hashable) -> Matcher:
+    if asked not in _here:
+        while _here:
+            _here.popitem()[1].release()
+        _, *matcher = asked
+        _here[asked] = Matcher(*matcher)  # type: ignore[arg-type]
+    return _here[asked]

@@ -135,12 +135,21 @@ def _keep(profiles: DenseProfiles, path: Path) -> None:
 
 def _make_room(newest: Path) -> None:
     """Remove what was longest not asked for from a folder that is too large."""
-    for stray in newest.parent.glob(f"*{_PARTIAL}"):
-        if time.time() - stray.stat().st_mtime > _STRAY_S:
+    for stat, stray in _files(newest.parent, _PARTIAL):
+        if time.time() - stat.st_mtime > _STRAY_S:
             stray.unlink(missing_ok=True)
-    kept = [(path.stat(), path) for path in newest.parent.glob(f"*{_SUFFIX}")]
+    kept = _files(newest.parent, _SUFFIX)
     excess = sum(stat.st_size for stat, _ in kept) - FOLDER_LIMIT_BYTES
     for stat, path in sorted(kept, key=lambda one: one[0].st_mtime):
         if excess > 0 and path != newest:
             path.unlink(missing_ok=True)
             excess -= stat.st_size
+
+
+def _files(folder: Path, suffix: str) -> list[tuple[os.stat_result, Path]]:
+    """Return the files of a name; another process may remove some meanwhile."""
+    files = []
+    for path in folder.glob(f"*{suffix}"):
+        with suppress(FileNotFoundError):
+            files.append((path.stat(), path))
+    return files

@@ -230,9 +230,11 @@ def build_sharded(
     area = map_bounds(terrain, plan.bounds_deg)
     viewpoints = uniform_grid(terrain, plan.spacing_m, area, config.eye_height_m)
     shards = cut_into_shards(viewpoints, plan.tile_m)
-    if path.exists():
-        return _held_already(path, store_header(terrain, "", config, plan.record), viewpoints)
     folder = path.with_name(f"{path.name}.shards")
+    if path.exists():
+        held = _held_already(path, store_header(terrain, "", config, plan.record), viewpoints)
+        _remove(folder, shards)
+        return held
     settings = ShardSettings(
         terrain.provenance.files,
         terrain.digest,

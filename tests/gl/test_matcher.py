@@ -8,12 +8,13 @@ import pytest
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, RenderConfig, build_uniform, read_dem
-from skyline.errors import InputError, StoreMismatchError
+from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.experiments.queries import QueryConfig, make_queries
-from skyline.matching.full import FullConfig
-from skyline.photo import QuerySkyline
-from skyline.pipeline.config import mapped_area_m
-from skyline.pipeline.match import RenderedScene, open_full
+from skyline.matching.full import FullConfig, FullMatcher
+from skyline.photo import Projection, QuerySkyline
+from skyline.pipeline.config import curvature_of, mapped_area_m
+from skyline.pipeline.match import RenderedScene, open_retriever
+from skyline.pipeline.match_many import _opened
 from skyline.prediction import shell_edges_m
 from skyline.store import open_store
 
@@ -79,9 +80,9 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
     with open_store(store) as opened:
         scene = RenderedScene(terrain, opened.header, BOLD)
     for sure_margin in (0.0, 75.0, np.inf):
-        config = replace(BOLD, full=FullConfig(sure_margin=sure_margin))
         with open_store(store) as opened:
-            matcher = open_full(opened, terrain, scene, config)
+            retriever = open_retriever(opened, terrain, BOLD)
+        matcher = FullMatcher(retriever, scene, FullConfig(sure_margin=sure_margin))
         rays = [query.rays() for query in queries]
         found[sure_margin] = [matcher.refine(matcher.retrieve(one), one) for one in rays]
     scene.release()
@@ -175,6 +176,33 @@ def test_an_unknown_field_of_view_is_searched(store, terrain, queries):
     assert best.fov_deg == pytest.approx(60.0, abs=2.0)
     with pytest.raises(InputError, match="--fov-deg"):
         Matcher(store, terrain, "correlation").match(skyline)
+
+
+def test_a_panorama_needs_its_field_of_view(store, terrain, queries):
+    skyline = replace(queries[1].skyline, fov_deg=None, projection=Projection.CYLINDRICAL)
+    with pytest.raises(InputError, match="--fov-deg"):
+        Matcher(store, terrain, config=BOLD).match(skyline)
+
+
+@pytest.mark.parametrize("wrong", [{"refraction_k": "x"}, {"radius_m": [1]}, {"radius_m": -1.0}])
+def test_a_curvature_that_is_none_is_said(store, wrong):
+    with open_store(store) as opened:
+        header = opened.header
+    with pytest.raises(StoreError, match="curvature"):
+        curvature_of(replace(header, config={"curvature": wrong}))
+
+
+def test_a_process_keeps_one_matcher_open(store, terrain, queries, monkeypatch):
+    released = []
+
+    def release(matcher):
+        released.append(matcher)
+
+    monkeypatch.setattr(Matcher, "release", release)
+    first = _opened(1, str(store), None, "correlation")
+    assert _opened(1, str(store), None, "correlation") is first
+    assert _opened(2, str(store), None, "correlation") is not first
+    assert released == [first]
 
 
 def test_the_same_query_has_the_same_answer(store, terrain, queries):

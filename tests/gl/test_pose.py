@@ -1,5 +1,6 @@
 """Refinement by rendering, on small terrain where the truth is known."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,6 +33,16 @@ class _Scene:
 
     def ground_m(self, easting_m, northing_m):
         return self.field.height_at(easting_m, northing_m)
+
+
+@dataclass(frozen=True)
+class _Island(_Scene):
+    """A scene whose ground is known in part."""
+
+    known_m: Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+    def ground_m(self, easting_m, northing_m):
+        return self.known_m(easting_m, northing_m)
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +160,19 @@ def test_who_starts_off_the_map_or_on_a_hole_has_no_pose(scene, rays):
     assert len(refine(outside, query, scene, SHORT)) == 0
     both = Hypotheses.concatenate([outside, _around(2, 20.0)])
     assert _off_m(refine(both, query, scene, SHORT).hypotheses)[0] < 5.0
+
+
+def test_a_place_with_nothing_round_it_is_refined_where_it_is(scene, rays):
+    def ground_m(easting_m, northing_m):
+        off_m = np.hypot(easting_m - PLACE[0], northing_m - PLACE[1])
+        return np.where(off_m < 20.0, scene.ground_m(easting_m, northing_m), np.nan)
+
+    island = _Island(scene.field, scene.renderer, ground_m)
+    query = rays_of(*rays, 60.0, 61.5, (57.0, 63.0))
+    found = refine(_around(2, 10.0), query, island, SHORT)
+    assert _off_m(found.hypotheses)[0] < 3.0
+    nobody = poses(2, easting_m=-500.0, northing_m=-6000.0, heading_deg=160.0)
+    assert len(refine(nobody, query, island, replace(SHORT, rounds=1))) == 0
 
 
 def test_no_hypotheses_have_no_poses(scene, rays):

@@ -16,7 +16,7 @@ from skyline.errors import BuildError, InputError, StoreError, StoreMismatchErro
 from skyline.pipeline import ShardPlan, build, build_sharded, cluster, remote_runner
 from skyline.pipeline.jobs import run_here
 from skyline.pipeline.shards import cut_into_shards
-from skyline.planning.uniform import uniform_grid
+from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.store import StoreWriter, compact_store
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -105,7 +105,15 @@ def test_progress_and_a_clean_folder(terrain, unbroken, tmp_path):
 def test_a_store_that_is_whole_is_left_alone(terrain, unbroken, tmp_path):
     path = tmp_path / "s.h5"
     build_sharded(terrain, path, PLAN, CONFIG)
+    # As if the process had been killed after it merged the shards.
+    left = tmp_path / "s.h5.shards"
+    left.mkdir()
+    area_m = map_bounds(terrain, PLAN.bounds_deg)
+    grid = uniform_grid(terrain, PLAN.spacing_m, area_m, CONFIG.eye_height_m)
+    for shard in cut_into_shards(grid, PLAN.tile_m):
+        (left / f"{shard.name}.h5").touch()
     again = build_sharded(terrain, path, PLAN, CONFIG)
+    assert not left.exists()
     assert again.rendered == 0
     assert again.renderings > 0
     assert path.read_bytes() == unbroken

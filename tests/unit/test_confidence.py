@@ -78,6 +78,20 @@ def test_a_margin_is_over_the_best_place_elsewhere() -> None:
     assert confidence.retrieved_figures(some, query)["margin"].tolist() == [4.0, 3.0, -4.0]
 
 
+def test_a_place_that_nothing_is_held_against_has_no_margin() -> None:
+    azimuth = np.linspace(-0.5, 0.5, 200)
+    query = QueryRays.equally_trusted(azimuth, 0.1 * np.sin(9.0 * azimuth), 60.0)
+    zero = np.zeros(3)
+    place = np.array([0.0, 50.0, 100.0])
+    found = Hypotheses(place, zero, zero, zero, zero, zero, zero + 60.0, np.array([1.0, 2.0, 5.0]))
+    figures = confidence.retrieved_figures(found, query)
+    assert figures["margin"].tolist() == [0.0, 0.0, 0.0]
+    assert (confidence.models()["retrieved"].probability(figures) < 0.9).all()
+    one = np.ones(1)
+    poses = Poses(found[:1], np.eye(2)[np.newaxis], one, one, one, one, one + np.inf, 7)
+    assert confidence.refined_figures(poses, found, query)["margin"].tolist() == [0.0]
+
+
 def test_every_refined_pose_hears_of_the_best_that_was_retrieved() -> None:
     azimuth = np.linspace(-0.5, 0.5, 200)
     query = QueryRays.equally_trusted(azimuth, 0.1 * np.sin(9.0 * azimuth), 60.0)
@@ -86,7 +100,7 @@ def test_every_refined_pose_hears_of_the_best_that_was_retrieved() -> None:
     found = Hypotheses(place, zero, zero, zero, zero, zero, zero + 60.0, np.array([2.0, 1.0, 5.0]))
     one = np.ones(2)
     poses = Poses(
-        found[np.arange(2)], np.tile(np.eye(2), (2, 1, 1)), one, one, one, one, one, one,
+        found[np.arange(2)], np.tile(np.eye(2), (2, 1, 1)), one, one, one, one,
         np.array([90.0, -90.0]), 7,
     )  # fmt: skip
     figures = confidence.refined_figures(poses, found, query)

@@ -195,14 +195,11 @@ def test_without_a_ground_eyes_stand_as_high_as_the_stored_ones():
     np.testing.assert_allclose(dense.eye_elevation_m, 2.0)
 
 
-def test_dense_profiles_are_taken_apart_and_made_plain():
+def test_dense_profiles_are_taken_apart():
     dense = densify([panorama()], flat_ground, DensifyConfig(bins=360, reach_m=120.0))
     part = dense[np.array([3, 1])]
     assert isinstance(part, DenseProfiles)
     np.testing.assert_array_equal(part.y(), dense.y()[[3, 1]])
-    plain_profiles = part.as_profiles()
-    np.testing.assert_array_equal(plain_profiles.y, part.y())
-    assert len(plain_profiles.keypoint_start) == 3
 
 
 @pytest.mark.parametrize(

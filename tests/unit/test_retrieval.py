@@ -229,7 +229,8 @@ def test_profiles_of_nothing_are_answered():
 def test_senseless_requests_are_refused(places):
     with pytest.raises(InputError, match="count is 0"):
         Retriever(places).shortlist(rays(0, 0.0), 0)
-    with pytest.raises(InputError, match="divide"):
-        Retriever(places, RetrievalConfig(coarse_bins=77))
+    for bins in (77, 45):
+        with pytest.raises(InputError, match="divide"):
+            Retriever(places, RetrievalConfig(coarse_bins=bins))
     with pytest.raises(InputError, match="above 0"):
         RetrievalConfig(fitted=0)

@@ -99,10 +99,10 @@ def test_query_time_is_not_extrapolated_from_one_area():
     assert "query time is not extrapolated" in row["assumptions"][-1]
 
 
-def test_places_are_those_of_the_finer_of_store_and_lattice():
-    lattice = predicted_places(1.0, 4)
-    assert lattice == pytest.approx(1e6 / MATCHING.densify.pitch_m**2, abs=1.0)
-    assert predicted_places(1.0, 10 * lattice) == 10 * lattice
+def test_places_are_the_store_s_and_a_lattice_s():
+    lattice = 1e6 / MATCHING.densify.pitch_m**2
+    assert predicted_places(1.0, 4) == pytest.approx(4 + lattice, abs=1.0)
+    assert predicted_places(1.0, 10_000) == pytest.approx(10_000 + lattice, abs=1.0)
 
 
 CONFIG = ScaleConfig(

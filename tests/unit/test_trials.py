@@ -36,6 +36,13 @@ class Nearby:
         return MatchResult(query, () if self.calls == 4 else tuple(found), 0.5)
 
 
+class Nothing:
+    """Finds nothing."""
+
+    def match(self, query, fov_deg=None, top=5):
+        return MatchResult(query, (), 0.5)
+
+
 @pytest.fixture
 def trials():
     queries = [query_at(30.0, 355.0), query_at(-900.0, 5.0), query_at(0, 0), query_at(0, 0)]
@@ -68,6 +75,12 @@ def test_intervals_hold_the_figure_and_shrink_with_more_queries(trials):
     # Two standard errors either side of a share of 1/4 among 400.
     assert width == pytest.approx(4.0 * np.sqrt(0.25 * 0.75 / 400.0), rel=0.15)
     assert few["within_200m_high"] - few["within_200m_low"] > 3.0 * width
+
+
+def test_no_candidate_is_never_right():
+    lost, *_ = run_trials(Nothing(), [query_at(0.0, 0.0)], 150.0, top=3)
+    assert lost.error_m == 150.0
+    assert not lost.right
 
 
 def test_nothing_right_has_no_heading(trials):

@@ -34,6 +34,12 @@ def test_quick_is_the_middle_with_renderings_to_match():
     assert check(PLAIN, quick) == quick.bounds_deg
 
 
+def test_what_is_asked_for_twice_is_measured_once():
+    config = AdaptiveConfig(spacings_m=(512.0, 256.0, 512.0), budgets=(800, 800))
+    assert config.spacings_m == (512.0, 256.0)
+    assert config.budgets == (800,)
+
+
 def test_what_does_not_fit_is_refused():
     small = middle_deg(PLAIN, (900.0, 900.0))
     for config, said in (
