@@ -293,7 +293,7 @@ def options(
 
 def main() -> None:
     """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
-    run_app(app, "stopped; what was committed is kept, the same build goes on from it")
+    run_app(app, "stopped; what was built or fetched is kept, the same command goes on from it")
 
 
 def _render_config(width: int, tolerance_px: float, k: float, no_curvature: bool) -> RenderConfig:

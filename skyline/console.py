@@ -50,6 +50,8 @@ def run_app(app: typer.Typer, stopped: str) -> None:
     except SkylineError as error:
         _fail(str(error), error.exit_code)
     except _UsageError as error:
+        if not error.format_message():
+            sys.exit(2)  # A group of commands without a command has printed its help.
         _fail(error.format_message(), 2)
     except (KeyboardInterrupt, typer.Abort):
         _fail(stopped, _INTERRUPTED)
@@ -98,6 +100,11 @@ def parse_bounds(text: str) -> tuple[float, float, float, float]:
     return west, south, east, north
 
 
-def _fail(message: str, code: int) -> None:
+def complain(message: str) -> None:
+    """Tell of an error, in one line of the error stream."""
     print("error: " + " ".join(message.split()), file=sys.stderr)
+
+
+def _fail(message: str, code: int) -> None:
+    complain(message)
     sys.exit(code)

@@ -2,16 +2,16 @@
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from skyline.console import Scheduler, Workers, progress_bar, runner_of
+from skyline.console import Scheduler, Workers, complain, progress_bar, runner_of
 from skyline.describe import describe_match
-from skyline.errors import InputError
+from skyline.errors import InputError, SkylineError
 from skyline.photo import Projection, extract_photo, write_overlay, write_trace
 from skyline.pipeline import (
     FULL,
@@ -93,6 +93,7 @@ def match(
     scheduler: Scheduler = None,
 ) -> None:
     """Find where photos were taken and which way the camera looked."""
+    _check_outputs([geojson], [store, *query])
     if peaks is not None and report is None:
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
     config = replace(
@@ -109,29 +110,33 @@ def match(
         matching = Matcher(*asked, progress)
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
     reading = QueryReading(fov_deg, projection, sky_model)
-    results = []
+    results, failed = [], 0
     with runner_of(workers, scheduler) as runner:
         if runner is None:
-            found: Iterator[MatchResult] = (
-                matching.match(reading.read(path), top=top) for path in query
-            )
+            found = _matched_here(matching, query, reading, top)
         else:
             found = match_many(runner, asked, query, reading, top)
         for path, result in zip(query, found, strict=True):
+            if isinstance(result, SkylineError):
+                complain(str(result))
+                failed = result.exit_code
+                continue
             results.append((path, result))
             record = describe_match(str(path), result, matching.frame)
             if as_json:
                 typer.echo(json.dumps(record))
             else:
                 _say_match(record)
-    if geojson is not None:
+    if geojson is not None and results:
         candidates = [(str(path), result.candidates) for path, result in results]
         write_geojson(geojson, candidates, matching.frame)
-    if report is not None:
+    if report is not None and results:
         done = [f"The matcher `{matcher}` knew {len(matching.viewpoints)} stored locations."]
         told = (matched(path, result, done) for path, result in results)
         terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
         report_matches(report, matching, told, terrain, gazetteer)
+    if failed:
+        raise typer.Exit(failed)
 
 
 def extract(
@@ -145,12 +150,32 @@ def extract(
     sky_model: SkyModel = None,
 ) -> None:
     """Find the skyline in a photo and write it as a trace that a person can correct."""
+    _check_outputs([output, overlay], [photo])
     image, skyline = extract_photo(photo, fov_deg, projection=projection, sky_model=sky_model)
     write_trace(skyline, output)
     if overlay is not None:
         write_overlay(image, skyline, overlay)
     trusted = sum(math.isfinite(row) for row in skyline.row_px)
     typer.echo(f"{output}: skyline in {trusted} of {skyline.width_px} columns")
+
+
+def _matched_here(
+    matching: Matcher, queries: Sequence[Path], reading: QueryReading, top: int
+) -> Iterator[MatchResult | SkylineError]:
+    """Yield what was found for each query, or why it cannot be matched."""
+    for path in queries:
+        try:
+            yield matching.match(reading.read(path), top=top)
+        except SkylineError as error:
+            yield error
+
+
+def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
+    """Raise `InputError` where a file that is written is one that is read."""
+    read = [path for path in inputs if path.exists()]
+    for path in outputs:
+        if path is not None and path.exists() and any(path.samefile(one) for one in read):
+            raise InputError(f"{path} is read; choose another name for what is written")
 
 
 def _how_sure(place: CandidateRecord) -> str:
@@ -161,12 +186,15 @@ def _how_sure(place: CandidateRecord) -> str:
 
 def _say_match(record: MatchRecord) -> None:
     typer.echo(f"{record['query']} ({record['seconds']:.2f} s)")
+    if record["answer"] is not None:
+        typer.echo("  the answer is 1; places by how well their skyline fits:")
     if "refusal" in record:
         typer.echo(f"  no answer: {record['refusal']}")
     for rank, place in enumerate(record["candidates"], start=1):
         typer.echo(
             f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
             f"{place['easting']:.0f} northing {place['northing']:.0f}  heading "
-            f"{place['heading_deg']:.1f}  pitch {place['pitch_deg']:.1f}  "
+            f"{place['heading_deg']:.1f}  pitch {place['pitch_deg']:.1f}  fov "
+            f"{place['fov_deg']:.1f}  "
             f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"
         )

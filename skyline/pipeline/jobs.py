@@ -68,13 +68,11 @@ def collect(
     return [results[index] for index in range(len(names))]
 
 
-def in_order(outcomes: Iterator[tuple[int, R | Exception]]) -> Iterator[R]:
+def in_order(outcomes: Iterator[tuple[int, R | Exception]]) -> Iterator[R | SkylineError]:
     """Yield results in the items' order, each as soon as those before it are there.
 
-    Raises
-    ------
-    SkylineError
-        What a job raised, in its place; `BuildError` for what is no `SkylineError`.
+    In the place of a job that failed comes what it raised; `BuildError` for what is no
+    `SkylineError`.
     """
     waiting: dict[int, R | Exception] = {}
     due = 0
@@ -82,10 +80,8 @@ def in_order(outcomes: Iterator[tuple[int, R | Exception]]) -> Iterator[R]:
         waiting[index] = outcome
         while due in waiting:
             result = waiting.pop(due)
-            if isinstance(result, SkylineError):
-                raise result
-            if isinstance(result, Exception):
-                raise BuildError(f"a worker failed: {_line(result)}") from result
+            if isinstance(result, Exception) and not isinstance(result, SkylineError):
+                result = BuildError(f"a worker failed: {_line(result)}")
             yield result
             due += 1
 

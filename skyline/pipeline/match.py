@@ -305,7 +305,7 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
     """
     if not header.dem_files or not all(Path(path).is_file() for path in header.dem_files):
         _log.warning(
-            "%s: the store's DEM is not at %s any more; say where it lies",
+            "%s: the store's DEM is not at %s any more; say where it lies with --dem",
             otherwise,
             ", ".join(header.dem_files) or "any path",
         )

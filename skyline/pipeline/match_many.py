@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 
+from skyline.errors import SkylineError
 from skyline.photo import Projection, QuerySkyline, SkySession, load_sky_model, read_query
 from skyline.pipeline.jobs import Runner, in_order
 from skyline.pipeline.match import Matcher, MatchResult
@@ -41,8 +42,11 @@ def match_many(
     queries: Sequence[str | Path],
     reading: QueryReading | None = None,
     top: int = 5,
-) -> Iterator[MatchResult]:
+) -> Iterator[MatchResult | SkylineError]:
     """Match queries to a store; yields results in the queries' order, as they come.
+
+    In the place of a query that fails comes what `Matcher` or `Matcher.match` raised, and the
+    others are matched.
 
     Parameters
     ----------
@@ -55,11 +59,6 @@ def match_many(
     reading : QueryReading, optional
     top : int
         As of `Matcher.match`.
-
-    Raises
-    ------
-    SkylineError
-        As `Matcher` and `Matcher.match`, at the place of the query that fails.
     """
     store = Path(str(matcher[0])).absolute()
     # A worker that outlives this command must not take a store for the one it has replaced.

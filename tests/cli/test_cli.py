@@ -195,6 +195,40 @@ def test_match_finds_the_stored_place_of_a_photo(run, store, photo, matcher):
     assert "unrefined" in plain.out
 
 
+@pytest.mark.parametrize("workers", [(), ("--workers", "1")])
+def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path, workers):
+    text, geojson = tmp_path / "text.jpg", tmp_path / "found.geojson"
+    text.write_text("no photo")
+    command = ["match", store, photo, text, photo, "--fov-deg", "60", "--matcher", "correlation"]
+    done = run(*command, "--json", "--geojson", geojson, *workers)
+    assert done.code == 2
+    assert [json.loads(line)["query"] for line in done.out.splitlines()] == [str(photo)] * 2
+    assert re.fullmatch(r"error: .*text\.jpg.*\n", done.err)
+    assert json.loads(geojson.read_text())["features"]
+
+
+def test_what_is_read_is_not_written_over(run, store, photo):
+    before = photo.read_bytes(), store.read_bytes()
+    for command in (
+        ("extract", photo, "-o", photo),
+        ("extract", photo, "-o", photo.with_suffix(".csv"), "--overlay", photo),
+        ("match", store, photo, "--fov-deg", "60", "--geojson", store),
+        ("match", store, photo, "--fov-deg", "60", "--geojson", photo),
+    ):
+        done = run(*command)
+        assert done.code == 2
+        assert "choose another name" in done.err
+    assert (photo.read_bytes(), store.read_bytes()) == before
+
+
+@pytest.mark.parametrize("group", ["store", "dem"])
+def test_a_group_without_a_command_prints_its_help_alone(run, group):
+    done = run(group)
+    assert done.code == 2
+    assert "Usage" in done.out + done.err
+    assert "error:" not in done.err
+
+
 def test_match_writes_a_report_and_geojson_beside_the_same_json(run, store, photo, tmp_path):
     peaks = csv_of(tmp_path / "peaks.csv", ["Top,601900,5177000"], "name,easting,northing")
     folder, geojson = tmp_path / "report", tmp_path / "found.geojson"
