@@ -80,7 +80,7 @@ ShardKm = Annotated[
     ),
 ]
 Rows = Annotated[
-    str, typer.Option(help=f"How the store holds rows: {' or '.join(ROWS)} (README, Store).")
+    str, typer.Option(help=f"How the store holds rows: {' or '.join(ROWS)} (docs/store.md).")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
