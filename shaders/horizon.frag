@@ -31,7 +31,7 @@ void main() {
     int s_first, s_last, bin;
     aim(here.x, bin);
 #ifdef SHELLS
-    z_low = shell_m.x / metres_per_strip;
+    z_low = max(shell_m.x, NEAREST_M) / metres_per_strip;
     z_high = shell_m.y / metres_per_strip;
 #endif
     bool live = strips(s_first, s_last);

@@ -38,7 +38,7 @@ void main() {
         for (int shell = 0; shell < shells; ++shell) {
             int at = (first_shell_row + shell * rows_a_shell + index) * width + column;
             float low_m = shell_edges_m[shell], high_m = shell_edges_m[shell + 1];
-            z_low = low_m / metres_per_strip;
+            z_low = max(low_m, NEAREST_M) / metres_per_strip;
             z_high = high_m / metres_per_strip;
             // The shell that holds the skyline is known already.
             bool holds_sky = sky_tan > DATA && sky_depth_m >= low_m && sky_depth_m < high_m;

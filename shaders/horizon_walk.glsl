@@ -67,6 +67,7 @@ float z_enter, z_leave;            // distances between which the ray is beside 
 float z_low = 0.0, z_high = 1e30;  // distances that count
 #ifdef SHELLS
 uniform float reach_m;             // of a displaced eye that what is kept may surface for
+const float NEAREST_M = 0.1;       // nearer is the ground underfoot, which has no least v
 #define PLACE float                // of the best: its distance
 const float NO_PLACE = 1e30;
 #else

@@ -153,6 +153,21 @@ def test_shells_of_walls_behind_one_another():
     np.testing.assert_allclose(views.shells.depth_m[1, :, 32], [450, 1050, 1650], rtol=1e-6)
 
 
+def test_the_ground_underfoot_is_in_no_shell():
+    """An eye beside a cell's diagonal meets terrain at once, where a tangent has no bound."""
+    field = field_of(np.zeros((41, 41), dtype=np.float32), 90.0)
+    west, _, _, north = field.bounds_m
+    along_m = 90.0 * (20.0 + np.random.default_rng(0).random(20))
+    eyes = stand_on(field, west + along_m + 1e-9, north - along_m)
+    views = render(field, eyes, 65, shell_edges_m=[0.0, 20.0, 1e5])
+    near, depth_m = views.shells.elevation_tan[:, 0], views.shells.depth_m[:, 0]
+    seen = np.isfinite(near)
+    assert seen.any()
+    assert depth_m[seen].min() > 0.05  # Forward depths, of distances of 0.1 m and more.
+    assert np.abs(near[seen]).max() < 2.0 / 0.05
+    assert np.isfinite(views.shells.elevation_tan[:, 1]).all()
+
+
 def test_reach_leaves_out_what_stays_hidden_and_nothing_else(rough):
     field, eyes = rough
     edges = np.array([0.0, 100.0, 300.0, 600.0, 1200.0, 5000.0])
