@@ -57,7 +57,8 @@ class HorizonRenderer:
     tolerance_px : float
         How far v may fall short of the skyline's; 0 is exact but for float32.
     shell_edges_m : array_like, optional
-        K + 1 increasing forward depths: `render` gives the K shells between them as well.
+        K + 1 increasing forward depths: `render` gives the K shells between them as well. What
+        is nearer than 0.1 m, the ground underfoot, is in none.
     reach_m : float
         Shells keep what could surface over the skyline within this distance of the viewpoint;
         all by default.

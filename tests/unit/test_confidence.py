@@ -18,6 +18,17 @@ from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.pose import Poses
 from skyline.matching.query import QueryRays
 
+AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
+QUERY = QueryRays.equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
+
+
+def retrieved(easting_m: list[float], score: list[float]) -> Hypotheses:
+    """Poses along a line to the east."""
+    zero = np.zeros(len(score))
+    return Hypotheses(
+        np.array(easting_m), zero, zero, zero, zero, zero, zero + 60.0, np.array(score)
+    )
+
 
 def told(count: int, seed: int) -> list[Example]:
     """Examples whose odds of being right are exp(2 a - 1), whatever b is."""
@@ -52,11 +63,8 @@ def test_one_kind_of_examples_teaches_nothing(right: bool) -> None:
 
 
 def test_the_packaged_models_know_the_figures_they_are_given() -> None:
-    azimuth = np.linspace(-0.5, 0.5, 200)
-    query = QueryRays.equally_trusted(azimuth, 0.1 * np.sin(9.0 * azimuth), 60.0)
     zero = np.zeros(3)
-    far = Hypotheses(1e3 * np.arange(3.0), zero, zero, zero, zero, zero, zero + 60.0, zero)
-    figures = confidence.retrieved_figures(far, query)
+    figures = confidence.retrieved_figures(retrieved([0.0, 1e3, 2e3], [0.0] * 3), QUERY)
     models = confidence.models()
     assert set(models) == set(MODELS)
     sure = models["retrieved"].probability(figures)
@@ -67,43 +75,29 @@ def test_the_packaged_models_know_the_figures_they_are_given() -> None:
 
 
 def test_a_margin_is_over_the_best_place_elsewhere() -> None:
-    azimuth = np.linspace(-0.5, 0.5, 200)
-    query = QueryRays.equally_trusted(azimuth, 0.1 * np.sin(9.0 * azimuth), 60.0)
-    zero = np.zeros(3)
-    score = np.array([1.0, 2.0, 5.0])
     # The second stands beside the first, so the third is the rival of both.
-    some = Hypotheses(
-        np.array([0.0, 50.0, 900.0]), zero, zero, zero, zero, zero, zero + 60.0, score
-    )
-    assert confidence.retrieved_figures(some, query)["margin"].tolist() == [4.0, 3.0, -4.0]
+    some = retrieved([0.0, 50.0, 900.0], [1.0, 2.0, 5.0])
+    assert confidence.retrieved_figures(some, QUERY)["margin"].tolist() == [4.0, 3.0, -4.0]
 
 
 def test_a_place_that_nothing_is_held_against_has_no_margin() -> None:
-    azimuth = np.linspace(-0.5, 0.5, 200)
-    query = QueryRays.equally_trusted(azimuth, 0.1 * np.sin(9.0 * azimuth), 60.0)
-    zero = np.zeros(3)
-    place = np.array([0.0, 50.0, 100.0])
-    found = Hypotheses(place, zero, zero, zero, zero, zero, zero + 60.0, np.array([1.0, 2.0, 5.0]))
-    figures = confidence.retrieved_figures(found, query)
+    found = retrieved([0.0, 50.0, 100.0], [1.0, 2.0, 5.0])
+    figures = confidence.retrieved_figures(found, QUERY)
     assert figures["margin"].tolist() == [0.0, 0.0, 0.0]
     assert (confidence.models()["retrieved"].probability(figures) < 0.9).all()
     one = np.ones(1)
     poses = Poses(found[:1], np.eye(2)[np.newaxis], one, one, one, one, one + np.inf, 7)
-    assert confidence.refined_figures(poses, found, query)["margin"].tolist() == [0.0]
+    assert confidence.refined_figures(poses, found, QUERY)["margin"].tolist() == [0.0]
 
 
 def test_every_refined_pose_hears_of_the_best_that_was_retrieved() -> None:
-    azimuth = np.linspace(-0.5, 0.5, 200)
-    query = QueryRays.equally_trusted(azimuth, 0.1 * np.sin(9.0 * azimuth), 60.0)
-    zero = np.zeros(3)
-    place = np.array([0.0, 500.0, 900.0])
-    found = Hypotheses(place, zero, zero, zero, zero, zero, zero + 60.0, np.array([2.0, 1.0, 5.0]))
+    found = retrieved([0.0, 500.0, 900.0], [2.0, 1.0, 5.0])
     one = np.ones(2)
     poses = Poses(
         found[np.arange(2)], np.tile(np.eye(2), (2, 1, 1)), one, one, one, one,
         np.array([90.0, -90.0]), 7,
     )  # fmt: skip
-    figures = confidence.refined_figures(poses, found, query)
+    figures = confidence.refined_figures(poses, found, QUERY)
     assert figures["retrieved_score"].tolist() == [1.0, 1.0]
     np.testing.assert_allclose(figures["retrieved_log_margin"], 0.0)  # 2 - 1
     # Margins count up to 60; whoever is not the best has none.
