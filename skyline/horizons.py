@@ -1,0 +1,75 @@
+"""Horizons: the skylines of many eyes all the way round, in equal steps of azimuth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+Index = slice | NDArray[np.integer] | NDArray[np.bool_]
+
+
+def check_bins(bins: int) -> int:
+    """Return ``bins`` if a turn can be cut into so many steps, else raise `InputError`."""
+    if bins < 8 or bins % 8:
+        raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
+    return bins
+
+
+def bin_azimuths_rad(bins: int) -> Float64Array:
+    """Return the grid azimuths (B,) of the bins' centres, radians clockwise from north.
+
+    Bin b is centred at 360 (b + 1/2) / B degrees, so that a quarter of the bins lies wholly in
+    each of the four 90 degree views.
+    """
+    return (np.arange(bins) + 0.5) * (2.0 * np.pi / bins)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Horizons:
+    """The skylines of N eyes in B bins of azimuth; see `bin_azimuths_rad`.
+
+    Attributes
+    ----------
+    easting_m, northing_m, eye_elevation_m : (N,) float64
+        The eye, in the DEM's frame and above its datum.
+    elevation_tan : (N, B) float32
+        Tangent of the skyline's elevation angle: up over horizontal distance. NaN where an
+        azimuth meets no data.
+    distance_m : (N, B) float32
+        Horizontal distance of the skyline; NaN where an azimuth meets no data.
+    flags : (N, B) uint8
+        The bits of `skyline.views`: truncated, hole, no data.
+    """
+
+    easting_m: Float64Array
+    northing_m: Float64Array
+    eye_elevation_m: Float64Array
+    elevation_tan: Float32Array
+    distance_m: Float32Array
+    flags: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.easting_m)
+
+    def __getitem__(self, index: Index) -> "Horizons":
+        rows: Any = {f.name: getattr(self, f.name)[index] for f in fields(self)}
+        return Horizons(**rows)
+
+    @property
+    def bins(self) -> int:
+        """Number of azimuth bins B."""
+        return int(self.elevation_tan.shape[1])
+
+    @classmethod
+    def concatenate(cls, parts: Sequence["Horizons"]) -> "Horizons":
+        """Join horizons of as many bins, in order; at least one part."""
+        rows: Any = {
+            f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)
+        }
+        return cls(**rows)

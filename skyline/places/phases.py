@@ -1,0 +1,65 @@
+r"""Rises of a skyline as phases: two of them are alike by a bounded kernel.
+
+A skyline is reduced to the rises d between the means of neighbouring runs of bins, which no pitch
+changes and a roll hardly does. Two rises are alike by
+
+.. math::
+
+    k(d, d') = \cos(\omega (d - d')) = \mathrm{Re}\, e^{i \omega d} \overline{e^{i \omega d'}}
+
+so what is far off counts no more than what is off, and the sum over many rises is a product of
+matrices. A phase takes a byte.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.places.coding import PHASE_BINS, looked_up
+
+Float32Array = NDArray[np.float32]
+UInt8Array = NDArray[np.uint8]
+Complex64Array = NDArray[np.complex64]
+
+PHASES = 255
+"""Phases are counted in so many steps of a turn; code 0 stands for an unknown rise."""
+
+ALIKE_DEG = 1.5
+"""Rises between the means of 4 degrees of azimuth that differ by this count nothing."""
+
+
+def rise_to_turn(alike_deg: float) -> float:
+    """Return omega, radians per unit of tangent: a quarter turn is ``alike_deg`` of elevation."""
+    return float(np.pi / 2.0 / np.radians(alike_deg))
+
+
+def run_rises(elevation_tan: Float32Array, bins: int) -> Float32Array:
+    """Return the rises (N, bins) from each run's mean to the next one's, of skylines (N, B).
+
+    NaN where either run has a bin without a skyline. The last rise is to the first run.
+    """
+    mean = elevation_tan.reshape(len(elevation_tan), bins, -1).mean(axis=2)
+    return np.roll(mean, -1, axis=1) - mean
+
+
+def encode_phases(
+    elevation_tan: Float32Array, bins: int = PHASE_BINS, alike_deg: float = ALIKE_DEG
+) -> UInt8Array:
+    """Return the phases' codes (N, bins) of skylines (N, B): 1 + floor(255 phase / 2 pi)."""
+    turns = run_rises(elevation_tan, bins) * np.float32(rise_to_turn(alike_deg) / (2.0 * np.pi))
+    turns -= np.floor(turns)
+    known = np.isfinite(turns)
+    steps = np.minimum(np.where(known, turns, 0.0) * PHASES, PHASES - 1)
+    return np.where(known, steps.astype(np.uint8) + 1, 0).astype(np.uint8)
+
+
+def decode_phases(codes: UInt8Array) -> Complex64Array:
+    """Return exp(i phase) (N, bins) complex64 of codes; 0 where the rise is unknown."""
+    return looked_up(codes, _WAVES)
+
+
+def _waves() -> Complex64Array:
+    phase = (np.arange(PHASES) + 0.5) * (2.0 * np.pi / PHASES)
+    return np.concatenate([[0.0], np.exp(1j * phase)]).astype(np.complex64)
+
+
+_WAVES = _waves()
