@@ -31,7 +31,6 @@ uniform ivec2 samples;            // columns, rows of the window
 uniform vec2 spacing_m;           // east, north
 uniform float drop_per_m2;        // Curvature.drop_per_m2
 uniform float slack_m;            // more than any rounding of y
-uniform float tolerance;          // how far v may fall short of the skyline
 uniform vec2 code_m;              // height of code 0 and of one step
 uniform ivec3 levels[4];          // by level: first row in slabs, rows a bin, blocks before 0
 #ifdef HOLES
@@ -41,6 +40,7 @@ uniform ivec3 rim_levels[4];
 uniform int top_level;
 uniform int bins;                 // of slopes, from -slope_max to slope_max
 uniform float slope_max;
+uniform sampler2D aims;           // by column: u, high and low part, and how far v may fall short
 uniform int width;
 
 const float HOLE_M = -3e38;
@@ -63,6 +63,7 @@ int w_first, w_last;               // cells of the window, relative to iw
 int s_begin, s_end;                // strips of the window that lie ahead
 REAL k, rate, inverse_k, inverse_rate;
 float drop_per_strip2;
+float tolerance;                   // of the column's v
 float z_enter, z_leave;            // distances between which the ray is beside cells of the window
 float z_low = 0.0, z_high = 1e30;  // distances that count
 #ifdef SHELLS
@@ -104,7 +105,9 @@ void face(Eye eye) {
 
 // Aim at column q; bin is that of its slope.
 void aim(int q, out int bin) {
-    REAL u = REAL(2 * q + 1 - width) / REAL(width);
+    vec3 own = texelFetch(aims, ivec2(min(q, width - 1), 0), 0).xyz;
+    REAL u = REAL(own.x) + REAL(own.y);
+    tolerance = own.z;
     k = REAL(HEADING < 2 ? 1 : -1) * u * REAL(metres_per_strip) / REAL(metres_across);
     rate = k - REAL(SIGN);
     inverse_k = REAL(1) / k;

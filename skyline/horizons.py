@@ -27,7 +27,16 @@ def bin_azimuths_rad(bins: int) -> Float64Array:
     Bin b is centred at 360 (b + 1/2) / B degrees, so that a quarter of the bins lies wholly in
     each of the four 90 degree views.
     """
-    return (np.arange(bins) + 0.5) * (2.0 * np.pi / bins)
+    return np.asarray((np.arange(bins) + 0.5) * (2.0 * np.pi / bins), dtype=np.float64)
+
+
+def quadrant_azimuths_rad(bins: int) -> Float64Array:
+    """Return the azimuths (B/4,) of a quadrant's bins from its axis, increasing, in radians.
+
+    Those of heading h are bins h B/4 - B/8 to h B/4 + B/8 - 1, modulo B.
+    """
+    steps = np.arange(bins // 4) + 0.5 - bins / 8
+    return np.asarray(steps * (2.0 * np.pi / bins), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

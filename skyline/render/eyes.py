@@ -6,7 +6,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.camera import HEADINGS, pixel_size, rotation
+from skyline.camera import HEADINGS, rotation
+from skyline.render.trees import split_float
 from skyline.render.walks import EYE
 from skyline.render.windows import Window
 from skyline.terrain.heightfield import HeightField
@@ -18,9 +19,6 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 _ROUNDING = 3.0 * 2.0**-24
 """Of a crossing's height in float32, relative to the heights about it."""
-
-_NEAR_ERROR_PX = 0.02
-"""What rounding may cost near the eye before float64 is used."""
 
 
 class Eyes:
@@ -34,11 +32,15 @@ class Eyes:
     """
 
     def __init__(
-        self, field: HeightField, viewpoints: Viewpoints, heading: NDArray[np.uint8], width: int
+        self,
+        field: HeightField,
+        viewpoints: Viewpoints,
+        heading: NDArray[np.uint8],
+        near_error: float,
     ) -> None:
         self.viewpoints, self.heading = viewpoints, heading
         self._spacing_m = np.array([field.spacing_north_m, field.spacing_east_m])
-        double = needs_double(field, viewpoints, width)
+        double = needs_double(field, viewpoints, near_error)
         self._order = np.lexsort((double, heading))
         self._double, self._sorted_heading = double[self._order], heading[self._order]
         row, col = field.to_grid(viewpoints.easting_m, viewpoints.northing_m)
@@ -68,8 +70,8 @@ class Eyes:
         eyes = np.zeros(len(self), dtype=EYE)
         nearest = np.rint(self._place)
         eyes["nearest"] = nearest.astype(np.int64) - (window.row, window.col)
-        eyes["offset"], eyes["offset_low"] = _split(self._place - nearest)
-        high, low = _split(self._elevation_m)
+        eyes["offset"], eyes["offset_low"] = split_float(self._place - nearest)
+        high, low = split_float(self._elevation_m)
         eyes["elevation_m"] = np.stack([high, low], axis=-1)
         return eyes
 
@@ -124,8 +126,8 @@ class Eyes:
         return np.asarray(outside * self._spacing_m, dtype=np.float64)
 
 
-def needs_double(field: HeightField, viewpoints: Viewpoints, width: int) -> BoolArray:
-    """Return which eyes see edges so near that float32 would blur them, shape (N,).
+def needs_double(field: HeightField, viewpoints: Viewpoints, near_error: float) -> BoolArray:
+    """Return which eyes see edges so near that float32 would blur v by more than an error, (N,).
 
     A crossing at depth z among heights up to H above or below the eye has v to within
     ``_ROUNDING`` H / z. An edge nearer than c / (G + 2 H / s) is below what follows it (c the
@@ -141,7 +143,7 @@ def needs_double(field: HeightField, viewpoints: Viewpoints, width: int) -> Bool
     ground_m = field.height_at(viewpoints.easting_m, viewpoints.northing_m)
     clearance_m = viewpoints.eye_elevation_m - ground_m
     shows_from_m = clearance_m / (2.0 * (steepest_m + relief_m) / spacing_m + 1e-9)
-    blurred_to_m = _ROUNDING * relief_m / (_NEAR_ERROR_PX * pixel_size(width))
+    blurred_to_m = _ROUNDING * relief_m / near_error
     lines = np.stack([row, col, col - row])
     offset = np.abs(lines - np.rint(lines))
     # An eye exactly on a line does not cross it.
@@ -156,9 +158,3 @@ def _heights_around(field: HeightField, row: Float64Array, col: Float64Array) ->
     cols = np.clip(np.floor(col).astype(np.int64)[:, None] + steps, 0, field.cols - 1)
     heights = field.heights_m[rows[:, :, None], cols[:, None, :]]
     return np.asarray(heights, dtype=np.float64)
-
-
-def _split(values: Float64Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the nearest float32 and what it leaves."""
-    high = values.astype(np.float32)
-    return high, (values - high).astype(np.float32)

@@ -7,14 +7,16 @@ each column's ray over a tree of upper bounds and evaluates only what can still 
 
 import itertools
 import logging
+from collections.abc import Iterator
 from dataclasses import replace
 from types import TracebackType
+from typing import Self
 
 import moderngl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixel_size
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import acquire_context
@@ -40,12 +42,164 @@ _log = logging.getLogger(__name__)
 
 MAX_SPACING_RATIO = 64.0
 
+NEAR_ERROR_PX = 0.02
+"""What rounding may cost near the eye before float64 is used."""
+
 _RESIDENT_SAMPLES = 1 << 24
 """Samples whose windows stay on the GPU, some 43 bytes each."""
 
 
-class HorizonRenderer:
-    """Renders the skylines of one height field.
+class ColumnRenderer:
+    """Renders skylines of one height field in columns at any abscissas.
+
+    Parameters
+    ----------
+    field : HeightField
+    u, tolerance : (W,) float64
+        Of the columns: abscissas of magnitude at most 1, and how far v may fall short.
+    near_error : float
+        What rounding may cost v near the eye before float64 is used.
+    curvature : Curvature
+    shell_edges_m : (K + 1,) float64, optional
+    reach_m : float
+
+    Raises
+    ------
+    InputError
+        Samples much longer than wide.
+    ContextError
+        No OpenGL context can be made.
+    """
+
+    def __init__(
+        self,
+        field: HeightField,
+        u: Float64Array,
+        tolerance: Float64Array,
+        near_error: float,
+        curvature: Curvature,
+        shell_edges_m: Float64Array | None = None,
+        reach_m: float = np.inf,
+    ) -> None:
+        self.field, self.width, self.curvature = field, len(u), curvature
+        self.shell_edges_m = shell_edges_m
+        self._near_error = near_error
+        _check_spacing(field)
+        self._context = acquire_context()
+        settings = Settings(
+            u,
+            tolerance,
+            (field.spacing_east_m, field.spacing_north_m),
+            curvature.drop_per_m2,
+            len(_ranges(shell_edges_m)),
+            reach_m,
+        )
+        self._walker: Walker = (
+            ComputeWalker(self._context, settings)
+            if self._context.has_compute
+            else FragmentWalker(self._context, settings)
+        )
+        self._max_views = self._walker.max_rows // (1 + len(_ranges(self.shell_edges_m)))
+        self._windows = Window.all_of(field)
+        self._resident: dict[Window, WindowTextures] = {}
+
+    def release(self) -> None:
+        """Free what this renderer holds on the GPU; the context stays for others."""
+        self._walker.release()
+        for window in self._resident.values():
+            window.release()
+        self._resident = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.release()
+
+    def _batches(
+        self, viewpoints: Viewpoints, heading: NDArray[np.uint8]
+    ) -> Iterator[tuple[slice, Rows]]:
+        """Render in batches that fit the GPU; where one does not, in halves of it.
+
+        Yields which views, and their rows in order: N skylines, then those of each shell. Without
+        data elevation_tan and depth_m are NaN, and skylines flagged.
+        """
+        start = 0
+        while start < len(viewpoints):
+            part = slice(start, min(start + self._max_views, len(viewpoints)))
+            try:
+                rows = self._batch(viewpoints[part], heading[part])
+            except moderngl.Error as error:
+                self._halve_batch(str(error))
+            else:
+                yield part, rows
+                start = part.stop
+
+    def _halve_batch(self, said: str) -> None:
+        if self._max_views == 1:
+            raise ContextError(
+                f"the GPU cannot hold one view of {self.width} columns over {self.field.cols} x "
+                f"{self.field.rows} samples ({said}); free its memory or choose a smaller width"
+            )
+        self._max_views //= 2
+        _log.warning(
+            "out of GPU memory (%s); going on with %d views a batch", said, self._max_views
+        )
+
+    def _batch(self, viewpoints: Viewpoints, heading: NDArray[np.uint8]) -> Rows:
+        """Render one batch; see `_batches`."""
+        eyes = Eyes(self.field, viewpoints, heading, self._near_error)
+        walker, shells = self._walker, _ranges(self.shell_edges_m)
+        walker.begin((1 + len(shells)) * len(eyes))
+        windows = eyes.nearest_first(self._windows)
+        for place, window in enumerate(windows):
+            if place == 0 or self._may_rise(window, eyes):
+                self._walk(window, eyes, Walk(first=place == 0))
+        if shells:
+            for place, window in enumerate(windows):
+                held = shells if place == 0 else _held(shells, *eyes.depths_m(window))
+                if held:
+                    walk = Walk(shells_m=tuple(held), first=place == 0)
+                    self._walk(window, eyes, walk, shells.index(held[0]))
+        return _in_order(eyes, walker.read())
+
+    def _walk(self, window: Window, eyes: Eyes, walk: Walk, shell: int = 0) -> None:
+        """Raise the skylines, or shells from a first one on, by one window."""
+        textures, near = self._load(window), eyes.relative_to(window)
+        for rows, heading, double in eyes.groups():
+            kind = replace(walk, heading=heading, double=double)
+            place = Place(rows.start, (1 + shell) * len(eyes) + rows.start, len(eyes))
+            self._walker.run(kind, textures, near[rows], place)
+
+    def _may_rise(self, window: Window, eyes: Eyes) -> bool:
+        """Return whether a window can raise any skyline found so far."""
+        rows = slice(window.row, window.row + window.rows)
+        cols = slice(window.col, window.col + window.cols)
+        highest_m = float(np.fmax.reduce(self.field.heights_m[rows, cols], axis=None))
+        if np.isnan(highest_m):
+            return False
+        least = self._walker.read().elevation_tan[: len(eyes)].min(axis=1)
+        bound = eyes.greatest_tan(window, highest_m, self.curvature.drop_per_m2)
+        return bool((bound > least).any())
+
+    def _load(self, window: Window) -> WindowTextures:
+        """Return a window's textures, which stay while there is room for them."""
+        if window not in self._resident:
+            samples = sum(held.rows * held.cols for held in self._resident)
+            if samples + window.rows * window.cols > _RESIDENT_SAMPLES:
+                while self._resident:
+                    self._resident.pop(next(iter(self._resident))).release()
+            self._resident[window] = WindowTextures(self._context.ctx, self.field, window)
+        return self._resident[window]
+
+
+class HorizonRenderer(ColumnRenderer):
+    """Renders the skylines of one height field in views of 90 degrees.
 
     Parameters
     ----------
@@ -80,29 +234,17 @@ class HorizonRenderer:
         shell_edges_m: ArrayLike | None = None,
         reach_m: float = np.inf,
     ) -> None:
-        self.field = field
-        self.width = check_width(width)
-        self.curvature = curvature or Curvature()
-        self.tolerance_px = _check_tolerance(tolerance_px)
-        self.shell_edges_m = _check_shells(shell_edges_m)
-        _check_spacing(field)
-        self._context = acquire_context()
-        settings = Settings(
-            self.width,
-            (field.spacing_east_m, field.spacing_north_m),
-            self.curvature.drop_per_m2,
-            self.tolerance_px,
-            len(_ranges(self.shell_edges_m)),
+        pixel = pixel_size(check_width(width))
+        self.tolerance_px = check_tolerance(tolerance_px, "px")
+        super().__init__(
+            field,
+            columns_u(width),
+            np.full(width, self.tolerance_px * pixel),
+            NEAR_ERROR_PX * pixel,
+            curvature or Curvature(),
+            _check_shells(shell_edges_m),
             _check_reach(reach_m),
         )
-        self._walker: Walker = (
-            ComputeWalker(self._context, settings)
-            if self._context.has_compute
-            else FragmentWalker(self._context, settings)
-        )
-        self._max_views = self._walker.max_rows // (1 + len(_ranges(self.shell_edges_m)))
-        self._windows = Window.all_of(field)
-        self._resident: dict[Window, WindowTextures] = {}
 
     @property
     def description(self) -> str:
@@ -131,123 +273,43 @@ class HorizonRenderer:
         else:
             eye, heading = np.arange(len(viewpoints)), _check_headings(headings, len(viewpoints))
         if len(eye) == 0:
-            return self._render_batch(viewpoints, heading)
-        return Views.concatenate(self._render_batches(viewpoints[eye], heading))
-
-    def release(self) -> None:
-        """Free what this renderer holds on the GPU; the context stays for others."""
-        self._walker.release()
-        for window in self._resident.values():
-            window.release()
-        self._resident = {}
-
-    def __enter__(self) -> "HorizonRenderer":
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.release()
-
-    def _render_batches(self, viewpoints: Viewpoints, heading: NDArray[np.uint8]) -> list[Views]:
-        """Render in batches that fit the GPU; where one does not, in halves of it."""
-        parts: list[Views] = []
-        start = 0
-        while start < len(viewpoints):
-            part = slice(start, start + self._max_views)
-            try:
-                parts.append(self._render_batch(viewpoints[part], heading[part]))
-            except moderngl.Error as error:
-                self._halve_batch(str(error))
-            else:
-                start = part.stop
-        return parts
-
-    def _halve_batch(self, said: str) -> None:
-        if self._max_views == 1:
-            raise ContextError(
-                f"the GPU cannot hold one view of {self.width} columns over {self.field.cols} x "
-                f"{self.field.rows} samples ({said}); free its memory or choose a smaller width"
-            )
-        self._max_views //= 2
-        _log.warning(
-            "out of GPU memory (%s); going on with %d views a batch", said, self._max_views
+            return self._views(viewpoints, heading, self._batch(viewpoints, heading))
+        eyes = viewpoints[eye]
+        return Views.concatenate(
+            [
+                self._views(eyes[part], heading[part], rows)
+                for part, rows in self._batches(eyes, heading)
+            ]
         )
 
-    def _render_batch(self, viewpoints: Viewpoints, heading: NDArray[np.uint8]) -> Views:
-        eyes = Eyes(self.field, viewpoints, heading, self.width)
-        walker, shells = self._walker, _ranges(self.shell_edges_m)
-        walker.begin((1 + len(shells)) * len(eyes))
-        windows = eyes.nearest_first(self._windows)
-        for place, window in enumerate(windows):
-            if place == 0 or self._may_rise(window, eyes):
-                self._walk(window, eyes, Walk(first=place == 0))
-        if shells:
-            for place, window in enumerate(windows):
-                held = shells if place == 0 else _held(shells, *eyes.depths_m(window))
-                if held:
-                    walk = Walk(shells_m=tuple(held), first=place == 0)
-                    self._walk(window, eyes, walk, shells.index(held[0]))
-        return self._views(eyes, walker.read())
-
-    def _walk(self, window: Window, eyes: Eyes, walk: Walk, shell: int = 0) -> None:
-        """Raise the skylines, or shells from a first one on, by one window."""
-        textures, near = self._load(window), eyes.relative_to(window)
-        for rows, heading, double in eyes.groups():
-            kind = replace(walk, heading=heading, double=double)
-            place = Place(rows.start, (1 + shell) * len(eyes) + rows.start, len(eyes))
-            self._walker.run(kind, textures, near[rows], place)
-
-    def _may_rise(self, window: Window, eyes: Eyes) -> bool:
-        """Return whether a window can raise any skyline found so far."""
-        rows = slice(window.row, window.row + window.rows)
-        cols = slice(window.col, window.col + window.cols)
-        highest_m = float(np.fmax.reduce(self.field.heights_m[rows, cols], axis=None))
-        if np.isnan(highest_m):
-            return False
-        least = self._walker.read().elevation_tan[: len(eyes)].min(axis=1)
-        bound = eyes.greatest_tan(window, highest_m, self.curvature.drop_per_m2)
-        return bool((bound > least).any())
-
-    def _load(self, window: Window) -> WindowTextures:
-        """Return a window's textures, which stay while there is room for them."""
-        if window not in self._resident:
-            samples = sum(held.rows * held.cols for held in self._resident)
-            if samples + window.rows * window.cols > _RESIDENT_SAMPLES:
-                while self._resident:
-                    self._resident.pop(next(iter(self._resident))).release()
-            self._resident[window] = WindowTextures(self._context.ctx, self.field, window)
-        return self._resident[window]
-
-    def _views(self, eyes: Eyes, rows: Rows) -> Views:
-        tan = eyes.in_order(rows.elevation_tan)
-        depth, flags = eyes.in_order(rows.depth_m), eyes.in_order(rows.flags)
+    def _views(self, eyes: Viewpoints, heading: NDArray[np.uint8], rows: Rows) -> Views:
         count = len(eyes)
-        missing = tan[:count] == NOTHING
-        flags = np.where(missing, flags[:count] | FLAG_NO_DATA, flags[:count])
-        nan = np.float32(np.nan)
-        tan, depth = np.where(tan == NOTHING, nan, tan), np.where(tan == NOTHING, nan, depth)
         shells = None
         if self.shell_edges_m is not None:
             shape = (len(self.shell_edges_m) - 1, count, self.width)
-            stacks = (part[count:].reshape(shape) for part in (tan, depth))
+            stacks = (part[count:].reshape(shape) for part in (rows.elevation_tan, rows.depth_m))
             shells = Shells(
                 self.shell_edges_m, *(np.ascontiguousarray(s.swapaxes(0, 1)) for s in stacks)
             )
-        eye = eyes.viewpoints
         return Views(
-            eye.easting_m,
-            eye.northing_m,
-            eye.eye_elevation_m,
-            eyes.heading,
-            tan[:count],
-            depth[:count],
-            flags.astype(np.uint8),
+            eyes.easting_m,
+            eyes.northing_m,
+            eyes.eye_elevation_m,
+            heading,
+            rows.elevation_tan[:count],
+            rows.depth_m[:count],
+            rows.flags[:count],
             shells,
         )
+
+
+def _in_order(eyes: Eyes, rows: Rows) -> Rows:
+    """Put the rows of sorted eyes back into order, and mark what met no data."""
+    tan, depth = eyes.in_order(rows.elevation_tan), eyes.in_order(rows.depth_m)
+    missing = tan == NOTHING
+    flags = eyes.in_order(rows.flags) | np.where(missing, np.uint8(FLAG_NO_DATA), np.uint8(0))
+    nan = np.float32(np.nan)
+    return Rows(np.where(missing, nan, tan), np.where(missing, nan, depth), flags)
 
 
 def _ranges(edges_m: Float64Array | None) -> list[tuple[float, float]]:
@@ -266,12 +328,13 @@ def _held(
     return shells_m[min(seen) : max(seen) + 1] if seen else []
 
 
-def _check_tolerance(tolerance_px: float) -> float:
-    if not (np.isfinite(tolerance_px) and tolerance_px >= 0.0):
+def check_tolerance(tolerance: float, unit: str) -> float:
+    """Return ``tolerance`` if it is one, else raise `InputError`."""
+    if not (np.isfinite(tolerance) and tolerance >= 0.0):
         raise InputError(
-            f"tolerance is {tolerance_px} px; expected a finite number, 0 (exact) or more"
+            f"tolerance is {tolerance} {unit}; expected a finite number, 0 (exact) or more"
         )
-    return float(tolerance_px)
+    return float(tolerance)
 
 
 def _check_shells(edges_m: ArrayLike | None) -> Float64Array | None:

@@ -148,3 +148,9 @@ def upload(ctx: moderngl.Context, values: NDArray[np.generic], dtype: str) -> mo
     texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
     texture.repeat_x = texture.repeat_y = False
     return texture
+
+
+def split_float(values: NDArray[np.float64]) -> tuple[Float32Array, Float32Array]:
+    """Return the nearest float32 and what it leaves."""
+    high = values.astype(np.float32)
+    return high, (values - high).astype(np.float32)

@@ -13,13 +13,13 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.camera import pixel_size
 from skyline.render.context import GlContext
 from skyline.render.shaders import compile_compute, compile_program
-from skyline.render.trees import SLOPE_BINS
+from skyline.render.trees import SLOPE_BINS, split_float
 from skyline.render.windows import WindowTextures
 
 Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
 
 EYE = np.dtype(
     [
@@ -67,29 +67,41 @@ class Walk:
     first: bool = True
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Settings:
     """What all walks of a renderer share.
 
     Attributes
     ----------
-    width : int
+    u : (W,) float64
+        Abscissas of the columns, of magnitude at most 1.
+    tolerance : (W,) float64
+        How far v may fall short of the skyline's in each column; 0 is exact but for float32.
     spacing_m : (float, float)
         East, north.
     drop_per_m2 : float
-    tolerance_px : float
     shells : int
         The most shells a walk has.
     reach_m : float
         How far an eye may be displaced for which shells are kept.
     """
 
-    width: int
+    u: Float64Array
+    tolerance: Float64Array
     spacing_m: tuple[float, float]
     drop_per_m2: float
-    tolerance_px: float
     shells: int
     reach_m: float
+
+    @property
+    def width(self) -> int:
+        """Number of columns W."""
+        return len(self.u)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether no column may fall short of its skyline."""
+        return not self.tolerance.any()
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,9 +211,10 @@ class ComputeWalker:
 
     def _run(self, eyes: int) -> int:
         # With a tolerance the first bounds show in the result, which must not depend on the batch.
-        if self._settings.tolerance_px > 0.0 or eyes >= _MANY_EYES:
-            return self._long_run
-        return max(self._long_run // 8, 1)
+        few = self._settings.is_exact and eyes < _MANY_EYES
+        longest = max(self._long_run // 8, 1) if few else self._long_run
+        groups = math.ceil(self._settings.width / (self._lanes * longest))
+        return math.ceil(self._settings.width / (self._lanes * groups))
 
     def _free(self) -> None:
         for buffer in self._results:
@@ -312,6 +325,11 @@ class _Programs:
         self._has_double = context.version_code >= _DOUBLE_VERSION
         self._settings, self._compile = settings, compile_variant
         self._compiled: dict[frozenset[tuple[str, str]], _Program] = {}
+        aims = [*split_float(settings.u), settings.tolerance.astype(np.float32)]
+        self._aims = context.ctx.texture(
+            (settings.width, 1), 3, np.stack(aims, axis=-1), dtype="f4", alignment=1
+        )
+        self._aims.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
     def ready(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void]) -> _Program:
         """Return the program for a walk, its uniforms set and the window's textures bound."""
@@ -332,13 +350,13 @@ class _Programs:
             "columns_end": (columns.width - 1, columns.height - 1),
             "drop_per_m2": settings.drop_per_m2,
             "slack_m": _slack_m(window, eyes, settings),
-            "tolerance": settings.tolerance_px * pixel_size(settings.width),
             "code_m": (window.code.lowest_m, window.code.step_m),
             "levels": list(window.slabs.levels[walk.heading]),
             "top_level": window.top_level,
             "bins": SLOPE_BINS,
             "slope_max": slope_max,
             "width": settings.width,
+            "aims": 8,
             **self._shells(walk),
             "reach_m": min(settings.reach_m, _ANY_REACH_M),
         }
@@ -346,13 +364,15 @@ class _Programs:
         window.heights.use(0)
         window.slabs.texture.use(1)
         columns.use(7)
+        self._aims.use(8)
         if rims is not None:
             rims.texture.use(6)
             set_uniforms(program, {"rims": 6, "rim_levels": list(rims.levels[walk.heading])})
         return program
 
     def release(self) -> None:
-        """Free all programs."""
+        """Free all programs and what they share."""
+        self._aims.release()
         for program in self._compiled.values():
             program.release()
         self._compiled = {}
@@ -370,9 +390,8 @@ class _Programs:
         }
 
     def _defines(self, walk: Walk, slope_max: float, dangling: bool, holes: bool) -> dict[str, str]:
-        width = self._settings.width
-        # A ray falls short of slope_max by a column's half: at equal spacings two cells do.
-        cells = math.ceil(slope_max * (width - 1) / width) + 1
+        # Rays fall short of slope_max by a column's half: at equal spacings two cells do.
+        cells = math.ceil(slope_max * float(np.abs(self._settings.u).max())) + 1
         switches = {
             "HOLES": holes,
             "DANGLING": dangling,

@@ -1,0 +1,94 @@
+"""Skylines all the way round in equal steps of azimuth, by the horizon rasterizer."""
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, MAX_WIDTH, pixel_size
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.horizons import Horizons, check_bins, quadrant_azimuths_rad
+from skyline.render.horizon import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+
+DEFAULT_BINS = 720
+DEFAULT_TOLERANCE_DEG = 0.02
+
+
+class PanoramaRenderer(ColumnRenderer):
+    """Renders the horizons of eyes on one height field.
+
+    Parameters
+    ----------
+    field : HeightField
+    bins : int
+        Steps B of azimuth to a turn, a multiple of 8; `skyline.horizons.bin_azimuths_rad`.
+    curvature : Curvature, optional
+        Defaults to the Earth's with k = 0.13.
+    tolerance_deg : float
+        How far a skyline may fall short, in elevation at level view and less above and below; 0
+        is exact but for float32.
+
+    Raises
+    ------
+    InputError
+        Bins or a tolerance out of range, or samples much longer than wide.
+    ContextError
+        No OpenGL context can be made.
+    """
+
+    def __init__(
+        self,
+        field: HeightField,
+        bins: int = DEFAULT_BINS,
+        curvature: Curvature | None = None,
+        tolerance_deg: float = DEFAULT_TOLERANCE_DEG,
+    ) -> None:
+        self.bins = check_bins(bins)
+        if bins > 4 * MAX_WIDTH:
+            raise InputError(f"{bins} azimuth bins; expected at most {4 * MAX_WIDTH}")
+        self.tolerance_deg = check_tolerance(tolerance_deg, "degrees")
+        azimuth = quadrant_azimuths_rad(bins)
+        self._cosine = np.cos(azimuth).astype(np.float32)
+        super().__init__(
+            field,
+            np.tan(azimuth),
+            np.radians(self.tolerance_deg) / np.cos(azimuth),
+            NEAR_ERROR_PX * pixel_size(DEFAULT_WIDTH),
+            curvature or Curvature(),
+        )
+
+    @property
+    def description(self) -> str:
+        """Name of this rasterizer and of the OpenGL renderer under it, for records."""
+        tolerance = f", tolerance {self.tolerance_deg:g} degrees" if self.tolerance_deg else ""
+        return f"horizon {self.bins} azimuths{tolerance}; {self._context.renderer}"
+
+    def render(self, viewpoints: Viewpoints) -> Horizons:
+        """Render the horizons of N eyes, in order."""
+        count = len(viewpoints)
+        heading = np.tile(np.array(HEADINGS, dtype=np.uint8), count)
+        eyes = viewpoints[np.repeat(np.arange(count), len(HEADINGS))]
+        shape = (count * len(HEADINGS), self.width)
+        tan, distance = np.empty(shape, np.float32), np.empty(shape, np.float32)
+        flags = np.empty(shape, np.uint8)
+        for part, rows in self._batches(eyes, heading):
+            np.multiply(rows.elevation_tan, self._cosine, out=tan[part])
+            np.divide(rows.depth_m, self._cosine, out=distance[part])
+            flags[part] = rows.flags
+        return Horizons(
+            viewpoints.easting_m,
+            viewpoints.northing_m,
+            viewpoints.eye_elevation_m,
+            self._turned(tan),
+            self._turned(distance),
+            self._turned(flags),
+        )
+
+    def _turned(self, values: NDArray[_Scalar]) -> NDArray[_Scalar]:
+        """Return (4 N, B/4) values of views as (N, B) of bins: the first view begins before 0."""
+        return np.roll(values.reshape(-1, self.bins), -self.bins // 8, axis=1)
