@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, directions_at, ground_directions
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, directions_at
 from skyline.geodesy import Curvature
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.triangles import Triangles
@@ -71,8 +71,30 @@ def skyline(
     Views
         4 N views; the four headings of a viewpoint follow one another.
     """
-    check_width(width)
-    curvature = curvature or Curvature()
+    u = columns_u(check_width(width))
+    return skyline_at(field, viewpoints, u, curvature or Curvature())
+
+
+def skyline_at(
+    field: HeightField, viewpoints: Viewpoints, u: Float64Array, curvature: Curvature
+) -> Views:
+    """Compute exact skylines in all four headings, in columns at any abscissas.
+
+    Parameters
+    ----------
+    field : HeightField
+    viewpoints : Viewpoints
+        N eyes, at or above the surface.
+    u : (W,) float64
+        Abscissas of the columns, increasing, of magnitude at most 1.
+    curvature : Curvature
+
+    Returns
+    -------
+    Views
+        4 N views; the four headings of a viewpoint follow one another.
+    """
+    width = len(u)
     triangles = Triangles.of(field.heights_m)
     shape = (len(viewpoints), len(HEADINGS), width)
     tan, depth = np.full(shape, -np.inf), np.full(shape, np.nan)
@@ -80,7 +102,7 @@ def skyline(
     for index in range(len(viewpoints)):
         scene = _Scene(field, triangles, viewpoints, index, curvature)
         for heading in HEADINGS:
-            directions = ground_directions(heading, width)
+            directions = directions_at(heading, u)
             tan[index, heading], depth[index, heading], flags[index, heading] = scene.skyline(
                 directions
             )

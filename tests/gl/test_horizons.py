@@ -1,0 +1,186 @@
+"""Horizons against the oracle, in order of azimuth, by every way they can go."""
+
+import numpy as np
+import pytest
+from scenes import field_of, fractal
+
+from skyline import oracle
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.horizons import bin_azimuths_rad, quadrant_azimuths_rad
+from skyline.render import horizon, windows
+from skyline.render.panorama import PanoramaRenderer
+from skyline.render.walks import FragmentWalker
+from skyline.terrain.viewpoints import stand_on
+from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
+
+BINS = 240
+EPSILON = 2.0**-24
+
+
+@pytest.fixture(scope="module")
+def rough():
+    """A rough field with holes, and twelve eyes on it."""
+    heights = fractal(90, 70, relief_m=700.0, seed=3)
+    heights[20:26, 30:41] = np.nan
+    heights[60, 10:50] = np.nan
+    heights[85:, :8] = np.nan
+    field = field_of(heights, 30.0)
+    place = np.random.default_rng(5)
+    row, col = place.uniform(2, 80, 40), place.uniform(10, 66, 40)
+    easting, northing = field.to_map(row, col)
+    there = np.flatnonzero(~np.isnan(field.height_at(easting, northing)))[:12]
+    return field, stand_on(field, easting[there], northing[there])
+
+
+def render(field, eyes, bins=BINS, tolerance_deg=0.0, **options):
+    with PanoramaRenderer(field, bins, tolerance_deg=tolerance_deg, **options) as renderer:
+        return renderer.render(eyes)
+
+
+def true_horizons(field, eyes, bins=BINS):
+    """Return tangents of elevation, distances and flags (N, B) of the oracle."""
+    off_axis = quadrant_azimuths_rad(bins)
+    views = oracle.skyline_at(field, eyes, np.tan(off_axis), Curvature())
+    cosine = np.cos(off_axis)
+    return tuple(
+        np.roll(values.reshape(len(eyes), bins), -bins // 8, axis=1)
+        for values in (views.elevation_tan * cosine, views.depth_m / cosine, views.flags)
+    )
+
+
+def bound_of(field, tan, distance_m):
+    """Return what float32 may cost the tangent of elevation, as `agreement.float32_bound_px`.
+
+    In the view that is e (15 |v| + 2.5 D / z + 18 drop / z + 9 D / s), D the greatest step
+    along an edge; near the eye D / z is cut to the renderer's near error. Tangents are v times
+    a cosine, at most v, which itself and the product round: 3 e |tan| more.
+    """
+    heights = field.heights_m.astype(np.float64)
+    steps = (
+        np.diff(heights, axis=0),
+        np.diff(heights, axis=1),
+        heights[1:, 1:] - heights[:-1, :-1],
+    )
+    step = max(np.nanmax(np.abs(part)) for part in steps)
+    drop = 2.0 * Curvature().drop_per_m2 * distance_m
+    near = np.minimum(2.5 * EPSILON * np.sqrt(2.0) * step / distance_m, 2.0 * 0.02 * 2.0 / 640.0)
+    near = np.maximum(near, 2.5 * EPSILON * step / field.spacing_m)
+    # |v| is at most sqrt(2) times the tangent.
+    far = 15.0 * np.sqrt(2.0) * np.abs(tan) + 18.0 * drop + 9.0 * step / field.spacing_m
+    return EPSILON * (far + 3.0 * np.abs(tan)) + near
+
+
+def assert_same(first, second):
+    for name in ("elevation_tan", "distance_m", "flags"):
+        assert getattr(first, name).tobytes() == getattr(second, name).tobytes(), name
+
+
+def test_equals_the_oracle_flags_and_distances_too(rough):
+    field, eyes = rough
+    tan, distance_m, flags = true_horizons(field, eyes)
+    horizons = render(field, eyes)
+    assert horizons.bins == BINS
+    assert len(horizons) == len(eyes)
+    np.testing.assert_array_equal(np.isnan(horizons.elevation_tan), np.isnan(tan))
+    error = np.abs(horizons.elevation_tan - tan)
+    assert (error <= bound_of(field, tan, distance_m))[np.isfinite(tan)].all()
+    np.testing.assert_array_equal(horizons.flags, flags)
+    assert (horizons.flags & FLAG_HOLE).any()
+    assert (horizons.flags & FLAG_TRUNCATED).any()
+    np.testing.assert_allclose(horizons.distance_m, distance_m, rtol=1e-5)
+    for name in ("easting_m", "northing_m", "eye_elevation_m"):
+        np.testing.assert_array_equal(getattr(horizons, name), getattr(eyes, name))
+
+
+@pytest.mark.parametrize("bins", [8, 120, 720])
+@pytest.mark.parametrize("azimuth_deg", [4.0, 44.0, 46.0, 91.0, 134.0, 200.0, 226.0, 300.0, 359.0])
+def test_a_peak_is_in_the_bin_of_its_azimuth(azimuth_deg, bins):
+    heights = np.zeros((121, 121), dtype=np.float32)
+    azimuth = np.radians(azimuth_deg)
+    row, col = np.rint(60.0 + 50.0 * np.array([-np.cos(azimuth), np.sin(azimuth)])).astype(int)
+    heights[row - 8 : row + 9, col - 8 : col + 9] = 400.0
+    field = field_of(heights, 30.0)
+    eyes = stand_on(field, *field.to_map(np.array([60.0]), np.array([60.0])))
+    horizons = render(field, eyes, bins)
+    high = horizons.elevation_tan[0] > 0.05
+    rows, cols = np.mgrid[row - 8 : row + 9, col - 8 : col + 9]
+    seen = np.arctan2(cols - 60.0, 60.0 - rows)
+    middle = np.arctan2(np.mean(np.sin(seen)), np.mean(np.cos(seen)))
+    aside = np.abs((bin_azimuths_rad(bins) - middle + np.pi) % (2.0 * np.pi) - np.pi)
+    widest = np.abs((seen - middle + np.pi) % (2.0 * np.pi) - np.pi).max()
+    assert not high[aside > widest + np.radians(2.0)].any()
+    assert high[aside < np.radians(6.0)].all()
+    assert high.any() or bins == 8
+
+
+@pytest.mark.parametrize("tolerance_deg", [0.01, 0.1, 1.0])
+def test_falls_short_by_no_more_than_the_tolerance(tolerance_deg):
+    for seed in range(3):
+        field = field_of(fractal(120, 120, relief_m=200.0 * (1 + seed), seed=seed), 30.0)
+        place = np.random.default_rng(seed)
+        eyes = stand_on(field, place.uniform(100, 3400, 8), place.uniform(-3400, -100, 8))
+        tan, distance_m, _ = true_horizons(field, eyes, 480)
+        horizons = render(field, eyes, 480, tolerance_deg)
+        short = np.degrees(np.arctan(tan) - np.arctan(horizons.elevation_tan))
+        near = np.fmin(distance_m, horizons.distance_m)
+        error = np.degrees(bound_of(field, np.fmax(tan, horizons.elevation_tan), near))
+        assert (short >= -error).all()
+        assert (short <= tolerance_deg + error).all()
+
+
+def test_neither_the_batch_nor_its_order_matters(rough, monkeypatch):
+    field, eyes = rough
+    together = render(field, eyes, 720, 0.05)
+    assert_same(render(field, eyes[::-1], 720, 0.05)[::-1], together)
+    for index in range(3):
+        assert_same(render(field, eyes[index : index + 1], 720, 0.05), together[index : index + 1])
+    with PanoramaRenderer(field, 720, tolerance_deg=0.05) as renderer:
+        renderer._max_views = 7
+        assert_same(renderer.render(eyes), together)
+
+
+def test_fragment_and_compute_shaders_agree(rough, monkeypatch):
+    field, eyes = rough
+    with_compute = render(field, eyes)
+    monkeypatch.setattr(horizon, "ComputeWalker", FragmentWalker)
+    without = render(field, eyes)
+    error = np.abs(without.elevation_tan - with_compute.elevation_tan)
+    bound = bound_of(field, with_compute.elevation_tan, with_compute.distance_m)
+    assert (error <= 2.0 * bound)[np.isfinite(error)].all()
+    np.testing.assert_array_equal(without.flags, with_compute.flags)
+
+
+def test_windows_of_a_large_field_give_the_same_horizons(rough, monkeypatch):
+    field, eyes = rough
+    whole = render(field, eyes)
+    monkeypatch.setattr(windows, "MAX_FIELD_CELLS", 30)
+    monkeypatch.setattr(windows, "MAX_WINDOW_CELLS", 23)
+    assert_same(render(field, eyes), whole)
+
+
+def test_no_viewpoints_give_no_horizons(rough):
+    field, eyes = rough
+    none = render(field, eyes[:0])
+    assert len(none) == 0
+    assert none.elevation_tan.shape == none.flags.shape == (0, BINS)
+
+
+def test_the_description_names_bins_and_tolerance(rough):
+    with PanoramaRenderer(rough[0], 720, tolerance_deg=0.01) as renderer:
+        assert renderer.description.startswith("horizon 720 azimuths, tolerance 0.01 degrees; ")
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"bins": 0}, "0 azimuth bins"),
+        ({"bins": 12}, "multiple of 8"),
+        ({"bins": 8 * 16384}, "at most 65536"),
+        ({"tolerance_deg": -0.1}, "tolerance is -0.1 degrees"),
+        ({"tolerance_deg": np.inf}, "tolerance is inf"),
+    ],
+)
+def test_bad_input_is_refused(rough, options, said):
+    with pytest.raises(InputError, match=said):
+        PanoramaRenderer(rough[0], **options)
