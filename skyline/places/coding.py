@@ -27,7 +27,7 @@ BINS = 720
 """Azimuth bins of a place's skyline."""
 DISTANCE_BINS = 120
 """Azimuth bins of its distance."""
-PHASE_BINS = 90
+PHASE_BINS = 180
 """Azimuth bins of its phases."""
 
 UNKNOWN_RISE = np.int8(-128)

@@ -23,29 +23,23 @@ Complex64Array = NDArray[np.complex64]
 PHASES = 255
 """Phases are counted in so many steps of a turn; code 0 stands for an unknown rise."""
 
-ALIKE_DEG = 1.5
-"""Rises between the means of 4 degrees of azimuth that differ by this count nothing."""
+ALIKE_DEG = 0.75
+"""Rises over 2 degrees of azimuth that differ by this much elevation count nothing."""
 
 
-def rise_to_turn(alike_deg: float) -> float:
-    """Return omega, radians per unit of tangent: a quarter turn is ``alike_deg`` of elevation."""
-    return float(np.pi / 2.0 / np.radians(alike_deg))
+def rise_to_turn() -> float:
+    """Return omega, radians per unit of tangent: `ALIKE_DEG` is a quarter turn."""
+    return float(np.pi / 2.0 / np.radians(ALIKE_DEG))
 
 
-def run_rises(elevation_tan: Float32Array, bins: int) -> Float32Array:
-    """Return the rises (N, bins) from each run's mean to the next one's, of skylines (N, B).
+def encode_phases(elevation_tan: Float32Array) -> UInt8Array:
+    """Return the phases' codes (N, 180) of skylines (N, B): 1 + floor(255 phase / 2 pi).
 
-    NaN where either run has a bin without a skyline. The last rise is to the first run.
+    A rise is from the mean of a run of bins to that of the next, from the last to the first run.
+    It is unknown, and its code 0, where either run has a bin without a skyline.
     """
-    mean = elevation_tan.reshape(len(elevation_tan), bins, -1).mean(axis=2)
-    return np.roll(mean, -1, axis=1) - mean
-
-
-def encode_phases(
-    elevation_tan: Float32Array, bins: int = PHASE_BINS, alike_deg: float = ALIKE_DEG
-) -> UInt8Array:
-    """Return the phases' codes (N, bins) of skylines (N, B): 1 + floor(255 phase / 2 pi)."""
-    turns = run_rises(elevation_tan, bins) * np.float32(rise_to_turn(alike_deg) / (2.0 * np.pi))
+    mean = elevation_tan.reshape(len(elevation_tan), PHASE_BINS, -1).mean(axis=2)
+    turns = (np.roll(mean, -1, axis=1) - mean) * np.float32(rise_to_turn() / (2.0 * np.pi))
     turns -= np.floor(turns)
     known = np.isfinite(turns)
     steps = np.minimum(np.where(known, turns, 0.0) * PHASES, PHASES - 1)
@@ -53,7 +47,7 @@ def encode_phases(
 
 
 def decode_phases(codes: UInt8Array) -> Complex64Array:
-    """Return exp(i phase) (N, bins) complex64 of codes; 0 where the rise is unknown."""
+    """Return exp(i phase) (N, 180) complex64 of codes; 0 where the rise is unknown."""
     return looked_up(codes, _WAVES)
 
 

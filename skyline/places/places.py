@@ -39,7 +39,7 @@ class Places:
         Rises from bin to bin; see `skyline.places.coding`.
     distance : (N, 120) uint8
         Codes of the skyline's horizontal distance.
-    phase : (N, 90) uint8
+    phase : (N, 180) uint8
         Codes that a search compares first; see `skyline.places.phases`.
     """
 

@@ -1,0 +1,283 @@
+r"""Screening: every heading of every place against a query, by products of matrices.
+
+What is compared are rises of a skyline over 2 degrees as phases (`skyline.places.phases`). With
+the query's weighted phases w_q and a place's phases p_b, the score of a turn t is
+
+.. math::
+
+    s_t = \mathrm{Re} \sum_q w_q \overline{p_{q + t}}
+
+A photo sees a part of the turn, so thirty turns at once are the product of a strip of phases, a
+little wider than the photo, with a matrix that holds the query thirty times, each a bin farther.
+Places come in blocks that may be mapped from a file, and only the best so far are kept: memory
+does not grow with the store.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.matching.query import Attitudes, QueryCurves, QueryRays
+from skyline.places import PHASE_BINS, Places, PlaceSource
+from skyline.places.phases import decode_phases, rise_to_turn
+
+Float32Array = NDArray[np.float32]
+Float64Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+UInt8Array = NDArray[np.uint8]
+BoolArray = NDArray[np.bool_]
+
+Within = Callable[[Places], BoolArray]
+"""Which of a block's places (N,) are searched."""
+
+_TURNS_AT_ONCE = 30
+"""Must divide the bins. More waste products, fewer make small ones: between 20 and 45 all is
+within a tenth."""
+_SAMPLE = 2048
+"""Places that say how the scores of a query are spread by chance."""
+_SLACK = 4
+"""So many times as many places as are wanted are kept before the worst are dropped."""
+_LEVEL = Attitudes((0.0,), (0.0,))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alike:
+    """The K places most like a query, best first.
+
+    Attributes
+    ----------
+    row : (K,) intp
+        In the source.
+    score : (K,) float32
+        Standard deviations of the best turn above the mean of all turns; higher is better.
+    """
+
+    row: IntArray
+    score: Float32Array
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def best(self, count: int) -> "Alike":
+        """Return the best; of equals those that come first in the source."""
+        order = np.lexsort((self.row, -self.score))[:count]
+        return Alike(self.row[order], self.score[order])
+
+    @classmethod
+    def joined(cls, parts: list["Alike"]) -> "Alike":
+        """Return places of several parts of a source as one list, not sorted."""
+        if not parts:
+            return cls(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.float32))
+        return cls(
+            np.concatenate([part.row for part in parts]),
+            np.concatenate([part.score for part in parts]),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Screen:
+    """A query, ready to be compared with any number of places.
+
+    Attributes
+    ----------
+    first : int
+        The bin, from half a turn left of straight ahead, where the query begins.
+    span : int
+        Bins it is wide.
+    matrix : (2 (span + T - 1), F T) float32
+        The query at F fields of view and T turns.
+    open_turns : (B,) bool
+        The turns that are looked at.
+    mean, scale : (F,) float32
+        Of the scores of all turns: what is taken off, and what the rest is multiplied by.
+    """
+
+    first: int
+    span: int
+    matrix: Float32Array
+    open_turns: BoolArray
+    mean: Float32Array
+    scale: Float32Array
+
+    @classmethod
+    def of(
+        cls,
+        query: QueryRays,
+        fovs_deg: Float64Array,
+        sample: Places,
+        open_turns: BoolArray | None = None,
+    ) -> "Screen":
+        """Prepare a query.
+
+        Parameters
+        ----------
+        query : QueryRays
+        fovs_deg : (F,) float64
+            Fields of view to assume.
+        sample : Places
+            Scores of different fields of view are made comparable by how those of all turns of
+            these places are spread.
+        open_turns : (180,) bool, optional
+            See `turns_within`; all by default.
+        """
+        waves = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
+        seen = np.flatnonzero(np.abs(waves).any(axis=0))
+        first, last = (int(seen[0]), int(seen[-1])) if len(seen) else (0, 0)
+        span, turns = last - first + 1, _TURNS_AT_ONCE
+        matrix = np.zeros((span + turns - 1, 2, len(fovs_deg), turns), dtype=np.float32)
+        for turn in range(turns):
+            part = waves[:, first : last + 1].T
+            matrix[turn : turn + span, 0, :, turn] = part.real
+            matrix[turn : turn + span, 1, :, turn] = part.imag
+        matrix = matrix.reshape(2 * (span + turns - 1), -1)
+        every = np.ones(PHASE_BINS, dtype=bool)
+        none = np.zeros(len(fovs_deg), dtype=np.float32)
+        raw = cls(first, span, matrix, every if open_turns is None else open_turns, none, none + 1)
+        sums = raw._every_turn(sample.phase)
+        mean = sums.mean(axis=(0, 2), dtype=np.float64).astype(np.float32)
+        deviation = sums.std(axis=(0, 2), dtype=np.float64).astype(np.float32)
+        scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > 0.0)
+        return cls(first, span, matrix, raw.open_turns, mean, scale)
+
+    def scores(self, phase: UInt8Array) -> Float32Array:
+        """Return the score (N,) of the best turn and field of view of places' phases (N, B)."""
+        best: Float32Array | None = None
+        for turn, sums in self._turns(phase):
+            shut = ~self.open_turns[turn : turn + _TURNS_AT_ONCE]
+            if shut.all():
+                continue
+            if shut.any():
+                sums.reshape(len(sums), -1, _TURNS_AT_ONCE)[:, :, shut] = -np.inf
+            best = sums if best is None else np.maximum(best, sums, out=best)
+        if best is None:
+            return np.full(len(phase), -np.inf, dtype=np.float32)
+        peak = best.reshape(len(phase), -1, _TURNS_AT_ONCE).max(axis=2)
+        return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
+
+    def best_turns(self, phase: UInt8Array) -> tuple[Float64Array, IntArray]:
+        """Return heading_deg (N,) and index of the field of view (N,) of places' best turns.
+
+        The heading is the grid azimuth of the query's optical axis.
+        """
+        sums = self._every_turn(phase)
+        sums[:, :, ~self.open_turns] = -np.inf
+        score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
+        fov, turn = np.divmod(score.reshape(len(phase), -1).argmax(axis=1), PHASE_BINS)
+        return turn_heading_deg(turn), fov
+
+    def _every_turn(self, phase: UInt8Array) -> Float32Array:
+        """Return the sums (N, F, B) of places at every turn."""
+        sums = np.empty((len(phase), len(self.mean), PHASE_BINS), dtype=np.float32)
+        for turn, part in self._turns(phase):
+            sums[:, :, turn : turn + _TURNS_AT_ONCE] = part.reshape(
+                len(phase), -1, _TURNS_AT_ONCE
+            )
+        return sums
+
+    def _turns(self, phase: UInt8Array) -> Iterator[tuple[int, Float32Array]]:
+        """Yield the first of some turns and their sums (N, F T)."""
+        strip = (self.first + np.arange(PHASE_BINS + self.span - 1)) % PHASE_BINS
+        waves = decode_phases(np.take(phase, strip, axis=1)).view(np.float32)
+        for turn in range(0, PHASE_BINS, _TURNS_AT_ONCE):
+            yield turn, waves[:, 2 * turn : 2 * turn + len(self.matrix)] @ self.matrix
+
+
+def query_waves(query: QueryRays) -> NDArray[np.complex128]:
+    """Return weight * exp(i phase) (B,) of the query's rises, level; 0 where it is not seen.
+
+    Bin B / 2 is straight ahead.
+    """
+    curve = QueryCurves.of(query, _LEVEL, PHASE_BINS)
+    y, weight = curve.y[0], curve.weight[0]
+    rise = np.roll(y, -1) - y
+    # The last bin's neighbour is the first one, behind the camera.
+    rise[-1] = np.nan
+    known = np.isfinite(rise)
+    weight = np.minimum(weight, np.roll(weight, -1)) * known
+    return np.asarray(weight * np.exp(1j * rise_to_turn() * np.where(known, rise, 0.0)))
+
+
+def turn_heading_deg(turn: IntArray) -> Float64Array:
+    """Return the grid azimuth of the optical axis at turns, degrees in [0, 360)."""
+    return np.asarray((turn + PHASE_BINS // 2 + 0.5) * (360.0 / PHASE_BINS) % 360.0)
+
+
+def turns_within(heading_deg: float, slack_deg: float) -> BoolArray:
+    """Return which turns (B,) look within a slack of a grid azimuth, a turn's width added."""
+    axis_deg = turn_heading_deg(np.arange(PHASE_BINS))
+    off_deg = np.abs((axis_deg - heading_deg + 180.0) % 360.0 - 180.0)
+    return np.asarray(off_deg <= slack_deg + 360.0 / PHASE_BINS)
+
+
+def sample_of(source: PlaceSource) -> Places:
+    """Return places evenly from all of a source, the same whoever asks."""
+    step = max(1, len(source) // _SAMPLE)
+    return source.take(np.arange(0, len(source), step, dtype=np.intp))
+
+
+def screen_places(
+    screen: Screen,
+    source: PlaceSource,
+    count: int,
+    within: Within | None = None,
+    part: slice = slice(None),
+) -> tuple[Alike, int]:
+    """Return the best of a source's places, and how many were looked at.
+
+    Parameters
+    ----------
+    screen : Screen
+    source : PlaceSource
+    count : int
+        At most so many.
+    within : callable, optional
+    part : slice
+        Of the source's blocks, so that several workers can share one source. Joining what they
+        find gives what one of them finds alone.
+    """
+    kept, looked_at = Alike.joined([]), 0
+
+    def scored(numbered: tuple[int, Places]) -> Alike:
+        start, places = numbered
+        chosen = np.arange(len(places)) if within is None else np.flatnonzero(within(places))
+        if not len(chosen):
+            return Alike.joined([])
+        phase = places.phase if len(chosen) == len(places) else places.phase[chosen]
+        return Alike(start + chosen, screen.scores(phase))
+
+    waiting: list[Alike] = []
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for found in _a_few_ahead(pool, scored, _numbered(source, part)):
+            looked_at += len(found)
+            waiting.append(found)
+            if sum(map(len, waiting)) > _SLACK * count:
+                kept = Alike.joined([kept, *waiting]).best(count)
+                waiting = []
+    return Alike.joined([kept, *waiting]).best(count), looked_at
+
+
+def _numbered(source: PlaceSource, part: slice) -> Iterator[tuple[int, Places]]:
+    """Yield the first row of each block, and the block."""
+    start = 0
+    chosen = range(*part.indices(1 << 40))
+    for index, places in enumerate(source.blocks()):
+        if index in chosen:
+            yield start, places
+        start += len(places)
+
+
+def _a_few_ahead(
+    pool: ThreadPoolExecutor,
+    work: Callable[[tuple[int, Places]], Alike],
+    items: Iterator[tuple[int, Places]],
+) -> Iterator[Alike]:
+    """Yield results in order, never with more than a few blocks on their way."""
+    ahead = [pool.submit(work, item) for item in islice(items, 2 * (os.cpu_count() or 1))]
+    while ahead:
+        yield ahead.pop(0).result()
+        ahead.extend(pool.submit(work, item) for item in islice(items, 1))
