@@ -105,12 +105,12 @@ def describe_scene(eye: Viewpoints, config: RenderConfig, needs: SceneNeeds, vie
 def describe_store(path: str) -> Facts:
     """Return the facts of a store; raises `StoreError` where it cannot be read."""
     with open_store(path) as store:
-        header, places = store.header, store.locations()
+        header, eyes = store.header, store.eyes()
         frame = Frame(header.frame_wkt)
         facts: Facts = {
             "kind": "store",
-            "renderings": store.committed,
-            "width": header.width,
+            header.holds: store.committed,
+            **({"width": header.width} if header.width else {}),
             "frame": frame.name,
             "dem_files": list(header.dem_files),
             "dem_digest": header.dem_digest,
@@ -122,8 +122,8 @@ def describe_store(path: str) -> Facts:
             "schema_version": header.schema_version,
         }
         if store.committed:
-            lon, lat = frame.to_lonlat(places.easting_m, places.northing_m)
-            facts["locations"] = len(np.unique(places.easting_m + 1j * places.northing_m))
+            lon, lat = frame.to_lonlat(eyes.easting_m, eyes.northing_m)
+            facts["locations"] = len(np.unique(eyes.easting_m + 1j * eyes.northing_m))
             facts["bounds_deg"] = [float(v) for v in (lon.min(), lat.min(), lon.max(), lat.max())]
         return facts
 

@@ -17,6 +17,7 @@ from skyline.store import (
     open_store,
     repair_store,
 )
+from skyline.store.header import RENDERINGS, check_holds
 
 _DAMAGED = 2
 
@@ -42,7 +43,7 @@ def check(
         raise InputError(f"{store} is damaged: {said}{more}")
     notes = [] if report.checksums else ["its schema has no checksums; `store compact` adds them"]
     notes += ["a writer has it open, or was killed"] if report.in_use else []
-    typer.echo("; ".join([f"{store}: {report.committed} renderings, whole", *notes]))
+    typer.echo("; ".join([f"{store}: {report.committed:,} {report.holds}, whole", *notes]))
 
 
 @store_app.command()
@@ -59,7 +60,7 @@ def repair(store: StoreFile, output: NewStore) -> None:
 def merge(
     stores: Annotated[list[Path], typer.Argument(metavar="STORE...")], output: NewStore
 ) -> None:
-    """Make one store of several: rows sorted by place, the same view kept once."""
+    """Make one store of several: rows sorted by place, the same view or place kept once."""
     _say_copied(merge_stores(stores, output), output)
 
 
@@ -81,14 +82,15 @@ def compact(
     coding = None
     if quantize:
         with open_store(store) as opened:
+            check_holds(store, opened.header, RENDERINGS)
             coding = RowCoding.within(opened.header.width, tan_error_px, depth_error)
     _say_copied(compact_store(store, output, coding), output)
 
 
 def _say_copied(report: CopyReport, path: Path) -> None:
     size = path.stat().st_size
-    each = f", {size / report.renderings:.0f} bytes each" if report.renderings else ""
+    each = f", {size / report.rows:.0f} bytes each" if report.rows else ""
     again = f", {report.duplicates} duplicates left out" if report.duplicates else ""
     lost = sum(damage.rows for damage in report.damage)
     damaged = f", {lost} damaged rows left out" if lost else ""
-    typer.echo(f"{path}: {report.renderings} renderings{each}{again}{damaged}")
+    typer.echo(f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}")

@@ -1,4 +1,7 @@
-"""The HDF5 reference store: skylines and keypoints of many views, one row each (DESIGN 8).
+"""The HDF5 reference store: what many eyes see, one row each (DESIGN 8).
+
+A store holds renderings (views with their skylines and keypoints) or places (see
+`skyline.places`); all but the rows' layout is the same.
 
 One process writes, any number read at the same time. The writer uses HDF5's single-writer,
 multiple-reader mode (SWMR), which orders its writes so that the file is whole at every instant:
@@ -9,7 +12,7 @@ SWMR does not lock, so the writer holds ``STORE.lock`` beside the store. A kille
 its mark in the file (see `skyline.store.superblock`); the next `open_for_append` then copies the
 committed rows to a fresh file, which takes the store's name once it is complete.
 
-Rows are held as rendered ("exact") or rounded to a stated error ("compact", see
+Renderings are held as rendered ("exact") or rounded to a stated error ("compact", see
 `skyline.store.coding`); readers get float32 either way. Every chunk of rows has a checksum that
 readers verify, every row and the header one of their own (see `skyline.store.digest`).
 """
@@ -18,6 +21,7 @@ from skyline.store.coding import RowCoding
 from skyline.store.copying import CopyReport, compact_store, merge_stores, repair_store
 from skyline.store.header import SCHEMA, SCHEMA_VERSION, KeypointColumns, StoreHeader
 from skyline.store.integrity import Damage, StoreReport, check_store
+from skyline.store.place_map import PlaceMap
 from skyline.store.reader import Locations, RowIndex, Store, is_store, open_store
 from skyline.store.rows import as_stored
 from skyline.store.writer import StoreWriter, amend_config, create_store, open_for_append
@@ -29,6 +33,7 @@ __all__ = [
     "Damage",
     "KeypointColumns",
     "Locations",
+    "PlaceMap",
     "RowCoding",
     "RowIndex",
     "Store",

@@ -13,6 +13,9 @@ from skyline.store.explain import REBUILD
 from skyline.store.header import (
     CHECKED_SINCE,
     KEYPOINTS,
+    PLACE_CODING,
+    PLACES,
+    RENDERINGS,
     SCHEMA,
     SCHEMA_VERSION,
     VIEW_SPECS,
@@ -47,16 +50,16 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
         raise StoreError(f"store {path} has dem_files that are not a JSON list; {REBUILD}")
     try:
+        said = _rows(path, file) if version >= CHECKED_SINCE else {"rows": "exact"}
+        holds = PLACES if said["rows"] == PLACES else RENDERINGS
         header = StoreHeader(
             frame_wkt=_text(path, file, "frame"),
             dem_digest=_text(path, file, "dem_digest"),
             dem_files=tuple(files),
             config=config,
             renderer=_text(path, file, "renderer"),
-            width=_row_length(path, file, VIEW_SPECS["elevation_tan"][0]),
-            max_keypoints=_row_length(path, file, KEYPOINTS),
-            shell_edges_m=_shell_edges(path, file),
-            coding=_coding(path, file) if version >= CHECKED_SINCE else None,
+            **(_layout_of_views(path, file, said) if holds == RENDERINGS else {}),
+            holds=holds,
             package_version=_text(path, file, "package_version"),
             schema_version=version,
         )
@@ -70,15 +73,34 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     return header
 
 
-def _coding(path: Path, file: h5py.File) -> RowCoding | None:
-    """Return how the rows are coded; raises `InputError` for steps that cannot be."""
+def _rows(path: Path, file: h5py.File) -> dict[str, Any]:
+    """Return what the file says of how its rows are held; raises `StoreError` if unreadable."""
     said = json.loads(_text(path, file, "rows"))
-    if said == {"rows": "exact"}:
-        return None
-    steps = RowCoding.__slots__
-    if not isinstance(said, dict) or said.keys() != {"rows", *steps} or said["rows"] != "compact":
+    kind = said.get("rows") if isinstance(said, dict) else None
+    if kind == PLACES and said != {"rows": PLACES, **PLACE_CODING}:
+        raise StoreError(
+            f"store {path} has places that another release of skyline built, whose bytes mean "
+            "something else; build it again"
+        )
+    steps = RowCoding.__slots__ if kind == "compact" else ()
+    whole = kind == PLACES or (isinstance(said, dict) and said.keys() == {"rows", *steps})
+    if kind not in ("exact", "compact", PLACES) or not whole:
         raise StoreError(f"store {path} has rows {said!r}, which skyline does not read; {REBUILD}")
-    return RowCoding(**{name: said[name] for name in steps})
+    return dict(said)
+
+
+def _layout_of_views(path: Path, file: h5py.File, rows: dict[str, Any]) -> dict[str, Any]:
+    """Return the header's fields that say how rows of views are laid out.
+
+    Raises `InputError` for steps that cannot be.
+    """
+    steps = {name: step for name, step in rows.items() if name != "rows"}
+    return {
+        "width": _row_length(path, file, VIEW_SPECS["elevation_tan"][0]),
+        "max_keypoints": _row_length(path, file, KEYPOINTS),
+        "shell_edges_m": _shell_edges(path, file),
+        "coding": RowCoding(**steps) if steps else None,
+    }
 
 
 def _schema_version(path: Path, file: h5py.File) -> int:
@@ -176,7 +198,10 @@ def checked_dataset(
         )
     created = dataset.id.get_create_plist()
     filters = {created.get_filter(n)[0] for n in range(created.get_nfilters())}
-    if filters - (_PACKED if row_shape else _CHECKSUMMED):
+    mapped = header.holds == PLACES
+    if mapped and dataset.chunks != (header.chunk_rows, *row_shape):
+        raise StoreError(f"store {path}: {name} has chunks of {dataset.chunks}; {REBUILD}")
+    if filters - (_PACKED if row_shape and not mapped else _CHECKSUMMED):
         raise StoreError(
             f"store {path}: {name} is packed by a filter that skyline does not use; {REBUILD}"
         )

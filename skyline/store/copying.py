@@ -1,7 +1,7 @@
 """Stores made of stores: merged, compacted, and what can be saved of a damaged one.
 
 The result depends on the set of rows and on what the stores were built from alone: rows are
-sorted by easting, northing, eye elevation and heading, and the same view is kept once. So the
+sorted by easting, northing, eye elevation and heading, and the same one is kept once. So the
 order of shards and how they were cut change no byte.
 """
 
@@ -20,19 +20,19 @@ from skyline.errors import InputError, MissingFileError, StoreError, StoreMismat
 from skyline.store.coding import RowCoding
 from skyline.store.digest import row_checksums
 from skyline.store.explain import explained
-from skyline.store.header import CHECKSUM, KEYPOINTS, SCHEMA_VERSION, VIEW_SPECS, StoreHeader
+from skyline.store.header import (
+    KEYPOINTS,
+    RENDERINGS,
+    SCHEMA_VERSION,
+    StoreHeader,
+    check_holds,
+)
 from skyline.store.integrity import Damage, whole_rows
 from skyline.store.lock import complete_or_absent, writer_lock
 from skyline.store.mismatch import differences
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns, stored_rows, views_of
-from skyline.store.writer import write_rows
-
-_BLOCK_ROWS = 1024
-
-_SORTED_BY = tuple(
-    VIEW_SPECS[field][0] for field in ("easting_m", "northing_m", "eye_elevation_m", "heading")
-)
+from skyline.store.writer import block_rows, write_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +41,18 @@ class CopyReport:
 
     Attributes
     ----------
-    renderings : int
-        Rows in the new store.
+    rows : int
+        In the new store.
+    holds : str
+        What they are: "renderings" or "places".
     duplicates : int
-        Rows left out because the same view is there already.
+        Rows left out because the same view or place is there already.
     damage : tuple of Damage
         Rows left out because they are damaged (`repair_store` alone).
     """
 
-    renderings: int
+    rows: int
+    holds: str
     duplicates: int
     damage: tuple[Damage, ...] = ()
 
@@ -98,13 +101,14 @@ def compact_store(
     Raises
     ------
     InputError
-        Rows that are rounded already cannot be rounded otherwise.
+        Rows that are rounded already cannot be rounded otherwise, and places not at all.
     StoreError
         The store is damaged, or the new one cannot be written or exists.
     """
     with open_store(path) as store:
         header = store.header
         if coding:
+            check_holds(store.path, header, RENDERINGS)
             if header.coding:
                 raise InputError(f"the rows of store {path} are rounded already; compact it as is")
             header = replace(header, coding=coding)
@@ -131,7 +135,7 @@ def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> C
 
     with open_store(path) as store, _new_file(Path(out)) as partial:
         write_rows(partial, store.header, filter(len, whole(store)))
-    return CopyReport(kept, 0, tuple(damage))
+    return CopyReport(kept, store.header.holds, 0, tuple(damage))
 
 
 def _looked_at(path: str | os.PathLike[str]) -> Store:
@@ -175,13 +179,14 @@ def _copy(stores: Sequence[Store], header: StoreHeader, out: Path) -> CopyReport
         tempfile.TemporaryFile(dir=partial.parent) as waiting,
     ):
         rows = _spread(stores, header, waiting, total)
-        chosen = _chosen(rows)
+        chosen = _chosen(rows, header)
+        step = block_rows(header)
         blocks = (
-            {name: rows[name][chosen[first : first + _BLOCK_ROWS]] for name in header.specs}
-            for first in range(0, len(chosen), _BLOCK_ROWS)
+            {name: rows[name][chosen[first : first + step]] for name in header.specs}
+            for first in range(0, len(chosen), step)
         )
         write_rows(partial, header, blocks)
-    return CopyReport(len(chosen), total - len(chosen))
+    return CopyReport(len(chosen), header.holds, total - len(chosen))
 
 
 def _spread(
@@ -206,7 +211,7 @@ def _spread(
                     "ago; copy it when nobody writes it"
                 )
             for columns in _undamaged(store, header):
-                stop = start + len(columns[KEYPOINTS])
+                stop = start + len(columns[header.checksum])
                 for name, values in columns.items():
                     rows[name][start:stop] = values
                 start = stop
@@ -224,16 +229,16 @@ def _undamaged(store: Store, header: StoreHeader) -> Iterator[Columns]:
         held = columns
         if header.coding != store.header.coding:
             held = stored_rows(header, views_of(store.header, columns), columns[KEYPOINTS])
-        yield {**held, CHECKSUM: row_checksums(held)}
+        yield {**held, header.checksum: row_checksums(held)}
 
 
-def _chosen(rows: NDArray[np.void]) -> NDArray[np.intp]:
-    """Return which rows to write, in order: sorted by place and heading, each view once."""
-    keys = [np.asarray(rows[name]) for name in (*_SORTED_BY, CHECKSUM)]
+def _chosen(rows: NDArray[np.void], header: StoreHeader) -> NDArray[np.intp]:
+    """Return which rows to write, in order: sorted by place and heading, each one once."""
+    keys = [np.asarray(rows[name]) for name in (*header.sorted_by, header.checksum)]
     order = np.lexsort(keys[::-1])
     again = np.ones(len(order), dtype=bool)
     again[:1] = False
-    for key in keys[: len(_SORTED_BY)]:
+    for key in keys[:-1]:
         again[1:] &= key[order[1:]] == key[order[:-1]]
     return order[~again]
 

@@ -12,8 +12,11 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.store.header import CHECKSUM
+from skyline.store.header import CHECKSUM, PLACE_CHECKSUM
 from skyline.store.rows import Columns
+
+_AT_ONCE_BYTES = 1 << 22
+"""Rows are laid out anew for one call each; this many bytes of them at a time."""
 
 
 def row_checksums(columns: Columns) -> NDArray[np.uint32]:
@@ -22,12 +25,24 @@ def row_checksums(columns: Columns) -> NDArray[np.uint32]:
     Parameters
     ----------
     columns : mapping of str to (N, ...) array
-        Stored rows by dataset; `CHECKSUM` among them is passed over.
+        Stored rows by dataset; their checksums among them are passed over.
     """
-    guarded = [columns[name] for name in sorted(columns) if name != CHECKSUM]
-    count = len(guarded[0])
-    sums = [0] * count
-    for values in guarded if count else ():
-        rows = np.ascontiguousarray(values).reshape(count, -1).view(np.uint8)
-        sums = [zlib.crc32(row.tobytes(), so_far) for row, so_far in zip(rows, sums, strict=True)]
-    return np.array(sums, dtype=np.uint32)
+    names = [name for name in sorted(columns) if name not in (CHECKSUM, PLACE_CHECKSUM)]
+    count = len(columns[names[0]])
+    sums = np.zeros(count, dtype=np.uint32)
+    if not count:
+        return sums
+    plain = [np.ascontiguousarray(columns[name]).reshape(count, -1) for name in names]
+    held = [values.view(np.uint8) for values in plain]
+    step = max(_AT_ONCE_BYTES // sum(values.shape[1] for values in held), 1)
+    for first in range(0, count, step):
+        together = np.concatenate([values[first : first + step] for values in held], axis=1)
+        sums[first : first + step] = checksums_of_bytes(together)
+    return sums
+
+
+def checksums_of_bytes(rows: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """Return the CRC-32 of each row (N, B) of bytes."""
+    width, flat = rows.shape[1], rows.tobytes()
+    sums = (zlib.crc32(flat[start : start + width]) for start in range(0, len(flat), width))
+    return np.fromiter(sums, dtype=np.uint32, count=len(rows))

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 
 from skyline.errors import MissingFileError, SkylineError, StoreError
 from skyline.store.digest import row_checksums
-from skyline.store.header import CHECKED_SINCE, CHECKSUM
-from skyline.store.layout import CHUNK_ROWS
+from skyline.store.header import CHECKED_SINCE
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns
 
-_BLOCK_ROWS = 32 * CHUNK_ROWS
+_BLOCK_ROWS = 1024
+"""A whole number of chunks."""
 
 _PATIENCE_S = 60.0
 _PATIENCE_S_PER_BYTE = 1e-6
@@ -75,12 +75,15 @@ class StoreReport:
         A writer is at work, or was killed; the next build goes on from the committed rows.
     damage : tuple of Damage
         Empty for a whole store.
+    holds : str
+        "renderings" or "places"; "rows" where it cannot be opened.
     """
 
     committed: int
     checksums: bool
     in_use: bool
     damage: tuple[Damage, ...]
+    holds: str = "rows"
 
     @property
     def whole(self) -> bool:
@@ -142,6 +145,7 @@ def examine(path: Path) -> StoreReport:
                 checksums=store.header.schema_version >= CHECKED_SINCE,
                 in_use=store.in_use,
                 damage=_joined(found),
+                holds=store.header.holds,
             )
     except SkylineError as error:
         return _hopeless(str(error))
@@ -167,8 +171,8 @@ def whole_rows(store: Store) -> Iterator[Rows]:
         try:
             yield _held_to_checksums(store, start, stop)
         except StoreError:
-            for first in range(start, stop, CHUNK_ROWS):
-                last = min(first + CHUNK_ROWS, stop)
+            for first in range(start, stop, store.header.chunk_rows):
+                last = min(first + store.header.chunk_rows, stop)
                 try:
                     yield _held_to_checksums(store, first, last)
                 except StoreError as error:
@@ -177,11 +181,11 @@ def whole_rows(store: Store) -> Iterator[Rows]:
 
 def _held_to_checksums(store: Store, start: int, stop: int) -> Rows:
     columns = store.stored(slice(start, stop))
-    if CHECKSUM not in columns:
+    if store.header.checksum not in columns:
         store.views(slice(start, stop))
         store.keypoint_columns(slice(start, stop))
         return columns, np.arange(stop - start), None
-    same = row_checksums(columns) == columns[CHECKSUM]
+    same = row_checksums(columns) == columns[store.header.checksum]
     if same.all():
         return columns, np.arange(stop - start), None
     wrong = np.flatnonzero(~same)

@@ -6,6 +6,8 @@ from skyline.store.header import StoreHeader
 
 def differences(one: StoreHeader, other: StoreHeader) -> list[tuple[str, object, object]]:
     """Return what differs, by name and with both values; the files' places and makers may."""
+    if one.holds != other.holds:
+        return [("what it holds", one.holds, other.holds)]
     found: list[tuple[str, object, object]] = []
     if one.frame_wkt != other.frame_wkt:
         names = _frame_name(one.frame_wkt), _frame_name(other.frame_wkt)

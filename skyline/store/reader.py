@@ -20,10 +20,23 @@ from skyline.errors import (
 )
 from skyline.features import NO_KEYPOINT
 from skyline.store.checks import checked_dataset, read_committed, read_header
+from skyline.store.digest import row_checksums
 from skyline.store.explain import REBUILD, UNREADABLE, explained
-from skyline.store.header import KEYPOINTS, VIEW_SPECS, KeypointColumns, StoreHeader
-from skyline.store.rows import Columns, views_of
+from skyline.store.header import (
+    EYE,
+    KEYPOINTS,
+    PLACE_SPECS,
+    PLACES,
+    RENDERINGS,
+    VIEW_SPECS,
+    KeypointColumns,
+    StoreHeader,
+    check_holds,
+)
+from skyline.store.place_map import Offsets, PlaceMap
+from skyline.store.rows import Columns, stored_places, views_of
 from skyline.store.superblock import WholeFile
+from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
 RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]
@@ -128,10 +141,11 @@ class Store:
         Raises
         ------
         InputError
-            A row that is not committed.
+            A row that is not committed, or a store of places.
         StoreError
             Damaged data.
         """
+        check_holds(self._path, self._header, RENDERINGS)
         views = views_of(self._header, self.stored(index))
         self._check_headings(views.heading)
         return views
@@ -150,18 +164,42 @@ class Store:
 
     def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
         """Read keypoints, (N, K) uint16, padded with `NO_KEYPOINT`; as `views` otherwise."""
+        check_holds(self._path, self._header, RENDERINGS)
         columns = self._read(KEYPOINTS, self._rows(index))
         if ((columns >= self._header.width) & (columns != NO_KEYPOINT)).any():
             raise self._damaged(f"{KEYPOINTS} names columns beyond {self._header.width - 1}")
         return columns
 
     def locations(self) -> Locations:
-        """Read where all views are, without their skylines."""
+        """Read where all views are and look, without their skylines; raises as `views`."""
+        check_holds(self._path, self._header, RENDERINGS)
         rows = self._rows(slice(None))
-        names = ("easting_m", "northing_m", "eye_elevation_m", "heading")
+        names = (*EYE, "heading")
         locations = Locations(*(self._read(VIEW_SPECS[name][0], rows) for name in names))
         self._check_headings(locations.heading)
         return locations
+
+    def eyes(self) -> Viewpoints:
+        """Read where the eye of every row is, whatever the store holds; raises as `stored`."""
+        specs = PLACE_SPECS if self._header.holds == PLACES else VIEW_SPECS
+        rows = self._rows(slice(None))
+        read = (self._read(specs[name][0], rows).astype(np.float64, copy=False) for name in EYE)
+        return Viewpoints(*read)
+
+    def places(self) -> PlaceMap:
+        """Map the places of a store of places; they can be read when the store is closed.
+
+        Raises
+        ------
+        InputError
+            A store of renderings.
+        StoreError
+            Damaged data.
+        """
+        check_holds(self._path, self._header, PLACES)
+        offsets = self._reading(self._chunk_offsets)
+        with explained(self._path, "it cannot be mapped"):
+            return PlaceMap(self._path, self._raw.fileno(), self._header, self._committed, offsets)
 
     def _rows(self, index: RowIndex) -> NDArray[np.intp]:
         try:
@@ -172,21 +210,34 @@ class Store:
             ) from error
 
     def _read(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
+        try:
+            return self._reading(lambda: self._read_once(name, rows))
+        except StoreError:
+            if not (self._header.holds == PLACES and self.in_use):
+                raise
+        # Places are appended to a last chunk where it lies. A kill that tears this leaves HDF5's
+        # checksum of the chunk wrong, but committed rows as they were, which their own show.
+        columns = stored_places(self._header, self.places().take(rows))
+        return columns[name] if name in columns else row_checksums(columns)
+
+    def _reading(self, read: Callable[[], _T]) -> _T:
+        """Return ``read()``, on a file opened anew where a writer has changed it meanwhile."""
         if self._raw.closed:
             raise StoreError(f"store {self._path} is closed; open it again to read it")
         try:
-            return self._read_once(name, rows)
+            return read()
         except StoreError:
             if not self._raw.refresh():
                 raise
-        return _patiently(self._raw, lambda: self._read_anew(name, rows))
 
-    def _read_anew(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
-        with explained(self._path, "it cannot be opened again"):
-            self._file.close()
-            self._file = h5py.File(self._raw, "r")
-            self._datasets = self._open_datasets()
-        return self._read_once(name, rows)
+        def read_anew() -> _T:
+            with explained(self._path, "it cannot be opened again"):
+                self._file.close()
+                self._file = h5py.File(self._raw, "r")
+                self._datasets = self._open_datasets()
+            return read()
+
+        return _patiently(self._raw, read_anew)
 
     def _read_once(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
         with explained(self._path, f"{name} cannot be read"):
@@ -198,6 +249,22 @@ class Store:
             # HDF5 wants rows ascending and once each.
             ascending, position = np.unique(rows, return_inverse=True)
             return np.asarray(dataset[ascending])[position]
+
+    def _chunk_offsets(self) -> Offsets:
+        """Return where the chunks of committed rows begin, of every dataset."""
+        size = self._header.chunk_rows
+        found = {}
+        for name, dataset in self._datasets.items():
+            with explained(self._path, f"the chunks of {name} cannot be read"):
+                at = np.zeros(-(-self._committed // size), dtype=np.int64)
+                for chunk, offset in _chunks(dataset, len(at)):
+                    at[chunk] = offset
+            # HDF5's own structures come first in a file.
+            if not (at > 0).all():
+                lost = int(np.flatnonzero(at <= 0)[0]) * size
+                raise self._damaged(f"{name} holds no row {lost}, which is committed")
+            found[name] = at
+        return found
 
     def _open_datasets(self) -> dict[str, h5py.Dataset]:
         return {
@@ -261,3 +328,24 @@ def _patiently(raw: WholeFile, read: Callable[[], _T]) -> _T:
                 raise
             time.sleep(_READ_AGAIN_PAUSE_S)
     return read()
+
+
+def _chunks(dataset: h5py.Dataset, count: int) -> list[tuple[int, int]]:
+    """Return number and offset of the first ``count`` chunks of rows, those that are there."""
+    rows, found = dataset.chunks[0], []
+    if not hasattr(dataset.id, "chunk_iter"):
+        for chunk in range(count):
+            place = (chunk * rows,) + (0,) * (dataset.ndim - 1)
+            found.append((chunk, dataset.id.get_chunk_info_by_coord(place).byte_offset or 0))
+        return found
+
+    def visit(info: Any) -> bool | None:
+        chunk = info.chunk_offset[0] // rows
+        if chunk >= count:
+            return True  # and no further: an index may name chunks that were never committed
+        found.append((chunk, info.byte_offset or 0))
+        return None
+
+    if count:
+        dataset.id.chunk_iter(visit)
+    return found

@@ -1,4 +1,4 @@
-"""Rows as a store holds them, by dataset, and as the `Views` they stand for."""
+"""Rows as a store holds them, by dataset, and as the `Views` or `Places` they stand for."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
 from skyline.features import NO_KEYPOINT
+from skyline.places import Places
 from skyline.store.header import (
     CODED,
     KEYPOINTS,
+    PLACE_SPECS,
     SHELL_SPECS,
     VIEW_SPECS,
     KeypointColumns,
@@ -54,6 +56,28 @@ def stored_rows(header: StoreHeader, views: Views, keypoint_columns: KeypointCol
         given |= {name: encode[CODED[name]](given[name]) for name in CODED if name in given}
     # A copy in any case, so that the caller may use the arrays again.
     return {name: np.array(given[name], dtype=header.specs[name].dtype) for name in given}
+
+
+def stored_places(header: StoreHeader, places: Places) -> Columns:
+    """Return places as a store with ``header`` holds them.
+
+    Raises
+    ------
+    InputError
+        Shapes that do not fit, or eyes and tolerances that are not numbers.
+    """
+    columns = {}
+    for field, (name, spec) in PLACE_SPECS.items():
+        values, expected = getattr(places, field), (len(places), *header.row_shape(spec.per_row))
+        if np.shape(values) != expected:
+            raise InputError(
+                f"{name} to append has shape {np.shape(values)}; the store expects {expected}"
+            )
+        if spec.per_row == "one" and not np.isfinite(values).all():
+            raise InputError(f"{name} to append has values that are not numbers")
+        # A copy in any case, so that the caller may use the arrays again.
+        columns[name] = np.array(values, dtype=spec.dtype)
+    return columns
 
 
 def views_of(header: StoreHeader, columns: Columns) -> Views:

@@ -18,19 +18,22 @@ from skyline.errors import (
     StoreError,
     StoreMismatchError,
 )
+from skyline.places import Places
 from skyline.store.digest import row_checksums
 from skyline.store.explain import RESUME, explained
 from skyline.store.header import (
-    CHECKSUM,
+    PLACES,
+    RENDERINGS,
     SCHEMA_VERSION,
     KeypointColumns,
     StoreHeader,
+    check_holds,
 )
-from skyline.store.layout import CHUNK_ROWS, open_to_write, write_empty
+from skyline.store.layout import open_to_write, write_empty
 from skyline.store.lock import complete_or_absent, writer_lock
 from skyline.store.mismatch import differences
 from skyline.store.reader import Store, open_store
-from skyline.store.rows import Columns, stored_rows
+from skyline.store.rows import Columns, stored_places, stored_rows
 from skyline.views import Views
 
 _log = logging.getLogger(__name__)
@@ -39,9 +42,10 @@ _log = logging.getLogger(__name__)
 class StoreWriter:
     """Appends rows to a store; made by `create_store` and `open_for_append`.
 
-    Rows are committed in whole chunks (32 rows), the rest on `flush` and `close`: a packed chunk
-    that is written twice leaves its first copy behind as dead bytes. Leaving the ``with`` block
-    commits what was appended also when an exception, such as Ctrl-C, ends it.
+    Rows are committed in whole chunks (32 renderings or 1024 places), the rest on `flush` and
+    `close`: a packed chunk that is written twice leaves its first copy behind as dead bytes.
+    Leaving the ``with`` block commits what was appended also when an exception, such as Ctrl-C,
+    ends it.
     """
 
     def __init__(
@@ -76,7 +80,9 @@ class StoreWriter:
 
     def __len__(self) -> int:
         """Rows appended so far, committed or not."""
-        return self._committed + sum(len(columns[CHECKSUM]) for columns in self._pending)
+        return self._committed + sum(
+            len(columns[self._header.checksum]) for columns in self._pending
+        )
 
     @property
     def header(self) -> StoreHeader:
@@ -89,7 +95,7 @@ class StoreWriter:
         return self._committed
 
     def append(self, views: Views, keypoint_columns: KeypointColumns) -> None:
-        """Add rows.
+        """Add renderings.
 
         Parameters
         ----------
@@ -101,18 +107,25 @@ class StoreWriter:
         Raises
         ------
         InputError
-            Shapes or values that do not fit the store; nothing is added.
+            Shapes or values that do not fit the store, or one of places; nothing is added.
         StoreError
             The rows cannot be written (disk full, for one). Committed rows are safe.
         """
         self._check_usable()
+        check_holds(self._path, self._header, RENDERINGS)
         self.append_stored(stored_rows(self._header, views, keypoint_columns))
+
+    def append_places(self, places: Places) -> None:
+        """Add places to a store of places; raises as `append`."""
+        self._check_usable()
+        check_holds(self._path, self._header, PLACES)
+        self.append_stored(stored_places(self._header, places))
 
     def append_stored(self, columns: Columns) -> None:
         """Add rows of a store with the same header, as `Store.stored` reads them."""
         self._check_usable()
-        self._pending.append({**columns, CHECKSUM: row_checksums(columns)})
-        self._commit(len(self) - len(self) % CHUNK_ROWS)
+        self._pending.append({**columns, self._header.checksum: row_checksums(columns)})
+        self._commit(len(self) - len(self) % self._header.chunk_rows)
 
     def flush(self) -> None:
         """Commit every appended row now; raises as `append`."""
@@ -211,7 +224,7 @@ def create_store(
             )
         with complete_or_absent(path) as partial:
             write_empty(partial, header)
-        file = resources.enter_context(open_to_write(path))
+        file = resources.enter_context(open_to_write(path, header))
         return StoreWriter(path, header, file, resources.pop_all())
 
 
@@ -222,8 +235,9 @@ def open_for_append(path: str | os.PathLike[str], header: StoreHeader) -> StoreW
     ----------
     path : path-like
     header : StoreHeader
-        What the new rows are built from and how. The frame, DEM digest, config, width, number of
-        keypoints, shells and coding must equal the store's; its other fields are kept. A store of
+        What the new rows are built from and how. What it holds, the frame, DEM digest, config,
+        width, number of keypoints, shells and coding must equal the store's; its other fields are
+        kept. A store of
         an older schema is lifted to the newest.
 
     Raises
@@ -248,7 +262,7 @@ def open_for_append(path: str | os.PathLike[str], header: StoreHeader) -> StoreW
             elif stored.schema_version < SCHEMA_VERSION:
                 _log.warning("store %s: lifted to schema version %d", path, SCHEMA_VERSION)
                 _rewrite(path, store)
-        file = resources.enter_context(open_to_write(path))
+        file = resources.enter_context(open_to_write(path, stored))
         stored = replace(stored, schema_version=SCHEMA_VERSION)
         return StoreWriter(path, stored, file, resources.pop_all())
 
@@ -286,16 +300,25 @@ def amend_config(path: str | os.PathLike[str], settings: Mapping[str, object]) -
 
 def _rewrite(path: Path, store: Store, header: StoreHeader | None = None) -> None:
     """Replace the file by one that holds the committed rows of ``store`` alone."""
-    blocks = (store.stored(slice(start, start + 1024)) for start in range(0, len(store), 1024))
+    step = block_rows(store.header)
+    blocks = (store.stored(slice(first, first + step)) for first in range(0, len(store), step))
     with complete_or_absent(path) as partial:
         write_rows(partial, header or store.header, blocks)
         shutil.copymode(path, partial)
+
+
+def block_rows(header: StoreHeader) -> int:
+    """Return how many rows to copy, and to commit, at a time: some megabytes, whole chunks."""
+    return max(1024, 8 * header.chunk_rows)
 
 
 def write_rows(path: Path, header: StoreHeader, blocks: Iterable[Columns]) -> None:
     """Write a new store file of stored rows: the same rows and header give the same bytes."""
     header = replace(header, schema_version=SCHEMA_VERSION)
     write_empty(path, header)
-    with open_to_write(path) as file, StoreWriter(path, header, file, ExitStack()) as writer:
+    with (
+        open_to_write(path, header) as file,
+        StoreWriter(path, header, file, ExitStack()) as writer,
+    ):
         for columns in blocks:
             writer.append_stored(columns)

@@ -87,7 +87,7 @@ class TestDamage:
         ("name", "value", "said"),
         [
             ("schema", "other", "not a skyline store"),
-            ("schema_version", 3, "schema version 3; .* upgrade skyline"),
+            ("schema_version", 4, "schema version 4; .* upgrade skyline"),
             ("schema_version", "one", "schema version 'one'"),
             ("schema_version", -1, "schema version"),
             ("config", "{", "cannot be opened"),

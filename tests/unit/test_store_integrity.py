@@ -92,7 +92,7 @@ class TestVersion1:
         path = version_1(tmp_path / "s.h5", 70)
         with open_for_append(path, HEADER) as writer:
             writer.append(*rows(70, 100))
-        assert "lifted to schema version 2" in caplog.text
+        assert "lifted to schema version 3" in caplog.text
         assert_holds(path, 100)
         report = examine(path)
         assert (report.committed, report.whole, report.checksums) == (100, True, True)
@@ -220,7 +220,7 @@ class TestRepair:
         with pytest.raises(StoreError, match="repair` saves"):
             compact_store(path, tmp_path / "no.h5")
         report = repair_store(path, tmp_path / "saved.h5")
-        assert report.renderings == 68
+        assert report.rows == 68
         assert [(damage.first_row, damage.rows) for damage in report.damage] == [(32, 32)]
         kept = np.r_[0:32, 64:100]
         with open_store(tmp_path / "saved.h5") as store:
@@ -242,7 +242,7 @@ class TestMerge:
         for number, stores in enumerate([(a, b), (b, a), (b, b, a)]):
             out = tmp_path / f"{number}.h5"
             report = merge_stores(stores, out)
-            assert (report.renderings, report.duplicates) == (100, 60 if number == 2 else 0)
+            assert (report.rows, report.duplicates) == (100, 60 if number == 2 else 0)
             digests.add(hashlib.sha256(out.read_bytes()).hexdigest())
         compact_store(build(tmp_path / "whole.h5", (0, 100)), tmp_path / "3.h5")
         digests.add(hashlib.sha256((tmp_path / "3.h5").read_bytes()).hexdigest())

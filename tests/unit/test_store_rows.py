@@ -42,7 +42,7 @@ class TestRoundTrip:
         build(tmp_path / "s.h5", 40)
         with h5py.File(tmp_path / "s.h5", "r") as file:
             assert file.attrs["schema"] == "skyline-store"
-            assert file.attrs["schema_version"] == 2
+            assert file.attrs["schema_version"] == 3
             assert file.attrs["frame"] == HEADER.frame_wkt
             assert file.attrs["dem_digest"] == HEADER.dem_digest
             assert json.loads(file.attrs["config"]) == HEADER.config

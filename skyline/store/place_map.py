@@ -1,0 +1,155 @@
+"""The places of a store, mapped: screened where they lie in the file, and taken by row.
+
+Chunks of places are neither packed nor shuffled, so a place's bytes lie in the file as they are,
+where HDF5's index of chunks says. The index is read once, when the store is opened; after that
+HDF5 has no part, and any number of threads may read at the same time.
+"""
+
+import mmap
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from skyline.errors import InputError, StoreError
+from skyline.places import Places
+from skyline.store.digest import checksums_of_bytes
+from skyline.store.explain import REBUILD
+from skyline.store.header import PLACE_CHECKSUM, PLACE_SPECS, Spec, StoreHeader
+
+Offsets = dict[str, NDArray[np.int64]]
+"""Where the chunks of each dataset begin in the file, by the dataset's name."""
+
+_FIELDS = {name: field for field, (name, _) in PLACE_SPECS.items()}
+_DIGESTED = sorted(_FIELDS)
+_TAKEN_AT_ONCE = 4096
+
+
+class PlaceMap:
+    """The committed places of a store, a `skyline.places.PlaceSource`; see `Store.places`.
+
+    It holds the file by itself, so the store may be closed, replaced or removed. Pages that are
+    read belong to the system's cache. Memory of its own is the offsets: 72 bytes for 1024 places.
+
+    A file that somebody cuts short is found out before each block and each batch of rows. Where
+    it happens while one of them is being read, the system ends the process (SIGBUS), as with any
+    mapped file. Stores are replaced, never cut short, by everything in `skyline.store`.
+    """
+
+    def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
+        """Map the first ``places`` of a file, given as a descriptor, that lie ``at`` offsets."""
+        self._path = path
+        self._header = header
+        self._places = places
+        self._at = at
+        self._row_bytes = {name: self._bytes_of(spec) for name, spec in header.specs.items()}
+        self._end = max(self._end_of(name) for name in at) if places else 0
+        # A map of nothing is refused; an empty store has a superblock.
+        self._map = mmap.mmap(file, 0, access=mmap.ACCESS_READ)
+        self._check_length(len(self._map))
+        data = np.frombuffer(self._map, dtype=np.uint8)
+        # A view of the bytes from each offset on: indexed by offsets, it gathers rows in one call.
+        self._rows = (
+            {name: sliding_window_view(data, size) for name, size in self._row_bytes.items()}
+            if places
+            else {}
+        )
+
+    def __len__(self) -> int:
+        """Return the number of places."""
+        return self._places
+
+    def blocks(self) -> Iterator[Places]:
+        """Yield all places in order, 1024 at a time (the last time fewer).
+
+        The arrays are read-only and lie in the file: nothing is read before it is looked at, and
+        nothing is verified (see `take`, and `check_store` for all of a store).
+
+        Raises
+        ------
+        StoreError
+            The file was cut short since the store was opened.
+        """
+        size = self._header.chunk_rows
+        for chunk in range(-(-self._places // size)):
+            self._check_length(self._map.size())
+            rows = min(size, self._places - chunk * size)
+            yield Places(**{f.name: self._block(f.name, chunk, rows) for f in fields(Places)})
+
+    def take(self, rows: NDArray[np.integer[Any]]) -> Places:
+        """Return copies of the places ``rows`` (M,), in order, each held to its checksum.
+
+        Raises
+        ------
+        InputError
+            A row that is not there.
+        StoreError
+            A place that is not as it was written, or a file that was cut short.
+        """
+        wanted: NDArray[np.intp] = np.asarray(rows, dtype=np.intp)
+        if wanted.ndim != 1 or not ((wanted >= 0) & (wanted < self._places)).all():
+            raise InputError(
+                f"rows to take from store {self._path} are not a list of numbers from 0 to "
+                f"{self._places - 1}"
+            )
+        taken: Any = {
+            field: np.empty(
+                (len(wanted), *self._header.row_shape(spec.per_row)), dtype=np.dtype(spec.dtype)
+            )
+            for field, (_, spec) in PLACE_SPECS.items()
+        }
+        # In the order of the file, so that a disk is read forwards and each page once.
+        order = np.argsort(wanted, kind="stable")
+        for first in range(0, len(wanted), _TAKEN_AT_ONCE):
+            self._check_length(self._map.size())
+            to = order[first : first + _TAKEN_AT_ONCE]
+            gathered = self._gathered(wanted[to])
+            start = 0
+            for name in _DIGESTED:
+                values = taken[_FIELDS[name]]
+                stop = start + self._row_bytes[name]
+                values.view(np.uint8).reshape(len(wanted), -1)[to] = gathered[:, start:stop]
+                start = stop
+        return Places(**taken)
+
+    def _gathered(self, rows: NDArray[np.intp]) -> NDArray[np.uint8]:
+        """Return the bytes of some places (M, B), as their checksums are taken; verified."""
+        chunk, row = np.divmod(rows, self._header.chunk_rows)
+        bytes_of = [
+            self._rows[name][self._at[name][chunk] + row * self._row_bytes[name]]
+            for name in (*_DIGESTED, PLACE_CHECKSUM)
+        ]
+        together = np.concatenate(bytes_of[:-1], axis=1)
+        wrong = checksums_of_bytes(together) != bytes_of[-1].view("<u4")[:, 0]
+        if wrong.any():
+            raise StoreError(
+                f"store {self._path} is damaged: place {rows[wrong][0]} does not have its "
+                "checksum; `skyline store check` says what else, `skyline store repair` saves "
+                "what is whole"
+            )
+        return together
+
+    def _block(self, field: str, chunk: int, rows: int) -> NDArray[Any]:
+        name, spec = PLACE_SPECS[field]
+        shape = (rows, *self._header.row_shape(spec.per_row))
+        offset = int(self._at[name][chunk])
+        count = int(np.prod(shape))
+        return np.frombuffer(self._map, np.dtype(spec.dtype), count, offset).reshape(shape)
+
+    def _bytes_of(self, spec: Spec) -> int:
+        return int(np.prod(self._header.row_shape(spec.per_row))) * np.dtype(spec.dtype).itemsize
+
+    def _end_of(self, name: str) -> int:
+        """Return where the last byte that may be looked at ends."""
+        return int(self._at[name].max()) + self._header.chunk_rows * self._row_bytes[name]
+
+    def _check_length(self, size: int) -> None:
+        if size < self._end:
+            raise StoreError(
+                f"store {self._path} is truncated: {size} bytes, of which places need "
+                f"{self._end}; {REBUILD}"
+            )
