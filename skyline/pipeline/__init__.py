@@ -13,6 +13,7 @@ from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.match import FULL, MATCHER_NAMES, MatchConfig, Matcher, MatchResult
 from skyline.pipeline.match_many import QueryReading, match_many
+from skyline.pipeline.places import PlaceConfig, build_places
 from skyline.pipeline.planned import PlannedResult, build_planned
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.shards import ShardPlan, build_sharded
@@ -24,11 +25,13 @@ __all__ = [
     "MatchConfig",
     "MatchResult",
     "Matcher",
+    "PlaceConfig",
     "PlannedResult",
     "Progress",
     "QueryReading",
     "RenderConfig",
     "ShardPlan",
+    "build_places",
     "build_planned",
     "build_sharded",
     "build_uniform",

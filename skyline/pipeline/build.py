@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar, Protocol
 
 import cv2
 import numpy as np
@@ -23,7 +24,7 @@ from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
 Progress = Callable[[int, int], None]
-"""Called with the renderings done and the renderings there will be."""
+"""Called with the rows done and the rows there will be."""
 
 _VIEWPOINTS_A_COMMIT = 64
 
@@ -34,16 +35,79 @@ class BuildResult:
 
     Attributes
     ----------
-    renderings : int
-        Renderings in the store.
+    rows : int
+        Renderings or places in the store.
     rendered : int
         Of these, the ones rendered now; the others were there already.
     seconds : float
     """
 
-    renderings: int
+    rows: int
     rendered: int
     seconds: float
+
+    @property
+    def renderings(self) -> int:
+        """The rows of a store of renderings."""
+        return self.rows
+
+
+class RowRenderer(Protocol):
+    """Renders viewpoints as rows of one kind of store."""
+
+    @property
+    def header(self) -> StoreHeader:
+        """Of the store that the rows are for."""
+        ...
+
+    @property
+    def rows_each(self) -> int:
+        """Rows a viewpoint."""
+        ...
+
+    @property
+    def viewpoints_a_commit(self) -> int:
+        """How many to render at a time."""
+        ...
+
+    def render_into(self, writer: StoreWriter, viewpoints: Viewpoints) -> None:
+        """Append the rows of viewpoints to a store."""
+        ...
+
+    def release(self) -> None:
+        """Let go of the renderer."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ViewRows:
+    """Renders viewpoints in all four headings; a `RowRenderer`."""
+
+    renderer: HorizonRenderer
+    header: StoreHeader
+    config: RenderConfig
+
+    rows_each: ClassVar[int] = len(HEADINGS)
+
+    @property
+    def viewpoints_a_commit(self) -> int:
+        """How many to render at a time."""
+        return _VIEWPOINTS_A_COMMIT
+
+    def render_into(self, writer: StoreWriter, viewpoints: Viewpoints) -> None:
+        """Append the views of viewpoints, with their keypoints, to a store."""
+        views = self.renderer.render(viewpoints)
+        writer.append(views, polyline_keypoints(views, self.config.keypoint_tolerance_px))
+
+    def release(self) -> None:
+        """Let go of the renderer."""
+        self.renderer.release()
+
+
+def view_rows(terrain: HeightField, config: RenderConfig, plan: dict[str, object]) -> ViewRows:
+    """Return what renders views as a configuration asks, for a store made by a plan."""
+    renderer = make_renderer(terrain, config)
+    return ViewRows(renderer, store_header(terrain, renderer.description, config, plan), config)
 
 
 def render_views(
@@ -89,10 +153,11 @@ def build_uniform(
     viewpoints = uniform_grid(
         terrain, spacing_m, map_bounds(terrain, bounds_deg), config.eye_height_m
     )
-    with make_renderer(terrain, config) as renderer:
-        plan = uniform_plan(spacing_m, bounds_deg)
-        header = store_header(terrain, renderer.description, config, plan)
-        return render_missing(path, header, renderer, viewpoints, config, progress)
+    rows = view_rows(terrain, config, uniform_plan(spacing_m, bounds_deg))
+    try:
+        return render_missing(path, rows, viewpoints, progress)
+    finally:
+        rows.release()
 
 
 def uniform_plan(
@@ -104,10 +169,8 @@ def uniform_plan(
 
 def render_missing(
     path: str | Path,
-    header: StoreHeader,
-    renderer: HorizonRenderer,
+    rows: RowRenderer,
     viewpoints: Viewpoints,
-    config: RenderConfig,
     progress: Progress | None = None,
 ) -> BuildResult:
     """Render those of some viewpoints that a store lacks; it is made where there is none.
@@ -118,11 +181,11 @@ def render_missing(
         The store at ``path`` was built from another DEM or with another configuration.
     """
     if not Path(path).exists():
-        with create_store(path, header) as writer:
-            return _render_into(writer, renderer, viewpoints, config, progress)
-    with open_for_append(path, header) as writer:
-        left = viewpoints[~held_whole(path, viewpoints)]
-        return _render_into(writer, renderer, left, config, progress)
+        with create_store(path, rows.header) as writer:
+            return _render_into(writer, rows, viewpoints, progress)
+    with open_for_append(path, rows.header) as writer:
+        left = viewpoints[~held_whole(path, viewpoints, rows.rows_each)]
+        return _render_into(writer, rows, left, progress)
 
 
 def render_to_store(
@@ -140,11 +203,12 @@ def render_to_store(
         Something is at ``path`` already.
     """
     config = config or RenderConfig()
-    with make_renderer(terrain, config) as renderer:
-        plan: dict[str, object] = {"planner": "viewpoints"}
-        header = store_header(terrain, renderer.description, config, plan)
-        with create_store(path, header) as writer:
-            return _render_into(writer, renderer, viewpoints, config, progress)
+    rows = view_rows(terrain, config, {"planner": "viewpoints"})
+    try:
+        with create_store(path, rows.header) as writer:
+            return _render_into(writer, rows, viewpoints, progress)
+    finally:
+        rows.release()
 
 
 def save_depth_pictures(
@@ -165,31 +229,26 @@ def save_depth_pictures(
 
 
 def _render_into(
-    writer: StoreWriter,
-    renderer: HorizonRenderer,
-    viewpoints: Viewpoints,
-    config: RenderConfig,
-    progress: Progress | None,
+    writer: StoreWriter, rows: RowRenderer, viewpoints: Viewpoints, progress: Progress | None
 ) -> BuildResult:
     """Render viewpoints into a store, a few a commit."""
     started = time.perf_counter()
     held = len(writer)
-    total = held + len(HEADINGS) * len(viewpoints)
-    for start in range(0, len(viewpoints), _VIEWPOINTS_A_COMMIT):
+    total = held + rows.rows_each * len(viewpoints)
+    for start in range(0, len(viewpoints), rows.viewpoints_a_commit):
         if progress:
             progress(len(writer), total)
-        views = renderer.render(viewpoints[start : start + _VIEWPOINTS_A_COMMIT])
-        writer.append(views, polyline_keypoints(views, config.keypoint_tolerance_px))
+        rows.render_into(writer, viewpoints[start : start + rows.viewpoints_a_commit])
     writer.flush()
     if progress:
         progress(len(writer), total)
     return BuildResult(len(writer), len(writer) - held, time.perf_counter() - started)
 
 
-def held_whole(path: str | Path, viewpoints: Viewpoints) -> NDArray[np.bool_]:
-    """Return which viewpoints the store holds in all four headings, shape (N,)."""
+def held_whole(path: str | Path, viewpoints: Viewpoints, rows_each: int) -> NDArray[np.bool_]:
+    """Return which viewpoints the store holds in all their rows, shape (N,)."""
     with open_store(path) as store:
-        there = store.locations()
+        there = store.eyes()
     stored, count = np.unique(there.easting_m + 1j * there.northing_m, return_counts=True)
-    whole = stored[count >= len(HEADINGS)]
+    whole = stored[count >= rows_each]
     return np.isin(viewpoints.easting_m + 1j * viewpoints.northing_m, whole)

@@ -19,17 +19,20 @@ from typing import Self
 
 import numpy as np
 
-from skyline.camera import HEADINGS
 from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.pipeline.build import (
     BuildResult,
     Progress,
+    RowRenderer,
+    ViewRows,
     held_whole,
     render_missing,
     uniform_plan,
+    view_rows,
 )
-from skyline.pipeline.config import RenderConfig, make_renderer, store_header
+from skyline.pipeline.config import RenderConfig, store_header
 from skyline.pipeline.jobs import Runner, collect, run_here
+from skyline.pipeline.places import PlaceConfig, PlaceRows, place_header, place_rows
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.store import StoreHeader, merge_stores, open_for_append
 from skyline.terrain.dem import DemOptions, read_dem
@@ -38,6 +41,9 @@ from skyline.terrain.viewpoints import Viewpoints
 
 DEFAULT_TILE_M = 10_000.0
 """400 viewpoints at 500 m: seconds to minutes of work, little of it lost with a worker."""
+
+BuildConfig = RenderConfig | PlaceConfig
+"""How the rows of a store are rendered, and with that which rows: renderings or places."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +97,7 @@ class ShardSettings:
     dem_digest : str
     dem_options : DemOptions
     plan : ShardPlan
-    config : RenderConfig
+    config : RenderConfig or PlaceConfig
     folder : str
         Absolute path of the shards.
     """
@@ -100,7 +106,7 @@ class ShardSettings:
     dem_digest: str
     dem_options: DemOptions
     plan: ShardPlan
-    config: RenderConfig
+    config: BuildConfig
     folder: str
 
     def read_terrain(self) -> HeightField:
@@ -122,15 +128,13 @@ class Workplace:
         """Read the terrain unless it is given; raises as `ShardSettings.read_terrain`."""
         self._settings = settings
         terrain = terrain or settings.read_terrain()
-        self._renderer = make_renderer(terrain, settings.config)
-        description = self._renderer.description
-        self._header = store_header(terrain, description, settings.config, settings.plan.record)
+        self._rows = _row_renderer(terrain, settings.config, settings.plan)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._renderer.release()
+        self._rows.release()
 
     def build(self, shard: Shard) -> BuildResult:
         """Render what a shard lacks; one that is whole is only looked at.
@@ -144,15 +148,32 @@ class Workplace:
         """
         path = Path(self._settings.folder) / f"{shard.name}.h5"
         Path(self._settings.folder).mkdir(parents=True, exist_ok=True)
-        done = render_missing(
-            path, self._header, self._renderer, shard.viewpoints, self._settings.config
-        )
-        if done.renderings != len(HEADINGS) * len(shard.viewpoints):
+        done = render_missing(path, self._rows, shard.viewpoints)
+        due = self._rows.rows_each * len(shard.viewpoints)
+        if done.rows != due:
             raise StoreError(
-                f"shard {path} holds {done.renderings} renderings of what should be "
-                f"{len(HEADINGS) * len(shard.viewpoints)}; remove it and give the same command"
+                f"shard {path} holds {done.rows} {self._rows.header.holds} of what should be "
+                f"{due}; remove it and give the same command"
             )
         return done
+
+
+def _row_renderer(terrain: HeightField, config: BuildConfig, plan: ShardPlan) -> RowRenderer:
+    if isinstance(config, PlaceConfig):
+        return place_rows(terrain, config, plan.spacing_m, plan.record)
+    return view_rows(terrain, config, plan.record)
+
+
+def _header(terrain: HeightField, config: BuildConfig, plan: ShardPlan) -> StoreHeader:
+    """Return the header of the store that a build makes, the renderer left out."""
+    if isinstance(config, PlaceConfig):
+        return place_header(terrain, "", config, plan.record)
+    return store_header(terrain, "", config, plan.record)
+
+
+def _rows_each(config: BuildConfig) -> int:
+    """Return how many rows a viewpoint has."""
+    return (PlaceRows if isinstance(config, PlaceConfig) else ViewRows).rows_each
 
 
 _here: dict[ShardSettings, Workplace] = {}
@@ -195,13 +216,14 @@ def build_sharded(
     terrain: HeightField,
     path: str | Path,
     plan: ShardPlan,
-    config: RenderConfig | None = None,
+    config: BuildConfig | None = None,
     runner: Runner | None = None,
     progress: Progress | None = None,
 ) -> BuildResult:
     """Render a uniform grid tile by tile into shards, and merge them into one store.
 
-    The result is, to the byte, what `compact_store` makes of the store that `build_uniform` gives.
+    The result is, to the byte, what `compact_store` makes of the store that `build_uniform` gives,
+    or with a `PlaceConfig` `build_places`.
     Shards lie in the folder ``PATH.shards`` until they are merged.
 
     Parameters
@@ -210,7 +232,8 @@ def build_sharded(
         Read from files, unless ``runner`` works in this process.
     path : str or Path
     plan : ShardPlan
-    config : RenderConfig, optional
+    config : RenderConfig or PlaceConfig, optional
+        What is rendered and how; by default renderings.
     runner : Runner, optional
         What does the jobs; by default this process, one after another.
     progress : callable, optional
@@ -232,7 +255,7 @@ def build_sharded(
     shards = cut_into_shards(viewpoints, plan.tile_m)
     folder = path.with_name(f"{path.name}.shards")
     if path.exists():
-        held = _held_already(path, store_header(terrain, "", config, plan.record), viewpoints)
+        held = _held_already(path, _header(terrain, config, plan), viewpoints, _rows_each(config))
         _remove(folder, shards)
         return held
     settings = ShardSettings(
@@ -246,8 +269,8 @@ def build_sharded(
     rendered = _run_all(settings, shards, runner, terrain, progress)
     merge_stores([folder / f"{shard.name}.h5" for shard in shards], path)
     _remove(folder, shards)
-    renderings = len(HEADINGS) * len(viewpoints)
-    return BuildResult(renderings, rendered, time.perf_counter() - started)
+    rows = _rows_each(config) * len(viewpoints)
+    return BuildResult(rows, rendered, time.perf_counter() - started)
 
 
 def _run_all(
@@ -257,14 +280,14 @@ def _run_all(
     terrain: HeightField,
     progress: Progress | None,
 ) -> int:
-    """Do all jobs and return how many renderings were new."""
-    total = len(HEADINGS) * sum(len(shard.viewpoints) for shard in shards)
+    """Do all jobs and return how many rows were new."""
+    total = _rows_each(settings.config) * sum(len(shard.viewpoints) for shard in shards)
     names = [shard.name for shard in shards]
     held = 0
 
     def finished(result: BuildResult) -> None:
         nonlocal held
-        held += result.renderings
+        held += result.rows
         if progress:
             progress(held, total)
 
@@ -281,17 +304,19 @@ def _run_all(
     return sum(result.rendered for result in done)
 
 
-def _held_already(path: Path, header: StoreHeader, viewpoints: Viewpoints) -> BuildResult:
+def _held_already(
+    path: Path, header: StoreHeader, viewpoints: Viewpoints, rows_each: int
+) -> BuildResult:
     """Return what a store has that was there before; it must be whole and of this build."""
     started = time.perf_counter()
     with open_for_append(path, header) as writer:
-        renderings = len(writer)
-    if not held_whole(path, viewpoints).all():
+        rows = len(writer)
+    if not held_whole(path, viewpoints, rows_each).all():
         raise StoreError(
             f"store {path} is there and lacks some of {len(viewpoints)} viewpoints; finish it "
             "without tiles, remove it, or choose another name"
         )
-    return BuildResult(renderings, 0, time.perf_counter() - started)
+    return BuildResult(rows, 0, time.perf_counter() - started)
 
 
 def _remove(folder: Path, shards: Sequence[Shard]) -> None:

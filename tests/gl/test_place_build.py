@@ -1,0 +1,100 @@
+"""Builds of places: what is stored is what was rendered, however the build was cut and broken."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from scenes import fractal, write_dem
+
+from skyline import RenderConfig, build_uniform, read_dem
+from skyline.errors import InputError, StoreMismatchError
+from skyline.pipeline import (
+    PlaceConfig,
+    ShardPlan,
+    build_places,
+    build_sharded,
+    places,
+    remote_runner,
+)
+from skyline.places import BINS, Places
+from skyline.planning.uniform import uniform_grid
+from skyline.render.panorama import PanoramaRenderer
+from skyline.store import check_store, compact_store, open_store
+
+SPACING_M = 55.0
+
+
+@pytest.fixture(scope="module")
+def terrain(tmp_path_factory):
+    path = tmp_path_factory.mktemp("dem") / "dem.tif"
+    return read_dem([write_dem(path, fractal(70, 80, 250.0, seed=11))])
+
+
+@pytest.fixture(scope="module")
+def built(terrain, tmp_path_factory):
+    path = tmp_path_factory.mktemp("built") / "places.h5"
+    return path, build_places(terrain, path, SPACING_M)
+
+
+def test_places_are_what_was_rendered(terrain, built):
+    path, done = built
+    grid = uniform_grid(terrain, SPACING_M)
+    assert done.rows == done.rendered == len(grid) > 1024
+    with PanoramaRenderer(terrain, BINS) as renderer:
+        wanted = Places.of(renderer.render(grid), SPACING_M / 2.0)
+    with open_store(path) as store:
+        mapped = store.places()
+        assert store.header.config["spacing_m"] == SPACING_M
+        assert store.header.config["rasterizer"] == "panorama"
+    stored = Places.concatenate(list(mapped.blocks()))
+    for field in fields(Places):
+        np.testing.assert_array_equal(getattr(stored, field.name), getattr(wanted, field.name))
+    assert check_store(path).whole
+
+
+def test_an_interrupted_build_goes_on(terrain, built, tmp_path, monkeypatch):
+    path = tmp_path / "s.h5"
+    monkeypatch.setattr(places, "_VIEWPOINTS_A_COMMIT", 500)
+
+    def stop(done, _total):
+        if done >= 1000:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build_places(terrain, path, SPACING_M, progress=stop)
+    again = build_places(terrain, path, SPACING_M)
+    assert 0 < again.rendered < again.rows == built[1].rows
+    compact_store(path, tmp_path / "resumed.h5")
+    compact_store(built[0], tmp_path / "whole.h5")
+    assert (tmp_path / "resumed.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
+    assert build_places(terrain, path, SPACING_M).rendered == 0
+
+
+def test_tiles_leave_no_trace(terrain, built, tmp_path):
+    compact_store(built[0], tmp_path / "whole.h5")
+    path, plan = tmp_path / "tiles.h5", ShardPlan(SPACING_M, 900.0)
+    done = build_sharded(terrain, path, plan, PlaceConfig())
+    assert done.rows == done.rendered == built[1].rows
+    assert path.read_bytes() == (tmp_path / "whole.h5").read_bytes()
+    assert build_sharded(terrain, path, plan, PlaceConfig()).rendered == 0
+    with pytest.raises(StoreMismatchError, match="what it holds is 'places' there, 'renderings'"):
+        build_sharded(terrain, path, plan, RenderConfig(width=80))
+
+
+def test_workers_make_the_same_bytes(terrain, built, dask_cluster, tmp_path):
+    compact_store(built[0], tmp_path / "whole.h5")
+    with remote_runner(dask_cluster.scheduler_address) as runner:
+        build_sharded(
+            terrain, tmp_path / "s.h5", ShardPlan(SPACING_M, 900.0), PlaceConfig(), runner
+        )
+    assert (tmp_path / "s.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
+
+
+def test_other_settings_are_refused(terrain, built, tmp_path):
+    with pytest.raises(StoreMismatchError, match=r"eye_height_m is 2\.0 there, 3\.0 here"):
+        build_places(terrain, built[0], SPACING_M, config=PlaceConfig(eye_height_m=3.0))
+    build_uniform(terrain, tmp_path / "s.h5", 2000.0, config=RenderConfig(width=80))
+    with pytest.raises(StoreMismatchError, match="what it holds is 'renderings' there"):
+        build_places(terrain, tmp_path / "s.h5", 2000.0)
+    with pytest.raises(InputError, match="spacing is 0"):
+        build_places(terrain, tmp_path / "no.h5", 0.0)
