@@ -136,9 +136,9 @@ def coding(folder: Path, arguments: argparse.Namespace) -> Rows:
 
 
 def damage(test: str, folder: Path, arguments: argparse.Namespace) -> Rows:
-    for rows in ("compact", "exact"):
+    for rows in ("compact", "exact", "places"):
         whole, header = folder / f"{rows}.h5", numbered_header(640, rows)
-        numbered_build(320, header)(whole, lambda _: None)
+        numbered_build(1500 if rows == "places" else 320, header)(whole, lambda _: None)
         if test == "flips":
             yield {"rows": rows, **flip_test(whole, folder, arguments.flips)}
         else:
@@ -146,7 +146,11 @@ def damage(test: str, folder: Path, arguments: argparse.Namespace) -> Rows:
 
 
 def kills_of_writer(folder: Path, arguments: argparse.Namespace) -> Rows:
-    yield kill_test(numbered_build(1000, numbered_header()), folder, arguments.kills)
+    for rows, count in (("compact", 1000), ("places", 20_000)):
+        into = folder / rows
+        into.mkdir()
+        build = numbered_build(count, numbered_header(rows=rows))
+        yield {"rows": rows, **kill_test(build, into, arguments.kills)}
 
 
 def kills_of_build(folder: Path, arguments: argparse.Namespace) -> Rows:
@@ -156,7 +160,10 @@ def kills_of_build(folder: Path, arguments: argparse.Namespace) -> Rows:
 
 
 def readers(folder: Path, arguments: argparse.Namespace) -> Rows:
-    yield readers_test(folder, 8, arguments.seconds)
+    for rows in ("compact", "places"):
+        into = folder / rows
+        into.mkdir()
+        yield {"kind": rows, **readers_test(into, 8, arguments.seconds, rows)}
 
 
 TESTS: dict[str, Callable[[Path, argparse.Namespace], Rows]] = {

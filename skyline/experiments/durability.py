@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -17,16 +18,20 @@ from skyline.errors import SkylineError
 from skyline.experiments.forked import fork, outcome_of
 from skyline.features import NO_KEYPOINT
 from skyline.geodesy import Frame
+from skyline.places import BINS, DISTANCE_BINS, PHASE_BINS, Places
 from skyline.store import (
     KeypointColumns,
     RowCoding,
+    Store,
     StoreHeader,
+    StoreWriter,
     as_stored,
     compact_store,
     create_store,
     open_for_append,
     open_store,
 )
+from skyline.store.header import PLACES
 from skyline.views import ROW_FIELDS, Views
 
 Say = Callable[[int], None]
@@ -35,12 +40,12 @@ Say = Callable[[int], None]
 Build = Callable[[Path, Say], None]
 """Builds a store at a path, or goes on with the one that is there."""
 
-_CHUNK_ROWS = 32
+Rows = Views | Places
 
 
 def numbered_header(width: int = 64, rows: str = "compact") -> StoreHeader:
-    """Return the header of a store of `numbered_rows`."""
-    return StoreHeader(
+    """Return the header of a store of numbered rows: "compact", "exact" or "places"."""
+    header = StoreHeader(
         frame_wkt=Frame.from_crs("EPSG:32632").wkt,
         dem_digest="0" * 64,
         dem_files=("/dem.tif",),
@@ -50,10 +55,50 @@ def numbered_header(width: int = 64, rows: str = "compact") -> StoreHeader:
         max_keypoints=8,
         coding=RowCoding.within(width) if rows == "compact" else None,
     )
+    return replace(header, holds=PLACES, width=0) if rows == "places" else header
 
 
-def numbered_rows(header: StoreHeader, start: int, stop: int) -> tuple[Views, KeypointColumns]:
-    """Return rows that say which they are, as `header` holds them."""
+def numbered_rows(header: StoreHeader, start: int, stop: int) -> Rows:
+    """Return rows that say which they are, as they are read back from a store."""
+    if header.holds == PLACES:
+        return numbered_places(start, stop)
+    return numbered_views(header, start, stop)[0]
+
+
+def append_numbered(writer: StoreWriter, stop: int) -> None:
+    """Append numbered rows after those that a store holds."""
+    start = len(writer)
+    if writer.header.holds == PLACES:
+        writer.append_places(numbered_places(start, stop))
+    else:
+        writer.append(*numbered_views(writer.header, start, stop))
+
+
+def read_numbered(store: Store, rows: slice) -> Rows:
+    """Read rows of a store of either kind."""
+    if store.header.holds == PLACES:
+        return store.places().take(np.arange(len(store))[rows])
+    return store.views(rows)
+
+
+def numbered_places(start: int, stop: int) -> Places:
+    """Return places that say which they are."""
+    number = np.arange(start, stop)
+    place, row = number.astype(np.float64), number[:, np.newaxis]
+    return Places(
+        easting_m=7.5e5 + place,
+        northing_m=5.2e6 - place / 3.0,
+        eye_elevation_m=(1500.0 + place / 7.0).astype(np.float32),
+        tolerance_m=np.full(len(number), 25.0, dtype=np.float32),
+        first_tan=np.sin(place).astype(np.float32),
+        rise=((row * 7 + np.arange(BINS) * 3) % 256).astype(np.uint8).view(np.int8),
+        distance=((row + np.arange(DISTANCE_BINS)) % 256).astype(np.uint8),
+        phase=((row * 5 + np.arange(PHASE_BINS)) % 256).astype(np.uint8),
+    )
+
+
+def numbered_views(header: StoreHeader, start: int, stop: int) -> tuple[Views, KeypointColumns]:
+    """Return views that say which they are, as `header` holds them, and their keypoints."""
     number = np.arange(start, stop)
     place = number.astype(np.float64)
     phase = 0.1 * np.arange(header.width) + number[:, np.newaxis]
@@ -80,8 +125,7 @@ def numbered_build(rows: int, header: StoreHeader) -> Build:
         there = path.exists()
         with open_for_append(path, header) if there else create_store(path, header) as writer:
             while len(writer) < rows:
-                stop = min(len(writer) + _CHUNK_ROWS + 5, rows)
-                writer.append(*numbered_rows(header, len(writer), stop))
+                append_numbered(writer, min(len(writer) + header.chunk_rows + 5, rows))
                 say(writer.committed)
 
     return build
@@ -186,9 +230,11 @@ def _finish(child: int, pipe: int) -> tuple[int, int]:
     return code, struct.unpack("<q", said[-8:])[0] if said else 0
 
 
-def readers_test(folder: Path, readers: int, seconds: float) -> dict[str, object]:
+def readers_test(
+    folder: Path, readers: int, seconds: float, rows: str = "compact"
+) -> dict[str, object]:
     """Let readers check every row that they see while a writer appends and resumes."""
-    header = numbered_header()
+    header = numbered_header(rows=rows)
     path = folder / "read.h5"
     create_store(path, header).close()
     # What is appended before it is, and what is committed after it is.
@@ -199,9 +245,9 @@ def readers_test(folder: Path, readers: int, seconds: float) -> dict[str, object
         while time.monotonic() < until:
             with open_for_append(path, header) as writer:
                 for _ in range(50):
-                    stop = len(writer) + 43
+                    stop = len(writer) + header.chunk_rows + 11
                     shared[:8] = struct.pack("<q", stop)
-                    writer.append(*numbered_rows(header, len(writer), stop))
+                    append_numbered(writer, stop)
                     shared[8:] = struct.pack("<q", writer.committed)
                     time.sleep(0.002)
 
@@ -216,8 +262,8 @@ def readers_test(folder: Path, readers: int, seconds: float) -> dict[str, object
                 rows = slice(first, first + 200) if opened % 2 else slice(-200, None)
                 span = range(*rows.indices(len(store)))
                 if span:
-                    wanted = numbered_rows(header, span.start, span.stop)[0]
-                    errors += not _same_views(store.views(rows), wanted)
+                    wanted = numbered_rows(header, span.start, span.stop)
+                    errors += not _same_rows(read_numbered(store, rows), wanted)
             opened += 1
         return f"{opened} {errors}"
 
@@ -238,8 +284,8 @@ def readers_test(folder: Path, readers: int, seconds: float) -> dict[str, object
     }
 
 
-def _same_views(got: Views, wanted: Views) -> bool:
+def _same_rows(got: Rows, wanted: Rows) -> bool:
+    names = [f.name for f in fields(Places)] if isinstance(wanted, Places) else ROW_FIELDS
     return all(
-        np.array_equal(getattr(got, name), getattr(wanted, name), equal_nan=True)
-        for name in ROW_FIELDS
+        np.array_equal(getattr(got, name), getattr(wanted, name), equal_nan=True) for name in names
     )
