@@ -158,6 +158,12 @@ class TestRoundTrip:
             assert (said["rows"], said["bins"], said["distance_bins"]) == ("places", 720, 120)
             assert list(file) == ["committed", "places"]
             assert set(file["places"]) == set(DATASETS)
+            documented = (Path(__file__).parents[2] / "docs" / "store.md").read_text()
+            for name, data in file["places"].items():
+                (row,) = (
+                    each for each in documented.splitlines() if f"| `places/{name}` |" in each
+                )
+                assert f"| {data.dtype.str[1:]} |" in row
             for data in file["places"].values():
                 assert (data.compression, data.shuffle, data.fletcher32) == (None, False, True)
                 assert data.chunks[0] == CHUNK
