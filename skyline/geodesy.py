@@ -58,6 +58,10 @@ class Curvature:
         return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))
 
 
+Rectangle = tuple[float, float, float, float]
+"""West, south, east, north in metres of a frame."""
+
+
 def is_metric(crs: CRS) -> bool:
     """Whether a CRS is projected and in metres, so that it can be a frame."""
     units = [axis.unit_conversion_factor for axis in crs.axis_info[:2]]
@@ -128,6 +132,40 @@ class Frame:
         """Return easting and northing in metres of longitudes and latitudes (WGS 84)."""
         easting, northing = self._to_lonlat.transform(lon_deg, lat_deg, direction="INVERSE")
         return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
+
+    def rectangle_m(self, bounds_deg: tuple[float, float, float, float]) -> Rectangle:
+        """Return west, south, east, north in metres of the rectangle around a box in degrees.
+
+        The box W, S, E, N is a curved quadrangle on the map. West above east means a box across
+        the antimeridian.
+
+        Raises
+        ------
+        InputError
+            Bounds that are not numbers in order.
+        """
+        west, south, east, north = bounds_deg
+        if not (
+            np.isfinite(bounds_deg).all()
+            and -90.0 <= south < north <= 90.0
+            and -180.0 <= west <= 180.0
+            and -180.0 <= east <= 180.0
+            and west != east
+        ):
+            raise InputError(
+                f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees with S < N"
+            )
+        width = (east - west) % 360.0
+        share = np.linspace(0.0, 1.0, 33)
+        lon = west + width * np.concatenate([share, share, 0.0 * share, 0.0 * share + 1.0])
+        lat = south + (north - south) * np.concatenate([0.0 * share, 0.0 * share + 1.0, share, share])
+        easting, northing = self.from_lonlat(lon, lat)
+        return (
+            float(easting.min()),
+            float(northing.min()),
+            float(easting.max()),
+            float(northing.max()),
+        )
 
     def convergence_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return grid convergence: true azimuth = grid azimuth + convergence, degrees."""

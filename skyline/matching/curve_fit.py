@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.matching.dense import DenseProfiles
 from skyline.matching.query import QueryRays
+from skyline.places import Places
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
@@ -28,6 +28,8 @@ IntArray = NDArray[np.intp]
 _HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH = range(6)
 _DAMPING = np.float32(1e-3)
 _REFERENCE_FOV_DEG = 60.0
+_LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
+"""Of a round; moves in tolerances of the place."""
 _MIN_FORWARD = np.float32(0.05)
 """Rays nearer to a quarter turn from straight ahead are taken to lie there."""
 
@@ -45,11 +47,8 @@ class FitConfig:
     query_error_deg : float
         Expected error of such a mean, at a field of view of 60 degrees.
     curvature : float
-        A move by `move_m` past terrain at distance D leaves an error of ``curvature *
-        (move_m / D)**2`` in the tangent.
-    move_m : float
-        Standard deviation of the place within its cell of the lattice; no fit moves farther
-        than twice that.
+        A query taken within the tolerance t of its place, past terrain at distance D, leaves
+        an error of ``curvature * (t / D)**2`` in the tangent.
     pitch_deg, roll_deg : float
         Standard deviations of the camera's attitude.
     outlier : float
@@ -60,7 +59,6 @@ class FitConfig:
     rounds_deg: tuple[float, ...] = (0.5, 0.35, 0.25, 0.2, 0.2)
     query_error_deg: float = 0.06
     curvature: float = 0.05
-    move_m: float = 20.0
     pitch_deg: float = 5.0
     roll_deg: float = 4.0
     outlier: float = 4.0
@@ -121,12 +119,15 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveFit:
-    """Fits poses of one query to M profiles, one pose each.
+    """Fits poses of one query to M places, one pose each.
 
     Attributes
     ----------
-    profiles : DenseProfiles
-        M entries.
+    places : Places
+        M of them. A place's tolerance is the standard deviation of the query's place about it;
+        no fit moves farther than twice that.
+    ground_slope : (M, 2) float32
+        Rise of the ground to the east and to the north.
     rays : Rays
     fov_deg : float
         What the rays were made with.
@@ -134,7 +135,8 @@ class CurveFit:
     config : FitConfig
     """
 
-    profiles: DenseProfiles
+    places: Places
+    ground_slope: Float32Array
     rays: Rays
     fov_deg: float
     zoom_bounds: tuple[float, float]
@@ -144,7 +146,8 @@ class CurveFit:
         """Improve poses that look along headings (M,), radians, with zooms (M,)."""
         pose = np.zeros((len(heading), 6), dtype=np.float32)
         pose[:, _HEADING], pose[:, _ZOOM] = heading, zoom
-        y, nearness = self.profiles.y(), 1.0 / self.profiles.distance_m()
+        y, nearness = self.places.elevation_tan(), 1.0 / self.places.distance_m()
+        nearness = np.where(np.isfinite(nearness), nearness, np.float32(0.0))
         seen = self._seen(pose, y, nearness)
         pose[:, _PITCH] = -np.median(seen.miss, axis=1)
         prior = self._prior()
@@ -161,7 +164,7 @@ class CurveFit:
         azimuth, tangent = self._project(pose)
         bins = y.shape[1]
         toward = azimuth + pose[:, :1]
-        position = toward * np.float32(bins / (2.0 * np.pi))
+        position = toward * np.float32(bins / (2.0 * np.pi)) - np.float32(0.5)
         left = np.floor(position)
         share = position - left
         row = (np.arange(len(y)) * bins)[:, np.newaxis]
@@ -173,9 +176,11 @@ class CurveFit:
         rise = np.where(known, rise, np.float32(0.0))
         here = np.where(known, here, np.float32(0.0)) + share * rise
         slope = rise * np.float32(bins / (2.0 * np.pi))
-        near = nearness.ravel()[np.where(share < 0.5, begin, end)]
+        coarse = nearness.shape[1]
+        run = np.floor((position + np.float32(0.5)) * np.float32(coarse / bins)).astype(np.intp)
+        near = nearness.ravel()[(np.arange(len(y)) * coarse)[:, np.newaxis] + run % coarse]
         sine, cosine = np.sin(toward), np.cos(toward)
-        ground = self.profiles.ground_slope[:, :, np.newaxis]
+        ground = self.ground_slope[:, :, np.newaxis]
         east = (slope * cosine + here * sine - ground[:, 0]) * near
         north = (here * cosine - slope * sine - ground[:, 1]) * near
         miss = tangent - here - east * pose[:, _EAST, np.newaxis]
@@ -199,7 +204,7 @@ class CurveFit:
     def _variance(self, pose: Float32Array, nearness: Float32Array) -> Float32Array:
         """Return the expected squared error (M, R) of the tangents."""
         query = np.radians(self.config.query_error_deg) * self._scale(pose)
-        move = self.config.curvature * np.square(self.config.move_m * nearness)
+        move = self.config.curvature * np.square(self.places.tolerance_m[:, np.newaxis] * nearness)
         return np.asarray(np.square(query)[:, np.newaxis] + np.square(move), dtype=np.float32)
 
     def _scale(self, pose: Float32Array) -> Float32Array:
@@ -215,17 +220,20 @@ class CurveFit:
         )
 
     def _prior(self) -> Float32Array:
-        """Return the inverse variances of the parameters."""
-        config = self.config
-        angles = 1.0 / np.radians([config.pitch_deg, config.roll_deg]) ** 2
-        moves = np.full(2, 1.0 / config.move_m**2)
-        return np.concatenate([[0.0], angles, [0.0], moves]).astype(np.float32)
+        """Return the inverse variances (M, 6) of the parameters."""
+        prior = np.zeros((len(self.places), 6), dtype=np.float32)
+        prior[:, _PITCH] = np.radians(self.config.pitch_deg) ** -2.0
+        prior[:, _ROLL] = np.radians(self.config.roll_deg) ** -2.0
+        prior[:, _EAST:] = self.places.tolerance_m[:, np.newaxis] ** -2.0
+        return prior
 
     def _bounded(self, pose: Float32Array, step: Float32Array) -> Float32Array:
-        limit = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, *[1.25 * self.config.move_m] * 2])
-        pose = pose - np.clip(step, -limit, limit).astype(np.float32)
+        tolerance_m = self.places.tolerance_m[:, np.newaxis]
+        limit = np.tile(_LONGEST_STEP, (len(pose), 1))
+        limit[:, _EAST:] *= tolerance_m
+        pose = pose - np.clip(step, -limit, limit)
         pose[:, _ZOOM] = np.clip(pose[:, _ZOOM], *self.zoom_bounds)
-        farthest = 2.0 * self.config.move_m
+        farthest = 2.0 * tolerance_m
         pose[:, _EAST:] = np.clip(pose[:, _EAST:], -farthest, farthest)
         return pose
 

@@ -1,9 +1,13 @@
-"""Retrieval: from a query's rays to a short list of poses among all predicted places.
+"""Retrieval: from a query's rays to a short list of poses among all places of a store.
 
-Coarse to fine: every heading of every entry by phases (`phases`), then a fit of the whole pose
-to the profiles of the best (`curve_fit`), then the best that differ from one another.
+Coarse to fine: every heading of every place by phases (`screening`), then a fit of the whole pose
+to the skylines of the best, first roughly and of many, then well and of fewer (`curve_fit`), then
+the best that differ from one another.
 """
 
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,15 +15,22 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError
 from skyline.matching.curve_fit import CurveFit, FitConfig, Rays
-from skyline.matching.dense import DenseProfiles
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.phases import Phases
+from skyline.matching.narrowing import Narrowed
 from skyline.matching.query import QueryRays
+from skyline.matching.screening import Alike, Screen, sample_of, screen_places
+from skyline.places import Places, PlaceSource
 
+Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
+Ground = Callable[[Float64Array, Float64Array], Float64Array]
+"""Heights of the ground at eastings and northings, NaN where there is none."""
+Screening = Callable[[Screen, PlaceSource, int, Narrowed | None], tuple[Alike, int]]
+"""Who screens: `screen_places`, or a cluster's workers."""
 
 _FITS_AT_ONCE = 256
 """Poses fitted together; keeps the arrays in the cache."""
+_SLOPE_BASE_M = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,55 +39,67 @@ class RetrievalConfig:
 
     Attributes
     ----------
-    coarse_bins : int
-        Azimuth bins that all headings are compared in; must divide those of the profiles.
-    alike_deg : float
-        Rises a degree of azimuth apart, that differ by this, count nothing: a quarter period.
     zoom_step : float
         Assumed fields of view differ by this share.
+    screened : int
+        Places whose pose is fitted roughly.
     fitted : int
-        Entries whose pose is fitted.
+        Of these, places whose pose is fitted well.
     alike_weight : float
-        What a standard deviation of the first comparison counts in the score of a fit. The
-        fit knows more, but trusts that its entry stands where the query was taken.
+        What a standard deviation of the screening counts in the score of a fit. The fit knows
+        more, but trusts that the query was taken near its place.
     separation_m, turn_deg : float
         Hypotheses nearer to a better one, looking within a turn of the same way, are left out.
-    fit : FitConfig
+    rough, fit : FitConfig
     """
 
-    coarse_bins: int = 180
-    alike_deg: float = 0.75
-    zoom_step: float = 0.04
+    zoom_step: float = 0.065
+    screened: int = 32_768
     fitted: int = 4000
     alike_weight: float = 1.0
     separation_m: float = 30.0
     turn_deg: float = 20.0
+    rough: FitConfig = field(default_factory=lambda: FitConfig(rays=40, rounds_deg=(0.5, 0.3)))
     fit: FitConfig = field(default_factory=FitConfig)
 
     def __post_init__(self) -> None:
-        if self.fitted < 1 or not self.alike_deg > 0.0 or not self.zoom_step > 0.0:
+        if min(self.screened, self.fitted) < 1 or not self.zoom_step > 0.0:
             raise InputError(
-                f"{self.fitted} fitted entries, rises alike within {self.alike_deg:g} degrees, "
-                f"fields of view {self.zoom_step:g} apart; expected each above 0"
+                f"{self.screened} screened and {self.fitted} fitted places, fields of view "
+                f"{self.zoom_step:g} apart; expected each above 0"
             )
 
 
 class Retriever:
-    """Finds short lists of poses in one set of profiles.
+    """Finds short lists of poses among places.
 
     Parameters
     ----------
-    profiles : DenseProfiles
+    places : PlaceSource
+    ground : callable, optional
+        ``ground(easting_m, northing_m)`` returns heights of the terrain; without it the ground
+        about a place is taken to be level.
     config : RetrievalConfig, optional
+    screening : callable, optional
+        Who screens; by default this process does.
     """
 
-    def __init__(self, profiles: DenseProfiles, config: RetrievalConfig | None = None) -> None:
+    def __init__(
+        self,
+        places: PlaceSource,
+        ground: Ground | None = None,
+        config: RetrievalConfig | None = None,
+        screening: Screening = screen_places,
+    ) -> None:
         self.config = config or RetrievalConfig()
-        self.profiles = profiles
-        omega = np.pi / 2.0 / np.radians(self.config.alike_deg)
-        self._phases = Phases.of(profiles, self.config.coarse_bins, float(omega))
+        self.places = places
+        self._ground = ground
+        self._screening = screening
+        self._sample: Places | None = None
 
-    def shortlist(self, query: QueryRays, count: int) -> Hypotheses:
+    def shortlist(
+        self, query: QueryRays, count: int, narrowed: Narrowed | None = None
+    ) -> Hypotheses:
         """Return the poses a query most likely has, best first.
 
         Parameters
@@ -85,58 +108,115 @@ class Retriever:
             Its range of fields of view is searched.
         count : int
             At most so many.
+        narrowed : Narrowed, optional
+            Where to search, and which way the camera may have looked.
 
         Returns
         -------
         Hypotheses
-            Scores compare poses of one query; lower is better. Poses may lie between the
-            entries.
+            Scores compare poses of one query; lower is better. Poses may lie between the places.
 
         Raises
         ------
         InputError
-            ``count`` is below 1.
+            ``count`` is below 1, or there is no place where the search is narrowed to.
         """
         if count < 1:
             raise InputError(f"count is {count}; expected at least 1 hypothesis")
-        fitted = self._fitted(query)
+        fitted = self._fitted(query, narrowed)
+        if narrowed is not None:
+            fitted = fitted[narrowed.holds(fitted)]
+        if not len(fitted):
+            return fitted
         return fitted[fitted.spread(count, self.config.separation_m, self.config.turn_deg)]
 
-    def _fitted(self, query: QueryRays) -> Hypotheses:
-        """Return the fitted poses of the entries most alike."""
-        bounds = _zoom_bounds(query)
+    def _fitted(self, query: QueryRays, narrowed: Narrowed | None) -> Hypotheses:
+        """Return the fitted poses of the places most alike."""
+        config, bounds = self.config, _zoom_bounds(query)
         zooms = self._zooms(bounds)
-        alike = self._phases.compare(query, _fov_deg(query, zooms))
-        some = min(self.config.fitted, len(self.profiles))
-        entries = np.argpartition(-alike.score, some - 1)[:some]
-        rays = Rays.of(query, self.config.fit.rays)
-        parts = []
-        for begin in range(0, some, _FITS_AT_ONCE):
-            entry = entries[begin : begin + _FITS_AT_ONCE]
-            places = self.profiles[entry]
-            fit = CurveFit(places, rays, query.fov_deg, bounds, self.config.fit)
-            fits = fit.fit(np.radians(alike.heading_deg[entry]), zooms[alike.fov[entry]])
+        if self._sample is None:
+            self._sample = sample_of(self.places)
+        turns = None if narrowed is None else narrowed.open_turns
+        screen = Screen.of(query, _fov_deg(query, zooms), self._sample, turns)
+        alike, looked_at = self._screening(screen, self.places, config.screened, narrowed)
+        if not looked_at:
+            raise InputError(
+                "there is no place to search within what the search is narrowed to; widen it, or "
+                "build a store of that area"
+            )
+        places = self.places.take(alike.row)
+        heading_deg, fov = screen.best_turns(places.phase)
+        start = _Start(places, alike.score, np.radians(heading_deg), zooms[fov])
+        rough = self._fits(query, bounds, start, config.rough)
+        best = np.argsort(rough.score, kind="stable")[: config.fitted]
+        return self._fits(query, bounds, start[np.sort(best)], config.fit)
+
+    def _fits(
+        self, query: QueryRays, bounds: tuple[float, float], start: "_Start", config: FitConfig
+    ) -> Hypotheses:
+        """Return the poses of places fitted from where they start, in order."""
+        rays = Rays.of(query, config.rays)
+
+        def fitted(first: int) -> Hypotheses:
+            some = start[slice(first, first + _FITS_AT_ONCE)]
+            places, slope = some.places, self._slope(some.places)
+            fit = CurveFit(places, slope, rays, query.fov_deg, bounds, config)
+            fits = fit.fit(some.heading_rad, some.zoom)
             heading, pitch, roll, zoom = fits.pose[:, :4].T.astype(np.float64)
             move = fits.pose[:, 4:].astype(np.float64)
-            parts.append(
-                Hypotheses(
-                    places.easting_m + move[:, 0],
-                    places.northing_m + move[:, 1],
-                    places.eye_elevation_m + (places.ground_slope * move).sum(axis=1),
-                    np.degrees(heading) % 360.0,
-                    np.degrees(pitch),
-                    np.degrees(roll),
-                    _fov_deg(query, zoom),
-                    fits.score - self.config.alike_weight * alike.score[entry].astype(np.float64),
-                )
+            return Hypotheses(
+                places.easting_m + move[:, 0],
+                places.northing_m + move[:, 1],
+                places.eye_elevation_m + (slope * move).sum(axis=1),
+                np.degrees(heading) % 360.0,
+                np.degrees(pitch),
+                np.degrees(roll),
+                _fov_deg(query, zoom),
+                fits.score - self.config.alike_weight * some.score.astype(np.float64),
             )
-        return Hypotheses.concatenate(parts)
+
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            return Hypotheses.concatenate(
+                list(pool.map(fitted, range(0, max(len(start), 1), _FITS_AT_ONCE)))
+            )
+
+    def _slope(self, places: Places) -> Float32Array:
+        """Return the ground's rise (N, 2) to the east and to the north; 0 beside a hole."""
+        if self._ground is None:
+            return np.zeros((len(places), 2), dtype=np.float32)
+        east, north, half = places.easting_m, places.northing_m, _SLOPE_BASE_M / 2.0
+        rise = np.stack(
+            [
+                self._ground(east + half, north) - self._ground(east - half, north),
+                self._ground(east, north + half) - self._ground(east, north - half),
+            ],
+            axis=1,
+        )
+        return np.nan_to_num(rise / _SLOPE_BASE_M).astype(np.float32)
 
     def _zooms(self, bounds: tuple[float, float]) -> Float64Array:
         """Return the middles of as few equal parts of a range as are narrow enough."""
         low, high = bounds
         parts = max(1, int(np.ceil((high - low) / self.config.zoom_step)))
         return np.asarray(low + (np.arange(parts) + 0.5) * ((high - low) / parts))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Start:
+    """Places (N), how alike they are, and the headings and zooms that fits set out from."""
+
+    places: Places
+    score: Float32Array
+    heading_rad: Float64Array
+    zoom: Float64Array
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+    def __getitem__(self, index: slice | NDArray[np.integer]) -> "_Start":
+        return _Start(
+            self.places[index], self.score[index], self.heading_rad[index], self.zoom[index]
+        )
 
 
 def _zoom_bounds(query: QueryRays) -> tuple[float, float]:

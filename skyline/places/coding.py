@@ -23,8 +23,8 @@ Int8Array = NDArray[np.int8]
 UInt8Array = NDArray[np.uint8]
 Float32Array = NDArray[np.float32]
 
-BINS = 720
-"""Azimuth bins of a place's skyline."""
+BINS = 360
+"""Azimuth bins of a place's skyline: twice as many find no more (docs/accuracy.md)."""
 DISTANCE_BINS = 120
 """Azimuth bins of its distance."""
 PHASE_BINS = 180

@@ -23,7 +23,7 @@ IntArray = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """N places; 962 bytes each.
+    """N places; 692 bytes each.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Places:
         How far from the eye, east and north, the place stands for: half the spacing of a grid.
     first_tan : (N,) float32
         Tangent of the skyline's elevation angle in the first bin.
-    rise : (N, 720) int8
+    rise : (N, 360) int8
         Rises from bin to bin; see `skyline.places.coding`.
     distance : (N, 120) uint8
         Codes of the skyline's horizontal distance.
@@ -61,7 +61,7 @@ class Places:
 
     @classmethod
     def of(cls, horizons: Horizons, tolerance_m: float | Float32Array) -> "Places":
-        """Return the places of rendered skylines in 720 bins, each with its tolerance."""
+        """Return the places of rendered skylines in 360 bins, each with its tolerance."""
         first, rise = encode_rises(horizons.elevation_tan)
         return cls(
             horizons.easting_m,
@@ -84,7 +84,7 @@ class Places:
         return cls(**rows)
 
     def elevation_tan(self) -> Float32Array:
-        """Return the tangents of the skylines' elevation angles (N, 720); NaN where unknown."""
+        """Return the tangents of the skylines' elevation angles (N, 360); NaN where unknown."""
         return decode_rises(self.first_tan, self.rise)
 
     def distance_m(self) -> Float32Array:

@@ -26,24 +26,7 @@ def map_bounds(
     if bounds_deg is None:
         return field.bounds_m
     west, south, east, north = bounds_deg
-    if not (
-        np.isfinite(bounds_deg).all()
-        and -90.0 <= south < north <= 90.0
-        and -180.0 <= west <= 180.0
-        and -180.0 <= east <= 180.0
-        and west != east
-    ):
-        raise InputError(
-            f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees with S < N"
-        )
-    width = (east - west) % 360.0
-    share = np.linspace(0.0, 1.0, 33)
-    lon = np.concatenate([west + width * share, west + width * share, 0 * share, 0 * share])
-    lon[66:99], lon[99:] = west, west + width
-    lat_span = south + (north - south) * share
-    lat = np.concatenate([np.full(33, south), np.full(33, north), lat_span, lat_span])
-    easting, northing = field.frame.from_lonlat(lon, lat)
-    box = (easting.min(), northing.min(), easting.max(), northing.max())
+    box = field.frame.rectangle_m(bounds_deg)
     data = field.bounds_m
     clipped = (
         max(box[0], data[0]),

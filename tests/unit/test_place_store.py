@@ -155,7 +155,7 @@ class TestRoundTrip:
         with h5py.File(path) as file:
             assert file.attrs["schema_version"] == 3
             said = json.loads(file.attrs["rows"])
-            assert (said["rows"], said["bins"], said["distance_bins"]) == ("places", 720, 120)
+            assert (said["rows"], said["bins"], said["distance_bins"]) == ("places", 360, 120)
             assert list(file) == ["committed", "places"]
             assert set(file["places"]) == set(DATASETS)
             documented = (Path(__file__).parents[2] / "docs" / "store.md").read_text()
@@ -303,10 +303,10 @@ class TestCommit:
             shutil.copy(live, path)
         # A place that is not committed was written, the checksum after it was not.
         for name in ("rise", "easting", "checksum"):
-            size = {"rise": 720, "easting": 8, "checksum": 4}[name]
+            size = {"rise": 360, "easting": 8, "checksum": 4}[name]
             flip(path, chunk_of(live, name, 1) + 200 * size)
         with h5py.File(live) as file:
-            assert file["places/rise"][CHUNK:].shape == (200, 720)
+            assert file["places/rise"][CHUNK:].shape == (200, 360)
         assert_holds(path, CHUNK + 200)
         assert examine(path).whole
         with open_store(path) as store:
@@ -400,7 +400,7 @@ class TestDamage:
             ({"shape": (3, 721), "maxshape": (None, 721), "chunks": (CHUNK, 721)}, "not rows of"),
             ({"compression": "gzip"}, "packed by a filter"),
             ({"shuffle": True}, "packed by a filter"),
-            ({"chunks": (64, 720)}, "has chunks of"),
+            ({"chunks": (64, 360)}, "has chunks of"),
             ({"chunks": (CHUNK, 360)}, "has chunks of"),
         ],
     )
@@ -408,7 +408,7 @@ class TestDamage:
         self, tmp_path: Path, layout: dict[str, object], said: str
     ) -> None:
         path = build_places(tmp_path / "s.h5", (0, 3))
-        usual = {"shape": (3, 720), "maxshape": (None, 720), "chunks": (CHUNK, 720), "dtype": "i1"}
+        usual = {"shape": (3, 360), "maxshape": (None, 360), "chunks": (CHUNK, 360), "dtype": "i1"}
         with edited(path) as file:
             del file["places/rise"]
             file.create_dataset("places/rise", **(usual | layout))

@@ -1,0 +1,148 @@
+"""Narrowing: where a search looks, and which way the camera may have looked."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.geodesy import Frame, Rectangle
+from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.screening import turns_within
+from skyline.places import Places
+
+Float64Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+_CONVERGENCE_DEG = 5.0
+"""More than meridians converge within a frame: turns are screened that much more widely."""
+
+
+@dataclass(frozen=True, slots=True)
+class Narrowing:
+    """What is known of where a photo was taken; what is None is not known.
+
+    Attributes
+    ----------
+    near : (float, float, float), optional
+        Longitude and latitude, degrees (WGS 84), and a radius, km.
+    bounds_deg : (float, float, float, float), optional
+        West, south, east, north, degrees.
+    heading_deg : (float, float), optional
+        Of the optical axis from true north, and how far it may be off, degrees.
+    elevation_m : (float, float), optional
+        The lowest and the highest the camera may have stood, above the DEM's datum.
+
+    Raises
+    ------
+    InputError
+        A value out of its range.
+    """
+
+    near: tuple[float, float, float] | None = None
+    bounds_deg: tuple[float, float, float, float] | None = None
+    heading_deg: tuple[float, float] | None = None
+    elevation_m: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.near is not None:
+            lon, lat, radius_km = self.near
+            if not (abs(lon) <= 180.0 and abs(lat) <= 90.0 and 0.0 < radius_km < np.inf):
+                raise InputError(
+                    f"near is {lon:g},{lat:g},{radius_km:g}; expected longitude and latitude in "
+                    "degrees and a radius above 0 km"
+                )
+        if self.heading_deg is not None:
+            heading, slack = self.heading_deg
+            if not (np.isfinite(heading) and 0.0 < slack <= 180.0):
+                raise InputError(
+                    f"heading is {heading:g} within {slack:g} degrees; expected a slack above 0, "
+                    "at most 180"
+                )
+        if self.elevation_m is not None:
+            low, high = self.elevation_m
+            if not (np.isfinite(self.elevation_m).all() and low < high):
+                raise InputError(
+                    f"elevations are {low:g} to {high:g} m; expected two that increase"
+                )
+
+    def within(self, frame: Frame) -> "Narrowed | None":
+        """Return this as a test of places in a frame; None where nothing is known."""
+        if self == Narrowing():
+            return None
+        return Narrowed.of(self, frame)
+
+
+@dataclass(frozen=True, slots=True)
+class Narrowed:
+    """A narrowing as a test of places in a frame: metres instead of degrees.
+
+    Attributes
+    ----------
+    narrowing : Narrowing
+    frame_wkt : str
+    centre_m : (float, float), optional
+        Of the circle: east, north.
+    rectangle_m : (float, float, float, float), optional
+        Around the bounds.
+    open_turns : (180,) bool, optional
+        The turns that are screened; see `turns_within`.
+    """
+
+    narrowing: Narrowing
+    frame_wkt: str
+    centre_m: tuple[float, float] | None
+    rectangle_m: Rectangle | None
+    open_turns: BoolArray | None
+
+    @classmethod
+    def of(cls, narrowing: Narrowing, frame: Frame) -> Self:
+        """Prepare a narrowing for places in a frame; raises as `Frame.rectangle_m`."""
+        centre, turns, bounds_deg = None, None, narrowing.bounds_deg
+        if narrowing.near is not None:
+            east, north = frame.from_lonlat(narrowing.near[0], narrowing.near[1])
+            centre = float(east), float(north)
+        if narrowing.heading_deg is not None:
+            heading, slack = narrowing.heading_deg
+            turns = turns_within(heading, slack + _CONVERGENCE_DEG)
+        rectangle = None if bounds_deg is None else frame.rectangle_m(bounds_deg)
+        return cls(narrowing, frame.wkt, centre, rectangle, turns)
+
+    def __call__(self, places: Places) -> BoolArray:
+        """Return which places (N,) are searched."""
+        return self._holds(places.easting_m, places.northing_m, places.eye_elevation_m)
+
+    def holds(self, poses: Hypotheses) -> BoolArray:
+        """Return which poses (M,) are within the narrowing, their headings too."""
+        held = self._holds(poses.easting_m, poses.northing_m, poses.eye_elevation_m)
+        if self.narrowing.heading_deg is not None and len(poses):
+            heading, slack = self.narrowing.heading_deg
+            turn = _frame(self.frame_wkt).convergence_deg(poses.easting_m, poses.northing_m)
+            off = (poses.heading_deg + turn - heading + 180.0) % 360.0 - 180.0
+            held &= np.abs(off) <= slack
+        return held
+
+    def _holds(
+        self, easting_m: Float64Array, northing_m: Float64Array, elevation_m: NDArray[np.floating]
+    ) -> BoolArray:
+        narrowing = self.narrowing
+        held = np.ones(len(easting_m), dtype=bool)
+        if narrowing.elevation_m is not None:
+            low, high = narrowing.elevation_m
+            held &= (elevation_m >= low) & (elevation_m <= high)
+        if self.centre_m is not None and narrowing.near is not None:
+            east, north = self.centre_m
+            radius_m = 1000.0 * narrowing.near[2]
+            held &= (easting_m - east) ** 2 + (northing_m - north) ** 2 <= radius_m**2
+        if self.rectangle_m is not None:
+            west, south, east, north = self.rectangle_m
+            held &= (easting_m >= west) & (easting_m <= east)
+            held &= (northing_m >= south) & (northing_m <= north)
+        return held
+
+
+@lru_cache(maxsize=1)
+def _frame(wkt: str) -> Frame:
+    return Frame(wkt)
