@@ -16,7 +16,7 @@ from skyline.terrain.viewpoints import Viewpoints
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 DEFAULT_BINS = 720
-DEFAULT_TOLERANCE_DEG = 0.02
+DEFAULT_TOLERANCE_DEG = 0.01
 
 
 class PanoramaRenderer(ColumnRenderer):
