@@ -37,7 +37,7 @@ _VIEWS_A_CHUNK = 32
 single row is read by unpacking one chunk."""
 
 _PLACES_A_CHUNK = 1024
-"""A megabyte, to be mapped and worked on at a time; more would be rendered again after a kill."""
+"""Some 0.7 MB, to be mapped and worked on at a time; more would be rendered again after a kill."""
 
 KeypointColumns = NDArray[np.uint16]
 

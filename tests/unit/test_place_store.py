@@ -20,7 +20,7 @@ from store_rows import HEADER, rows
 from skyline.describe import describe_store
 from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.experiments.durability import numbered_places
-from skyline.places import Places
+from skyline.places import BINS, DISTANCE_BINS, Places
 from skyline.store import (
     RowCoding,
     check_store,
@@ -155,7 +155,11 @@ class TestRoundTrip:
         with h5py.File(path) as file:
             assert file.attrs["schema_version"] == 3
             said = json.loads(file.attrs["rows"])
-            assert (said["rows"], said["bins"], said["distance_bins"]) == ("places", 360, 120)
+            assert (said["rows"], said["bins"], said["distance_bins"]) == (
+                "places",
+                BINS,
+                DISTANCE_BINS,
+            )
             assert list(file) == ["committed", "places"]
             assert set(file["places"]) == set(DATASETS)
             documented = (Path(__file__).parents[2] / "docs" / "store.md").read_text()
@@ -303,10 +307,10 @@ class TestCommit:
             shutil.copy(live, path)
         # A place that is not committed was written, the checksum after it was not.
         for name in ("rise", "easting", "checksum"):
-            size = {"rise": 360, "easting": 8, "checksum": 4}[name]
+            size = {"rise": BINS, "easting": 8, "checksum": 4}[name]
             flip(path, chunk_of(live, name, 1) + 200 * size)
         with h5py.File(live) as file:
-            assert file["places/rise"][CHUNK:].shape == (200, 360)
+            assert file["places/rise"][CHUNK:].shape == (200, BINS)
         assert_holds(path, CHUNK + 200)
         assert examine(path).whole
         with open_store(path) as store:
@@ -400,15 +404,20 @@ class TestDamage:
             ({"shape": (3, 721), "maxshape": (None, 721), "chunks": (CHUNK, 721)}, "not rows of"),
             ({"compression": "gzip"}, "packed by a filter"),
             ({"shuffle": True}, "packed by a filter"),
-            ({"chunks": (64, 360)}, "has chunks of"),
-            ({"chunks": (CHUNK, 360)}, "has chunks of"),
+            ({"chunks": (64, BINS)}, "has chunks of"),
+            ({"chunks": (CHUNK, BINS // 2)}, "has chunks of"),
         ],
     )
     def test_a_layout_that_cannot_be_mapped(
         self, tmp_path: Path, layout: dict[str, object], said: str
     ) -> None:
         path = build_places(tmp_path / "s.h5", (0, 3))
-        usual = {"shape": (3, 360), "maxshape": (None, 360), "chunks": (CHUNK, 360), "dtype": "i1"}
+        usual = {
+            "shape": (3, BINS),
+            "maxshape": (None, BINS),
+            "chunks": (CHUNK, BINS),
+            "dtype": "i1",
+        }
         with edited(path) as file:
             del file["places/rise"]
             file.create_dataset("places/rise", **(usual | layout))
