@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from skyline.matching.correlation import CorrelationMatcher
-from skyline.matching.dense import DenseProfiles, DensifyConfig, densify
 from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.narrowing import Narrowing
 from skyline.matching.paper import PaperMatcher
 from skyline.matching.pose import Poses, Scene, refine
 from skyline.matching.profiles import Profiles
@@ -28,10 +28,9 @@ __all__ = [
     "Attitudes",
     "Candidate",
     "CorrelationMatcher",
-    "DenseProfiles",
-    "DensifyConfig",
     "Hypotheses",
     "Matcher",
+    "Narrowing",
     "PaperMatcher",
     "Poses",
     "Profiles",
@@ -41,6 +40,5 @@ __all__ = [
     "RetrievalConfig",
     "Retriever",
     "Scene",
-    "densify",
     "refine",
 ]

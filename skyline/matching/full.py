@@ -1,4 +1,4 @@
-"""Our matcher: retrieve among predictions, refine by rendering, say how sure the answer is."""
+"""Our matcher: retrieve among places, refine by rendering, say how sure the answer is."""
 
 from dataclasses import dataclass, field, replace
 
@@ -8,11 +8,13 @@ from numpy.typing import NDArray
 from skyline.errors import InputError
 from skyline.matching import confidence
 from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Poses, Scene, refine
 from skyline.matching.query import QueryRays
 from skyline.matching.ranking import Candidate
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import Retriever
+from skyline.matching.screening import Alike
 
 Float64Array = NDArray[np.float64]
 
@@ -81,17 +83,32 @@ class FullMatcher:
         self._config = config or FullConfig()
         self._models = confidence.models()
 
-    def rank(self, query: QueryRays, top: int) -> list[Candidate]:
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        narrowed: Narrowed | None = None,
+        screened: Alike | None = None,
+    ) -> list[Candidate]:
         """Return up to ``top`` candidates, best first; none where nothing fits.
+
+        Parameters
+        ----------
+        query : QueryRays
+        top : int
+        narrowed, screened
+            As of `Retriever.shortlist`.
 
         Raises
         ------
         InputError
-            ``top`` is below 1.
+            ``top`` is below 1, or there is no place within what the search is narrowed to.
         """
         if top < 1:
             raise InputError(f"top is {top}; expected at least 1 candidate")
-        found = self.retrieve(query, top)
+        found = self.retrieve(query, top, narrowed, screened)
+        if not len(found):
+            return []
         poses = self.refine(found, query, top)
         if poses is None:
             sure = self._sure("retrieved", confidence.retrieved_figures(found, query))
@@ -105,9 +122,20 @@ class FullMatcher:
             )
         ]
 
-    def retrieve(self, query: QueryRays, least: int = 1) -> Hypotheses:
+    def screened(self, query: QueryRays, narrowed: Narrowed | None, part: slice) -> Alike:
+        """Return the places most like a query; see `Retriever.screened`."""
+        return self._retriever.screened(query, narrowed, part)
+
+    def retrieve(
+        self,
+        query: QueryRays,
+        least: int = 1,
+        narrowed: Narrowed | None = None,
+        screened: Alike | None = None,
+    ) -> Hypotheses:
         """Return the poses retrieved for a query, more than ``least`` where there are."""
-        return self._retriever.shortlist(query, max(self._config.shortlist, least))
+        count = max(self._config.shortlist, least)
+        return self._retriever.shortlist(query, count, narrowed, screened)
 
     def refine(self, found: Hypotheses, query: QueryRays, least: int = 1) -> Poses | None:
         """Return retrieved poses refined, as far as it takes; None without a scene.

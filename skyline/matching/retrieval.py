@@ -25,8 +25,6 @@ Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Heights of the ground at eastings and northings, NaN where there is none."""
-Screening = Callable[[Screen, PlaceSource, int, Narrowed | None], tuple[Alike, int]]
-"""Who screens: `screen_places`, or a cluster's workers."""
 
 _FITS_AT_ONCE = 256
 """Poses fitted together; keeps the arrays in the cache."""
@@ -54,8 +52,8 @@ class RetrievalConfig:
     """
 
     zoom_step: float = 0.065
-    screened: int = 32_768
-    fitted: int = 4000
+    screened: int = 16_384
+    fitted: int = 2000
     alike_weight: float = 1.0
     separation_m: float = 30.0
     turn_deg: float = 20.0
@@ -80,8 +78,6 @@ class Retriever:
         ``ground(easting_m, northing_m)`` returns heights of the terrain; without it the ground
         about a place is taken to be level.
     config : RetrievalConfig, optional
-    screening : callable, optional
-        Who screens; by default this process does.
     """
 
     def __init__(
@@ -89,16 +85,25 @@ class Retriever:
         places: PlaceSource,
         ground: Ground | None = None,
         config: RetrievalConfig | None = None,
-        screening: Screening = screen_places,
     ) -> None:
         self.config = config or RetrievalConfig()
         self.places = places
         self._ground = ground
-        self._screening = screening
         self._sample: Places | None = None
 
+    def screened(
+        self, query: QueryRays, narrowed: Narrowed | None = None, part: slice = slice(None)
+    ) -> Alike:
+        """Return the places most like a query, of a part of the blocks of places."""
+        screen = self._screen(query, narrowed)
+        return screen_places(screen, self.places, self.config.screened, narrowed, part)
+
     def shortlist(
-        self, query: QueryRays, count: int, narrowed: Narrowed | None = None
+        self,
+        query: QueryRays,
+        count: int,
+        narrowed: Narrowed | None = None,
+        screened: Alike | None = None,
     ) -> Hypotheses:
         """Return the poses a query most likely has, best first.
 
@@ -110,6 +115,8 @@ class Retriever:
             At most so many.
         narrowed : Narrowed, optional
             Where to search, and which way the camera may have looked.
+        screened : Alike, optional
+            What `screened` returned for all parts, joined; by default this process screens.
 
         Returns
         -------
@@ -123,30 +130,33 @@ class Retriever:
         """
         if count < 1:
             raise InputError(f"count is {count}; expected at least 1 hypothesis")
-        fitted = self._fitted(query, narrowed)
+        alike = self.screened(query, narrowed) if screened is None else screened
+        alike = alike.best(self.config.screened)
+        if not len(alike):
+            raise InputError(
+                "there is no place within what the search is narrowed to; widen it, or build a "
+                "store of that area"
+            )
+        fitted = self._fitted(query, self._screen(query, narrowed), alike)
         if narrowed is not None:
             fitted = fitted[narrowed.holds(fitted)]
         if not len(fitted):
             return fitted
         return fitted[fitted.spread(count, self.config.separation_m, self.config.turn_deg)]
 
-    def _fitted(self, query: QueryRays, narrowed: Narrowed | None) -> Hypotheses:
-        """Return the fitted poses of the places most alike."""
-        config, bounds = self.config, _zoom_bounds(query)
-        zooms = self._zooms(bounds)
+    def _screen(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         if self._sample is None:
             self._sample = sample_of(self.places)
+        fovs_deg = _fov_deg(query, self._zooms(_zoom_bounds(query)))
         turns = None if narrowed is None else narrowed.open_turns
-        screen = Screen.of(query, _fov_deg(query, zooms), self._sample, turns)
-        alike, looked_at = self._screening(screen, self.places, config.screened, narrowed)
-        if not looked_at:
-            raise InputError(
-                "there is no place to search within what the search is narrowed to; widen it, or "
-                "build a store of that area"
-            )
+        return Screen.of(query, fovs_deg, self._sample, turns)
+
+    def _fitted(self, query: QueryRays, screen: Screen, alike: Alike) -> Hypotheses:
+        """Return the fitted poses of the places most alike."""
+        config, bounds = self.config, _zoom_bounds(query)
         places = self.places.take(alike.row)
         heading_deg, fov = screen.best_turns(places.phase)
-        start = _Start(places, alike.score, np.radians(heading_deg), zooms[fov])
+        start = _Start(places, alike.score, np.radians(heading_deg), self._zooms(bounds)[fov])
         rough = self._fits(query, bounds, start, config.rough)
         best = np.argsort(rough.score, kind="stable")[: config.fitted]
         return self._fits(query, bounds, start[np.sort(best)], config.fit)

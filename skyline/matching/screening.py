@@ -129,12 +129,12 @@ class Screen:
         seen = np.flatnonzero(np.abs(waves).any(axis=0))
         first, last = (int(seen[0]), int(seen[-1])) if len(seen) else (0, 0)
         span, turns = last - first + 1, _TURNS_AT_ONCE
-        matrix = np.zeros((span + turns - 1, 2, len(fovs_deg), turns), dtype=np.float32)
+        query_at = np.zeros((span + turns - 1, 2, len(fovs_deg), turns), dtype=np.float32)
         for turn in range(turns):
             part = waves[:, first : last + 1].T
-            matrix[turn : turn + span, 0, :, turn] = part.real
-            matrix[turn : turn + span, 1, :, turn] = part.imag
-        matrix = matrix.reshape(2 * (span + turns - 1), -1)
+            query_at[turn : turn + span, 0, :, turn] = part.real
+            query_at[turn : turn + span, 1, :, turn] = part.imag
+        matrix = query_at.reshape(2 * (span + turns - 1), -1)
         every = np.ones(PHASE_BINS, dtype=bool)
         none = np.zeros(len(fovs_deg), dtype=np.float32)
         raw = cls(first, span, matrix, every if open_turns is None else open_turns, none, none + 1)
@@ -174,9 +174,7 @@ class Screen:
         """Return the sums (N, F, B) of places at every turn."""
         sums = np.empty((len(phase), len(self.mean), PHASE_BINS), dtype=np.float32)
         for turn, part in self._turns(phase):
-            sums[:, :, turn : turn + _TURNS_AT_ONCE] = part.reshape(
-                len(phase), -1, _TURNS_AT_ONCE
-            )
+            sums[:, :, turn : turn + _TURNS_AT_ONCE] = part.reshape(len(phase), -1, _TURNS_AT_ONCE)
         return sums
 
     def _turns(self, phase: UInt8Array) -> Iterator[tuple[int, Float32Array]]:
@@ -226,8 +224,8 @@ def screen_places(
     count: int,
     within: Within | None = None,
     part: slice = slice(None),
-) -> tuple[Alike, int]:
-    """Return the best of a source's places, and how many were looked at.
+) -> Alike:
+    """Return the best of a source's places; none where none is within what is searched.
 
     Parameters
     ----------
@@ -240,7 +238,7 @@ def screen_places(
         Of the source's blocks, so that several workers can share one source. Joining what they
         find gives what one of them finds alone.
     """
-    kept, looked_at = Alike.joined([]), 0
+    kept = Alike.joined([])
 
     def scored(numbered: tuple[int, Places]) -> Alike:
         start, places = numbered
@@ -253,12 +251,11 @@ def screen_places(
     waiting: list[Alike] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for found in _a_few_ahead(pool, scored, _numbered(source, part)):
-            looked_at += len(found)
             waiting.append(found)
             if sum(map(len, waiting)) > _SLACK * count:
                 kept = Alike.joined([kept, *waiting]).best(count)
                 waiting = []
-    return Alike.joined([kept, *waiting]).best(count), looked_at
+    return Alike.joined([kept, *waiting]).best(count)
 
 
 def _numbered(source: PlaceSource, part: slice) -> Iterator[tuple[int, Places]]:

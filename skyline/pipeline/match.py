@@ -14,14 +14,15 @@ from numpy.typing import NDArray
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Frame
 from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays
-from skyline.matching.dense import DensifyConfig, Progress
 from skyline.matching.full import FullConfig, FullMatcher
+from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.matching.retrieval import RetrievalConfig, Retriever
+from skyline.matching.screening import Alike
 from skyline.photo import Projection, QuerySkyline, read_query
 from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
-from skyline.pipeline.predicted import predicted_profiles
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import Store, StoreHeader, open_store
+from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
@@ -55,9 +56,6 @@ class MatchConfig:
         Columns of the views that refinement renders.
     render_tolerance_px : float
         How far their skylines may fall short.
-    cache : Path, optional
-        Folder where what is predicted from a store is kept for the next time.
-    densify : DensifyConfig
     retrieval : RetrievalConfig
     full : FullConfig
     """
@@ -69,8 +67,6 @@ class MatchConfig:
     fov_range_deg: tuple[float, float] = (25.0, 100.0)
     render_width: int = 360
     render_tolerance_px: float = 0.05
-    cache: Path | None = None
-    densify: DensifyConfig = field(default_factory=DensifyConfig)
     retrieval: RetrievalConfig = field(default_factory=RetrievalConfig)
     full: FullConfig = field(default_factory=FullConfig)
 
@@ -124,18 +120,17 @@ class Matcher:
     store : str or Path
     dem : path, paths or HeightField, optional
         The DEM the store was rendered from; by default read from where it lay then. The full
-        matcher takes heights from it, and renders it again to refine. Where it is not to be had,
+        matcher takes heights from it, and renders it to refine. Where it is not to be had,
         answers stay unrefined, which is logged.
     matcher : str
-        ``full``, which is ours, or one of `skyline.matching.MATCHERS`.
+        ``full``, which is ours and searches places, or one of `skyline.matching.MATCHERS`, which
+        compare renderings.
     config : MatchConfig, optional
-    progress : callable, optional
-        Called while the full matcher predicts from the store; see `densify`.
 
     Raises
     ------
     InputError
-        No such matcher, or a store without renderings.
+        No such matcher, or a store that does not hold what the matcher compares with.
     StoreError
         The store cannot be read.
     StoreMismatchError
@@ -148,24 +143,28 @@ class Matcher:
         dem: Dem | None = None,
         matcher: str = FULL,
         config: MatchConfig | None = None,
-        progress: Progress | None = None,
     ) -> None:
         if matcher not in MATCHER_NAMES:
             raise InputError(f"matcher is {matcher!r}; expected one of {', '.join(MATCHER_NAMES)}")
         self._config = config or MatchConfig()
-        self._rank: Callable[[QueryRays, int], list[Candidate]]
+        self._rank: Callable[[QueryRays, int], list[Candidate]] | None = None
+        self._full: FullMatcher | None = None
         self._scene: RenderedScene | None = None
-        self._needs_fov = matcher != FULL
         with open_store(store) as opened:
             self.header = opened.header
-            self.viewpoints = _eyes(opened)
+            self.places = len(opened)
+            self.viewpoints = _some_eyes(opened)
             self.terrain = _given_terrain(self.header, dem)
             if matcher == FULL:
+                places = opened.places()
+                if not len(places):
+                    raise InputError(f"store {store} holds no places; build it first")
                 self.terrain = self.terrain or terrain_at_hand(self.header, "answers unrefined")
-                retriever = open_retriever(opened, self.terrain, self._config, progress)
                 if self.terrain is not None and self._config.refine:
                     self._scene = RenderedScene(self.terrain, self.header, self._config)
-                self._rank = FullMatcher(retriever, self._scene, self._config.full).rank
+                ground = None if self.terrain is None else self.terrain.height_at
+                retriever = Retriever(places, ground, self._config.retrieval)
+                self._full = FullMatcher(retriever, self._scene, self._config.full)
             else:
                 profiles = Profiles.from_views(_chunks(opened))
                 self._rank = MATCHERS[matcher]().prepare(profiles).rank
@@ -188,7 +187,12 @@ class Matcher:
         self.release()
 
     def match(
-        self, query: str | Path | QuerySkyline, fov_deg: float | None = None, top: int = 5
+        self,
+        query: str | Path | QuerySkyline,
+        fov_deg: float | None = None,
+        top: int = 5,
+        narrowing: Narrowing | None = None,
+        screened: Alike | None = None,
     ) -> MatchResult:
         """Find where a photo, a sky mask, a trace or a query skyline was taken.
 
@@ -199,12 +203,19 @@ class Matcher:
             Horizontal field of view; by default the query's own.
         top : int
             How many candidates to return at most.
+        narrowing : Narrowing, optional
+            What is known of where the photo was taken; for the full matcher alone.
+        screened : Alike, optional
+            What `screen` found in all parts of the store, joined; by default the store is
+            screened here.
 
         Raises
         ------
         InputError
-            The query has no usable skyline, or the matcher needs a field of view and none is
-            known.
+            The query has no usable skyline, the matcher needs a field of view and none is
+            known, or there is no place within what the search is narrowed to.
+        StoreError
+            The store was damaged or cut short since it was opened.
         """
         started = time.perf_counter()
         if not isinstance(query, QuerySkyline):
@@ -214,9 +225,27 @@ class Matcher:
         candidates: list[Candidate] = []
         refusal = too_little(query, self._config)
         if refusal is None:
-            candidates = self._rank(self._rays(query), top)
+            rays = self._rays(query)
+            if self._full is not None:
+                candidates = self._full.rank(rays, top, self._narrowed(narrowing), screened)
+            elif self._rank is not None:
+                if narrowing not in (None, Narrowing()):
+                    raise InputError("only the full matcher can narrow its search; leave it wide")
+                candidates = self._rank(rays, top)
             refusal = unsure(candidates, self._config)
         return MatchResult(query, tuple(candidates), time.perf_counter() - started, refusal)
+
+    def screen(
+        self, query: QuerySkyline, narrowing: Narrowing | None = None, part: slice = slice(None)
+    ) -> Alike | None:
+        """Return the places of a part of the store most like a query.
+
+        None where there is nothing to screen: a query that shows too little, or another matcher.
+        ``part`` is of the store's blocks of places. Raises as `match`.
+        """
+        if self._full is None or too_little(query, self._config) is not None:
+            return None
+        return self._full.screened(self._rays(query), self._narrowed(narrowing), part)
 
     def match_all(
         self,
@@ -227,6 +256,9 @@ class Matcher:
         """Find where several queries were taken, in order; see `match`."""
         return [self.match(query, fov_deg, top) for query in queries]
 
+    def _narrowed(self, narrowing: Narrowing | None) -> Narrowed | None:
+        return None if narrowing is None else narrowing.within(self.frame)
+
     def _rays(self, query: QuerySkyline) -> QueryRays:
         config = self._config
         fov_deg, bounds_deg = query.fov_deg, config.fov_range_deg
@@ -236,7 +268,7 @@ class Matcher:
         elif fov_deg is not None:
             widest = min(fov_deg * (1.0 + config.fov_slack), 0.5 * (fov_deg + 180.0))
             bounds_deg = (fov_deg * (1.0 - config.fov_slack), widest)
-        elif not self._needs_fov and query.projection is Projection.PERSPECTIVE:
+        elif self._full is not None and query.projection is Projection.PERSPECTIVE:
             fov_deg = float(np.sqrt(bounds_deg[0] * bounds_deg[1]))
         else:
             raise InputError(
@@ -266,17 +298,6 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
     if sure is None or sure >= least:
         return None
     return f"the best place has confidence {sure:.2f}, {least:.2f} is needed"
-
-
-def open_retriever(
-    store: Store,
-    terrain: HeightField | None,
-    config: MatchConfig,
-    progress: Progress | None = None,
-) -> Retriever:
-    """Return what retrieves places among all that a store predicts."""
-    dense = predicted_profiles(store, terrain, config.densify, config.cache, progress)
-    return Retriever(dense, config.retrieval)
 
 
 class RenderedScene:
@@ -327,9 +348,19 @@ def _given_terrain(header: StoreHeader, dem: Dem | None) -> HeightField | None:
     return read_dem_of(header, [dem] if isinstance(dem, str | Path) else dem)
 
 
-def _eyes(store: Store) -> Viewpoints:
-    places = store.locations()
-    eyes = np.stack([places.easting_m, places.northing_m, places.eye_elevation_m])
+_SHOWN_EYES = 20_000
+
+
+def _some_eyes(store: Store) -> Viewpoints:
+    """Return where the eyes of a store stand, evenly chosen ones of very many."""
+    if store.header.holds == PLACES:
+        places = store.places()
+        rows = np.arange(0, len(places), max(1, len(places) // _SHOWN_EYES))
+        some = places.take(rows)
+        height_m = some.eye_elevation_m.astype(np.float64)
+        return Viewpoints(some.easting_m, some.northing_m, height_m)
+    there = store.locations()
+    eyes = np.stack([there.easting_m, there.northing_m, there.eye_elevation_m])
     return Viewpoints(*np.ascontiguousarray(np.unique(eyes, axis=1)))
 
 

@@ -15,9 +15,13 @@ Distances are bytes on a logarithmic scale. Phases are what the first comparison
 (`skyline.places.phases`).
 """
 
+from typing import Any, TypeVar
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+_Item = TypeVar("_Item", bound=np.generic)
 
 Int8Array = NDArray[np.int8]
 UInt8Array = NDArray[np.uint8]
@@ -78,7 +82,7 @@ def decode_rises(first: Float32Array, codes: Int8Array) -> Float32Array:
         return np.zeros(codes.shape, dtype=np.float32)
     rises = looked_up(codes.view(np.uint8), RISES)
     rises[:, 0] += first
-    y = np.cumsum(rises, axis=1, dtype=np.float32)
+    y: Float32Array = np.cumsum(rises, axis=1, dtype=np.float32)
     y[codes == UNKNOWN_RISE] = np.nan
     return y
 
@@ -101,17 +105,17 @@ def decode_distance(codes: UInt8Array) -> Float32Array:
 def _distances() -> Float32Array:
     metres = _NEAREST_M * np.exp(_DISTANCE_STEP * (np.arange(256) - 1.0))
     metres[0] = np.nan
-    return metres.astype(np.float32)
+    return np.asarray(metres, dtype=np.float32)
 
 
 _DISTANCES = _distances()
 
 
-def looked_up(codes: UInt8Array, table: NDArray[np.generic]) -> NDArray[np.generic]:
+def looked_up(codes: UInt8Array, table: NDArray[_Item]) -> NDArray[_Item]:
     """Return ``table[codes]`` (N, ...) for a table (256,) of items of 4 or 8 bytes.
 
     OpenCV does this five times as fast as indexing does.
     """
-    kind = np.dtype(np.float32 if table.dtype.itemsize == 4 else np.float64)
-    found = cv2.LUT(np.ascontiguousarray(codes), table.view(kind))
+    kind = np.float32 if table.dtype.itemsize == 4 else np.float64
+    found: NDArray[Any] = np.asarray(cv2.LUT(np.ascontiguousarray(codes), table.view(kind)))
     return found.view(table.dtype).reshape(codes.shape)
