@@ -1,6 +1,7 @@
-"""The command line: ``skyline render build match extract info explain store dem`` (DESIGN 8)."""
+"""The command line: ``skyline render build match extract info explain store dem`` ."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -19,9 +20,11 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.pipeline import (
     BuildResult,
+    PlaceConfig,
     PlannedResult,
     RenderConfig,
     ShardPlan,
+    build_places,
     build_planned,
     build_sharded,
     build_uniform,
@@ -30,6 +33,7 @@ from skyline.pipeline import (
 )
 from skyline.pipeline import explain as explain_scene
 from skyline.pipeline.config import ROWS
+from skyline.pipeline.places import DEFAULT_SPACING_M
 from skyline.pipeline.shards import DEFAULT_TILE_M
 from skyline.planning.plan import PlanConfig
 from skyline.planning.strategies import STRATEGIES
@@ -128,88 +132,157 @@ def render(
 def build(
     dem: Dems,
     output: Output,
-    planner: Annotated[
-        str, typer.Option(help=f"How viewpoints are chosen: uniform, {', '.join(STRATEGIES)}.")
-    ] = "uniform",
     spacing: Annotated[
-        float, typer.Option(help="Metres between viewpoints; a planner's coarse grid.")
-    ] = _PLANNED.spacing.coarse_m,
-    pitch: Annotated[
-        float, typer.Option(help="Metres between a planner's candidates.")
-    ] = _PLANNED.spacing.pitch_m,
-    threshold_px: Annotated[
-        float, typer.Option("--threshold-px", help="What a covered location may differ by.")
-    ] = _PLANNED.threshold_px,
-    coverage: Annotated[
-        float, typer.Option(help="Share of the candidates a planner covers.")
-    ] = _PLANNED.coverage,
-    budget: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="A planner's renderings; its threshold is raised to fit."),
-    ] = _PLANNED.budget,
-    seed: Annotated[int, typer.Option(help="Of a planner's random choices.")] = _PLANNED.seed,
-    shells: Annotated[
-        int | None,
-        typer.Option(help="Distance shells kept beside each skyline; cover keeps 12 by itself."),
-    ] = None,
-    coverage_map: Annotated[
-        Path | None,
-        typer.Option("--map", metavar="PNG", help="Map a planner's viewpoints and their areas."),
+        float | None,
+        typer.Option(
+            help="Metres between places; with a planner, of its coarse grid.",
+            show_default=f"{DEFAULT_SPACING_M:g}, with a planner {_PLANNED.spacing.coarse_m:g}",
+        ),
     ] = None,
     bounds: Bounds = None,
     shard_km: ShardKm = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
-    width: Width = _DEFAULTS.width,
-    tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
     k: RefractionK = _DEFAULTS.curvature.refraction_k,
     no_curvature: NoCurvature = False,
-    rows: Rows = _DEFAULTS.rows,
     crs: Crs = None,
     reproject: Reproject = False,
+    planner: Annotated[
+        str | None,
+        typer.Option(
+            help="Keep renderings instead of places, for the paper's matcher, where a planner "
+            f"puts them: uniform, {', '.join(STRATEGIES)}."
+        ),
+    ] = None,
+    pitch: Annotated[
+        float | None,
+        typer.Option(
+            help="Planner: metres between candidates.",
+            show_default=f"{_PLANNED.spacing.pitch_m:g}",
+        ),
+    ] = None,
+    threshold_px: Annotated[
+        float | None,
+        typer.Option(
+            "--threshold-px",
+            help="Planner: what a covered location may differ by.",
+            show_default=f"{_PLANNED.threshold_px:g}",
+        ),
+    ] = None,
+    coverage: Annotated[
+        float | None,
+        typer.Option(
+            help="Planner: share of the candidates to cover.",
+            show_default=f"{_PLANNED.coverage:g}",
+        ),
+    ] = None,
+    budget: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Planner: number of renderings; the threshold is raised to fit."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Planner: of its random choices.", show_default=f"{_PLANNED.seed}"),
+    ] = None,
+    coverage_map: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="PNG", help="Planner: map viewpoints and their areas."),
+    ] = None,
+    shells: Annotated[
+        int | None,
+        typer.Option(help="Renderings: distance shells beside each; cover keeps 12 by itself."),
+    ] = None,
+    width: Annotated[
+        int | None,
+        typer.Option(
+            help="Renderings: columns of a 90 degree view.", show_default=f"{_DEFAULTS.width}"
+        ),
+    ] = None,
+    tolerance_px: Annotated[
+        float | None,
+        typer.Option(
+            "--tolerance-px",
+            help="Renderings: how far a skyline may fall short.",
+            show_default=f"{_DEFAULTS.tolerance_px:g}",
+        ),
+    ] = None,
+    rows: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Renderings: how the store holds them, {' or '.join(ROWS)}.",
+            show_default=_DEFAULTS.rows,
+        ),
+    ] = None,
 ) -> None:
-    """Build a reference store over an area. Stopped with Ctrl-C, the same command goes on."""
-    if planner != "uniform" and planner not in STRATEGIES:
-        raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
-    if coverage_map is not None and planner == "uniform":
-        raise InputError(
-            f"--map {coverage_map} maps tolerance areas; give a --planner that has any"
-        )
-    if budget is not None and planner == "uniform":
-        raise InputError(
-            f"--budget {budget} is for a planner; give --planner, or a --spacing to a uniform grid"
-        )
-    config = replace(
-        _render_config(width, tolerance_px, k, no_curvature),
-        shell_edges_m=shell_edges_m(shells) if shells else (),
-        rows=rows,
-    )
+    """Build the store that `match` searches. Stopped with Ctrl-C, the same command goes on."""
     corners = parse_bounds(bounds) if bounds is not None else None
     dem_options = DemOptions(crs=crs, reproject=reproject)
-    if (shard_km, workers, scheduler) != (None, None, None):
-        if planner != "uniform":
-            raise InputError(
-                f"planner {planner} plans one area as a whole; tiles and workers are for uniform"
-            )
-        tile_m = DEFAULT_TILE_M if shard_km is None else 1000.0 * shard_km
-        plan = ShardPlan(spacing, tile_m, corners)
+    tiled = (shard_km, workers, scheduler) != (None, None, None)
+    tile_m = DEFAULT_TILE_M if shard_km is None else 1000.0 * shard_km
+    only_planned: dict[str, object] = {
+        "--pitch": pitch,
+        "--threshold-px": threshold_px,
+        "--coverage": coverage,
+        "--budget": budget,
+        "--seed": seed,
+        "--map": coverage_map,
+    }
+    only_rendered: dict[str, object] = {
+        "--shells": shells,
+        "--width": width,
+        "--tolerance-px": tolerance_px,
+        "--rows": rows,
+    }
+    if planner is None:
+        _refuse_given(only_planned | only_rendered, "a store of renderings; give --planner too")
+        places = PlaceConfig(curvature=_curvature(k, no_curvature))
+        apart_m = DEFAULT_SPACING_M if spacing is None else spacing
         with runner_of(workers, scheduler) as runner, progress_bar("rendering") as progress:
             terrain = read_dem(dem, dem_options)
-            result = build_sharded(terrain, output, plan, config, runner, progress)
-        _say_built(result, output)
+            if tiled:
+                plan = ShardPlan(apart_m, tile_m, corners)
+                result = build_sharded(terrain, output, plan, places, runner, progress)
+            else:
+                result = build_places(terrain, output, apart_m, corners, places, progress)
+        _say_built(result, output, "places")
         return
+    if planner != "uniform" and planner not in STRATEGIES:
+        raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
+    config = replace(
+        _render_config(
+            _DEFAULTS.width if width is None else width,
+            _DEFAULTS.tolerance_px if tolerance_px is None else tolerance_px,
+            k,
+            no_curvature,
+        ),
+        shell_edges_m=shell_edges_m(shells) if shells else (),
+        rows=_DEFAULTS.rows if rows is None else rows,
+    )
+    coarse_m = _PLANNED.spacing.coarse_m if spacing is None else spacing
     if planner == "uniform":
-        terrain = read_dem(dem, dem_options)
-        with progress_bar("rendering") as progress:
-            result = build_uniform(terrain, output, spacing, corners, config, progress)
+        _refuse_given(only_planned, "a planner that chooses places; uniform does not")
+        with runner_of(workers, scheduler) as runner, progress_bar("rendering") as progress:
+            terrain = read_dem(dem, dem_options)
+            if tiled:
+                plan = ShardPlan(coarse_m, tile_m, corners)
+                result = build_sharded(terrain, output, plan, config, runner, progress)
+            else:
+                result = build_uniform(terrain, output, coarse_m, corners, config, progress)
         _say_built(result, output)
         return
+    if tiled:
+        raise InputError(
+            f"planner {planner} plans one area as a whole; tiles and workers are for uniform grids"
+        )
+    pitch_m = _PLANNED.spacing.pitch_m if pitch is None else pitch
     planned = PlanConfig(
         planner,
-        replace(_PLANNED.spacing, coarse_m=spacing, pitch_m=pitch),
-        threshold_px,
-        coverage,
-        seed=seed,
+        replace(_PLANNED.spacing, coarse_m=coarse_m, pitch_m=pitch_m),
+        _PLANNED.threshold_px if threshold_px is None else threshold_px,
+        _PLANNED.coverage if coverage is None else coverage,
+        seed=_PLANNED.seed if seed is None else seed,
         budget=budget,
     )
     terrain = read_dem(dem, dem_options)
@@ -228,6 +301,13 @@ def build(
     _say_planned(done)
     if coverage_map is not None:
         save_coverage_map(done.plan, coverage_map)
+
+
+def _refuse_given(options: Mapping[str, object], why: str) -> None:
+    """Raise `InputError` where one of some options was given."""
+    for name, value in options.items():
+        if value is not None:
+            raise InputError(f"{name} {value} is for {why}")
 
 
 app.command()(photo_cli.match)
@@ -297,8 +377,12 @@ def main() -> None:
 
 
 def _render_config(width: int, tolerance_px: float, k: float, no_curvature: bool) -> RenderConfig:
-    curvature = Curvature(refraction_k=k, enabled=not no_curvature)
+    curvature = _curvature(k, no_curvature)
     return RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
+
+
+def _curvature(k: float, no_curvature: bool) -> Curvature:
+    return Curvature(refraction_k=k, enabled=not no_curvature)
 
 
 def _parse_place(text: str) -> tuple[float, float]:
@@ -322,10 +406,10 @@ def _say_facts(facts: dict[str, object], as_json: bool) -> None:
             typer.echo(f"{name if line == 0 else '':<24} {shown}")
 
 
-def _say_built(result: BuildResult, path: Path) -> None:
+def _say_built(result: BuildResult, path: Path, what: str = "renderings") -> None:
     rate = result.rendered / result.seconds if result.seconds > 0.0 else 0.0
     typer.echo(
-        f"{path}: {result.renderings} renderings, {result.rendered} of them new in "
+        f"{path}: {result.rows} {what}, {result.rendered} of them new in "
         f"{result.seconds:.1f} s ({rate:.0f}/s), {path.stat().st_size / 1e6:.1f} MB"
     )
 

@@ -9,9 +9,10 @@ from typing import Annotated
 
 import typer
 
-from skyline.console import Scheduler, Workers, complain, progress_bar, runner_of
+from skyline.console import Scheduler, Workers, complain, parse_bounds, runner_of
 from skyline.describe import describe_match
 from skyline.errors import InputError, SkylineError
+from skyline.matching import Narrowing
 from skyline.photo import Projection, extract_photo, write_overlay, write_trace
 from skyline.pipeline import (
     FULL,
@@ -25,7 +26,6 @@ from skyline.pipeline import (
     report_matches,
 )
 from skyline.pipeline.match import terrain_at_hand
-from skyline.pipeline.predicted import cache_folder
 from skyline.report.geojson import write_geojson
 from skyline.report.peaks import read_peaks
 from skyline.report.records import CandidateRecord, MatchRecord
@@ -60,23 +60,26 @@ def match(
     no_refine: Annotated[
         bool, typer.Option("--no-refine", help="Do not render around what was found.")
     ] = False,
-    densify: Annotated[
-        float, typer.Option(metavar="M", help="Metres between the views predicted from the store.")
-    ] = _DEFAULTS.densify.pitch_m,
+    near: Annotated[
+        str | None,
+        typer.Option(metavar="LON,LAT,KM", help="Search only within so many km of a place."),
+    ] = None,
+    bounds: Annotated[
+        str | None, typer.Option(metavar="W,S,E,N", help="Search only within these degrees.")
+    ] = None,
+    heading: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DEG,SLACK", help="The camera looked within a slack of this, from true north."
+        ),
+    ] = None,
+    elevation: Annotated[
+        str | None,
+        typer.Option(metavar="LOW,HIGH", help="The camera stood between these, metres."),
+    ] = None,
     min_confidence: Annotated[
         float, typer.Option(help="Below it there is no answer, only candidates.")
     ] = _DEFAULTS.min_confidence,
-    cache: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Where predicted views are kept for the next time.",
-            show_default="$XDG_CACHE_HOME/skyline",
-        ),
-    ] = None,
-    no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Predict anew, and keep nothing.")
-    ] = False,
     top: Annotated[int, typer.Option(help="Candidates to name.")] = 5,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     report: Annotated[
@@ -96,26 +99,20 @@ def match(
     _check_outputs([geojson], [store, *query])
     if peaks is not None and report is None:
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
-    config = replace(
-        _DEFAULTS,
-        refine=not no_refine,
-        min_confidence=min_confidence,
-        cache=None if no_cache else (cache or cache_folder()).absolute(),
-        densify=replace(_DEFAULTS.densify, pitch_m=densify),
-    )
+    config = replace(_DEFAULTS, refine=not no_refine, min_confidence=min_confidence)
+    narrowing = _narrowing(near, bounds, heading, elevation)
     # Workers may have another working directory.
     tiles = tuple(str(Path(one).absolute()) if Path(one).is_file() else one for one in dem or ())
     asked = (str(store), tiles or None, matcher, config)
-    with progress_bar("predicting") as progress:
-        matching = Matcher(*asked, progress)
+    matching = Matcher(*asked)
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
     reading = QueryReading(fov_deg, projection, sky_model)
     results, failed = [], 0
     with runner_of(workers, scheduler) as runner:
         if runner is None:
-            found = _matched_here(matching, query, reading, top)
+            found = _matched_here(matching, query, reading, top, narrowing)
         else:
-            found = match_many(runner, asked, query, reading, top)
+            found = match_many(runner, asked, query, reading, top, narrowing)
         for path, result in zip(query, found, strict=True):
             if isinstance(result, SkylineError):
                 complain(str(result))
@@ -131,7 +128,7 @@ def match(
         candidates = [(str(path), result.candidates) for path, result in results]
         write_geojson(geojson, candidates, matching.frame)
     if report is not None and results:
-        done = [f"The matcher `{matcher}` knew {len(matching.viewpoints)} stored locations."]
+        done = [f"The matcher `{matcher}` searched a store of {matching.rows} {matching.holds}."]
         told = (matched(path, result, done) for path, result in results)
         terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
         report_matches(report, matching, told, terrain, gazetteer)
@@ -160,14 +157,42 @@ def extract(
 
 
 def _matched_here(
-    matching: Matcher, queries: Sequence[Path], reading: QueryReading, top: int
+    matching: Matcher,
+    queries: Sequence[Path],
+    reading: QueryReading,
+    top: int,
+    narrowing: Narrowing,
 ) -> Iterator[MatchResult | SkylineError]:
     """Yield what was found for each query, or why it cannot be matched."""
     for path in queries:
         try:
-            yield matching.match(reading.read(path), top=top)
+            yield matching.match(reading.read(path), top=top, narrowing=narrowing)
         except SkylineError as error:
             yield error
+
+
+def _narrowing(
+    near: str | None, bounds: str | None, heading: str | None, elevation: str | None
+) -> Narrowing:
+    """Return what is known of where photos were taken; raises `InputError` for what is not so."""
+    return Narrowing(
+        _numbers("near", near, "LON,LAT,KM", 3),  # type: ignore[arg-type]
+        parse_bounds(bounds) if bounds is not None else None,
+        _numbers("heading", heading, "DEG,SLACK", 2),  # type: ignore[arg-type]
+        _numbers("elevation", elevation, "LOW,HIGH", 2),  # type: ignore[arg-type]
+    )
+
+
+def _numbers(name: str, text: str | None, wanted: str, count: int) -> tuple[float, ...] | None:
+    if text is None:
+        return None
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != count:
+        raise InputError(f"--{name} is `{text}`; expected {count} numbers {wanted}")
+    return values
 
 
 def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:

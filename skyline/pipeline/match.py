@@ -152,7 +152,7 @@ class Matcher:
         self._scene: RenderedScene | None = None
         with open_store(store) as opened:
             self.header = opened.header
-            self.places = len(opened)
+            self.rows, self.holds = len(opened), opened.header.holds
             self.viewpoints = _some_eyes(opened)
             self.terrain = _given_terrain(self.header, dem)
             if matcher == FULL:

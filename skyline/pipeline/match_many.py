@@ -1,14 +1,23 @@
-"""Matching many queries, spread over workers that each open the store once."""
+"""Matching queries on workers, each of which opens the store once.
+
+A store of many places is screened in parts, so that one query keeps many workers busy; what they
+find is joined, and one of them fits and refines the best. The answers are those of one process,
+to the bit.
+"""
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 
 from skyline.errors import SkylineError
+from skyline.matching.narrowing import Narrowing
+from skyline.matching.screening import Alike
 from skyline.photo import Projection, QuerySkyline, SkySession, load_sky_model, read_query
 from skyline.pipeline.jobs import Runner, in_order
 from skyline.pipeline.match import Matcher, MatchResult
+from skyline.store import open_store
+from skyline.store.header import PLACES
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,15 +42,64 @@ class QueryReading:
         return read_query(path, self.fov_deg, projection=self.projection, sky_model=model)
 
 
+@lru_cache(maxsize=4)
+def _read(reading: QueryReading, query: str) -> QuerySkyline:
+    """Read a query once for all the parts of a store that it is compared with."""
+    return reading.read(query)
+
+
 _sky_model: Callable[[Path], SkySession] = lru_cache(maxsize=1)(load_sky_model)
+
+
+_PART_BLOCKS = 128
+"""Blocks of places that are screened by one job: a tenth of a second."""
+
+_Job = tuple[str, slice]
+_Asked = tuple[Hashable, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Work:
+    """What all jobs of a batch share.
+
+    Attributes
+    ----------
+    stamp : int
+        When the store was written.
+    matcher : tuple
+        What a `Matcher` is made of.
+    reading : QueryReading
+    top : int
+    narrowing : Narrowing, optional
+    """
+
+    stamp: int
+    matcher: _Asked
+    reading: QueryReading
+    top: int
+    narrowing: Narrowing | None
+
+    def screen(self, job: _Job) -> Alike | None:
+        """Screen a part of the store for a query."""
+        query, part = job
+        opened = _opened(self.stamp, *self.matcher)
+        return opened.screen(_read(self.reading, query), self.narrowing, part)
+
+    def match(self, job: tuple[str, Alike | None]) -> MatchResult:
+        """Match a query, given what all parts were screened for."""
+        query, screened = job
+        opened = _opened(self.stamp, *self.matcher)
+        skyline = _read(self.reading, query)
+        return opened.match(skyline, None, self.top, self.narrowing, screened)
 
 
 def match_many(
     runner: Runner,
-    matcher: tuple[Hashable, ...],
+    matcher: _Asked,
     queries: Sequence[str | Path],
     reading: QueryReading | None = None,
     top: int = 5,
+    narrowing: Narrowing | None = None,
 ) -> Iterator[MatchResult | SkylineError]:
     """Match queries to a store; yields results in the queries' order, as they come.
 
@@ -59,22 +117,54 @@ def match_many(
     reading : QueryReading, optional
     top : int
         As of `Matcher.match`.
+    narrowing : Narrowing, optional
+        As of `Matcher.match`.
     """
     store = Path(str(matcher[0])).absolute()
     # A worker that outlives this command must not take a store for the one it has replaced.
     stamp = store.stat().st_mtime_ns if store.exists() else 0
-    work = partial(_match, stamp, (str(store), *matcher[1:]), reading or QueryReading(), top)
-    names = [f"query-{index}" for index in range(len(queries))]
-    return in_order(runner(work, [str(Path(query).absolute()) for query in queries], names))
+    work = _Work(stamp, (str(store), *matcher[1:]), reading or QueryReading(), top, narrowing)
+    paths = [str(Path(query).absolute()) for query in queries]
+    parts = _parts(store)
+    screened: list[Alike | None] = [None] * len(paths)
+    failed: dict[int, SkylineError] = {}
+    if len(parts) > 1:
+        jobs = [(path, part) for path in paths for part in parts]
+        names = [f"screen-{index}" for index in range(len(jobs))]
+        found = list(in_order(runner(work.screen, jobs, names)))
+        for index in range(len(paths)):
+            some = found[index * len(parts) : (index + 1) * len(parts)]
+            errors = [one for one in some if isinstance(one, SkylineError)]
+            if errors:
+                failed[index] = errors[0]
+            else:
+                screened[index] = _joined(some)
+    left = [index for index in range(len(paths)) if index not in failed]
+    names = [f"query-{index}" for index in left]
+    done = in_order(runner(work.match, [(paths[k], screened[k]) for k in left], names))
+    for index in range(len(paths)):
+        yield failed[index] if index in failed else next(done)
 
 
-def _match(
-    stamp: int, matcher: tuple[Hashable, ...], reading: QueryReading, top: int, query: str
-) -> MatchResult:
-    return _opened(stamp, *matcher).match(reading.read(query), top=top)
+def _parts(store: Path) -> list[slice]:
+    """Return parts of a store's blocks of places; one where there is nothing to share."""
+    try:
+        with open_store(store) as opened:
+            header = opened.header
+            blocks = -(-len(opened) // header.chunk_rows) if header.holds == PLACES else 0
+    except SkylineError:
+        # Each job says so by itself.
+        return [slice(None)]
+    starts = range(0, max(blocks, 1), _PART_BLOCKS)
+    return [slice(start, start + _PART_BLOCKS) for start in starts]
 
 
-_here: dict[tuple[Hashable, ...], Matcher] = {}
+def _joined(parts: Sequence[Alike | SkylineError | None]) -> Alike | None:
+    alike = [part for part in parts if isinstance(part, Alike)]
+    return Alike.joined(alike) if len(alike) == len(parts) else None
+
+
+_here: dict[_Asked, Matcher] = {}
 """The matcher that this process has open."""
 
 

@@ -1,8 +1,12 @@
-"""Building a store of places: a uniform grid of eyes, each with its skyline all the way round."""
+"""Building a store of places: eyes, of a grid or given, each with its skyline all round."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from skyline.geodesy import Curvature
 from skyline.pipeline.build import BuildResult, Progress, render_missing, uniform_plan
@@ -13,6 +17,11 @@ from skyline.store import StoreHeader, StoreWriter
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
+
+Tolerance = Callable[[Viewpoints], float | NDArray[np.float32]]
+
+DEFAULT_SPACING_M = 80.0
+"""Between places of a grid; docs/accuracy.md has what others cost and find."""
 
 _VIEWPOINTS_A_COMMIT = 2048
 
@@ -44,13 +53,13 @@ class PlaceRows:
     ----------
     renderer : PanoramaRenderer
     header : StoreHeader
-    tolerance_m : float
-        How far from its eye, east and north, a place stands for.
+    tolerance_m : callable
+        How far from their eyes, east and north, the places of viewpoints stand for.
     """
 
     renderer: PanoramaRenderer
     header: StoreHeader
-    tolerance_m: float
+    tolerance_m: Tolerance
 
     rows_each: ClassVar[int] = 1
 
@@ -61,7 +70,8 @@ class PlaceRows:
 
     def render_into(self, writer: StoreWriter, viewpoints: Viewpoints) -> None:
         """Append the places of viewpoints to a store."""
-        writer.append_places(Places.of(self.renderer.render(viewpoints), self.tolerance_m))
+        rendered = self.renderer.render(viewpoints)
+        writer.append_places(Places.of(rendered, self.tolerance_m(viewpoints)))
 
     def release(self) -> None:
         """Let go of the renderer."""
@@ -91,15 +101,21 @@ def place_rows(
     terrain: HeightField, config: PlaceConfig, spacing_m: float, plan: dict[str, object]
 ) -> PlaceRows:
     """Return what renders the places of a grid; each stands for half the spacing around it."""
+    return _rows(terrain, config, lambda _: spacing_m / 2.0, plan)
+
+
+def _rows(
+    terrain: HeightField, config: PlaceConfig, tolerance_m: Tolerance, plan: dict[str, object]
+) -> PlaceRows:
     renderer = PanoramaRenderer(terrain, BINS, config.curvature, config.tolerance_deg)
     header = place_header(terrain, renderer.description, config, plan)
-    return PlaceRows(renderer, header, spacing_m / 2.0)
+    return PlaceRows(renderer, header, tolerance_m)
 
 
 def build_places(
     terrain: HeightField,
     path: str | Path,
-    spacing_m: float,
+    spacing_m: float = DEFAULT_SPACING_M,
     bounds_deg: tuple[float, float, float, float] | None = None,
     config: PlaceConfig | None = None,
     progress: Progress | None = None,
@@ -136,3 +152,49 @@ def build_places(
         return render_missing(path, rows, viewpoints, progress)
     finally:
         rows.release()
+
+
+def render_places(
+    terrain: HeightField,
+    viewpoints: Viewpoints,
+    tolerance_m: ArrayLike,
+    path: str | Path,
+    config: PlaceConfig | None = None,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Render given viewpoints as places into a store; an interrupted build goes on.
+
+    Parameters
+    ----------
+    terrain : HeightField
+    viewpoints : Viewpoints
+        N eyes, each at a place of its own.
+    tolerance_m : (N,) or float
+        How far around its eye each stands for.
+    path : str or Path
+        The store.
+    config : PlaceConfig, optional
+        Its height of the eye is that of the viewpoints.
+    progress : callable, optional
+
+    Raises
+    ------
+    StoreMismatchError
+        As `build_places`.
+    """
+    tolerances = np.broadcast_to(np.asarray(tolerance_m, np.float32), len(viewpoints))
+    of_eye = dict(zip(_eyes(viewpoints), tolerances.tolist(), strict=True))
+
+    def tolerance(some: Viewpoints) -> NDArray[np.float32]:
+        return np.array([of_eye[eye] for eye in _eyes(some)], dtype=np.float32)
+
+    rows = _rows(terrain, config or PlaceConfig(), tolerance, {"planner": "viewpoints"})
+    try:
+        return render_missing(path, rows, viewpoints, progress)
+    finally:
+        rows.release()
+
+
+def _eyes(viewpoints: Viewpoints) -> list[complex]:
+    eyes: list[complex] = (viewpoints.easting_m + 1j * viewpoints.northing_m).tolist()
+    return eyes
