@@ -1,0 +1,52 @@
+"""Places with made skylines, and photos of them."""
+
+import numpy as np
+
+from skyline.horizons import Horizons, bin_azimuths_rad
+from skyline.matching import QueryRays
+from skyline.places import BINS, Places
+
+AZIMUTH_DEG = np.degrees(bin_azimuths_rad(BINS))
+FAR_M = 20_000.0
+
+
+def curve(seed, azimuth_deg):
+    """Return a rugged skyline at azimuths."""
+    generator = np.random.default_rng(seed)
+    order = np.arange(2, 40)
+    amplitude = generator.normal(size=(2, len(order))) * 0.06 / order
+    angle = np.multiply.outer(np.radians(azimuth_deg), order)
+    return 0.2 + np.cos(angle) @ amplitude[0] + np.sin(angle) @ amplitude[1]
+
+
+def places_of(y, distance_m=FAR_M, spacing_m=100.0, tolerance_m=20.0):
+    """Make places of skylines (N, B) in a row from west to east."""
+    distance = np.where(np.isfinite(y), np.broadcast_to(distance_m, y.shape), np.nan)
+    horizons = Horizons(
+        np.arange(len(y)) * spacing_m,
+        np.zeros(len(y)),
+        np.full(len(y), 1000.0),
+        y.astype(np.float32),
+        distance.astype(np.float32),
+        np.zeros(y.shape, dtype=np.uint8),
+    )
+    return Places.of(horizons, tolerance_m)
+
+
+def photo(skyline, heading_deg, fov_deg=60.0, pitch_deg=0.0, roll_deg=0.0, columns=320):
+    """Return rays (u, v) of a camera that sees the skyline tangent(azimuth_deg)."""
+    azimuth = np.radians(np.linspace(-80.0, 80.0, 4001))
+    up = skyline(np.degrees(azimuth) + heading_deg)
+    right, forward = np.sin(azimuth), np.cos(azimuth)
+    pitch, roll = np.radians([pitch_deg, roll_deg])
+    ahead = forward * np.cos(pitch) + up * np.sin(pitch)
+    above = up * np.cos(pitch) - forward * np.sin(pitch)
+    x = (right * np.cos(roll) - above * np.sin(roll)) / ahead
+    y = (right * np.sin(roll) + above * np.cos(roll)) / ahead
+    u = np.tan(np.radians(fov_deg / 2.0)) * ((2 * np.arange(columns) + 1) / columns - 1)
+    return u, np.interp(u, x, y)
+
+
+def rays(seed, heading_deg, fov_deg=60.0, **pose):
+    u, v = photo(lambda azimuth: curve(seed, azimuth), heading_deg, fov_deg, **pose)
+    return QueryRays.equally_trusted(u, v, fov_deg)

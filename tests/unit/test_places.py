@@ -1,0 +1,110 @@
+"""Places: what their bytes say of the skylines they were made of."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from skyline.errors import InputError
+from skyline.horizons import Horizons, bin_azimuths_rad, check_bins
+from skyline.places import BINS, DISTANCE_BINS, Places
+from skyline.places.coding import RISES, decode_rises, encode_rises
+
+STEP = np.diff(np.sort(RISES))
+"""From each rise to the next."""
+
+
+def horizons(y, distance_m=1000.0):
+    count = len(y)
+    distance = np.where(np.isfinite(y), np.broadcast_to(np.float32(distance_m), y.shape), np.nan)
+    return Horizons(
+        np.arange(count) + 7.5e5,
+        np.arange(count) + 5.2e6,
+        np.full(count, 2000.0),
+        y.astype(np.float32),
+        distance.astype(np.float32),
+        np.zeros(y.shape, dtype=np.uint8),
+    )
+
+
+@given(
+    arrays.arrays(np.float32, (4, BINS), elements=st.floats(-0.25, 0.25, width=32)),
+    st.floats(-1.0, 2.0),
+)
+@settings(max_examples=25, deadline=None)
+def test_a_tangent_is_within_half_a_step_of_its_rise(noise, level):
+    y = (noise * np.float32(0.5) + np.float32(level)).astype(np.float32)
+    first, rise = encode_rises(y)
+    back = decode_rises(first, rise)
+    # Steps grow with the rise they are of; no rise here is beyond the greatest.
+    taken = np.abs(RISES[rise.view(np.uint8)])
+    half = 0.5 * (0.036 * taken + 0.00022) * 1.02
+    assert (np.abs(back - y) <= half + 1e-5).all()
+
+
+def test_errors_do_not_add_up():
+    y = (0.0003 * np.arange(BINS))[np.newaxis].astype(np.float32)
+    back = decode_rises(*encode_rises(y))
+    assert np.abs(back - y).max() < 0.0002
+
+
+def test_a_cliff_is_made_up_for():
+    y = np.zeros((1, BINS), dtype=np.float32)
+    y[:, 100:] = 3.0
+    back = decode_rises(*encode_rises(y))
+    assert np.abs(back[0, :100]).max() < 1e-3
+    assert np.abs(back[0, 107:] - 3.0).max() < 1e-3
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0, 3), (100, 140), (BINS - 2, BINS), (0, BINS)])
+def test_gaps_stay_gaps_and_change_nothing_else(start, stop):
+    y = np.sin(np.arange(BINS) / 17.0)[np.newaxis].astype(np.float32) * 0.1
+    y[:, start:stop] = np.nan
+    back = decode_rises(*encode_rises(y))
+    np.testing.assert_array_equal(np.isnan(back), np.isnan(y))
+    if np.isfinite(y).any():
+        assert np.nanmax(np.abs(back - y)) < 0.002
+
+
+def test_no_rows_are_no_rows():
+    first, rise = encode_rises(np.zeros((0, BINS), dtype=np.float32))
+    assert decode_rises(first, rise).shape == (0, BINS)
+
+
+def test_a_distance_is_the_nearest_of_its_bins_to_a_fortieth():
+    generator = np.random.default_rng(0)
+    metres = np.exp(generator.uniform(np.log(2.0), np.log(3e5), (5, BINS)))
+    metres[:, 30:36] = np.nan
+    y = np.where(np.isnan(metres), np.nan, 0.1)
+    places = Places.of(horizons(y, metres), 40.0)
+    nearest = np.fmin.reduce(metres.reshape(5, DISTANCE_BINS, -1), axis=2)
+    back = places.distance_m()
+    np.testing.assert_array_equal(np.isnan(back), np.isnan(nearest))
+    known = np.isfinite(nearest)
+    np.testing.assert_allclose(back[known], nearest[known], rtol=0.0255)
+
+
+def test_a_place_takes_less_than_a_kilobyte():
+    places = Places.of(horizons(np.zeros((3, BINS))), 40.0)
+    size = sum(getattr(places, name).nbytes for name in Places.__slots__)
+    assert size / 3 <= 1000.0
+
+
+def test_places_are_indexed_taken_and_joined():
+    places = Places.of(horizons(np.random.default_rng(1).normal(0.0, 0.1, (6, BINS))), 40.0)
+    again = Places.concatenate(
+        [places[:2], places[np.array([2, 3])], places.take(np.array([4, 5]))]
+    )
+    for name in Places.__slots__:
+        np.testing.assert_array_equal(getattr(again, name), getattr(places, name))
+    (only,) = places.blocks()
+    assert only is places
+    assert (places.tolerance_m == 40.0).all()
+
+
+def test_bins_lie_between_the_seams_of_the_headings():
+    azimuth_deg = np.degrees(bin_azimuths_rad(BINS))
+    assert np.abs((azimuth_deg - 45.0) % 90.0).min() > 0.4
+    with pytest.raises(InputError, match="multiple of 8"):
+        check_bins(100)

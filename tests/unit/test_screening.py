@@ -1,0 +1,197 @@
+"""Screening: the products of matrices against plain loops, in blocks and in parts."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from place_scenes import AZIMUTH_DEG, curve, places_of, rays
+
+from skyline.geodesy import Frame
+from skyline.matching.narrowing import Narrowing
+from skyline.matching.screening import (
+    Alike,
+    Screen,
+    query_waves,
+    sample_of,
+    screen_places,
+    turn_heading_deg,
+    turns_within,
+)
+from skyline.places import PHASE_BINS, Places
+from skyline.places.phases import PHASES, rise_to_turn
+
+FOVS_DEG = np.array([57.0, 60.0, 63.0])
+
+
+class Blocks:
+    """Places in blocks of a size, as a store has them."""
+
+    def __init__(self, places: Places, size: int) -> None:
+        self._places, self._size = places, size
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def blocks(self) -> Iterator[Places]:
+        for start in range(0, len(self._places), self._size):
+            yield self._places[start : start + self._size]
+
+    def take(self, rows):
+        return self._places[rows]
+
+
+@pytest.fixture(scope="module")
+def places():
+    return places_of(np.stack([curve(seed, AZIMUTH_DEG) for seed in range(64)]))
+
+
+def wide(seed, heading):
+    query = rays(seed, heading)
+    return replace(query, fov_range_deg=(55.0, 66.0))
+
+
+@given(seed=st.integers(0, 1000), heading=st.floats(0.0, 360.0))
+@settings(max_examples=15, deadline=None)
+def test_a_score_is_the_plain_sum_of_the_kernel(seed, heading):
+    generator = np.random.default_rng(seed)
+    y = np.stack([curve(seed + k, AZIMUTH_DEG) for k in range(3)])
+    y[generator.random(y.shape) < 0.05] = np.nan
+    held = places_of(y)
+    query = rays(seed, heading)
+    raw = Screen.of(query, np.array([60.0]), held)
+    fast = raw._every_turn(held.phase)[:, 0]
+    waves = query_waves(query)
+    weight, angle = np.abs(waves), np.angle(waves)
+    tangent = held.elevation_tan().astype(np.float64)
+    means = tangent.reshape(3, PHASE_BINS, -1).mean(axis=2)
+    rise = np.roll(means, -1, axis=1) - means
+    plain = np.zeros_like(fast, dtype=np.float64)
+    for place in range(3):
+        for turn in range(PHASE_BINS):
+            for bin_ in np.flatnonzero(weight):
+                there = rise[place, (bin_ + turn) % PHASE_BINS]
+                if np.isfinite(there):
+                    difference = rise_to_turn() * there - angle[bin_]
+                    plain[place, turn] += weight[bin_] * np.cos(difference)
+    # A phase is within half a step of its code, and a cosine changes no faster than its angle.
+    bound = weight.sum() * (np.pi / PHASES + 1e-3)
+    assert np.abs(fast - plain).max() <= bound
+
+
+@pytest.mark.parametrize("heading", [1.0, 44.9, 135.2, 271.0, 358.9])
+def test_the_best_turn_looks_along_the_heading(places, heading):
+    # Turns are 2 degrees apart, at odd degrees.
+    screen = Screen.of(wide(7, heading), FOVS_DEG, places)
+    heading_deg, fov = screen.best_turns(places.phase[7:8])
+    assert abs((heading_deg[0] - heading + 180.0) % 360.0 - 180.0) <= 1.0
+    assert FOVS_DEG[fov[0]] == 60.0
+    assert screen.scores(places.phase).argmax() == 7
+
+
+def test_the_best_score_is_that_of_the_best_turn(places):
+    screen = Screen.of(wide(3, 100.0), FOVS_DEG, places)
+    every = (screen._every_turn(places.phase) - screen.mean[:, np.newaxis]) * screen.scale[
+        :, np.newaxis
+    ]
+    np.testing.assert_array_equal(screen.scores(places.phase), every.max(axis=(1, 2)))
+
+
+@pytest.mark.parametrize("size", [64, 7, 1])
+@pytest.mark.parametrize("count", [1, 5, 64, 200])
+def test_blocks_change_nothing(places, size, count):
+    screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
+    score = screen.scores(places.phase)
+    order = np.lexsort((np.arange(64), -score))[:count]
+    found = screen_places(screen, Blocks(places, size), count)
+    np.testing.assert_array_equal(found.row, order)
+    np.testing.assert_allclose(found.score, score[order], rtol=1e-5)
+
+
+def test_parts_joined_are_the_whole_to_the_bit(places):
+    screen, source = Screen.of(wide(11, 200.0), FOVS_DEG, places), Blocks(places, 8)
+    whole = screen_places(screen, source, 10)
+    parts = [screen_places(screen, source, 10, part=slice(k, k + 3)) for k in range(0, 8, 3)]
+    joined = Alike.joined(parts).best(10)
+    assert joined.row.tobytes() == whole.row.tobytes()
+    assert joined.score.tobytes() == whole.score.tobytes()
+
+
+def test_only_places_within_are_looked_at(places):
+    screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
+    found = screen_places(screen, Blocks(places, 8), 64, lambda some: some.easting_m < 1000.0)
+    assert sorted(found.row) == list(range(10))
+    none = screen_places(screen, Blocks(places, 8), 64, lambda some: some.easting_m < -1.0)
+    assert len(none) == 0
+
+
+def test_shut_turns_are_not_looked_at(places):
+    turns = turns_within(20.0, 15.0)
+    screen = Screen.of(wide(11, 200.0), FOVS_DEG, places, turns)
+    heading_deg, _ = screen.best_turns(places.phase)
+    assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()
+    every = (screen._every_turn(places.phase) - screen.mean[:, np.newaxis]) * screen.scale[
+        :, np.newaxis
+    ]
+    opened = every[:, :, turns].max(axis=(1, 2))
+    np.testing.assert_array_equal(screen.scores(places.phase), opened)
+
+
+def test_all_turns_shut_is_no_score(places):
+    screen = Screen.of(wide(1, 0.0), FOVS_DEG, places, np.zeros(PHASE_BINS, dtype=bool))
+    assert np.isneginf(screen.scores(places.phase)).all()
+
+
+def test_turns_cover_the_circle():
+    assert len(np.unique(turn_heading_deg(np.arange(PHASE_BINS)))) == PHASE_BINS
+    assert turns_within(0.0, 180.0).all()
+
+
+def test_a_sample_is_even_and_small(places):
+    assert len(sample_of(places)) == 64
+    many = Places.concatenate([places] * 100)
+    sample = sample_of(many)
+    assert 2048 <= len(sample) <= 4096
+
+
+FRAME = Frame.local(10.0, 46.0)
+
+
+def narrowed(**known):
+    return Narrowing(**known).within(FRAME)
+
+
+def test_nothing_known_narrows_nothing():
+    assert narrowed() is None
+
+
+def test_a_circle_a_box_and_elevations_hold_places(places):
+    lon, lat = FRAME.to_lonlat(places.easting_m, places.northing_m)
+    circle = narrowed(near=(float(lon[30]), float(lat[30]), 0.25))(places)
+    assert list(np.flatnonzero(circle)) == [28, 29, 30, 31, 32]
+    box = (float(lon[10]) - 1e-5, float(lat[0]) - 0.01, float(lon[12]) + 1e-5, float(lat[0]) + 0.01)
+    assert list(np.flatnonzero(narrowed(bounds_deg=box)(places))) == [10, 11, 12]
+    assert narrowed(elevation_m=(900.0, 1100.0))(places).all()
+    assert not narrowed(elevation_m=(0.0, 900.0))(places).any()
+
+
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [
+        ({"near": (10.0, 46.0, 0.0)}, "radius"),
+        ({"near": (200.0, 46.0, 1.0)}, "longitude"),
+        ({"heading_deg": (10.0, 0.0)}, "slack"),
+        ({"heading_deg": (float("nan"), 5.0)}, "heading"),
+        ({"elevation_m": (100.0, 100.0)}, "increase"),
+    ],
+)
+def test_senseless_narrowings_are_refused(known, said):
+    with pytest.raises(ValueError, match=said):
+        Narrowing(**known)
+
+
+def test_bounds_out_of_order_are_refused():
+    with pytest.raises(ValueError, match="S < N"):
+        narrowed(bounds_deg=(10.0, 46.5, 10.5, 46.0))
