@@ -22,8 +22,8 @@ from skyline.bench.options import (
 from skyline.console import parse_bounds, progress_bar
 from skyline.experiments.cost_summary import equal_rows, reached_rows
 from skyline.experiments.distance_groups import ALL, DistanceGroup
+from skyline.experiments.matchers import WHAT
 from skyline.experiments.record import Row, write_record
-from skyline.experiments.stages import STAGES
 from skyline.experiments.uniform_adaptive import AdaptiveConfig, check, measure
 from skyline.experiments.uniform_adaptive_plot import save_costs
 from skyline.experiments.uniform_adaptive_report import write_report
@@ -104,7 +104,7 @@ def uniform_adaptive(
     ] = _CONFIG.spacing.pitch_m,
     matcher: Annotated[
         list[str] | None,
-        typer.Option(help=f"May be repeated; by default all: {', '.join(STAGES)}."),
+        typer.Option(help=f"May be repeated [{' '.join(_CONFIG.matchers)}]: {', '.join(WHAT)}."),
     ] = None,
     queries: Annotated[int, typer.Option(help="Queries, at least 3.")] = _CONFIG.queries,
     workers: Annotated[
@@ -129,7 +129,9 @@ def uniform_adaptive(
     """Uniform and adaptive stores: renderings, seconds and bytes against accuracy.
 
     Errors are metres between where a query was taken and the best candidate; their means by how
-    far the query's skyline is. A query without any candidate counts as wrong by half of the
+    far the query's skyline is. The paper's matcher and correlation compare the renderings that
+    were planned; ours searches whole places at their viewpoints, each of which counts as four. A
+    query without any candidate counts as wrong by half of the
     area's diagonal.
     """
     config = AdaptiveConfig(
@@ -138,7 +140,7 @@ def uniform_adaptive(
         strategies=tuple(strategy or _CONFIG.strategies),
         budgets=tuple(budget or _CONFIG.budgets),
         spacing=replace(_CONFIG.spacing, pitch_m=pitch),
-        matchers=tuple(matcher or STAGES),
+        matchers=tuple(matcher or _CONFIG.matchers),
         queries=queries,
         seed=seed,
         workers=workers,

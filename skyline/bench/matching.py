@@ -18,8 +18,9 @@ from skyline.bench.options import (
     store_folder,
 )
 from skyline.console import parse_bounds, progress_bar
-from skyline.experiments.matching import KINDS, OPENERS, MatchingConfig, measure
-from skyline.experiments.matching_plot import save_errors
+from skyline.experiments.matchers import WHAT
+from skyline.experiments.matching import KINDS, MatchingConfig, measure
+from skyline.experiments.matching_plot import save_accuracy
 from skyline.experiments.record import write_record
 from skyline.experiments.trials import candidate_rows, write_rows
 from skyline.terrain.dem import DemOptions, read_dem
@@ -38,11 +39,16 @@ def matching(
     ] = None,
     spacing: Annotated[
         list[float] | None,
-        typer.Option(help="Of a uniform store, metres; may be repeated [1024 512 256 128]."),
+        typer.Option(
+            help="Of a uniform store of renderings, metres; may be repeated [1024 512 256 128]."
+        ),
     ] = None,
-    shells: Annotated[int, typer.Option(help="Distance shells these stores keep.")] = (
-        _MATCHING.shells
-    ),
+    place_spacing: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="Of a uniform store of places, metres; may be repeated [160 120 80 60 40]."
+        ),
+    ] = None,
     store: Annotated[
         list[Path] | None,
         typer.Option(help="A store that is there already, instead; may be repeated."),
@@ -53,7 +59,7 @@ def matching(
     ] = None,
     matcher: Annotated[
         list[str] | None,
-        typer.Option(help=f"May be repeated; by default all: {', '.join(OPENERS)}."),
+        typer.Option(help=f"May be repeated; by default all: {', '.join(WHAT)}."),
     ] = None,
     kind: Annotated[
         list[str] | None,
@@ -72,15 +78,17 @@ def matching(
 ) -> None:
     """Matchers on uniform stores: how often, how far off and how fast made queries are found.
 
-    A query without any candidate counts as wrong by half of the area's diagonal.
+    The paper's matcher and correlation search renderings, ours searches places; stores are built
+    where a matcher searches them. Where a spacing or a store is given, no others are built. A
+    query without any candidate counts as wrong by half of the area's diagonal.
     """
-    spacings_m = tuple(spacing) if spacing else () if store else _MATCHING.spacings_m
+    given = spacing or place_spacing or store
     config = MatchingConfig(
         bounds_deg=parse_bounds(bounds) if bounds is not None else None,
-        spacings_m=spacings_m,
-        shells=shells,
+        spacings_m=tuple(spacing or ()) if given else _MATCHING.spacings_m,
+        place_spacings_m=tuple(place_spacing or ()) if given else _MATCHING.place_spacings_m,
         stores=tuple(store or ()),
-        matchers=tuple(matcher or OPENERS),
+        matchers=tuple(matcher or WHAT),
         kinds=tuple(kind or KINDS),
         queries=queries,
         seed=seed,
@@ -95,16 +103,20 @@ def matching(
         "store": "store",
         "matcher": "matcher",
         "queries": "queries",
+        "places": "places",
+        "build_cpu_s": "cpu s",
+        "megabytes": "MB",
         "within_200m": "in 200 m",
         "within_200m_low": "from",
         "within_200m_high": "to",
         "median_m": "median m",
+        "mean_m": "mean m",
         "p90_m": "90 % m",
         "heading_median_deg": "heading",
         "answered": "answered",
         "query_ms": "ms",
     }
-    print_rows(rows, columns)
+    print_rows([{**row, "megabytes": float(str(row["bytes"])) / 1e6} for row in rows], columns)
     if json_file is not None:
         write_record(json_file, "matching", rows)
     if per_query is not None:
@@ -116,4 +128,4 @@ def matching(
         ]
         write_rows(per_query, "matching-candidates", candidates)
     if plot is not None:
-        save_errors(compared, plot)
+        save_accuracy(rows, plot)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyline.experiments.distance_groups import ALL
+from skyline.experiments.matchers import PAPER, WHAT
 from skyline.experiments.record import Row
-from skyline.experiments.stages import PAPER, STAGES
 
 UNIFORM = "uniform"
 COSTS = ("renderings", "bytes_used")
@@ -79,7 +79,7 @@ def reached_rows(rows: Iterable[Row]) -> list[dict[str, object]]:
     planners = list(dict.fromkeys(one.planner for one in stores if one.planner != UNIFORM))
     return [
         _reached(stores, goal, planner, matcher, cost)
-        for matcher in STAGES
+        for matcher in WHAT
         if any(one.matcher == matcher for one in stores)
         for goal in _goals(stores, matcher)
         for planner in planners

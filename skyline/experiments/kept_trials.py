@@ -17,10 +17,10 @@ Key = Mapping[str, object]
 """What a result depends on, as JSON holds it."""
 
 MEASURED_CODE = (
-    "camera.py", "geodesy.py", "views.py", "features.py", "matching", "photo", "pipeline",
-    "planning/uniform.py", "prediction", "render", "store", "terrain", "experiments/occluders.py",
-    "experiments/panoramas.py", "experiments/pinhole.py", "experiments/queries.py",
-    "experiments/stages.py", "experiments/trials.py",
+    "camera.py", "geodesy.py", "views.py", "features.py", "horizons.py", "matching", "photo",
+    "pipeline", "places", "planning/uniform.py", "render", "store", "terrain",
+    "experiments/matchers.py", "experiments/occluders.py", "experiments/panoramas.py",
+    "experiments/pinhole.py", "experiments/queries.py", "experiments/trials.py",
 )  # fmt: skip
 """Code that an answer depends on; shaders beside it."""
 

@@ -1,28 +1,27 @@
 """Matchers compared: how often, how far off and how fast they find made queries in stores."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
 from skyline.errors import InputError
+from skyline.experiments.matchers import WHAT, check_matchers, open_matcher, searched_by
 from skyline.experiments.other_dems import perturbed, resampled
 from skyline.experiments.queries import MadeQuery, QueryConfig, make_queries
 from skyline.experiments.reference_stores import (
     ReferenceStore,
     check_spacing,
     given_store,
+    place_store,
     uniform_store,
 )
 from skyline.experiments.trials import Trial, run_trials, summarize
-from skyline.matching import MATCHERS
-from skyline.matching.dense import DensifyConfig
-from skyline.pipeline import FULL, MatchConfig, Matcher, Progress, RenderConfig
+from skyline.pipeline import PlaceConfig, Progress, RenderConfig
 from skyline.planning.uniform import map_bounds
-from skyline.prediction import shell_edges_m
+from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 
 BoundsDeg = tuple[float, float, float, float]
@@ -44,27 +43,6 @@ KINDS: Mapping[str, str] = MappingProxyType(
 _OTHER_SPACING, _OTHER_PHASE = 1.3, (0.37, 0.61)
 _HIDDEN_SHARE = 0.3
 
-_SPARSE = DensifyConfig(pitch_m=np.inf)
-
-Opener = Callable[[Path, HeightField], Matcher]
-
-
-def _open(name: str, config: MatchConfig, store: Path, terrain: HeightField) -> Matcher:
-    return Matcher(store, terrain, name, config)
-
-
-OPENERS: Mapping[str, Opener] = MappingProxyType(
-    {name: partial(_open, name, MatchConfig(fov_slack=0.05)) for name in MATCHERS}
-    | {
-        "stored": partial(_open, FULL, MatchConfig(fov_slack=0.05, refine=False, densify=_SPARSE)),
-        "retrieved": partial(_open, FULL, MatchConfig(fov_slack=0.05, refine=False)),
-        FULL: partial(_open, FULL, MatchConfig(fov_slack=0.05)),
-    }
-)
-"""How each matcher is made from a store's path and the terrain it was rendered from: the
-baselines, and ours on stored skylines alone, on predictions, and refined. The field of view of
-made queries is known to 5 %."""
-
 
 @dataclass(frozen=True, slots=True)
 class MatchingConfig:
@@ -75,13 +53,13 @@ class MatchingConfig:
     bounds_deg : (float, float, float, float), optional
         West, south, east, north of the area; by default 5 x 10 km in the DEM's middle.
     spacings_m : tuple of float
-        Of the uniform stores.
-    shells : int
-        Distance shells they keep, 0 for none; what they cost is in their bytes.
+        Of the uniform stores of renderings, built where a matcher searches such.
+    place_spacings_m : tuple of float
+        Of the uniform stores of places, likewise.
     stores : tuple of Path
         Stores that are there already, measured after the uniform ones.
     matchers : tuple of str
-        Names of `OPENERS`.
+        Names of `skyline.experiments.matchers.WHAT`; each is run on the stores it can search.
     kinds : tuple of str
         Names of `KINDS`.
     queries : int
@@ -95,9 +73,9 @@ class MatchingConfig:
 
     bounds_deg: BoundsDeg | None = None
     spacings_m: tuple[float, ...] = (1024.0, 512.0, 256.0, 128.0)
-    shells: int = 12
+    place_spacings_m: tuple[float, ...] = (160.0, 120.0, 80.0, 60.0, 40.0)
     stores: tuple[Path, ...] = ()
-    matchers: tuple[str, ...] = tuple(OPENERS)
+    matchers: tuple[str, ...] = tuple(WHAT)
     kinds: tuple[str, ...] = tuple(KINDS)
     queries: int = 300
     seed: int = 0
@@ -109,24 +87,28 @@ class MatchingConfig:
             raise InputError(f"the number of queries is {self.queries}; expected at least 1")
         if self.seed < 0:
             raise InputError(f"seed is {self.seed}; expected 0 or more")
-        if not self.spacings_m and not self.stores:
+        check_matchers(self.matchers)
+        if not self.grids() and not self.stores:
             raise InputError("there is no store to match; give a spacing or a store")
-        for what, names, known in (
-            ("matcher", self.matchers, OPENERS),
-            ("kind of queries", self.kinds, KINDS),
-        ):
-            unknown = [name for name in names if name not in known]
-            if unknown or not names:
-                raise InputError(
-                    f"{what} is {unknown[0] if unknown else 'none'!r}; expected one of "
-                    f"{', '.join(known)}"
-                )
+        for kind in self.kinds:
+            if kind not in KINDS:
+                raise InputError(f"kind of queries is {kind!r}; expected one of {', '.join(KINDS)}")
+
+    def grids(self) -> list[tuple[str, float]]:
+        """Return what the uniform stores hold that a matcher searches, and their spacing."""
+        wanted = {searched_by(name) for name in self.matchers}
+        grids = [(RENDERINGS, spacing_m) for spacing_m in self.spacings_m]
+        grids += [(PLACES, spacing_m) for spacing_m in self.place_spacings_m]
+        return [grid for grid in grids if grid[0] in wanted]
 
     def quick(self) -> "MatchingConfig":
         """Return a version that takes a minute: few queries, coarse stores."""
         coarse = tuple(spacing for spacing in self.spacings_m if spacing >= 512.0)
         return replace(
-            self, queries=min(self.queries, 20), spacings_m=coarse or self.spacings_m[:1]
+            self,
+            queries=min(self.queries, 20),
+            spacings_m=coarse or self.spacings_m[:1],
+            place_spacings_m=self.place_spacings_m[:1],
         )
 
 
@@ -146,9 +128,10 @@ class Comparison:
             "matcher": self.matcher,
             "queries": self.kind,
             **summarize(self.trials, seed),
-            "renderings": self.store.renderings,
+            "places": self.store.places,
             "bytes": self.store.size_bytes,
             "build_s": self.store.build_s,
+            "build_cpu_s": self.store.build_cpu_s,
         }
 
 
@@ -158,7 +141,7 @@ def measure(
     folder: Path,
     progress: Progress | None = None,
 ) -> list[Comparison]:
-    """Match the same queries to every store with every matcher.
+    """Match the same queries to every store with every matcher that can search it.
 
     Parameters
     ----------
@@ -179,39 +162,49 @@ def measure(
     Raises
     ------
     InputError
-        Bounds outside the DEM, an area too small for a spacing, or unknown names.
+        Bounds outside the DEM, an area too small for a spacing, or a store for no matcher.
     StoreMismatchError
         The folder has a store of another DEM, area or configuration.
     """
     bounds_deg = config.bounds_deg or middle_deg(terrain)
-    for spacing_m in config.spacings_m:
+    for _, spacing_m in config.grids():
         check_spacing(terrain, spacing_m, bounds_deg)
-    stores = list(_stores(terrain, config, bounds_deg, folder))
+    searched = {searched_by(name) for name in config.matchers}
+    given = [given_store(terrain, path) for path in config.stores]
+    for store in given:
+        if store.holds not in searched:
+            raise InputError(
+                f"{store.path} holds {store.holds}, which none of {', '.join(config.matchers)} "
+                "searches; name another matcher"
+            )
+    pairs = [
+        (store, name)
+        for store in (*_stores(terrain, config, bounds_deg, folder), *given)
+        for name in config.matchers
+        if searched_by(name) == store.holds
+    ]
     queries = {kind: _queries(terrain, config, bounds_deg, kind) for kind in config.kinds}
     west, south, east, north = map_bounds(terrain, bounds_deg)
     miss_m = float(np.hypot(east - west, north - south)) / 2.0
     compared: list[Comparison] = []
-    total = len(stores) * len(config.matchers) * len(config.kinds)
-    for store in stores:
-        for name in config.matchers:
-            with OPENERS[name](store.path, terrain) as matcher:
-                for kind, made in queries.items():
-                    if progress:
-                        progress(len(compared), total)
-                    trials = tuple(run_trials(matcher, made, miss_m, config.top))
-                    compared.append(Comparison(store, name, kind, trials))
+    for store, name in pairs:
+        with open_matcher(name, store.path, terrain) as matcher:
+            for kind, made in queries.items():
+                if progress:
+                    progress(len(compared), len(pairs) * len(queries))
+                trials = tuple(run_trials(matcher, made, miss_m, config.top))
+                compared.append(Comparison(store, name, kind, trials))
     return compared
 
 
 def _stores(
     terrain: HeightField, config: MatchingConfig, bounds_deg: BoundsDeg, folder: Path
 ) -> Iterator[ReferenceStore]:
-    edges = shell_edges_m(config.shells) if config.shells else ()
-    given = [given_store(terrain, path) for path in config.stores]
-    for spacing_m in config.spacings_m:
-        render = RenderConfig(shell_edges_m=edges)
-        yield uniform_store(terrain, folder, spacing_m, bounds_deg, render)
-    yield from given
+    for holds, spacing_m in config.grids():
+        if holds == PLACES:
+            yield place_store(terrain, folder, spacing_m, bounds_deg, PlaceConfig())
+        else:
+            yield uniform_store(terrain, folder, spacing_m, bounds_deg, RenderConfig())
 
 
 def _queries(

@@ -1,51 +1,53 @@
-"""Position errors of matchers as a picture: their distribution, one line a store and matcher."""
+"""Accuracy of matchers against what their stores cost, as a picture."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from skyline.experiments.matching import KINDS, Comparison
-from skyline.matching.confidence import RIGHT_WITHIN_M
+from skyline.experiments.record import Row
 
+_COSTS = (
+    ("places", 1.0, "places (or four renderings each)"),
+    ("build_cpu_s", 1.0, "processor time to build (s)"),
+    ("bytes", 1e-6, "store (MB)"),
+)
+_FIGURES = (
+    ("within_200m", "share within 200 m"),
+    ("median_m", "median error (m)"),
+    ("mean_m", "mean error (m)"),
+)
 _DASHES = ("solid", "dashed", "dotted", "dashdot")
-_LEAST_M = 1.0
 
 
-def save_errors(compared: Sequence[Comparison], path: Path) -> None:
-    """Save the share of queries whose error is at most so many metres; one panel a kind."""
-    kinds = list(dict.fromkeys(comparison.kind for comparison in compared))
-    stores = list(dict.fromkeys(comparison.store.name for comparison in compared))
-    matchers = list(dict.fromkeys(comparison.matcher for comparison in compared))
-    figure = Figure(figsize=(5.4 * len(kinds) + 0.6, 5.0), layout="constrained")
+def save_accuracy(rows: Sequence[Row], path: Path) -> None:
+    """Save accuracy against cost: a colour a matcher, a kind of dashes a kind of queries."""
+    lines = list(dict.fromkeys((str(row["matcher"]), str(row["queries"])) for row in rows))
+    matchers, kinds = (list(dict.fromkeys(names)) for names in zip(*lines, strict=True))
+    figure = Figure(figsize=(13.0, 10.0), layout="constrained")
     FigureCanvasAgg(figure)
-    panels = figure.subplots(1, len(kinds), squeeze=False)[0]
-    colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(stores)))
-    for axis, kind in zip(panels, kinds, strict=True):
-        shown = [comparison for comparison in compared if comparison.kind == kind]
-        for comparison in shown:
-            error_m = np.sort([trial.error_m for trial in comparison.trials])
-            axis.step(
-                np.maximum(error_m, _LEAST_M),
-                100.0 * np.arange(1, len(error_m) + 1) / len(error_m),
-                where="post",
-                color=colours[stores.index(comparison.store.name)],
-                linestyle=_DASHES[matchers.index(comparison.matcher) % len(_DASHES)],
-                label=f"{comparison.store.name}, {comparison.matcher}",
-            )
-        axis.axvline(RIGHT_WITHIN_M, color="black", linewidth=0.8, linestyle=":")
-        axis.set(
-            xscale="log",
-            xlim=(_LEAST_M, None),
-            ylim=(0, 100),
-            xlabel="position error (m)",
-        )
-        axis.set_title(f"{kind}, {len(shown[0].trials)} queries\n{KINDS[kind]}", fontsize=10)
-        axis.grid(alpha=0.3)
-    panels[0].set_ylabel("queries (%)")
-    panels[0].legend(fontsize=8, loc="upper left")
+    grid = figure.subplots(len(_FIGURES), len(_COSTS), sharex="col", sharey="row")
+    for line, (key, label) in zip(grid, _FIGURES, strict=True):
+        line[0].set_ylabel(label)
+        for axis, (cost, scale, _) in zip(line, _COSTS, strict=True):
+            axis.set(xscale="log", yscale="linear" if key == "within_200m" else "log")
+            axis.grid(alpha=0.3)
+            for matcher, kind in lines:
+                shown = sorted(
+                    (scale * float(str(row[cost])), float(str(row[key])))
+                    for row in rows
+                    if (row["matcher"], row["queries"]) == (matcher, kind) and row[cost] is not None
+                )
+                axis.plot(
+                    *([point[i] for point in shown] for i in range(2)),
+                    marker=".",
+                    color=f"C{matchers.index(matcher)}",
+                    linestyle=_DASHES[kinds.index(kind) % len(_DASHES)],
+                    label=f"{matcher}, {kind}",
+                )
+    for axis, (_, _, label) in zip(grid[-1], _COSTS, strict=True):
+        axis.set_xlabel(label)
+    grid[0, 0].legend(fontsize=7)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)

@@ -1,10 +1,9 @@
-"""How much memory this process has taken, and how much more there is."""
+"""How much memory this process takes."""
 
-import os
 import re
 from pathlib import Path
 
-_PROCESS, _MACHINE = Path("/proc/self/status"), Path("/proc/meminfo")
+_PROCESS = Path("/proc/self/status")
 _RESET, _RESET_PEAK = Path("/proc/self/clear_refs"), "5"
 
 
@@ -17,21 +16,21 @@ def reset_peak() -> None:
 
 
 def peak_bytes() -> int | None:
-    """Return the greatest resident memory since the last `reset_peak`; None where unknown."""
-    return _kilobytes(_PROCESS, "VmHWM")
+    """Return the greatest resident memory since the last `reset_peak`; None where unknown.
+
+    Pages of mapped files count, which the system may drop when it needs them.
+    """
+    return _kilobytes("VmHWM")
 
 
-def available_bytes() -> int | None:
-    """Return what can be taken without pushing anything out; None where unknown."""
-    available = _kilobytes(_MACHINE, "MemAvailable")
-    if available is None and "SC_AVPHYS_PAGES" in os.sysconf_names:
-        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return available
+def own_bytes() -> int | None:
+    """Return the resident memory that lies in no file; None where unknown."""
+    return _kilobytes("RssAnon")
 
 
-def _kilobytes(path: Path, name: str) -> int | None:
+def _kilobytes(name: str) -> int | None:
     try:
-        found = re.search(rf"^{name}:\s*(\d+) kB$", path.read_text(), re.MULTILINE)
+        found = re.search(rf"^{name}:\s*(\d+) kB$", _PROCESS.read_text(), re.MULTILINE)
     except OSError:
         return None
     return 1024 * int(found[1]) if found else None

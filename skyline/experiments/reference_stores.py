@@ -2,22 +2,39 @@
 
 import json
 import logging
-from dataclasses import asdict, dataclass
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from scipy.spatial import cKDTree
+
+from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
-from skyline.pipeline import BuildResult, RenderConfig, build_planned, build_uniform
+from skyline.pipeline import (
+    BuildResult,
+    PlaceConfig,
+    RenderConfig,
+    build_places,
+    build_planned,
+    build_uniform,
+)
+from skyline.pipeline.places import render_places
 from skyline.planning.plan import PlanConfig
 from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
 from skyline.store import open_store
+from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 _log = logging.getLogger(__name__)
 
 _NOTE = ".build.json"
 _SHELLS = "views/shell_"
 """What the names of datasets of shells begin with."""
+_SECONDS = ("build_s", "build_cpu_s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,19 +45,34 @@ class ReferenceStore:
     ----------
     name : str
     path : Path
-    renderings, size_bytes : int
+    holds : str
+        Renderings or places.
+    rows, size_bytes : int
     shell_bytes : int
         Of these bytes, what its distance shells take.
-    build_s : float or None
-        Over all the runs it was built in; None where that was not noted.
+    build_s, build_cpu_s : float or None
+        By the clock and of processor time, over all the runs it was built in; None where that
+        was not noted.
     """
 
     name: str
     path: Path
-    renderings: int
+    holds: str
+    rows: int
     size_bytes: int
     shell_bytes: int
     build_s: float | None
+    build_cpu_s: float | None
+
+    @property
+    def renderings(self) -> int:
+        """Views along a heading; a place counts as four: it looks all the way round."""
+        return len(HEADINGS) * self.rows if self.holds == PLACES else self.rows
+
+    @property
+    def places(self) -> float:
+        """Places, or a quarter of the renderings."""
+        return self.renderings / len(HEADINGS)
 
 
 def check_spacing(terrain: HeightField, spacing_m: float, bounds_deg: MapBounds | None) -> None:
@@ -65,23 +97,40 @@ def uniform_store(
     terrain: HeightField,
     folder: Path,
     spacing_m: float,
-    bounds_deg: tuple[float, float, float, float] | None,
+    bounds_deg: MapBounds | None,
     config: RenderConfig,
 ) -> ReferenceStore:
-    """Return a uniform store in a folder, built as far as it is not there yet.
+    """Return a uniform store of renderings in a folder, built as far as it is not there yet.
 
     Raises
     ------
     StoreMismatchError
         The folder has one of that name from another DEM, area or configuration.
     """
-    shells = max(len(config.shell_edges_m) - 1, 0)
-    name = f"uniform-{spacing_m:g}" + (f"-{shells}" if shells else "")
+    name = f"uniform-{spacing_m:g}"
     path = folder / f"{name}.h5"
-    was_there = path.exists()
-    built = build_uniform(terrain, path, spacing_m, bounds_deg, config)
-    _log.info("%s: %d of %d renderings now", name, built.rendered, built.renderings)
-    return _reference(name, path, _note(path, built, was_there, {}))
+    return _built(
+        name, path, lambda: build_uniform(terrain, path, spacing_m, bounds_deg, config), {}
+    )
+
+
+def place_store(
+    terrain: HeightField,
+    folder: Path,
+    spacing_m: float,
+    bounds_deg: MapBounds | None,
+    config: PlaceConfig,
+    progress: Callable[[int, int], None] | None = None,
+) -> ReferenceStore:
+    """Return a uniform store of places in a folder; as `uniform_store`."""
+    name = f"places-{spacing_m:g}"
+    path = folder / f"{name}.h5"
+    return _built(
+        name,
+        path,
+        lambda: build_places(terrain, path, spacing_m, bounds_deg, config, progress),
+        {},
+    )
 
 
 def planned_store(
@@ -113,22 +162,61 @@ def planned_store(
             "render": asdict(config),
         }
     )
-    noted, was_there = _noted(path), path.exists()
-    if was_there and noted.get("followed") == asked:
-        return _reference(name, path, noted["build_s"])
-    built = build_planned(terrain, path, planned, bounds_deg, config).built
-    _log.info("%s: %d of %d renderings now", name, built.rendered, built.renderings)
-    return _reference(name, path, _note(path, built, was_there, {"followed": asked}))
+    if path.exists() and _noted(path).get("followed") == asked:
+        return _reference(name, path)
+    return _built(
+        name,
+        path,
+        lambda: build_planned(terrain, path, planned, bounds_deg, config).built,
+        {"followed": asked},
+    )
 
 
-def _note(
-    path: Path, built: BuildResult, was_there: bool, about: dict[str, object]
-) -> float | None:
-    """Note beside a store what it took over all runs, and return it."""
-    build_s = _all_runs_s(built, was_there, _noted(path).get("build_s"))
-    text = json.dumps({"build_s": build_s, **about}) + "\n"
-    path.with_suffix(_NOTE).write_text(text, encoding="utf-8")
-    return build_s
+def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) -> ReferenceStore:
+    """Return a store of places at the locations of a planned store; as `uniform_store`.
+
+    A place stands for half the distance to the nearest other. Its cost is the planning's as well.
+    """
+    with open_store(planned.path) as store:
+        there = store.eyes()
+    # The headings of one location share its eye.
+    eyes = np.unique(np.stack([there.easting_m, there.northing_m, there.eye_elevation_m]), axis=1)
+    apart_m = np.asarray(cKDTree(eyes[:2].T).query(eyes[:2].T, k=[2])[0])[:, 0]
+    path = folder / f"{planned.name}-places.h5"
+    viewpoints = Viewpoints(*np.ascontiguousarray(eyes))
+    built = _built(
+        planned.name,
+        path,
+        lambda: render_places(terrain, viewpoints, apart_m / 2.0, path),
+        {},
+    )
+    return replace(
+        built,
+        build_s=_sum(planned.build_s, built.build_s),
+        build_cpu_s=_sum(planned.build_cpu_s, built.build_cpu_s),
+    )
+
+
+def _built(
+    name: str, path: Path, build: Callable[[], BuildResult], about: dict[str, object]
+) -> ReferenceStore:
+    """Build a store, note beside it what it took over all runs, and return it."""
+    was_there, noted = path.exists(), _noted(path)
+    cpu = time.process_time()
+    built = build()
+    now = built.seconds, time.process_time() - cpu
+    taken: dict[str, float | None] = dict(zip(_SECONDS, now, strict=True))
+    _log.info("%s: %d of %d rows now", name, built.rendered, built.rows)
+    if was_there:
+        before = {key: noted.get(key) for key in _SECONDS}
+        both = {key: _sum(before[key], taken[key]) for key in _SECONDS}
+        taken = both if built.rendered else before
+    path.with_suffix(_NOTE).write_text(json.dumps({**taken, **about}) + "\n", encoding="utf-8")
+    return _reference(name, path)
+
+
+def _sum(one: float | None, other: float | None) -> float | None:
+    return None if one is None or other is None else one + other
 
 
 def _noted(path: Path) -> dict[str, Any]:
@@ -139,15 +227,6 @@ def _noted(path: Path) -> dict[str, Any]:
 def _as_read(settings: dict[str, object]) -> dict[str, object]:
     """Return settings as they come back from JSON."""
     return dict(json.loads(json.dumps(settings)))
-
-
-def _all_runs_s(built: BuildResult, was_there: bool, before_s: float | None) -> float | None:
-    """Return what a store took over all runs; None where one of them was not noted."""
-    if not was_there:
-        return built.seconds
-    if not built.rendered:
-        return before_s
-    return None if before_s is None else before_s + built.seconds
 
 
 def given_store(terrain: HeightField, path: Path) -> ReferenceStore:
@@ -171,13 +250,19 @@ def given_store(terrain: HeightField, path: Path) -> ReferenceStore:
             f"{path} lies in another frame than the DEM, {terrain.frame.name}; give the DEM that "
             "the store was built from"
         )
-    return _reference(path.stem, path, None)
+    return _reference(path.stem, path)
 
 
-def _reference(name: str, path: Path, build_s: float | None) -> ReferenceStore:
+def _reference(name: str, path: Path) -> ReferenceStore:
+    noted = _noted(path)
     with open_store(path) as store:
         sizes = store.stored_bytes.items()
-        shell_bytes = sum(size for dataset, size in sizes if dataset.startswith(_SHELLS))
         return ReferenceStore(
-            name, path, store.committed, path.stat().st_size, shell_bytes, build_s
+            name,
+            path,
+            store.header.holds,
+            store.committed,
+            path.stat().st_size,
+            sum(size for dataset, size in sizes if dataset.startswith(_SHELLS)),
+            *(noted.get(key) for key in _SECONDS),
         )

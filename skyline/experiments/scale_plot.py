@@ -1,81 +1,53 @@
-"""Cost against size as a picture: seconds, bytes and query time over renderings or places."""
+"""Accuracy against area as a picture: what is found, what it takes, and where it is lost."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from skyline.experiments.scale import EXTRAPOLATED, MEASURED, PROBE
-
-Row = Mapping[str, Any]
-
-_PANELS = (
-    ("renderings", "build_s", "build (s)"),
-    ("renderings", "bytes", "store (bytes)"),
-    ("places", "query_ms", "query (ms)"),
-)
-_MARKS = {MEASURED: "o", PROBE: "^", EXTRAPOLATED: "s"}
-_COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red")
+from skyline.experiments.record import Row
+from skyline.experiments.scale import GROUPS
+from skyline.experiments.traced import STAGES
 
 
 def save_scale(rows: Sequence[Row], path: Path) -> None:
-    """Save what `experiments.scale.measure` found, one line a number of shells."""
-    shells = list(dict.fromkeys(row["shells"] for row in rows))
+    """Save the rows of `skyline.experiments.scale.measure`."""
     figure = Figure(figsize=(14.0, 4.6), layout="constrained")
     FigureCanvasAgg(figure)
-    for axis, (over, cost, name) in zip(figure.subplots(1, len(_PANELS)), _PANELS, strict=True):
-        for index, count in enumerate(shells):
-            _draw(
-                axis,
-                [row for row in rows if row["shells"] == count and row.get(cost) is not None],
-                (over, cost),
-                _COLOURS[index % len(_COLOURS)],
-                f"{count} shells" if count else "skylines alone",
-            )
-        axis.set(xscale="log", yscale="log", xlabel=over, ylabel=name)
-        axis.margins(0.15)
+    accuracy, lost, seconds = figure.subplots(1, 3)
+    everything = [row for row in rows if row["group"] == "all"]
+    for group in GROUPS:
+        mine = [row for row in rows if row["group"] == group]
+        if mine:
+            label = f"skyline {group}" if group != "all" else "all, within 200 m"
+            _draw(accuracy, mine, "within_200m", f"{label}, {mine[-1]['n']} queries")
+    _draw(accuracy, everything, "within_1km", "all, within 1 km", "dashed")
+    for stage in STAGES:
+        _draw(lost, everything, stage, stage)
+    _draw(lost, everything, "within_200m", "answer within 200 m", "dashed")
+    _draw(seconds, everything, "query_s", "by the clock")
+    _draw(seconds, everything, "query_cpu_s", "processor time")
+    for axis, label in (
+        (accuracy, "share within 200 m"),
+        (lost, "share of queries whose place is there"),
+        (seconds, "a query (s)"),
+    ):
+        axis.set(xscale="log", xlabel="area searched (km2)", ylabel=label)
+        axis.set_ylim(0.0, None if axis is seconds else 1.02)
         axis.grid(alpha=0.3)
-        if axis.lines:
-            axis.legend(fontsize=8, loc="lower right")
+        axis.legend(fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 
 
-def _draw(axis: Axes, rows: Sequence[Row], keys: tuple[str, str], colour: str, name: str) -> None:
-    """Draw the measured points joined, the probe, and a dashed line to the extrapolated one."""
-    over, cost = keys
-    for kind, mark in _MARKS.items():
-        shown = [row for row in rows if row["kind"] == kind]
-        axis.plot(
-            [row[over] for row in shown],
-            [row[cost] for row in shown],
-            color=colour,
-            marker=mark,
-            markerfacecolor="none" if kind == EXTRAPOLATED else colour,
-            linestyle="solid" if kind == MEASURED else "none",
-            label=f"{name}, {kind}" if shown else None,
-        )
-        if kind != PROBE:
-            for row in shown:
-                axis.annotate(
-                    f"{row['area_km2']:g} km²",
-                    (row[over], row[cost]),
-                    xytext=(-6, 5),
-                    textcoords="offset points",
-                    horizontalalignment="right",
-                    fontsize=7,
-                    color=colour,
-                )
-    measured = [row for row in rows if row["kind"] == MEASURED]
-    beyond = [row for row in rows if row["kind"] == EXTRAPOLATED]
-    ends = [*measured[-1:], *beyond]
+def _draw(axis: Axes, rows: Sequence[Row], key: str, label: str, dashes: str = "solid") -> None:
+    points = sorted((float(str(row["km2"])), float(str(row[key]))) for row in rows)
     axis.plot(
-        [row[over] for row in ends],
-        [row[cost] for row in ends],
-        color=colour,
-        linestyle="dashed",
-        linewidth=0.8,
+        [km2 for km2, _ in points],
+        [value for _, value in points],
+        marker=".",
+        linestyle=dashes,
+        label=label,
     )

@@ -12,19 +12,20 @@ from PIL import Image
 
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
+from skyline.experiments.matchers import open_matcher
 from skyline.experiments.photographs import draw_photo
 from skyline.experiments.queries import MadeQuery
 from skyline.experiments.reference_stores import ReferenceStore
 from skyline.experiments.trials import errors
 from skyline.matching import Candidate
 from skyline.photo import QuerySkyline, extract_skyline
-from skyline.pipeline import MatchConfig, Matcher, render_views
+from skyline.pipeline import FULL, render_views
 from skyline.render.depth import DepthRenderer
 from skyline.report.maps import BEST_COLOUR
 from skyline.report.overlay import Overlay
 from skyline.report.projection import Panorama
 from skyline.report.relief import Area, draw_bearings, draw_relief
-from skyline.store import Locations, open_store
+from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -41,7 +42,7 @@ def draw_viewpoints(
 ) -> tuple[Figure, str]:
     """Draw where a store has renderings, a map for each heading, and say what is drawn."""
     with open_store(store.path) as opened:
-        places = opened.locations()
+        headings, eyes = opened.locations().heading, opened.eyes()
     area = Area(*bounds_m)
     shape = area.height_m / area.width_m
     width = float(np.sqrt(_PANEL_SQUARE_IN / shape))
@@ -50,10 +51,10 @@ def draw_viewpoints(
     )
     counts = []
     for heading, axis in zip(HEADINGS, figure.subplots(1, len(HEADINGS), sharey=True), strict=True):
-        mine = places.heading == heading
+        mine = headings == heading
         counts.append(int(np.count_nonzero(mine)))
         draw_relief(axis, terrain, area)
-        _dot(axis, places, mine, 2.6)
+        _dot(axis, eyes[mine], 2.6)
         draw_bearings(axis, terrain.frame, area)
         axis.set_title(f"{_HEADING_NAMES[heading]}, {counts[-1]} renderings", fontsize=10)
     return figure, (
@@ -103,9 +104,15 @@ def _landscape(query: MadeQuery) -> slice:
 
 
 def work_query(
-    terrain: HeightField, store: ReferenceStore, query: MadeQuery, seed: int
+    terrain: HeightField,
+    store: ReferenceStore,
+    query: MadeQuery,
+    seed: int,
+    matcher: str = FULL,
 ) -> WorkedQuery:
-    """Draw a landscape photograph of a query, find the skyline in it, and match that, refined.
+    """Draw a landscape photograph of a query, find the skyline in it, and match that.
+
+    ``matcher`` is a name of `skyline.experiments.matchers.WHAT` that can search the store.
 
     Raises
     ------
@@ -115,8 +122,8 @@ def work_query(
     with DepthRenderer(terrain, 2 * query.skyline.width_px) as renderer:
         photo = draw_photo(renderer, query, seed)[_landscape(query)]
     found = extract_skyline(photo).with_fov(query.given_fov_deg)
-    with Matcher(store.path, terrain, config=MatchConfig()) as matcher:
-        return WorkedQuery(query, photo, found, matcher.match(found).candidates, store)
+    with open_matcher(matcher, store.path, terrain) as opened:
+        return WorkedQuery(query, photo, found, opened.match(found).candidates, store)
 
 
 def draw_worked_query(
@@ -143,13 +150,13 @@ def draw_worked_query(
     left.set_axis_off()
     error_m, turn_deg = errors(best, truth)
     with open_store(worked.store.path) as opened:
-        places = opened.locations()
+        eyes = opened.eyes()
     detail = Area.around(
         [truth.easting_m, best.easting_m], [truth.northing_m, best.northing_m], 0.2, _DETAIL_M
     ).within(terrain)
     for axis, shown, arrow in ((middle, area, 0.11), (right, detail, 0.18)):
         draw_relief(axis, terrain, shown)
-        _dot(axis, places, np.ones(len(places), dtype=bool), 2.0)
+        _dot(axis, eyes, 2.0)
         for place, heading_deg, colour, marker, label in (
             (
                 (truth.easting_m, truth.northing_m), truth.heading_deg, TRUE_COLOUR, "o",
@@ -160,7 +167,7 @@ def draw_worked_query(
             _draw_place(axis, place, heading_deg, colour, marker, label, arrow * shown.width_m)
         draw_bearings(axis, terrain.frame, shown)
     right.legend(loc="upper right", fontsize=9, framealpha=0.9)
-    middle.set_title(f"{worked.store.name}, {worked.store.renderings} renderings", fontsize=10)
+    middle.set_title(f"{worked.store.name}, {worked.store.rows} {worked.store.holds}", fontsize=10)
     right.set_title(f"{error_m:.0f} m off, heading {turn_deg:.1f}° off", fontsize=10)
     sure = "" if best.confidence is None else f", confidence {100.0 * best.confidence:.0f} %"
     return figure, (
@@ -183,10 +190,10 @@ def _overlay(terrain: HeightField, worked: WorkedQuery) -> NDArray[np.uint8]:
         return np.asarray(picture.convert("RGB"))
 
 
-def _dot(axis: Axes, places: Locations, shown: NDArray[np.bool_], size: float) -> None:
+def _dot(axis: Axes, eyes: Viewpoints, size: float) -> None:
     axis.plot(
-        places.easting_m[shown],
-        places.northing_m[shown],
+        eyes.easting_m,
+        eyes.northing_m,
         ".",
         color="black",
         markeredgewidth=0.0,

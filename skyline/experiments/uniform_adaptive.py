@@ -18,26 +18,30 @@ from skyline.experiments.kept_trials import (
     measured_code_digest,
     save_trials,
 )
+from skyline.experiments.matchers import PAPER, RETRIEVED, check_matchers, open_matcher, searched_by
 from skyline.experiments.matching import BoundsDeg, middle_deg
 from skyline.experiments.queries import MadeQuery, QueryConfig, make_queries
 from skyline.experiments.reference_stores import (
     ReferenceStore,
     check_spacing,
+    place_store,
+    planned_places,
     planned_store,
     uniform_store,
 )
-from skyline.experiments.stages import GROUPS, PAPER, READS_SHELLS, STAGES, open_stages
 from skyline.experiments.timing import core_count
-from skyline.experiments.trials import Trial, summarize, trial_of
-from skyline.pipeline import Progress, RenderConfig
+from skyline.experiments.trials import Trial, run_trials, summarize
+from skyline.pipeline import FULL, PlaceConfig, Progress, RenderConfig
 from skyline.pipeline.digests import file_digest
 from skyline.planning.budget import check_coarse, spaced_for
 from skyline.planning.candidates import Spacing, lay_out
 from skyline.planning.plan import PlanConfig
 from skyline.planning.uniform import MapBounds, map_bounds
-from skyline.prediction import shell_edges_m
+from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 
+_TOP = 1
+"""Candidates asked for: the best is what counts."""
 _QUICK_QUERIES = 12
 _QUICK_M = 3000.0
 
@@ -58,10 +62,8 @@ class AdaptiveConfig:
         Renderings each of them may make: a store for each.
     spacing : Spacing
         Of the viewpoints that a planner chooses from.
-    shells : int
-        Distance shells that every store keeps.
     matchers : tuple of str
-        Names of `skyline.experiments.stages.STAGES`.
+        Names of `skyline.experiments.matchers.WHAT`.
     queries : int
         At least 3: one a group.
     seed : int
@@ -76,8 +78,7 @@ class AdaptiveConfig:
     strategies: tuple[str, ...] = ("lpov", "cover")
     budgets: tuple[int, ...] = (800, 1600, 2800)
     spacing: Spacing = field(default_factory=Spacing)
-    shells: int = 12
-    matchers: tuple[str, ...] = tuple(STAGES)
+    matchers: tuple[str, ...] = (PAPER, RETRIEVED, FULL)
     queries: int = 300
     seed: int = 0
     workers: int = field(default_factory=core_count)
@@ -98,9 +99,7 @@ class AdaptiveConfig:
         for name in ("spacings_m", "strategies", "budgets", "matchers"):
             # Asked for twice is asked for once: two processes must not build the same store.
             object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
-        unknown = [name for name in self.matchers if name not in STAGES]
-        if unknown:
-            raise InputError(f"matcher is {unknown[0]!r}; expected one of {', '.join(STAGES)}")
+        check_matchers(self.matchers)
         if self.workers < 1:
             raise InputError(f"workers is {self.workers}; expected 1 or more")
 
@@ -154,7 +153,6 @@ class Measured:
     def row(self, group: DistanceGroup, seed: int) -> dict[str, object]:
         """Return the table's row of a group; ``bytes_used`` leaves out what is never read."""
         store = self.store
-        spared = 0 if self.matcher in READS_SHELLS else store.shell_bytes
         return {
             "store": store.name,
             "planner": self.planner,
@@ -165,8 +163,9 @@ class Measured:
             **summarize([self.trials[index] for index in group.queries], seed),
             "renderings": store.renderings,
             "bytes": store.size_bytes,
-            "bytes_used": store.size_bytes - spared,
+            "bytes_used": store.size_bytes - store.shell_bytes,
             "build_s": store.build_s,
+            "build_cpu_s": store.build_cpu_s,
         }
 
 
@@ -207,18 +206,18 @@ class _Bench:
     bounds_deg: BoundsDeg
     queries: tuple[MadeQuery, ...]
     miss_m: float
-    render: RenderConfig
+    holds: frozenset[str]
     folder: Path
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """Matchers of one group on one store, and where their trials are kept."""
+    """A matcher on one store, and where its trials are kept."""
 
     store: ReferenceStore
-    matchers: tuple[str, ...]
-    keys: Mapping[str, Key]
-    files: Mapping[str, Path]
+    matcher: str
+    key: Key
+    file: Path
 
 
 def check(terrain: HeightField, config: AdaptiveConfig) -> BoundsDeg:
@@ -286,28 +285,27 @@ def measure(
     west, south, east, north = area = map_bounds(terrain, bounds_deg)
     queries = make_queries(terrain, area, config.queries, config.seed, config.query)
     groups = distance_groups([query.distance_m for query in queries])
-    render = RenderConfig(shell_edges_m=shell_edges_m(config.shells))
     miss_m = float(np.hypot(east - west, north - south)) / 2.0
-    bench = _Bench(terrain, bounds_deg, queries, miss_m, render, folder)
+    holds = frozenset(searched_by(name) for name in config.matchers)
+    bench = _Bench(terrain, bounds_deg, queries, miss_m, holds, folder)
     asked: list[float | PlanConfig] = [*config.spacings_m, *config.plans()]
-    families = [tuple(n for n in names if n in config.matchers) for names in GROUPS]
-    families = [names for names in families if names]
-    count = _Counter(progress, len(asked) * (1 + len(families)))
+    count = _Counter(progress, len(asked) * (1 + len(config.matchers)))
     with crew(bench, config.workers) as run:
         stores = _stores(run, asked, count)
         jobs = [
-            _job(bench, config, stores[index], names)
-            for names in sorted(families, key=lambda names: PAPER not in names)
-            for index in sorted(range(len(asked)), key=lambda i: -stores[i].renderings)
+            _job(bench, config, stores[index][searched_by(name)], name)
+            for name in sorted(config.matchers, key=lambda name: name != PAPER)
+            for index in sorted(range(len(asked)), key=lambda i: -_renderings(stores[i]))
         ]
         found: dict[tuple[str, str], tuple[Trial, ...]] = {}
         for job, trials in run(_match, jobs):
             count()
-            found |= {(job.store.name, name): made for name, made in trials.items()}
+            found[job.store.name, job.matcher] = trials
     measured = tuple(
         Measured(_planner(one), store, name, found[store.name, name])
-        for one, store in zip(asked, stores, strict=True)
+        for one, held in zip(asked, stores, strict=True)
         for name in config.matchers
+        for store in (held[searched_by(name)],)
     )
     return UniformAdaptive(terrain, bounds_deg, queries, groups, measured, config.seed)
 
@@ -331,8 +329,11 @@ def _planner(asked: float | PlanConfig) -> str:
 
 def _stores(
     run: Crew, asked: Sequence[float | PlanConfig], count: _Counter
-) -> list[ReferenceStore]:
-    """Build the stores, the planned ones first, since they take longest; return them in order."""
+) -> list[Mapping[str, ReferenceStore]]:
+    """Build the stores, the planned ones first, since they take longest.
+
+    Returns them in order, each by what it holds.
+    """
     built = {}
     for one, store in run(_build, sorted(asked, key=lambda one: not isinstance(one, PlanConfig))):
         count()
@@ -340,21 +341,29 @@ def _stores(
     return [built[one] for one in asked]
 
 
-def _build(bench: _Bench, asked: float | PlanConfig) -> ReferenceStore:
+def _renderings(stores: Mapping[str, ReferenceStore]) -> int:
+    return max(store.renderings for store in stores.values())
+
+
+def _build(bench: _Bench, asked: float | PlanConfig) -> dict[str, ReferenceStore]:
+    """Build the stores of one grid or plan that a matcher searches."""
     where = bench.terrain, bench.folder
     if isinstance(asked, PlanConfig):
-        # Shells tell of all places that a tolerance area may hold.
-        reach_m = _spacing(asked, map_bounds(bench.terrain, bench.bounds_deg)).reach_m
-        render = replace(bench.render, reach_m=reach_m)
-        return planned_store(*where, asked, bench.bounds_deg, render)
-    store = uniform_store(*where, asked, bench.bounds_deg, bench.render)
-    return replace(store, name=f"{UNIFORM}-{asked:g}")
+        planned = planned_store(*where, asked, bench.bounds_deg, RenderConfig())
+        stores = {RENDERINGS: planned}
+        if PLACES in bench.holds:
+            stores[PLACES] = planned_places(*where, planned)
+        return stores
+    name, stores = f"{UNIFORM}-{asked:g}", {}
+    if RENDERINGS in bench.holds:
+        stores[RENDERINGS] = uniform_store(*where, asked, bench.bounds_deg, RenderConfig())
+    if PLACES in bench.holds:
+        stores[PLACES] = place_store(*where, asked, bench.bounds_deg, PlaceConfig())
+    return {held: replace(store, name=name) for held, store in stores.items()}
 
 
-def _job(
-    bench: _Bench, config: AdaptiveConfig, store: ReferenceStore, matchers: tuple[str, ...]
-) -> _Job:
-    depends: Key = {
+def _job(bench: _Bench, config: AdaptiveConfig, store: ReferenceStore, matcher: str) -> _Job:
+    key: Key = {
         "package_version": __version__,
         "code": measured_code_digest(),
         "dem": bench.terrain.digest,
@@ -363,27 +372,16 @@ def _job(
         "queries": config.queries,
         "seed": config.seed,
         "query": asdict(config.query),
+        "matcher": matcher,
     }
-    return _Job(
-        store,
-        matchers,
-        {name: {**depends, "matcher": name} for name in matchers},
-        {name: bench.folder / "trials" / f"{store.name}.{name}.json" for name in matchers},
-    )
+    return _Job(store, matcher, key, bench.folder / "trials" / f"{store.name}.{matcher}.json")
 
 
-def _match(bench: _Bench, job: _Job) -> dict[str, tuple[Trial, ...]]:
-    """Return the trials of a job's matchers: those kept, or new ones, which are kept then."""
-    kept = {
-        name: kept_trials(job.files[name], job.keys[name], bench.queries) for name in job.matchers
-    }
-    if not any(trials is None for trials in kept.values()):
-        return {name: tuple(trials) for name, trials in kept.items() if trials is not None}
-    made: dict[str, list[Trial]] = {name: [] for name in job.matchers}
-    with open_stages(job.matchers, job.store.path, bench.terrain) as stages:
-        for index, query in enumerate(bench.queries):
-            for name, result in stages.match(query).items():
-                made[name].append(trial_of(index, query, result, result.seconds, bench.miss_m))
-    for name, trials in made.items():
-        save_trials(job.files[name], job.keys[name], trials)
-    return {name: tuple(trials) for name, trials in made.items()}
+def _match(bench: _Bench, job: _Job) -> tuple[Trial, ...]:
+    """Return the trials of a job: those kept, or new ones, which are kept then."""
+    trials = kept_trials(job.file, job.key, bench.queries)
+    if trials is None:
+        with open_matcher(job.matcher, job.store.path, bench.terrain) as matcher:
+            trials = list(run_trials(matcher, bench.queries, bench.miss_m, _TOP))
+        save_trials(job.file, job.key, trials)
+    return tuple(trials)

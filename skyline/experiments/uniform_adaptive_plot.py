@@ -12,8 +12,8 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from skyline.experiments.cost_summary import UNIFORM
 from skyline.experiments.distance_groups import ALL
+from skyline.experiments.matchers import PAPER, WHAT
 from skyline.experiments.record import Row
-from skyline.experiments.stages import PAPER, STAGES
 
 _STYLES = {
     UNIFORM: ("#000000", "o"),
@@ -41,7 +41,7 @@ def draw_costs(rows: Sequence[Row]) -> Figure:
     stand in grey beside its matcher.
     """
     shown = [row for row in rows if row["group"] == ALL]
-    matchers = [name for name in STAGES if any(row["matcher"] == name for row in shown)]
+    matchers = [name for name in WHAT if any(row["matcher"] == name for row in shown)]
     planners = list(dict.fromkeys(str(row["planner"]) for row in shown))
     figure = Figure(figsize=(2.75 * len(matchers) + 0.9, 6.4), layout="constrained")
     FigureCanvasAgg(figure)
@@ -55,9 +55,9 @@ def draw_costs(rows: Sequence[Row]) -> Figure:
                 stores = [row for row in mine if row["planner"] == planner]
                 _draw_line(axis, planner, stores, key, scale)
             _finish(axis)
-        grid[0, column].set_title(f"{matcher}\n{STAGES[matcher]}", fontsize=8.5)
+        grid[0, column].set_title(f"{matcher}\n{WHAT[matcher]}", fontsize=8.5)
     for axis in grid[0]:
-        axis.set_xlabel("renderings", fontsize=9)
+        axis.set_xlabel("renderings, or four a place", fontsize=9)
     for axis in grid[1]:
         axis.set_xlabel("store (MB the matcher reads)", fontsize=9)
     for axis in grid[:, 0]:

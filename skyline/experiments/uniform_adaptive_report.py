@@ -9,9 +9,9 @@ from skyline import __version__
 from skyline.errors import InputError
 from skyline.experiments.cost_summary import COSTS, UNIFORM, equal_rows, reached_rows
 from skyline.experiments.distance_groups import ALL
+from skyline.experiments.matchers import WHAT
 from skyline.experiments.queries import MadeQuery
 from skyline.experiments.record import Row, machine
-from skyline.experiments.stages import REFINED, STAGES
 from skyline.experiments.store_figures import (
     draw_viewpoints,
     draw_worked_query,
@@ -21,10 +21,12 @@ from skyline.experiments.store_figures import (
 from skyline.experiments.uniform_adaptive import Measured, UniformAdaptive
 from skyline.experiments.uniform_adaptive_plot import draw_costs
 from skyline.experiments.view_figures import draw_pairs, figure_1, figure_2, figure_4
+from skyline.pipeline import FULL
 from skyline.planning.uniform import map_bounds
 from skyline.report.files import write_whole
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
 from skyline.report.pictures import encode_small_png
+from skyline.store.header import RENDERINGS
 
 _NEAR_M, _FAR_M = 30.0, 100.0
 """How far the views of Figure 1 and those of Figure 4 are apart."""
@@ -92,8 +94,8 @@ def _accuracy(rows: Sequence[Row]) -> Table:
     ]
     return Table.of_records(
         shown,
-        caption="All queries. MB are what the matcher reads of the store, from and to bound the "
-        "mean's 95 % interval, ms are of one thread.",
+        caption="All queries. A place counts as four renderings, planning as part of the build. "
+        "MB are what the matcher reads of the store, from and to bound the mean's 95 % interval.",
     )
 
 
@@ -152,7 +154,7 @@ def _groups(compared: UniformAdaptive, rows: Sequence[Row]) -> list[Section]:
     """Return the paper's Table 2, once a matcher."""
     stores = list(dict.fromkeys(str(row["store"]) for row in rows))
     parts: list[Part] = []
-    for matcher, what in STAGES.items():
+    for matcher, what in WHAT.items():
         mine = [row for row in rows if row["matcher"] == matcher]
         lines = []
         for group in compared.groups:
@@ -168,7 +170,11 @@ def _groups(compared: UniformAdaptive, rows: Sequence[Row]) -> list[Section]:
 def _stores(folder: Path, compared: UniformAdaptive) -> list[Part]:
     """Return the maps of the largest adaptive store of each planner, and a worked query."""
     bounds_m = map_bounds(compared.terrain, compared.bounds_deg)
-    planned = {one.planner: one.store for one in compared.measured if one.planner != UNIFORM}
+    planned = {
+        one.planner: one.store
+        for one in compared.measured
+        if one.planner != UNIFORM and one.store.holds == RENDERINGS
+    }
     parts: list[Part] = [
         _kept(
             folder / f"fig6-viewpoints-{planner}.png",
@@ -180,7 +186,7 @@ def _stores(folder: Path, compared: UniformAdaptive) -> list[Part]:
 
     def draw() -> Drawn:
         query = compared.queries[_typical(shown, compared.queries)]
-        worked = work_query(compared.terrain, shown.store, query, compared.seed)
+        worked = work_query(compared.terrain, shown.store, query, compared.seed, shown.matcher)
         return draw_worked_query(compared.terrain, bounds_m, worked)
 
     return parts + _drawn_or_why(folder / "fig6-query.png", draw)
@@ -188,7 +194,7 @@ def _stores(folder: Path, compared: UniformAdaptive) -> list[Part]:
 
 def _example(measured: Sequence[Measured]) -> Measured:
     """Return the last store refined, or whatever comes last."""
-    refined = [one for one in measured if one.matcher == REFINED]
+    refined = [one for one in measured if one.matcher == FULL]
     return (refined or list(measured))[-1]
 
 

@@ -15,7 +15,7 @@ KEYS = {
     "build_s", "bytes", "query_ms", "mean_m_low", "mean_m_high", "within_200m_low",
     "within_200m_high", "median_m_low", "median_m_high", "group_from_m", "group_to_m", "n",
 }  # fmt: skip
-TIMES = ("query_ms", "build_s")
+TIMES = ("query_ms", "build_s", "build_cpu_s")
 PICTURES = (
     "fig1-30-m-apart.png", "fig2-depth.png", "fig4-affine.png", "fig6-query.png",
     "fig6-viewpoints-cover.png", "fig7-costs.png",
@@ -62,7 +62,7 @@ def made(kept):
 
 def test_stores_matchers_and_groups_are_compared(compare, kept, made, tmp_path):
     plot, report = tmp_path / "plot.png", kept / "report"
-    matchers = ("paper", "full", "full+refine")
+    matchers = ("paper", "retrieved", "full")
     record, printed = compare(
         "--folder", kept, "--plot", plot, "--report", report,
         *(word for name in matchers for word in ("--matcher", name)),
@@ -81,9 +81,16 @@ def test_stores_matchers_and_groups_are_compared(compare, kept, made, tmp_path):
         assert row["mean_m_low"] <= row["mean_m"] <= row["mean_m_high"] < 5000.0
         assert row["group_from_m"] <= row["group_to_m"]
         assert row["build_s"] > 0.0
-        assert (row["bytes_used"] == row["bytes"]) == row["matcher"].startswith("full")
+        # The planner's shells are in the store, but no matcher reads them.
+        assert (row["bytes_used"] < row["bytes"]) == (
+            row["matcher"] == "paper" and row["planner"] == "cover"
+        )
         assert row["store"] in printed
-        assert row["renderings"] <= 60 or row["store"] == "uniform-600"
+        assert (
+            row["renderings"] <= 60
+            or row["store"] == "uniform-600"
+            or (row["matcher"] != "paper" and row["renderings"] % 4 == 0)
+        )
     # No query is dropped, and the groups make up the whole.
     for begin in range(0, len(rows), 4):
         *parts, every = rows[begin : begin + 4]
@@ -110,7 +117,7 @@ def test_the_report_is_one_page_and_small_pictures(kept, made):
     assert "<script" not in html
     assert "http" not in html.split("<body>")[1]
     assert html.count("data:image/png") == len(PICTURES)
-    for said in ("uniform-600", "full+refine", "close (", "30 m apart", "Table 2 of the paper"):
+    for said in ("uniform-600", "retrieved", "close (", "30 m apart", "Table 2 of the paper"):
         assert said in html
 
 
@@ -140,9 +147,9 @@ def test_what_is_there_is_not_done_again(compare, kept, made):
     trials = sorted((kept / "trials").iterdir())
     before = {path: path.stat().st_mtime_ns for path in trials}
     stores = {path: path.read_bytes() for path in kept.glob("*.h5")}
-    matchers = ("--matcher", "paper", "--matcher", "full+refine")
+    matchers = ("--matcher", "paper", "--matcher", "full")
     record, _ = compare("--folder", kept, *matchers)
-    asked = [row for row in made["rows"] if row["matcher"] in ("paper", "full+refine")]
+    asked = [row for row in made["rows"] if row["matcher"] in ("paper", "full")]
     assert without_times(record) == asked
     assert {path: path.stat().st_mtime_ns for path in trials} == before
     assert {path: path.read_bytes() for path in kept.glob("*.h5")} == stores
@@ -157,7 +164,7 @@ def test_what_is_there_is_not_done_again(compare, kept, made):
 
 def test_the_same_seed_gives_the_same_table(compare):
     first, again, other = (
-        without_times(compare("--matcher", "depth", "--workers", workers, "--seed", seed)[0])
+        without_times(compare("--matcher", "retrieved", "--workers", workers, "--seed", seed)[0])
         for workers, seed in ((2, 7), (1, 7), (2, 8))
     )
     assert first == again != other

@@ -9,7 +9,7 @@ from scenes import field_of, fractal
 
 from skyline.errors import InputError
 from skyline.experiments.queries import QueryConfig, make_queries
-from skyline.experiments.reference_stores import uniform_store
+from skyline.experiments.reference_stores import place_store, uniform_store
 from skyline.experiments.store_figures import (
     draw_viewpoints,
     draw_worked_query,
@@ -17,7 +17,7 @@ from skyline.experiments.store_figures import (
     work_query,
 )
 from skyline.experiments.view_figures import draw_pairs, figure_1, figure_2, figure_4
-from skyline.pipeline import RenderConfig
+from skyline.pipeline import PlaceConfig, RenderConfig
 from skyline.report.pictures import SMALL_BYTES, encode_small_png
 
 AREA_M = (600.0, 600.0, 2900.0, 2900.0)
@@ -115,7 +115,8 @@ def test_viewpoints_are_drawn_for_each_heading(terrain, store):
     drawn(figure)
 
 
-def test_a_query_is_worked_from_its_photograph(terrain, store):
+def test_a_query_is_worked_from_its_photograph(terrain, tmp_path):
+    store = place_store(terrain, tmp_path, 300.0, None, PlaceConfig())
     config = QueryConfig(width_px=360, height_px=540, render_width=1280)
     query = next(one for one in make_queries(terrain, AREA_M, 12, 2, config) if fits_landscape(one))
     worked = work_query(terrain, store, query, 0)

@@ -74,7 +74,7 @@ def test_answers_depend_on_code_learned_models_and_shaders():
     assert all((package / name).exists() for name in MEASURED_CODE)
     assert len(measured_code_digest()) == 64
     names = {file.name for file in measured_files()}
-    assert {"retrieval.py", "stages.py", "confidence.json", "horizon_walk.glsl"} <= names
+    assert {"retrieval.py", "matchers.py", "confidence.json", "horizon_walk.glsl"} <= names
     assert not {"adaptive.py", "uniform_adaptive.py"} & names
 
 
