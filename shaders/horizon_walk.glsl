@@ -1,4 +1,4 @@
-// Skyline of one column: walk forward over a tree of slabs and keep the greatest v (DESIGN 5).
+// Skyline of one column: walk forward over a tree of slabs and keep the greatest v.
 //
 // The vertical half-plane of a column meets the surface's edges where its ground ray crosses rows,
 // columns and diagonals of samples; the greatest v over these crossings is the skyline, as in

@@ -17,7 +17,7 @@ Facts = dict[str, object]
 
 
 def describe_match(query: str, result: MatchResult, frame: Frame) -> MatchRecord:
-    """Return what was found for a query, in the public JSON's terms (DESIGN 8)."""
+    """Return what was found for a query, in the public JSON's terms."""
     candidates = describe_candidates(result.candidates, frame)
     record = MatchRecord(
         query=query,

@@ -1,4 +1,4 @@
-"""The float64 skyline of the exact surface (DESIGN 4): slow, plain, the truth for all else.
+"""The float64 skyline of the exact surface: slow, plain, the truth for all else.
 
 The vertical half-plane of a column meets the surface's edges where its ground ray crosses the
 three families of grid lines: the columns of samples, the rows, and the north-west to south-east

@@ -1,4 +1,4 @@
-"""The command line of benchmarks: ``skyline-bench COMMAND`` (DESIGN 8)."""
+"""The command line of benchmarks: ``skyline-bench COMMAND``."""
 
 from typing import Annotated
 

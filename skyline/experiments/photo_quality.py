@@ -22,7 +22,7 @@ from skyline.photo import extract_skyline
 Float64Array = NDArray[np.float64]
 
 VIEW_COLUMNS = 640
-"""Errors are given in px of a photo this wide (DESIGN 2)."""
+"""Errors are given in px of a photo this wide."""
 _WIDEST_PINHOLE_DEG = 120.0
 
 

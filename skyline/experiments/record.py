@@ -1,4 +1,4 @@
-"""The record of a benchmark: what was measured, and on which machine (DESIGN 8)."""
+"""The record of a benchmark: what was measured, and on which machine."""
 
 import datetime
 import json

@@ -138,7 +138,7 @@ def central_viewpoints(terrain: HeightField, count: int, spacing_m: float) -> Vi
 def measure(
     terrain: HeightField, config: SpeedErrorConfig, progress: Progress | None = None
 ) -> list[Row]:
-    """Return one row a contender: the keys of DESIGN 8, and what explains them.
+    """Return one row a contender: what a benchmark always says, and what explains it.
 
     Raises
     ------

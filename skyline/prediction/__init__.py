@@ -1,4 +1,4 @@
-"""A stored view seen from a displaced eye, without rendering (paper 4.2, DESIGN 6).
+"""A stored view seen from a displaced eye, without rendering (paper 4.2).
 
 The planner asks how far from a view its skyline still serves (`PREDICTORS`), the matcher what
 the neighbourhood of a view sees (`predict`). A displacement t is (right, up, forward) in the

@@ -1,4 +1,4 @@
-"""The horizon rasterizer: skylines themselves, exact to float32, without an image (DESIGN 5).
+"""The horizon rasterizer: skylines themselves, exact to float32, without an image.
 
 A column's skyline is the greatest v over the edges that its half-plane crosses. The GPU walks
 each column's ray over a tree of upper bounds and evaluates only what can still be the greatest

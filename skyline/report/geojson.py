@@ -36,7 +36,7 @@ def match_collection(matches: Iterable[tuple[str, Iterable[Candidate]]], frame: 
     Returns
     -------
     dict
-        Per candidate a Point whose properties are those of the public JSON (DESIGN 8) with
+        Per candidate a Point whose properties are those of the public JSON with
         ``query``, ``rank`` and ``shape`` = ``candidate``; a Polygon with ``shape`` = ``view``, the
         field of view out to 2 km; and where its covariance is known one with ``shape`` =
         ``ellipse95``, ``semi_major_m`` and ``semi_minor_m``.

@@ -1,4 +1,4 @@
-"""A match in the terms of the public JSON (DESIGN 8)."""
+"""A match in the terms of the public JSON."""
 
 from collections.abc import Iterable
 from typing import NotRequired, TypedDict

@@ -1,4 +1,4 @@
-"""The HDF5 reference store: what many eyes see, one row each (DESIGN 8).
+"""The HDF5 reference store: what many eyes see, one row each.
 
 A store holds renderings (views with their skylines and keypoints) or places (see
 `skyline.places`); all but the rows' layout is the same.

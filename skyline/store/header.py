@@ -1,4 +1,4 @@
-"""What a store was built from and how, and the layout of its rows (DESIGN 8)."""
+"""What a store was built from and how, and the layout of its rows."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Viewpoints from a CSV file: the batch renderer's input (DESIGN 8)."""
+"""Viewpoints from a CSV file: the batch renderer's input."""
 
 import csv
 from pathlib import Path
