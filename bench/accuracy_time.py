@@ -1,8 +1,8 @@
 """Accuracy against time: how long a short list, how deep a refinement, and what that buys.
 
 Run as ``python bench/accuracy_time.py STORE.h5 DEM...``; writes accuracy_time.json and .png to
-bench/results. Queries are drawn over the store's own area. Seconds are processor time a query,
-which other work on the machine hardly changes; predictions are made once, before.
+bench/results. The store holds places, and queries are drawn over its own area. Seconds are
+processor time a query, which other work on the machine hardly changes.
 """
 
 import argparse
@@ -32,7 +32,6 @@ from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.pipeline.config import mapped_area_m, read_dem_of
 from skyline.pipeline.match import RenderedScene
-from skyline.pipeline.predicted import cache_folder, predicted_profiles
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 
@@ -40,8 +39,8 @@ T = TypeVar("T")
 
 RESULTS = Path(__file__).parent / "results"
 FULL = FullConfig()
-FITTED = (250, 1000, 4000)
-"""Entries whose pose is fitted in retrieval; the last before every refinement."""
+FITTED = (125, 500, 2000)
+"""Places whose pose is fitted well in retrieval; the last before every refinement."""
 SHORTLISTS = (4, 16, 64, 400)
 """Retrieved poses that a refinement starts from."""
 UNREFINED = "none"
@@ -80,7 +79,7 @@ class Bench:
     Parameters
     ----------
     retrievers : dict of int to Retriever
-        By how many entries they fit.
+        By how many places they fit well.
     scene : RenderedScene
     miss_m : float
         The error of a query that nothing fits, or without a skyline.
@@ -168,7 +167,7 @@ def save_plot(rows: Sequence[dict[str, object]], path: Path) -> None:
     _draw(within, rows, "within_200m", f"share within {RIGHT_WITHIN_M:.0f} m")
     error.legend(fontsize=8, title="refinement")
     figure.suptitle(
-        f"retrieval fits {', '.join(map(str, FITTED))} entries; the best "
+        f"retrieval fits {', '.join(map(str, FITTED))} places; the best "
         f"{', '.join(map(str, SHORTLISTS))} are refined",
         fontsize=10,
     )
@@ -197,9 +196,11 @@ def main() -> None:
     with open_store(given.store) as store:
         terrain = read_dem_of(store.header, given.dem)
         west, south, east, north = mapped_area_m(store.header, terrain) or map_bounds(terrain, None)
-        profiles = predicted_profiles(store, terrain, config.densify, cache_folder())
-        scene = RenderedScene(terrain, store.header, config)
-    retrievers = {fitted: Retriever(profiles, RetrievalConfig(fitted=fitted)) for fitted in FITTED}
+        places, scene = store.places(), RenderedScene(terrain, store.header, config)
+    retrievers = {
+        fitted: Retriever(places, terrain.height_at, RetrievalConfig(fitted=fitted))
+        for fitted in FITTED
+    }
     bench = Bench(retrievers, scene, 0.5 * math.hypot(east - west, north - south))
     area_m = west, south, east, north
     queries = make_queries(terrain, area_m, given.queries, given.seed, QueryConfig())

@@ -1,6 +1,6 @@
 """Learn the confidence on Sierra and Rofental, show its reliability on Davos.
 
-Run as ``python bench/calibrate.py [--queries N] [--examples FILE]``: it takes some forty minutes
+Run as ``python bench/calibrate.py [--queries N] [--examples FILE]``: it takes some twenty minutes
 on two cores, and changes what answers are believed. From examples that were kept another model is
 learned in seconds.
 """
@@ -31,9 +31,10 @@ from skyline.experiments.other_dems import perturbed
 from skyline.experiments.queries import MadeQuery, QueryConfig, make_queries
 from skyline.experiments.record import write_record
 from skyline.matching.full import FullMatcher
-from skyline.pipeline import RenderConfig, build_uniform
-from skyline.pipeline.match import RenderedScene, open_retriever
-from skyline.prediction import shell_edges_m
+from skyline.matching.retrieval import Retriever
+from skyline.pipeline import build_places
+from skyline.pipeline.match import RenderedScene
+from skyline.pipeline.places import DEFAULT_SPACING_M
 from skyline.store import open_store
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
@@ -43,7 +44,6 @@ DATA = ROOT.parent / "shared" / "data"
 MODEL = ROOT / "skyline" / "matching" / "confidence.json"
 RESULTS = ROOT / "bench" / "results"
 
-SPACING_M = 300.0
 SIDE_M = 6_000.0
 OUTSIDE = 1.35
 """Queries come from an area this much wider than the store: nearly half from outside it."""
@@ -76,12 +76,11 @@ def told_by(
     store = folder / "store.h5"
     lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + [[-half, half], [-half, half]]))
     bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
-    config = RenderConfig(shell_edges_m=shell_edges_m(12))
-    build_uniform(terrain, store, SPACING_M, bounds_deg, config)
+    build_places(terrain, store, DEFAULT_SPACING_M, bounds_deg)
     told: dict[str, list[Example]] = {name: [] for name in MODELS}
     with open_store(store) as opened:
         scene = RenderedScene(terrain, opened.header, MatchConfig())
-        matcher = FullMatcher(open_retriever(opened, terrain, MatchConfig()), scene)
+        matcher = FullMatcher(Retriever(opened.places(), terrain.height_at), scene)
     for made in all_queries(terrain, middle, OUTSIDE * half, queries, seed):
         for example in examples(matcher, made):
             for name, one in example.items():
@@ -164,7 +163,7 @@ def keep(told: Told, path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--queries", type=int, default=50, help="of each of four kinds")
+    parser.add_argument("--queries", type=int, default=30, help="of each of four kinds")
     parser.add_argument("--seed", type=int, default=1000)
     parser.add_argument("--examples", type=Path, help="kept here, and read where they are there")
     given = parser.parse_args()

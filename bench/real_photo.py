@@ -7,14 +7,14 @@ it is not there.
 
 import argparse
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from skyline import MatchConfig, Matcher, RenderConfig, build_uniform, read_dem
+from skyline import Matcher, read_dem
 from skyline.experiments.record import write_record
-from skyline.prediction import shell_edges_m
+from skyline.pipeline import build_places
+from skyline.pipeline.places import DEFAULT_SPACING_M
 from skyline.terrain.dem import DemOptions
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -23,16 +23,13 @@ RESULT = ROOT / "bench" / "results" / "real_photo.json"
 
 STATION_LON, STATION_LAT = 10.78277, 46.79586
 HEADING_DEG, FOV_DEG = 275.96, 78.7
-SPACING_M, SHELLS, PITCH_M = 500.0, 12, 100.0
 
 
 def main(store: Path) -> None:
     terrain = read_dem([ROFENTAL / "dem_rofental_50.asc"], DemOptions(crs="EPSG:32632"))
-    config = RenderConfig(shell_edges_m=shell_edges_m(SHELLS))
-    built = build_uniform(terrain, store, SPACING_M, config=config)
-    matching = MatchConfig(densify=replace(MatchConfig().densify, pitch_m=PITCH_M))
+    built = build_places(terrain, store, DEFAULT_SPACING_M)
     started = time.perf_counter()
-    matcher = Matcher(store, terrain, config=matching)
+    matcher = Matcher(store, terrain)
     open_s = time.perf_counter() - started
     station = terrain.frame.from_lonlat(STATION_LON, STATION_LAT)
     rows = []
@@ -52,7 +49,7 @@ def main(store: Path) -> None:
                 "answered": found.answer is not None,
                 "query_s": found.seconds,
                 "open_s": open_s,
-                "renderings": built.renderings,
+                "places": built.rows,
                 "bytes": store.stat().st_size,
             }
         )

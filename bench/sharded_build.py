@@ -176,7 +176,7 @@ def measure_area(terrain: HeightField, folder: Path) -> list[Row]:
     queries = make_queries(terrain, (west, south, east, north), QUERIES, seed=7)
     for name in ("correlation",):
         started = time.perf_counter()
-        matcher = Matcher(path, name)
+        matcher = Matcher(path, terrain, name)
         opened = time.perf_counter()
         found = [matcher.match(query.skyline) for query in queries]
         errors_m = [

@@ -1,7 +1,8 @@
 """Skylines of elsewhere: how many a store answers, and how sure it is of them.
 
-Run as ``python bench/strangers.py STORE.h5 DEM... --strange DEM``; the store is DEM's. Queries are
-plain ones from the middle of the strange terrain. Writes strangers.json to bench/results.
+Run as ``python bench/strangers.py STORE.h5 DEM... --strange DEM``; the store holds places of DEM.
+Queries are plain ones from the middle of the strange terrain. Writes strangers.json to
+bench/results.
 """
 
 import argparse
@@ -13,7 +14,6 @@ from skyline import MatchConfig, Matcher, read_dem
 from skyline.console import progress_bar
 from skyline.experiments.queries import QueryConfig, make_queries
 from skyline.experiments.record import write_record
-from skyline.pipeline.predicted import cache_folder
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 
@@ -44,7 +44,7 @@ def main() -> None:
     strange = read_dem(given.strange, DemOptions(reproject=True))
     asked = QueryConfig()
     queries = make_queries(strange, middle_m(strange), given.queries, given.seed, asked)
-    config = MatchConfig(cache=cache_folder(), fov_slack=asked.fov_error)
+    config = MatchConfig(fov_slack=asked.fov_error)
     sure, answered, seconds = [], 0, []
     with (
         Matcher(given.store, given.dem, config=config) as matcher,
