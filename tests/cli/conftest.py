@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 from scenes import fractal, write_dem
 
-from skyline import bench, build_uniform, cli, read_dem
+from skyline import bench, build_places, build_uniform, cli, read_dem
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,15 @@ def dem(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def store(dem, tmp_path_factory):
-    """A store over that DEM."""
+    """A store of places over that DEM."""
     path = tmp_path_factory.mktemp("store") / "store.h5"
+    build_places(read_dem([dem]), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def renderings(dem, tmp_path_factory):
+    """A store of renderings over that DEM."""
+    path = tmp_path_factory.mktemp("renderings") / "renderings.h5"
     build_uniform(read_dem([dem]), path, 600.0)
     return path

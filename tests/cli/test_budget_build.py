@@ -84,7 +84,8 @@ def test_command_line(dem, run, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--budget", 100], "--budget 100 is for a planner"),
+        (["--budget", 100], "--budget 100 is for a store of renderings; give --planner too"),
+        (["--planner", "uniform", "--budget", 100], "--budget 100 is for a planner that chooses"),
         (["--planner", "cover", "--budget", 2], "budget is 2 renderings"),
     ],
 )

@@ -35,7 +35,7 @@ def test_fetched_tiles_are_built(run, told, tmp_path):
         assert "0 of them new" in run(*arguments).out
     built = run("build", folder / "N46E009.tif", "-o", store, "--spacing", "9000")
     assert built.code == 0, built.err
-    assert json.loads(run("info", store, "--json").out)["renderings"] > 0
+    assert json.loads(run("info", store, "--json").out)["places"] > 0
 
 
 def test_a_failing_server_is_one_line(run, told, tmp_path):

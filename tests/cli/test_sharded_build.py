@@ -8,19 +8,26 @@ import pytest
 
 @pytest.fixture
 def tiles(dem, tmp_path):
-    return "build", dem, "-o", tmp_path / "s.h5", "--spacing", "900", "--width", "80"
+    return "build", dem, "-o", tmp_path / "s.h5"
 
 
-def test_tiles_and_workers_make_the_same_store(run, tiles, tmp_path):
-    here = run(*tiles, "--shard-km", "2")
+@pytest.mark.parametrize(
+    ("options", "holds"),
+    [
+        (("--spacing", "200"), "places"),
+        (("--planner", "uniform", "--spacing", "900", "--width", "80"), "renderings"),
+    ],
+)
+def test_tiles_and_workers_make_the_same_store(run, tiles, tmp_path, options, holds):
+    here = run(*tiles, *options, "--shard-km", "2")
     assert here.code == 0, here.err
-    assert "renderings" in here.out
+    assert holds in here.out
     content = (tmp_path / "s.h5").read_bytes()
     (tmp_path / "s.h5").unlink()
-    spread = run(*tiles, "--shard-km", "2", "--workers", "1")
+    spread = run(*tiles, *options, "--shard-km", "2", "--workers", "1")
     assert (spread.code, spread.err) == (0, "")
     assert (tmp_path / "s.h5").read_bytes() == content
-    again = run(*tiles, "--shard-km", "2")
+    again = run(*tiles, *options, "--shard-km", "2")
     assert ", 0 of them new" in again.out
 
 
@@ -56,8 +63,16 @@ def traces(tmp_path):
     return paths
 
 
-def test_queries_are_matched_by_workers_as_here(run, store, traces, dask_cluster):
-    options = "--fov-deg", "60", "--json", "--matcher", "correlation"
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("renderings", ("--matcher", "correlation")),
+        ("store", ("--no-refine", "--heading", "100,120")),
+    ],
+)
+def test_queries_are_matched_by_workers_as_here(run, traces, dask_cluster, request, kind, options):
+    store = request.getfixturevalue(kind)
+    options = "--fov-deg", "60", "--json", *options
     here = run("match", store, *traces[:3], *options)
     spread = run("match", store, *traces, *options, "--scheduler", dask_cluster.scheduler_address)
     answers = [[json.loads(line) for line in done.out.splitlines()] for done in (here, spread)]

@@ -2,13 +2,25 @@
 
 import json
 
+import pytest
+
 from skyline.store import check_store
 
+KINDS = [("store", "places"), ("renderings", "renderings")]
 
-def test_check(run, store, tmp_path):
+
+@pytest.fixture(params=KINDS, ids=[holds for _, holds in KINDS])
+def kind(request):
+    """A store of either kind, and what it holds."""
+    name, holds = request.param
+    return request.getfixturevalue(name), holds
+
+
+def test_check(run, kind, tmp_path):
+    store, holds = kind
     done = run("store", "check", store)
     assert done.code == 0
-    assert "renderings, whole" in done.out
+    assert f"{holds}, whole" in done.out
     data = bytearray(store.read_bytes())
     data[len(data) // 2] ^= 4
     (tmp_path / "damaged.h5").write_bytes(data)
@@ -24,7 +36,8 @@ def test_check(run, store, tmp_path):
     assert run("store", "check", tmp_path / "absent.h5").code == 2
 
 
-def test_repair_merge_compact(run, store, tmp_path):
+def test_repair_merge_compact(run, kind, tmp_path):
+    store, _ = kind
     data = bytearray(store.read_bytes())
     data[len(data) // 2] ^= 4
     (tmp_path / "damaged.h5").write_bytes(data)
@@ -39,10 +52,12 @@ def test_repair_merge_compact(run, store, tmp_path):
     assert (tmp_path / "merged.h5").read_bytes() == (tmp_path / "compact.h5").read_bytes()
     assert run("store", "compact", store, "-o", tmp_path / "compact.h5").code == 2
     assert run("store", "compact", store, "--quantize", "-o", tmp_path / "no.h5").code == 2
+    assert not (tmp_path / "no.h5").exists()
 
 
 def test_exact_rows_are_quantized(run, dem, tmp_path):
-    built = run("build", dem, "-o", tmp_path / "s.h5", "--spacing", 900, "--rows", "exact")
+    uniform = "--planner", "uniform", "--spacing", 900
+    built = run("build", dem, "-o", tmp_path / "s.h5", *uniform, "--rows", "exact")
     assert built.code == 0, built.err
     done = run(
         "store", "compact", tmp_path / "s.h5", "--quantize", "--depth-error", 0.01,
@@ -54,4 +69,4 @@ def test_exact_rows_are_quantized(run, dem, tmp_path):
     facts = json.loads(run("info", tmp_path / "q.h5", "--json").out)
     assert facts["rows"] == "compact"
     assert abs(facts["depth_error"] - 0.01) < 1e-9
-    assert run("build", dem, "-o", tmp_path / "t.h5", "--rows", "packed").code == 2
+    assert run("build", dem, "-o", tmp_path / "t.h5", *uniform, "--rows", "packed").code == 2
