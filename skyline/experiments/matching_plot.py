@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from skyline.experiments.record import Row
 
@@ -31,7 +33,13 @@ def save_accuracy(rows: Sequence[Row], path: Path) -> None:
     for line, (key, label) in zip(grid, _FIGURES, strict=True):
         line[0].set_ylabel(label)
         for axis, (cost, scale, _) in zip(line, _COSTS, strict=True):
-            axis.set(xscale="log", yscale="linear" if key == "within_200m" else "log")
+            axis.set_xscale("log")
+            plain_ticks(axis.xaxis)
+            if key == "within_200m":
+                axis.set_ylim(0.0, 1.02)
+            else:
+                axis.set_yscale("log")
+                plain_ticks(axis.yaxis)
             axis.grid(alpha=0.3)
             for matcher, kind in lines:
                 shown = sorted(
@@ -51,3 +59,10 @@ def save_accuracy(rows: Sequence[Row], path: Path) -> None:
     grid[0, 0].legend(fontsize=7)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
+
+
+def plain_ticks(side: Axis) -> None:
+    """Write the ticks of a logarithmic axis as plain numbers."""
+    side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    side.set_minor_formatter(NullFormatter())

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from skyline.experiments.matching_plot import plain_ticks
 from skyline.experiments.record import Row
 from skyline.experiments.scale import GROUPS
 from skyline.experiments.traced import STAGES
@@ -35,6 +36,7 @@ def save_scale(rows: Sequence[Row], path: Path) -> None:
         (seconds, "a query (s)"),
     ):
         axis.set(xscale="log", xlabel="area searched (km2)", ylabel=label)
+        plain_ticks(axis.xaxis)
         axis.set_ylim(0.0, None if axis is seconds else 1.02)
         axis.grid(alpha=0.3)
         axis.legend(fontsize=8)

@@ -8,11 +8,11 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from skyline.experiments.cost_summary import UNIFORM
 from skyline.experiments.distance_groups import ALL
 from skyline.experiments.matchers import PAPER, WHAT
+from skyline.experiments.matching_plot import plain_ticks
 from skyline.experiments.record import Row
 
 _STYLES = {
@@ -109,10 +109,7 @@ def _draw_papers(axis: Axes) -> None:
 
 def _finish(axis: Axes) -> None:
     axis.set(xscale="log", yscale="log")
-    plain = FuncFormatter(lambda value, _: f"{value:g}")
     for side in (axis.xaxis, axis.yaxis):
-        side.set_major_locator(LogLocator(subs=(1.0, 3.0)))
-        side.set_major_formatter(plain)
-        side.set_minor_formatter(NullFormatter())
+        plain_ticks(side)
     axis.tick_params(labelsize=8)
     axis.grid(alpha=0.3)
