@@ -20,7 +20,8 @@ MEASURED_CODE = (
     "camera.py", "geodesy.py", "views.py", "features.py", "horizons.py", "matching", "photo",
     "pipeline", "places", "planning/uniform.py", "render", "store", "terrain",
     "experiments/matchers.py", "experiments/occluders.py", "experiments/panoramas.py",
-    "experiments/pinhole.py", "experiments/queries.py", "experiments/trials.py",
+    "experiments/pinhole.py", "experiments/queries.py", "experiments/traced.py",
+    "experiments/trials.py",
 )  # fmt: skip
 """Code that an answer depends on; shaders beside it."""
 
