@@ -1,0 +1,127 @@
+"""Queries matched by workers, a store screened in parts: the answers are those of one process."""
+
+import importlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import NORTH_M, WEST_M, fractal, write_dem
+
+from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
+from skyline.errors import InputError
+from skyline.experiments.queries import QueryConfig, make_queries
+from skyline.photo import write_trace
+from skyline.pipeline import FULL, QueryReading, match_many, remote_runner
+from skyline.pipeline.jobs import run_here
+from skyline.store import open_store
+
+SPACING_M = 40.0
+AREA = (WEST_M + 800.0, NORTH_M - 2400.0, WEST_M + 2400.0, NORTH_M - 800.0)
+SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.03, 0.03), smooth_share=0.0)
+BOLD = MatchConfig(min_confidence=0.0)
+READING = QueryReading(fov_deg=60.0)
+SOUTH = Narrowing(heading_deg=(180.0, 120.0))
+
+
+@pytest.fixture(scope="module")
+def terrain(tmp_path_factory):
+    path = tmp_path_factory.mktemp("dem") / "dem.tif"
+    return read_dem([write_dem(path, fractal(110, 110, relief_m=700.0, seed=11))])
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory, terrain):
+    """A store of more than 6,000 places: several blocks."""
+    path = tmp_path_factory.mktemp("store") / "store.h5"
+    build_places(terrain, path, SPACING_M)
+    return path
+
+
+@pytest.fixture(scope="module")
+def traces(tmp_path_factory, terrain):
+    folder = tmp_path_factory.mktemp("traces")
+    paths = []
+    for index, query in enumerate(make_queries(terrain, AREA, 2, seed=3, config=SHARP)):
+        paths.append(folder / f"{index}.csv")
+        write_trace(query.skyline, paths[-1])
+    return paths
+
+
+@pytest.fixture
+def small_parts(monkeypatch):
+    """Screen a block at a time."""
+    # The package has a function of this module's name.
+    module = importlib.import_module("skyline.pipeline.match_many")
+    monkeypatch.setattr(module, "_PART_BLOCKS", 1)
+
+
+class Counted:
+    """A runner that counts the jobs it is given."""
+
+    def __init__(self, runner):
+        self._runner = runner
+        self.names = []
+
+    def __call__(self, work, items, names):
+        self.names += names
+        return self._runner(work, items, names)
+
+
+def alone(store, paths, narrowing=None, config=BOLD):
+    with Matcher(store, config=config) as matcher:
+        return [matcher.match(READING.read(path), narrowing=narrowing) for path in paths]
+
+
+def asked(store, config=BOLD):
+    return str(store), None, FULL, config
+
+
+@pytest.mark.parametrize("narrowing", [None, SOUTH], ids=["wide", "narrowed"])
+@pytest.mark.parametrize("refine", [True, False], ids=["refined", "retrieved"])
+def test_two_workers_find_what_one_process_finds(
+    store, traces, dask_cluster, small_parts, narrowing, refine
+):
+    config = replace(BOLD, refine=refine)
+    wanted = alone(store, traces, narrowing, config)
+    with open_store(store) as opened:
+        blocks = len(list(opened.places().blocks()))
+    assert blocks > 4
+    with remote_runner(dask_cluster.scheduler_address) as runner:
+        counted = Counted(runner)
+        found = list(
+            match_many(counted, asked(store, config), traces, READING, narrowing=narrowing)
+        )
+    assert len(counted.names) == len(traces) * (blocks + 1)
+    for one, other in zip(found, wanted, strict=True):
+        assert one.candidates
+        # Equal floats, not near ones.
+        assert one.candidates == other.candidates
+        np.testing.assert_array_equal(one.query.row_px, other.query.row_px)
+
+
+def test_parts_here_find_what_the_whole_finds(store, traces, small_parts):
+    config = replace(BOLD, refine=False)
+    wanted = alone(store, traces, config=config)
+    found = list(match_many(run_here, asked(store, config), traces, READING))
+    assert [one.candidates for one in found] == [one.candidates for one in wanted]
+
+
+def test_a_query_that_cannot_be_read_is_said_in_its_place(store, traces, tmp_path, small_parts):
+    text = tmp_path / "text.jpg"
+    text.write_text("no photo")
+    config = replace(BOLD, refine=False)
+    queries = [traces[0], text, traces[1]]
+    found = list(match_many(run_here, asked(store, config), queries, READING))
+    assert isinstance(found[1], InputError)
+    wanted = alone(store, traces, config=config)
+    assert [found[0].candidates, found[2].candidates] == [one.candidates for one in wanted]
+
+
+def test_a_search_narrowed_to_nothing_is_said_for_each_query(store, traces, small_parts):
+    nowhere = Narrowing(elevation_m=(8000.0, 9000.0))
+    config = replace(BOLD, refine=False)
+    found = list(match_many(run_here, asked(store, config), traces, READING, narrowing=nowhere))
+    assert len(found) == len(traces)
+    for one in found:
+        assert isinstance(one, InputError)
+        assert "no place within what the search is narrowed to" in str(one)
