@@ -1,8 +1,8 @@
-"""The whole way, on a real DEM: build a store, take pictures, find where they were taken.
+"""The whole way, on a real DEM: build stores, take pictures, find where they were taken.
 
 The elevation model is the one that matplotlib ships (Jacksboro fault, Tennessee; SRTM). The
-pictures are made from it at random places between the store's viewpoints; the matcher sees
-only the JPEG files.
+pictures are made from it at random places; the matchers see only the JPEG files. The full matcher
+searches a store of places, the paper's matcher and plain correlation a store of renderings.
 """
 
 import argparse
@@ -27,10 +27,10 @@ from skyline.pipeline import (
     Matcher,
     MatchResult,
     RenderConfig,
+    build_places,
     build_uniform,
     save_depth_pictures,
 )
-from skyline.prediction import shell_edges_m
 from skyline.render.depth import DepthRenderer
 from skyline.report import Found, save_map, save_panorama
 from skyline.terrain.dem import read_dem
@@ -38,8 +38,9 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 
 BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
-SPACING_M = 400.0
-SHELLS = 12
+PLACES_M = 120.0
+RENDERINGS_M = 400.0
+"""How far apart the eyes of the two stores are."""
 QUERIES = 5
 SEED = 2014
 FOCAL_LENGTH_35MM = 31
@@ -67,14 +68,19 @@ def main() -> None:
     terrain = read_dem([write_dem(out / "jacksboro.tif")])
     console.print(f"DEM: {terrain.cols} x {terrain.rows} samples, {terrain.spacing_m:.0f} m apart")
 
-    store = out / "store.h5"
-    store.unlink(missing_ok=True)
-    config = RenderConfig(shell_edges_m=shell_edges_m(SHELLS))
-    built = build_uniform(terrain, store, SPACING_M, BOUNDS_DEG, config)
-    console.print(f"store: {built.renderings} renderings in {built.seconds:.0f} s -> {store}")
+    places, renderings = out / "places.h5", out / "renderings.h5"
+    for store in (places, renderings):
+        store.unlink(missing_ok=True)
+    built = build_places(terrain, places, PLACES_M, BOUNDS_DEG)
+    console.print(f"{built.rows} places in {built.seconds:.0f} s -> {places}")
+    built = build_uniform(terrain, renderings, RENDERINGS_M, BOUNDS_DEG)
+    console.print(f"{built.rows} renderings in {built.seconds:.0f} s -> {renderings}")
 
     queries = take_pictures(terrain, out / "queries")
-    matchers = {name: Matcher(store, matcher=name) for name in MATCHER_NAMES}
+    matchers = {
+        name: Matcher(places if name == FULL else renderings, matcher=name)
+        for name in MATCHER_NAMES
+    }
     results = {name: [m.match(query.path) for query in queries] for name, m in matchers.items()}
     for query, result in zip(queries, results[FULL], strict=True):
         picture = np.asarray(Image.open(query.path))
@@ -165,13 +171,18 @@ def draw(
 
 def table_of(matcher: str, queries: list[Query], results: list[MatchResult]) -> Table:
     """Say where each picture was put and how far off that is."""
-    table = Table(title=f"{len(queries)} pictures, {SPACING_M:.0f} m grid, matcher: {matcher}")
+    searched = (
+        f"places {PLACES_M:.0f} m apart"
+        if matcher == FULL
+        else f"renderings {RENDERINGS_M:.0f} m apart"
+    )
+    table = Table(title=f"{len(queries)} pictures, {searched}, matcher: {matcher}")
     for name in ("query", "put at (E, N)", "off by", "heading", "off by", "sure", "seconds"):
         table.add_column(name, justify="right")
     for query, result in zip(queries, results, strict=True):
         answer = result.answer
         if answer is None:
-            table.add_row(query.path.name, "no place fits", "", "", "", "", f"{result.seconds:.1f}")
+            table.add_row(query.path.name, result.refusal, "", "", "", "", f"{result.seconds:.1f}")
             continue
         away = np.hypot(answer.easting_m - query.easting_m, answer.northing_m - query.northing_m)
         turn = (answer.heading_deg - query.heading_deg + 180.0) % 360.0 - 180.0

@@ -1,4 +1,8 @@
-"""Match photos to a store through the Python API: python match_query.py STORE.h5 PHOTO..."""
+"""Match photos to a store of places through the Python API: python match_query.py STORE.h5 PHOTO...
+
+The store is one that `skyline build DEM -o STORE.h5` made. The photos were taken with a lens of 60
+degrees; photos whose EXIF has their field of view need none here.
+"""
 
 import sys
 
@@ -6,12 +10,12 @@ from skyline import Matcher
 
 
 def main(store: str, photos: list[str]) -> None:
-    matcher = Matcher(store)
-    for photo in photos:
-        result = matcher.match(photo, fov_deg=60.0, top=3)
-        for candidate in result.candidates:
-            lon, lat = matcher.frame.to_lonlat(candidate.easting_m, candidate.northing_m)
-            print(f"{photo}: {lat:.5f} {lon:.5f} confidence {candidate.confidence:.2f}")
+    with Matcher(store) as matcher:
+        for photo in photos:
+            result = matcher.match(photo, fov_deg=60.0, top=3)
+            for candidate in result.candidates:
+                lon, lat = matcher.frame.to_lonlat(candidate.easting_m, candidate.northing_m)
+                print(f"{photo}: {lat:.5f} {lon:.5f} confidence {candidate.confidence:.2f}")
 
 
 if __name__ == "__main__":
