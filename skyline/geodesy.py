@@ -158,7 +158,9 @@ class Frame:
         width = (east - west) % 360.0
         share = np.linspace(0.0, 1.0, 33)
         lon = west + width * np.concatenate([share, share, 0.0 * share, 0.0 * share + 1.0])
-        lat = south + (north - south) * np.concatenate([0.0 * share, 0.0 * share + 1.0, share, share])
+        lat = south + (north - south) * np.concatenate(
+            [0.0 * share, 0.0 * share + 1.0, share, share]
+        )
         easting, northing = self.from_lonlat(lon, lat)
         return (
             float(easting.min()),

@@ -29,7 +29,7 @@ _HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH = range(6)
 _DAMPING = np.float32(1e-3)
 _REFERENCE_FOV_DEG = 60.0
 _LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
-"""Of a round; moves in tolerances of the place."""
+"""Of a round; moves in deviations of the place."""
 _MIN_FORWARD = np.float32(0.05)
 """Rays nearer to a quarter turn from straight ahead are taken to lie there."""
 
@@ -47,8 +47,8 @@ class FitConfig:
     query_error_deg : float
         Expected error of such a mean, at a field of view of 60 degrees.
     curvature : float
-        A query taken within the tolerance t of its place, past terrain at distance D, leaves
-        an error of ``curvature * (t / D)**2`` in the tangent.
+        A query that deviates by t from its place, past terrain at distance D, leaves an error
+        of ``curvature * (t / D)**2`` in the tangent.
     pitch_deg, roll_deg : float
         Standard deviations of the camera's attitude.
     outlier : float
@@ -124,8 +124,8 @@ class CurveFit:
     Attributes
     ----------
     places : Places
-        M of them. A place's tolerance is the standard deviation of the query's place about it;
-        no fit moves farther than twice that.
+        M of them. Queries are taken evenly within a place's tolerance, so their deviation from
+        it is the tolerance over the root of 3; no fit moves farther than twice that.
     ground_slope : (M, 2) float32
         Rise of the ground to the east and to the north.
     rays : Rays
@@ -141,6 +141,11 @@ class CurveFit:
     fov_deg: float
     zoom_bounds: tuple[float, float]
     config: FitConfig
+
+    @property
+    def _deviation_m(self) -> Float32Array:
+        """Of the query's easting, and of its northing, from each place's (M,)."""
+        return self.places.tolerance_m / np.float32(np.sqrt(3.0))
 
     def fit(self, heading: Float64Array, zoom: Float64Array) -> Poses:
         """Improve poses that look along headings (M,), radians, with zooms (M,)."""
@@ -204,7 +209,7 @@ class CurveFit:
     def _variance(self, pose: Float32Array, nearness: Float32Array) -> Float32Array:
         """Return the expected squared error (M, R) of the tangents."""
         query = np.radians(self.config.query_error_deg) * self._scale(pose)
-        move = self.config.curvature * np.square(self.places.tolerance_m[:, np.newaxis] * nearness)
+        move = self.config.curvature * np.square(self._deviation_m[:, np.newaxis] * nearness)
         return np.asarray(np.square(query)[:, np.newaxis] + np.square(move), dtype=np.float32)
 
     def _scale(self, pose: Float32Array) -> Float32Array:
@@ -224,16 +229,16 @@ class CurveFit:
         prior = np.zeros((len(self.places), 6), dtype=np.float32)
         prior[:, _PITCH] = np.radians(self.config.pitch_deg) ** -2.0
         prior[:, _ROLL] = np.radians(self.config.roll_deg) ** -2.0
-        prior[:, _EAST:] = self.places.tolerance_m[:, np.newaxis] ** -2.0
+        prior[:, _EAST:] = self._deviation_m[:, np.newaxis] ** -2.0
         return prior
 
     def _bounded(self, pose: Float32Array, step: Float32Array) -> Float32Array:
-        tolerance_m = self.places.tolerance_m[:, np.newaxis]
+        deviation_m = self._deviation_m[:, np.newaxis]
         limit = np.tile(_LONGEST_STEP, (len(pose), 1))
-        limit[:, _EAST:] *= tolerance_m
+        limit[:, _EAST:] *= deviation_m
         pose = pose - np.clip(step, -limit, limit)
         pose[:, _ZOOM] = np.clip(pose[:, _ZOOM], *self.zoom_bounds)
-        farthest = 2.0 * tolerance_m
+        farthest = 2.0 * deviation_m
         pose[:, _EAST:] = np.clip(pose[:, _EAST:], -farthest, farthest)
         return pose
 
