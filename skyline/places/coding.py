@@ -37,19 +37,19 @@ PHASE_BINS = 180
 UNKNOWN_RISE = np.int8(-128)
 """A bin without a skyline; the next rise is taken from the last that has one."""
 
-_RISE_SIZE, _RISE_GROWTH = 0.006, 0.035
+RISE_SIZE, RISE_GROWTH = 0.006, 0.035
 """a and c."""
 _MOST = 127
 
-_NEAREST_M = 1.0
-_DISTANCE_STEP = 0.05
+NEAREST_M = 1.0
+DISTANCE_STEP = 0.05
 """Of the natural logarithm of the distance: code 255 is 327 km."""
 
 
 def _rises() -> Float32Array:
     """Return the rise of each byte (256,), the bytes read as unsigned; 0 for unknown."""
     k = np.arange(256).astype(np.uint8).view(np.int8).astype(np.float64)
-    rise = np.sign(k) * _RISE_SIZE * np.expm1(_RISE_GROWTH * np.abs(k))
+    rise = np.sign(k) * RISE_SIZE * np.expm1(RISE_GROWTH * np.abs(k))
     return np.where(k == UNKNOWN_RISE, 0.0, rise).astype(np.float32)
 
 
@@ -69,7 +69,7 @@ def encode_rises(elevation_tan: Float32Array) -> tuple[Float32Array, Int8Array]:
     held = first.copy()
     for b in range(1, len(y)):
         rise = np.where(known[b], y[b] - held, np.float32(0.0))
-        k = np.log1p(np.abs(rise) / np.float32(_RISE_SIZE)) / np.float32(_RISE_GROWTH)
+        k = np.log1p(np.abs(rise) / np.float32(RISE_SIZE)) / np.float32(RISE_GROWTH)
         codes[b] = np.copysign(np.minimum(np.rint(k), _MOST), rise)
         held += RISES[codes[b].view(np.uint8)]
     codes[~known] = UNKNOWN_RISE
@@ -93,7 +93,7 @@ def encode_distance(distance_m: Float32Array) -> UInt8Array:
     0 stands for no skyline. The nearest moves most as the eye does.
     """
     nearest = np.fmin.reduce(distance_m.reshape(len(distance_m), DISTANCE_BINS, -1), axis=2)
-    code = np.rint(np.log(np.maximum(nearest, _NEAREST_M)) / np.float32(_DISTANCE_STEP)) + 1.0
+    code = np.rint(np.log(np.maximum(nearest, NEAREST_M)) / np.float32(DISTANCE_STEP)) + 1.0
     return np.where(np.isnan(code), 0.0, np.minimum(code, 255.0)).astype(np.uint8)
 
 
@@ -103,7 +103,7 @@ def decode_distance(codes: UInt8Array) -> Float32Array:
 
 
 def _distances() -> Float32Array:
-    metres = _NEAREST_M * np.exp(_DISTANCE_STEP * (np.arange(256) - 1.0))
+    metres = NEAREST_M * np.exp(DISTANCE_STEP * (np.arange(256) - 1.0))
     metres[0] = np.nan
     return np.asarray(metres, dtype=np.float32)
 

@@ -14,7 +14,7 @@ from skyline.camera import check_width
 from skyline.errors import InputError
 from skyline.features import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
 from skyline.places import BINS, DISTANCE_BINS, PHASE_BINS
-from skyline.places.coding import _DISTANCE_STEP, _NEAREST_M, _RISE_GROWTH, _RISE_SIZE
+from skyline.places.coding import DISTANCE_STEP, NEAREST_M, RISE_GROWTH, RISE_SIZE
 from skyline.places.phases import ALIKE_DEG, PHASES
 from skyline.store.coding import RowCoding
 
@@ -98,10 +98,10 @@ PLACE_CODING = {
     "bins": BINS,
     "distance_bins": DISTANCE_BINS,
     "phase_bins": PHASE_BINS,
-    "rise_size": _RISE_SIZE,
-    "rise_growth": _RISE_GROWTH,
-    "nearest_m": _NEAREST_M,
-    "distance_log_step": _DISTANCE_STEP,
+    "rise_size": RISE_SIZE,
+    "rise_growth": RISE_GROWTH,
+    "nearest_m": NEAREST_M,
+    "distance_log_step": DISTANCE_STEP,
     "phase_steps": PHASES,
     "phase_alike_deg": ALIKE_DEG,
 }
