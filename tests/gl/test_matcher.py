@@ -7,20 +7,29 @@ import numpy as np
 import pytest
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
-from skyline import MatchConfig, Matcher, RenderConfig, build_uniform, read_dem
+from skyline import (
+    MatchConfig,
+    Matcher,
+    Narrowing,
+    RenderConfig,
+    build_places,
+    build_uniform,
+    read_dem,
+)
 from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.experiments.queries import QueryConfig, make_queries
 from skyline.matching.full import FullConfig, FullMatcher
+from skyline.matching.retrieval import Retriever
 from skyline.photo import Projection, QuerySkyline
 from skyline.pipeline.config import curvature_of, mapped_area_m
-from skyline.pipeline.match import RenderedScene, open_retriever
+from skyline.pipeline.match import RenderedScene
 from skyline.pipeline.match_many import _opened
-from skyline.prediction import shell_edges_m
 from skyline.store import open_store
 
 MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
 SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.03, 0.03), smooth_share=0.0)
 BOLD = MatchConfig(min_confidence=0.0)
+PLACES_M = 40.0
 
 
 def write_hills(path, seed):
@@ -43,11 +52,22 @@ def terrain(dem):
 
 
 @pytest.fixture(scope="module")
-def store(tmp_path_factory, terrain):
-    path = tmp_path_factory.mktemp("store") / "store.h5"
+def bounds_deg(terrain):
     lon, lat = terrain.frame.to_lonlat(MIDDLE[::2], MIDDLE[1::2])
-    bounds_deg = (lon[0], lat[0], lon[1], lat[1])
-    build_uniform(terrain, path, 200.0, bounds_deg, RenderConfig(shell_edges_m=shell_edges_m(8)))
+    return float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory, terrain, bounds_deg):
+    path = tmp_path_factory.mktemp("store") / "store.h5"
+    build_places(terrain, path, PLACES_M, bounds_deg)
+    return path
+
+
+@pytest.fixture(scope="module")
+def renderings(tmp_path_factory, terrain, bounds_deg):
+    path = tmp_path_factory.mktemp("renderings") / "renderings.h5"
+    build_uniform(terrain, path, 400.0, bounds_deg, RenderConfig(width=320))
     return path
 
 
@@ -81,7 +101,7 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
         scene = RenderedScene(terrain, opened.header, BOLD)
     for sure_margin in (0.0, 75.0, np.inf):
         with open_store(store) as opened:
-            retriever = open_retriever(opened, terrain, BOLD)
+            retriever = Retriever(opened.places(), terrain.height_at)
         matcher = FullMatcher(retriever, scene, FullConfig(sure_margin=sure_margin))
         rays = [query.rays() for query in queries]
         found[sure_margin] = [matcher.refine(matcher.retrieve(one), one) for one in rays]
@@ -119,6 +139,58 @@ def test_an_area_that_is_none_counts_as_unsaid(store, terrain, caplog, wrong):
     assert "bounds_deg" in caplog.text
 
 
+def test_places_find_where_a_photo_was_taken_and_which_way_it_looks(store, terrain, queries):
+    with open_store(store) as opened:
+        places = opened.places()
+    retriever = Retriever(places, terrain.height_at)
+    assert len(places) == pytest.approx((1200.0 / PLACES_M) ** 2, rel=0.1)
+    off_m, turn_deg = [], []
+    for query in queries:
+        found = retriever.shortlist(query.rays(), 20)
+        apart_m = np.hypot(
+            found.easting_m - query.truth.easting_m, found.northing_m - query.truth.northing_m
+        )
+        assert (np.diff(found.score) >= 0.0).all()
+        off_m.append(apart_m[0])
+        turn = (found.heading_deg[0] - query.truth.heading_deg + 180.0) % 360.0 - 180.0
+        turn_deg.append(abs(turn))
+    assert np.median(off_m) < PLACES_M
+    assert np.median(turn_deg) < 1.0
+
+
+def test_a_narrowed_search_looks_nowhere_else(store, terrain, queries):
+    query, truth = queries[0].skyline, queries[0].truth
+    lon, lat = terrain.frame.to_lonlat(truth.easting_m, truth.northing_m)
+    turn = float(terrain.frame.convergence_deg(truth.easting_m, truth.northing_m))
+    with Matcher(store, terrain, config=replace(BOLD, refine=False)) as matcher:
+        right = Narrowing(
+            near=(float(lon), float(lat), 0.2),
+            heading_deg=(truth.heading_deg + turn, 5.0),
+            elevation_m=(truth.eye_elevation_m - 60.0, truth.eye_elevation_m + 60.0),
+        )
+        for place in matcher.match(query, narrowing=right).candidates:
+            assert error_m(place, truth) <= 200.0 + 1.0
+            assert abs((place.heading_deg - truth.heading_deg + 180.0) % 360.0 - 180.0) <= 5.0
+            assert abs(place.eye_elevation_m - truth.eye_elevation_m) <= 60.0
+        away = Narrowing(heading_deg=(truth.heading_deg + turn + 180.0, 40.0))
+        for place in matcher.match(query, narrowing=away).candidates:
+            assert abs((place.heading_deg - truth.heading_deg + 180.0) % 360.0 - 180.0) >= 140.0
+        with pytest.raises(InputError, match="no place within what the search is narrowed to"):
+            matcher.match(query, narrowing=Narrowing(elevation_m=(8000.0, 9000.0)))
+
+
+def test_each_matcher_has_its_kind_of_store(store, renderings, terrain, queries):
+    with pytest.raises(InputError, match="holds renderings, not places"):
+        Matcher(renderings, terrain)
+    for matcher in ("paper", "correlation"):
+        with pytest.raises(InputError, match="holds places, not renderings"):
+            Matcher(store, terrain, matcher)
+        assert Matcher(renderings, terrain, matcher).match(queries[0].skyline, 60.0).candidates
+    narrowed = Narrowing(heading_deg=(0.0, 10.0))
+    with pytest.raises(InputError, match="only the full matcher can narrow"):
+        Matcher(renderings, terrain, "paper").match(queries[0].skyline, narrowing=narrowed)
+
+
 def test_without_refinement_places_are_those_retrieved(store, terrain, queries):
     matcher = Matcher(store, terrain, config=replace(BOLD, refine=False))
     found = matcher.match_all(query.skyline for query in queries)
@@ -128,11 +200,10 @@ def test_without_refinement_places_are_those_retrieved(store, terrain, queries):
     assert all(one.answer.covariance_m2 is None for one in found)
 
 
-def test_a_dem_that_has_gone_leaves_answers_unrefined(tmp_path, caplog, queries):
+def test_a_dem_that_has_gone_leaves_answers_unrefined(tmp_path, caplog, queries, bounds_deg):
     dem = write_hills(tmp_path / "dem.tif", seed=11)
     terrain, path = read_dem([dem]), tmp_path / "store.h5"
-    lon, lat = terrain.frame.to_lonlat(MIDDLE[::2], MIDDLE[1::2])
-    build_uniform(terrain, path, 400.0, (lon[0], lat[0], lon[1], lat[1]))
+    build_places(terrain, path, 150.0, bounds_deg)
     assert Matcher(path).terrain is not None
     moved = dem.rename(tmp_path / "moved.tif")
     with caplog.at_level(logging.WARNING):
@@ -169,13 +240,13 @@ def test_below_the_least_confidence_there_are_only_candidates(store, terrain, qu
     assert "confidence" in result.refusal
 
 
-def test_an_unknown_field_of_view_is_searched(store, terrain, queries):
+def test_an_unknown_field_of_view_is_searched(store, renderings, terrain, queries):
     skyline = replace(queries[1].skyline, fov_deg=None)
     best = Matcher(store, terrain, config=BOLD).match(skyline).answer
     assert error_m(best, queries[1].truth) < 50.0
     assert best.fov_deg == pytest.approx(60.0, abs=2.0)
     with pytest.raises(InputError, match="--fov-deg"):
-        Matcher(store, terrain, "correlation").match(skyline)
+        Matcher(renderings, terrain, "correlation").match(skyline)
 
 
 def test_a_panorama_needs_its_field_of_view(store, terrain, queries):
@@ -199,9 +270,9 @@ def test_a_process_keeps_one_matcher_open(store, terrain, queries, monkeypatch):
         released.append(matcher)
 
     monkeypatch.setattr(Matcher, "release", release)
-    first = _opened(1, str(store), None, "correlation")
-    assert _opened(1, str(store), None, "correlation") is first
-    assert _opened(2, str(store), None, "correlation") is not first
+    first = _opened(1, str(store), None, "full")
+    assert _opened(1, str(store), None, "full") is first
+    assert _opened(2, str(store), None, "full") is not first
     assert released == [first]
 
 

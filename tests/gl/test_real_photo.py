@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skyline import DemOptions, Matcher, read_dem, render_to_store, stand_on
+from skyline import DemOptions, Matcher, Narrowing, build_places, read_dem
 
 FITTED_HEADING_DEG = 275.96
 """From true north: a fit of all of the camera's angles with its place held."""
@@ -13,10 +13,17 @@ def test_heading_of_the_webcam_is_found(shared_data, tmp_path):
         [shared_data / "rofental" / "dem_rofental_50.asc"], DemOptions(crs="EPSG:32632")
     )
     station = terrain.frame.from_lonlat(10.78277, 46.79586)
-    render_to_store(terrain, stand_on(terrain, *station), tmp_path / "station.h5")
+    around = 0.012, 0.008
+    west, south, east, north = (
+        degrees + side * half
+        for side in (-1, 1)
+        for degrees, half in zip((10.78277, 46.79586), around, strict=True)
+    )
+    build_places(terrain, tmp_path / "station.h5", bounds_deg=(west, south, east, north))
     matcher = Matcher(tmp_path / "station.h5")
     photo = shared_data / "rofental" / "hintereisferner_webcam.jpg"
-    result = matcher.match(photo, fov_deg=78.7)
+    near = Narrowing(near=(10.78277, 46.79586, 0.8))
+    result = matcher.match(photo, fov_deg=78.7, narrowing=near)
     # Whether the matcher stands by it is the confidence's matter: places along the line of sight
     # fit nearly as well.
     best = result.candidates[0]
