@@ -15,6 +15,7 @@ from skyline.matching.ranking import Candidate
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike
+from skyline.matching.threads import one_blas_thread
 
 Float64Array = NDArray[np.float64]
 
@@ -114,6 +115,8 @@ class FullMatcher:
             sure = self._sure("retrieved", confidence.retrieved_figures(found, query))
             return self._candidates(found, sure, top)
         sure = self._sure("refined", confidence.refined_figures(poses, found, query))
+        if narrowed is not None:
+            poses = replace(poses, hypotheses=_held(poses.hypotheses, narrowed))
         chosen = self._chosen(poses.hypotheses, top)
         return [
             replace(candidate, refined=True, covariance_m2=_as_rows(poses.covariance_m2[index]))
@@ -124,7 +127,8 @@ class FullMatcher:
 
     def screened(self, query: QueryRays, narrowed: Narrowed | None, part: slice) -> Alike:
         """Return the places most like a query; see `Retriever.screened`."""
-        return self._retriever.screened(query, narrowed, part)
+        with one_blas_thread():
+            return self._retriever.screened(query, narrowed, part)
 
     def retrieve(
         self,
@@ -135,7 +139,8 @@ class FullMatcher:
     ) -> Hypotheses:
         """Return the poses retrieved for a query, more than ``least`` where there are."""
         count = max(self._config.shortlist, least)
-        return self._retriever.shortlist(query, count, narrowed, screened)
+        with one_blas_thread():
+            return self._retriever.shortlist(query, count, narrowed, screened)
 
     def refine(self, found: Hypotheses, query: QueryRays, least: int = 1) -> Poses | None:
         """Return retrieved poses refined, as far as it takes; None without a scene.
@@ -159,6 +164,11 @@ class FullMatcher:
 
     def _candidates(self, poses: Hypotheses, sure: Float64Array, top: int) -> list[Candidate]:
         return [_candidate(poses, index, float(sure[index])) for index in self._chosen(poses, top)]
+
+
+def _held(poses: Hypotheses, narrowed: Narrowed) -> Hypotheses:
+    """Return poses of which those that have walked out of a narrowing fit nowhere."""
+    return replace(poses, score=np.where(narrowed.holds(poses), poses.score, np.inf))
 
 
 def _naming(config: RefineConfig, least: int) -> RefineConfig:

@@ -1,7 +1,7 @@
 """A stored view seen from a displaced eye, without rendering (paper 4.2).
 
-The planner asks how far from a view its skyline still serves (`PREDICTORS`), the matcher what
-the neighbourhood of a view sees (`predict`). A displacement t is (right, up, forward) in the
+The planners ask how far from a view its skyline still serves (`PREDICTORS`); `predict` gives the
+views themselves. A displacement t is (right, up, forward) in the
 view's own axes, metres, and up holds the change of the ground's height; the T of the paper's
 Equation 4 is -t.
 

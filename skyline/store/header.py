@@ -29,6 +29,8 @@ CHECKED_SINCE = 2
 RENDERINGS, PLACES = "renderings", "places"
 """What a store may hold."""
 
+_MADE_BY = {RENDERINGS: "`skyline build --planner uniform`", PLACES: "`skyline build`"}
+
 EYE = ("easting_m", "northing_m", "eye_elevation_m")
 """Where the eye of a row is, whatever the rows are."""
 
@@ -281,6 +283,6 @@ def check_holds(path: Path, header: StoreHeader, wanted: str) -> None:
     """Raise `InputError` unless a store holds what is wanted of it."""
     if header.holds != wanted:
         raise InputError(
-            f"store {path} holds {header.holds}, not {wanted}; name a store of {wanted}, or "
-            "build one"
+            f"store {path} holds {header.holds}, not {wanted}; name a store of {wanted}, which "
+            f"{_MADE_BY[wanted]} makes"
         )

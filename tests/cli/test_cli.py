@@ -343,9 +343,6 @@ def test_match_between_elevations(run, store, dem, photo):
         assert ground_m(place["easting"], place["northing"]) > true_m + 30.0
 
 
-@pytest.mark.xfail(
-    reason="refinement leaves what the search was narrowed to: 220 m out of these bounds"
-)
 def test_refined_places_stay_within_bounds(run, store, dem, photo):
     west, south = lonlat_of(dem, 600_800.0, 5_177_500.0)
     east, north = lonlat_of(dem, 601_500.0, 5_178_500.0)
