@@ -149,11 +149,12 @@ class FullMatcher:
         """
         if self._scene is None:
             return None
-        poses = refine(found, query, self._scene, _naming(self._config.quick, least))
-        if len(poses) and poses.margin[0] > self._config.sure_margin:
-            return poses
-        spent = poses.renderings
-        poses = refine(found, query, self._scene, _naming(self._config.refine, least))
+        with one_blas_thread():
+            poses = refine(found, query, self._scene, _naming(self._config.quick, least))
+            if len(poses) and poses.margin[0] > self._config.sure_margin:
+                return poses
+            spent = poses.renderings
+            poses = refine(found, query, self._scene, _naming(self._config.refine, least))
         return replace(poses, renderings=spent + poses.renderings)
 
     def _sure(self, model: str, figures: dict[str, Float64Array]) -> Float64Array:
