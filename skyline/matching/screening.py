@@ -145,6 +145,7 @@ class Screen:
 
     def scores(self, phase: UInt8Array) -> Float32Array:
         """Return the score (N,) of the best turn and field of view of places' phases (N, B)."""
+        shape = len(phase), len(self.mean), _TURNS_AT_ONCE
         best = np.full((len(phase), self.matrix.shape[1]), -np.inf, dtype=np.float32)
         sums = np.empty_like(best)
         waves = self._strip(phase)
@@ -154,9 +155,9 @@ class Screen:
                 continue
             self._sum(waves, turn, sums)
             if shut.any():
-                sums.reshape(len(sums), -1, _TURNS_AT_ONCE)[:, :, shut] = -np.inf
+                sums.reshape(shape)[:, :, shut] = -np.inf
             np.maximum(best, sums, out=best)
-        peak = _peaks(best.reshape(len(phase), -1, _TURNS_AT_ONCE))
+        peak = _peaks(best.reshape(shape))
         return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
 
     def best_turns(self, phase: UInt8Array) -> tuple[Float64Array, IntArray]:
@@ -167,7 +168,7 @@ class Screen:
         sums = self._every_turn(phase)
         sums[:, :, ~self.open_turns] = -np.inf
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
-        fov, turn = np.divmod(score.reshape(len(phase), -1).argmax(axis=1), PHASE_BINS)
+        fov, turn = np.divmod(score.reshape(len(phase), len(self.mean) * PHASE_BINS).argmax(axis=1), PHASE_BINS)
         return turn_heading_deg(turn), fov
 
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
@@ -177,7 +178,7 @@ class Screen:
         waves = self._strip(phase)
         for turn in range(0, PHASE_BINS, _TURNS_AT_ONCE):
             self._sum(waves, turn, sums)
-            part = sums.reshape(len(phase), -1, _TURNS_AT_ONCE)
+            part = sums.reshape(len(phase), len(self.mean), _TURNS_AT_ONCE)
             every[:, :, turn : turn + _TURNS_AT_ONCE] = part
         return every
 
