@@ -1,6 +1,7 @@
 """The full matcher, from a store to an answer or a refusal."""
 
 import logging
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -270,6 +271,8 @@ def test_a_process_keeps_one_matcher_open(store, terrain, queries, monkeypatch):
         released.append(matcher)
 
     monkeypatch.setattr(Matcher, "release", release)
+    # What an earlier test left open is not this one's.
+    monkeypatch.setattr(sys.modules[_opened.__module__], "_here", {})
     first = _opened(1, str(store), None, "full")
     assert _opened(1, str(store), None, "full") is first
     assert _opened(2, str(store), None, "full") is not first
