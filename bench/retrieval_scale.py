@@ -22,6 +22,7 @@ from skyline.experiments.record import write_record
 from skyline.horizons import Horizons
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.retrieval import Retriever
+from skyline.matching.threads import one_blas_thread
 from skyline.pipeline.config import mapped_area_m, read_dem_of
 from skyline.places import BINS, DISTANCE_BINS, Places
 from skyline.planning.uniform import map_bounds
@@ -106,9 +107,8 @@ def main() -> None:
     shortlist, rows = MatchConfig().full.shortlist, []
     for count in (len(own), given.places):
         retriever = Retriever(InMemory(grown(own, count, given.seed)), terrain.height_at)
-        retriever.screened(queries[0].rays())
         off_m, taken = [], []
-        with progress_bar(f"queries among {count:,}") as progress:
+        with one_blas_thread(), progress_bar(f"queries among {count:,}") as progress:
             for number, query in enumerate(queries, start=1):
                 rays, clocks = query.rays(), [(time.perf_counter(), time.process_time())]
                 alike = retriever.screened(rays)
