@@ -168,7 +168,8 @@ class Screen:
         sums = self._every_turn(phase)
         sums[:, :, ~self.open_turns] = -np.inf
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
-        fov, turn = np.divmod(score.reshape(len(phase), len(self.mean) * PHASE_BINS).argmax(axis=1), PHASE_BINS)
+        flat = score.reshape(len(phase), len(self.mean) * PHASE_BINS)
+        fov, turn = np.divmod(flat.argmax(axis=1), PHASE_BINS)
         return turn_heading_deg(turn), fov
 
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
