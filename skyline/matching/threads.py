@@ -1,7 +1,7 @@
 """Linear algebra on one thread: many small products wait for one another on several.
 
 A library of linear algebra that shares a small product among threads makes each wait for the
-slowest, a thousand times a second; on a busy machine that is a hundred times slower. Work here is
+slowest, a thousand times a second; on a busy machine that is several times slower. Work here is
 shared by the blocks of places instead. One thread also gives the same result to the bit whatever
 the process.
 """
