@@ -70,7 +70,8 @@ def match(
     heading: Annotated[
         str | None,
         typer.Option(
-            metavar="DEG,SLACK", help="The camera looked within a slack of this, from true north."
+            metavar="DEG,SLACK",
+            help="The camera looked within a slack of this, degrees from true north.",
         ),
     ] = None,
     elevation: Annotated[
@@ -119,7 +120,7 @@ def match(
                 failed = result.exit_code
                 continue
             results.append((path, result))
-            record = describe_match(str(path), result, matching.frame)
+            record = describe_match(str(path), result)
             if as_json:
                 typer.echo(json.dumps(record))
             else:
