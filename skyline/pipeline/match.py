@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.matching.screening import Alike
 from skyline.photo import Projection, QuerySkyline, read_query
 from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
+from skyline.pipeline.tables import to_geodataframe
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import Store, StoreHeader, open_store
 from skyline.store.header import PLACES
@@ -110,6 +111,10 @@ class MatchResult:
     def answer(self) -> Candidate | None:
         """The best candidate, if the matcher stands by it."""
         return self.candidates[0] if self.candidates and not self.refusal else None
+
+    def to_geodataframe(self) -> Any:
+        """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
+        return to_geodataframe([self])
 
 
 class Matcher:
