@@ -64,7 +64,7 @@ def save_coverage_map(plan: Plan, path: Path) -> None:
         _draw_viewpoints(axis, candidates, coverage)
         draw_bearings(axis, candidates.field.frame, area)
         axis.set_title(
-            f"heading {heading}, {_HEADING_NAMES[heading]}\n{len(coverage.viewpoints)} renderings "
+            f"heading {heading}, grid {_HEADING_NAMES[heading]}\n{len(coverage.viewpoints)} renderings "
             f"cover {coverage.fraction():.1%}",
             fontsize=9,
         )

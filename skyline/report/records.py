@@ -7,7 +7,7 @@ from skyline.matching.ranking import Candidate
 
 
 class CandidateRecord(TypedDict):
-    """One candidate as ``skyline match --json`` prints it; the heading is from true north."""
+    """One `Candidate` as ``skyline match --json`` prints it; the heading is from true north."""
 
     easting: float
     northing: float

@@ -58,6 +58,7 @@ class Locations:
     easting_m, northing_m, eye_elevation_m : (N,) float64
         In the store's frame, above the DEM's datum.
     heading : (N,) uint8
+        0, 1, 2, 3 = grid north, east, south, west.
     """
 
     easting_m: NDArray[np.float64]
