@@ -37,12 +37,11 @@ def main(store: Path) -> None:
         found = matcher.match(ROFENTAL / "hintereisferner_webcam.jpg", fov_deg)
         best = found.candidates[0]
         place = best.easting_m, best.northing_m
-        heading_deg = best.heading_deg + terrain.frame.convergence_deg(*place)
         rows.append(
             {
                 "fov_given_deg": fov_deg,
                 "error_m": float(np.hypot(*np.subtract(place, station))),
-                "heading_error_deg": float((heading_deg - HEADING_DEG + 180.0) % 360.0 - 180.0),
+                "heading_error_deg": (best.heading_deg - HEADING_DEG + 180.0) % 360.0 - 180.0,
                 "fov_deg": best.fov_deg,
                 "pitch_deg": best.pitch_deg,
                 "confidence": best.confidence,

@@ -163,7 +163,7 @@ def draw(
                 (query.easting_m, query.northing_m),
                 (answer.easting_m, answer.northing_m) if answer else None,
                 query.heading_deg,
-                answer.heading_deg if answer else None,
+                answer.grid_heading_deg if answer else None,
             )
         )
     save_map(terrain, viewpoints, found, out / "map.png")
@@ -185,7 +185,7 @@ def table_of(matcher: str, queries: list[Query], results: list[MatchResult]) -> 
             table.add_row(query.path.name, result.refusal, "", "", "", "", f"{result.seconds:.1f}")
             continue
         away = np.hypot(answer.easting_m - query.easting_m, answer.northing_m - query.northing_m)
-        turn = (answer.heading_deg - query.heading_deg + 180.0) % 360.0 - 180.0
+        turn = (answer.grid_heading_deg - query.heading_deg + 180.0) % 360.0 - 180.0
         table.add_row(
             query.path.name,
             f"{answer.easting_m:.0f}, {answer.northing_m:.0f}",

@@ -14,8 +14,9 @@ def main(store: str, photos: list[str]) -> None:
         for photo in photos:
             result = matcher.match(photo, fov_deg=60.0, top=3)
             for candidate in result.candidates:
-                lon, lat = matcher.frame.to_lonlat(candidate.easting_m, candidate.northing_m)
-                print(f"{photo}: {lat:.5f} {lon:.5f} confidence {candidate.confidence:.2f}")
+                place = f"{candidate.lat:.5f} {candidate.lon:.5f}"
+                view = f"heading {candidate.heading_deg:.1f} from true north"
+                print(f"{photo}: {place} {view} confidence {candidate.confidence:.2f}")
 
 
 if __name__ == "__main__":

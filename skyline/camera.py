@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from skyline.errors import InputError
 
 HEADINGS = (0, 1, 2, 3)
-"""North, east, south, west; ``heading_deg = 90 * heading``."""
+"""Grid north, east, south, west: grid azimuths ``90 * heading``, degrees."""
 
 DEFAULT_WIDTH = 640
 MAX_WIDTH = 16384

@@ -112,7 +112,7 @@ def render(
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
-    """Render the skylines of given viewpoints, four headings each, into a store."""
+    """Render the skylines of given viewpoints, to grid north, east, south, west, into a store."""
     if (viewpoints is None) == (grid is None):
         raise InputError("give one of --viewpoints FILE.csv and --grid SPACING_M")
     config = replace(_render_config(width, tolerance_px, k, no_curvature), rows=rows)

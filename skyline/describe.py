@@ -16,9 +16,9 @@ from skyline.views import Views
 Facts = dict[str, object]
 
 
-def describe_match(query: str, result: MatchResult, frame: Frame) -> MatchRecord:
+def describe_match(query: str, result: MatchResult) -> MatchRecord:
     """Return what was found for a query, in the public JSON's terms."""
-    candidates = describe_candidates(result.candidates, frame)
+    candidates = describe_candidates(result.candidates)
     record = MatchRecord(
         query=query,
         answer=candidates[0] if result.answer else None,

@@ -70,7 +70,8 @@ def match(
     heading: Annotated[
         str | None,
         typer.Option(
-            metavar="DEG,SLACK", help="The camera looked within a slack of this, from true north."
+            metavar="DEG,SLACK",
+            help="The camera looked within a slack of this, degrees from true north.",
         ),
     ] = None,
     elevation: Annotated[
@@ -95,7 +96,7 @@ def match(
     workers: Workers = None,
     scheduler: Scheduler = None,
 ) -> None:
-    """Find where photos were taken and which way the camera looked."""
+    """Find where photos were taken and which way the camera looked, from true north."""
     _check_outputs([geojson], [store, *query])
     if peaks is not None and report is None:
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
@@ -119,7 +120,7 @@ def match(
                 failed = result.exit_code
                 continue
             results.append((path, result))
-            record = describe_match(str(path), result, matching.frame)
+            record = describe_match(str(path), result)
             if as_json:
                 typer.echo(json.dumps(record))
             else:
@@ -219,7 +220,7 @@ def _say_match(record: MatchRecord) -> None:
         typer.echo(
             f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
             f"{place['easting']:.0f} northing {place['northing']:.0f}  heading "
-            f"{place['heading_deg']:.1f}  pitch {place['pitch_deg']:.1f}  fov "
+            f"{place['heading_deg']:.1f} from true north  pitch {place['pitch_deg']:.1f}  fov "
             f"{place['fov_deg']:.1f}  "
             f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"
         )

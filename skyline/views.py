@@ -72,7 +72,7 @@ class Views:
     easting_m, northing_m, eye_elevation_m : (N,) float64
         The eye, in the DEM's frame and above its datum.
     heading : (N,) uint8
-        0, 1, 2, 3 = north, east, south, west.
+        0, 1, 2, 3 = grid north, east, south, west.
     elevation_tan : (N, W) float32 (float64 from the oracle)
         Image-plane ordinate v of the skyline; NaN where a column meets no data.
     depth_m : (N, W) float32 (float64 from the oracle)
@@ -123,7 +123,10 @@ class Views:
         return cls(**rows, shells=Shells.concatenate(shells) if shells else None)
 
     def azimuth_deg(self) -> Float64Array:
-        """Return grid azimuths of the columns, shape (N, W), degrees in [0, 360)."""
+        """Return grid azimuths of the columns, shape (N, W), degrees in [0, 360).
+
+        They are `skyline.Frame.convergence_deg` less than azimuths from true north.
+        """
         u = columns_u(self.width)
         turn_deg = 90.0 * self.heading[:, np.newaxis].astype(np.float64)
         return np.asarray((turn_deg + np.degrees(np.arctan(u))) % 360.0, dtype=np.float64)

@@ -5,11 +5,26 @@ import rasterio
 from rasterio.transform import Affine
 
 from skyline.geodesy import Frame
+from skyline.matching import Candidate, Hypotheses, Ranking
 from skyline.terrain.heightfield import HeightField
 
 FRAME = Frame.local(9.8, 46.8)
 
 WEST_M, NORTH_M, SPACING_M = 600_000.0, 5_180_000.0, 30.0
+
+
+def candidate_at(
+    easting_m, northing_m, grid_heading_deg=0.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=60.0,
+    *, score=0.1, eye_elevation_m=1000.0, confidence=None, covariance_m2=None, frame=FRAME,
+) -> Candidate:  # fmt: skip
+    """Return the candidate of one pose."""
+    pose = easting_m, northing_m, eye_elevation_m, grid_heading_deg, pitch_deg, roll_deg, fov_deg
+    ranking = Ranking(
+        Hypotheses(*(np.array([float(value)]) for value in (*pose, score))),
+        None if confidence is None else np.array([confidence]),
+        None if covariance_m2 is None else np.array([covariance_m2]),
+    )
+    return ranking.candidates(frame)[0]
 
 
 def field_of(heights_m, spacing_m=30.0, spacing_north_m=None, west_m=0.0, north_m=0.0):

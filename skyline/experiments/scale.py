@@ -224,7 +224,7 @@ def measure(
         with open_store(store.path) as opened:
             places, header = opened.places(), opened.header
         scene = RenderedScene(terrain, header, MATCHING)
-        traced = Traced(places, terrain.height_at, scene)
+        traced = Traced(places, terrain.height_at, scene, terrain.frame)
         traced.match(queries[0])  # The first compiles shaders.
         for number, search in missing:
             if progress:

@@ -162,7 +162,10 @@ def draw_worked_query(
                 (truth.easting_m, truth.northing_m), truth.heading_deg, TRUE_COLOUR, "o",
                 "taken here",
             ),
-            ((best.easting_m, best.northing_m), best.heading_deg, BEST_COLOUR, "X", "found here"),
+            (
+                (best.easting_m, best.northing_m), best.grid_heading_deg, BEST_COLOUR, "X",
+                "found here",
+            ),
         ):  # fmt: skip
             _draw_place(axis, place, heading_deg, colour, marker, label, arrow * shown.width_m)
         draw_bearings(axis, terrain.frame, shown)

@@ -11,6 +11,7 @@ from skyline.errors import InputError
 from skyline.experiments.matchers import MATCHING
 from skyline.experiments.queries import MadeQuery, Truth
 from skyline.experiments.trials import errors
+from skyline.geodesy import Frame
 from skyline.matching import QueryRays
 from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
@@ -67,9 +68,12 @@ class Traced:
         Heights of the terrain; see `Retriever`.
     scene : Scene
         What refinement renders.
+    frame : Frame
+        Of the places.
     """
 
-    def __init__(self, places: PlaceSource, ground: Ground, scene: Scene) -> None:
+    def __init__(self, places: PlaceSource, ground: Ground, scene: Scene, frame: Frame) -> None:
+        self._frame = frame
         self._retriever = _Noting(places, ground, MATCHING.retrieval)
         self._matcher = FullMatcher(self._retriever, scene, MATCHING.full)
         self.spacing_m = 2.0 * float(np.median(sample_of(places).tolerance_m))
@@ -82,9 +86,9 @@ class Traced:
         rays, noted = query.rays(), self._retriever.forget()
         wall, cpu = time.perf_counter(), time.process_time()
         try:
-            candidates = self._matcher.rank(rays, _TOP, narrowed)
+            candidates = self._matcher.rank(rays, _TOP, narrowed).candidates(self._frame)
         except InputError:  # There is no place where the search is narrowed to.
-            candidates = []
+            candidates = ()
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
         best = candidates[0] if candidates else None
         return Outcome(
@@ -99,7 +103,7 @@ class Traced:
             self._is_there(
                 [one.easting_m for one in candidates],
                 [one.northing_m for one in candidates],
-                [one.heading_deg for one in candidates],
+                [one.grid_heading_deg for one in candidates],
                 query.truth,
             ),
         )

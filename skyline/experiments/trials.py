@@ -110,7 +110,7 @@ def errors(candidate: Candidate, truth: Truth) -> tuple[float, float]:
         candidate.easting_m - truth.easting_m,
         candidate.northing_m - truth.northing_m,
     )
-    turn = (candidate.heading_deg - truth.heading_deg + 180.0) % 360.0 - 180.0
+    turn = (candidate.grid_heading_deg - truth.heading_deg + 180.0) % 360.0 - 180.0
     return float(np.hypot(east, north)), abs(turn)
 
 
@@ -152,9 +152,11 @@ def candidate_rows(trial: Trial) -> list[dict[str, object]]:
 
     A trial without candidates has one row, of rank None.
     """
+    truth = asdict(trial.truth)
+    truth["grid_heading_deg"] = truth.pop("heading_deg")
     about: dict[str, object] = {
         "query": trial.query,
-        **{f"true_{name}": value for name, value in asdict(trial.truth).items()},
+        **{f"true_{name}": value for name, value in truth.items()},
         "distance_m": trial.distance_m,
         "answered": trial.answered,
         "seconds": trial.seconds,
@@ -165,7 +167,8 @@ def candidate_rows(trial: Trial) -> list[dict[str, object]]:
     for rank, candidate in enumerate(trial.candidates, start=1):
         error_m, turn_deg = errors(candidate, trial.truth)
         figures = {"rank": rank, "error_m": error_m, "heading_error_deg": turn_deg}
-        rows.append({**about, **figures, **asdict(candidate)})
+        grid = {"grid_heading_deg": candidate.grid_heading_deg}
+        rows.append({**about, **figures, **asdict(candidate), **grid})
     return rows
 
 

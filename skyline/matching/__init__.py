@@ -14,7 +14,7 @@ from skyline.matching.paper import PaperMatcher
 from skyline.matching.pose import Poses, Scene, refine
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import Attitudes, QueryRays
-from skyline.matching.ranking import Candidate, Matcher, Ranker
+from skyline.matching.ranking import Candidate, Matcher, Ranker, Ranking
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 
@@ -36,6 +36,7 @@ __all__ = [
     "Profiles",
     "QueryRays",
     "Ranker",
+    "Ranking",
     "RefineConfig",
     "RetrievalConfig",
     "Retriever",

@@ -29,7 +29,7 @@ from scipy import fft
 from skyline.errors import InputError
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
-from skyline.matching.ranking import Candidate, Fits, select
+from skyline.matching.ranking import Fits, Ranking, select
 
 Float64Array = NDArray[np.float64]
 
@@ -62,8 +62,8 @@ class CorrelationMatcher:
         if not 0.0 < self.min_overlap <= 1.0:
             raise InputError(f"least overlap is {self.min_overlap}; expected above 0, at most 1")
 
-    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> list[Candidate]:
-        """Return the best candidates, best first; see `Matcher.rank`."""
+    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> Ranking:
+        """Return the best poses, best first; see `Matcher.rank`."""
         return self.prepare(profiles).rank(query, top)
 
     def prepare(self, profiles: Profiles) -> "PreparedCorrelation":
@@ -139,8 +139,8 @@ class PreparedCorrelation:
     matcher: CorrelationMatcher
     profiles: Profiles
 
-    def rank(self, query: QueryRays, top: int) -> list[Candidate]:
-        """Return the best candidates, best first; see `Ranker.rank`."""
+    def rank(self, query: QueryRays, top: int) -> Ranking:
+        """Return the best poses, best first; see `Ranker.rank`."""
         fits = self.matcher.fit(self.profiles, query)
         return select(self.profiles, fits, query.fov_deg, top, self.matcher.separation_m)
 

@@ -11,7 +11,7 @@ from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Poses, Scene, refine
 from skyline.matching.query import QueryRays
-from skyline.matching.ranking import Candidate
+from skyline.matching.ranking import Ranking
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike
@@ -90,8 +90,8 @@ class FullMatcher:
         top: int,
         narrowed: Narrowed | None = None,
         screened: Alike | None = None,
-    ) -> list[Candidate]:
-        """Return up to ``top`` candidates, best first; none where nothing fits.
+    ) -> Ranking:
+        """Return up to ``top`` poses, best first; none where nothing fits.
 
         Parameters
         ----------
@@ -109,21 +109,17 @@ class FullMatcher:
             raise InputError(f"top is {top}; expected at least 1 candidate")
         found = self.retrieve(query, top, narrowed, screened)
         if not len(found):
-            return []
+            return Ranking(found)
         poses = self.refine(found, query, top)
         if poses is None:
             sure = self._sure("retrieved", confidence.retrieved_figures(found, query))
-            return self._candidates(found, sure, top)
+            chosen = self._chosen(found, top)
+            return Ranking(found[chosen], sure[chosen])
         sure = self._sure("refined", confidence.refined_figures(poses, found, query))
         if narrowed is not None:
             poses = replace(poses, hypotheses=_held(poses.hypotheses, narrowed))
         chosen = self._chosen(poses.hypotheses, top)
-        return [
-            replace(candidate, refined=True, covariance_m2=_as_rows(poses.covariance_m2[index]))
-            for candidate, index in zip(
-                self._candidates(poses.hypotheses, sure, top), chosen, strict=True
-            )
-        ]
+        return Ranking(poses.hypotheses[chosen], sure[chosen], poses.covariance_m2[chosen])
 
     def screened(self, query: QueryRays, narrowed: Narrowed | None, part: slice) -> Alike:
         """Return the places most like a query; see `Retriever.screened`."""
@@ -163,9 +159,6 @@ class FullMatcher:
     def _chosen(self, poses: Hypotheses, top: int) -> NDArray[np.intp]:
         return poses.spread(top, self._config.separation_m)
 
-    def _candidates(self, poses: Hypotheses, sure: Float64Array, top: int) -> list[Candidate]:
-        return [_candidate(poses, index, float(sure[index])) for index in self._chosen(poses, top)]
-
 
 def _held(poses: Hypotheses, narrowed: Narrowed) -> Hypotheses:
     """Return poses of which those that have walked out of a narrowing fit nowhere."""
@@ -175,22 +168,3 @@ def _held(poses: Hypotheses, narrowed: Narrowed) -> Hypotheses:
 def _naming(config: RefineConfig, least: int) -> RefineConfig:
     """Return a refinement that has room for at least so many places at its end."""
     return replace(config, finalists=max(config.finalists, least))
-
-
-def _candidate(poses: Hypotheses, index: int, sure: float) -> Candidate:
-    return Candidate(
-        float(poses.easting_m[index]),
-        float(poses.northing_m[index]),
-        float(poses.heading_deg[index]),
-        float(poses.pitch_deg[index]),
-        float(poses.roll_deg[index]),
-        float(poses.fov_deg[index]),
-        float(poses.score[index]),
-        confidence=sure,
-        eye_elevation_m=float(poses.eye_elevation_m[index]),
-    )
-
-
-def _as_rows(covariance_m2: Float64Array) -> tuple[tuple[float, float], tuple[float, float]]:
-    (a, b), (c, d) = covariance_m2.tolist()
-    return (a, b), (c, d)

@@ -21,7 +21,7 @@ from skyline.matching.chamfer import mean_squared_px2, nearest_patches
 from skyline.matching.patches import QueryCurve, StoredCurves
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
-from skyline.matching.ranking import Candidate, Fits, select
+from skyline.matching.ranking import Fits, Ranking, select
 from skyline.matching.ransac import Ransac
 from skyline.matching.shortlist import Shortlist
 
@@ -107,8 +107,8 @@ class PaperMatcher:
         if not self.max_scale >= 1.0:
             raise InputError(f"greatest scale is {self.max_scale}; expected at least 1")
 
-    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> list[Candidate]:
-        """Return the best candidates, best first; see `Matcher.rank`."""
+    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> Ranking:
+        """Return the best poses, best first; see `Matcher.rank`."""
         return self.prepare(profiles).rank(query, top)
 
     def prepare(self, profiles: Profiles) -> "PreparedPaper":
@@ -141,8 +141,8 @@ class PreparedPaper:
     _offsets: IntArray
     _shortlist: Shortlist | None
 
-    def rank(self, query: QueryRays, top: int) -> list[Candidate]:
-        """Return the best candidates, best first; see `Ranker.rank`."""
+    def rank(self, query: QueryRays, top: int) -> Ranking:
+        """Return the best poses, best first; see `Ranker.rank`."""
         separation_m = self.matcher.separation_m
         return select(self.profiles, self.fit(query), query.fov_deg, top, separation_m)
 

@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError
+from skyline.geodesy import Frame
+from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import QueryRays
 
@@ -14,19 +16,26 @@ Float64Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
     """A place the query may have been taken at, and how the camera stood there.
 
     Attributes
     ----------
-    easting_m, northing_m : float
+    lon, lat : float
+        Degrees, WGS 84.
     heading_deg : float
-        Grid azimuth of the optical axis, in [0, 360).
+        Of the optical axis, clockwise from true north, in [0, 360).
     pitch_deg, roll_deg : float
         Optical axis above the horizon; camera turned clockwise as seen from behind.
     fov_deg : float
         Horizontal field of view.
+    easting_m, northing_m : float
+        The place again, in the store's frame.
+    eye_elevation_m : float
+        Of the camera, above the DEM's datum.
+    convergence_deg : float
+        Grid convergence at the place: what true azimuths are more than grid azimuths.
     score : float
         Lower is better; its unit is the matcher's.
     confidence : float or None
@@ -35,30 +44,90 @@ class Candidate:
         Whether the pose was fitted by rendering again.
     covariance_m2 : ((float, float), (float, float)) or None
         Covariance of easting and northing, square metres, where something has estimated it.
-    eye_elevation_m : float or None
-        Of the camera, above the DEM's datum, where it is known.
     """
 
-    easting_m: float
-    northing_m: float
+    lon: float
+    lat: float
     heading_deg: float
     pitch_deg: float
     roll_deg: float
     fov_deg: float
+    easting_m: float
+    northing_m: float
+    eye_elevation_m: float
+    convergence_deg: float
     score: float
     confidence: float | None = None
     refined: bool = False
     covariance_m2: tuple[tuple[float, float], tuple[float, float]] | None = None
-    eye_elevation_m: float | None = None
+
+    @property
+    def grid_heading_deg(self) -> float:
+        """Grid azimuth of the optical axis, in [0, 360): what views are rendered by."""
+        return (self.heading_deg - self.convergence_deg) % 360.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ranking:
+    """The M poses a matcher answers a query with, best first.
+
+    Attributes
+    ----------
+    poses : Hypotheses
+    confidence : (M,) float64, optional
+        Probability that each is right, where something has estimated it.
+    covariance_m2 : (M, 2, 2) float64, optional
+        Of easting and northing, where the poses were refined.
+    """
+
+    poses: Hypotheses
+    confidence: Float64Array | None = None
+    covariance_m2: Float64Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.poses)
+
+    def candidates(self, frame: Frame) -> tuple[Candidate, ...]:
+        """Return the poses as candidates; ``frame`` is that of their eastings and northings."""
+        place = self.poses.easting_m, self.poses.northing_m
+        lon, lat = frame.to_lonlat(*place)
+        convergence_deg = frame.convergence_deg(*place) if len(self) else np.zeros(0)
+        heading_deg = (self.poses.heading_deg + convergence_deg) % 360.0
+        return tuple(
+            Candidate(
+                lon=float(lon[index]),
+                lat=float(lat[index]),
+                heading_deg=float(heading_deg[index]),
+                pitch_deg=float(self.poses.pitch_deg[index]),
+                roll_deg=float(self.poses.roll_deg[index]),
+                fov_deg=float(self.poses.fov_deg[index]),
+                easting_m=float(self.poses.easting_m[index]),
+                northing_m=float(self.poses.northing_m[index]),
+                eye_elevation_m=float(self.poses.eye_elevation_m[index]),
+                convergence_deg=float(convergence_deg[index]),
+                score=float(self.poses.score[index]),
+                confidence=None if self.confidence is None else float(self.confidence[index]),
+                refined=self.covariance_m2 is not None,
+                covariance_m2=None
+                if self.covariance_m2 is None
+                else _as_rows(self.covariance_m2[index]),
+            )
+            for index in range(len(self))
+        )
+
+
+def _as_rows(covariance_m2: Float64Array) -> tuple[tuple[float, float], tuple[float, float]]:
+    (a, b), (c, d) = covariance_m2.tolist()
+    return (a, b), (c, d)
 
 
 class Ranker(Protocol):
     """Anything that ranks the places of the store it was made for."""
 
-    def rank(self, query: QueryRays, top: int) -> list[Candidate]:
-        """Return up to ``top`` candidates, best first, at most one a location.
+    def rank(self, query: QueryRays, top: int) -> Ranking:
+        """Return up to ``top`` poses, best first, at most one a location.
 
-        Locations nothing fits at are left out, so the list may be empty.
+        Locations nothing fits at are left out, so there may be none.
         """
         ...
 
@@ -70,7 +139,7 @@ class Matcher(Protocol):
         """Return what ranks the places of a store; what queries share is done here, once."""
         ...
 
-    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> list[Candidate]:
+    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> Ranking:
         """Return what a prepared matcher does, for a single query; see `Ranker.rank`."""
         ...
 
@@ -121,8 +190,8 @@ class Fits:
 
 def select(
     profiles: Profiles, fits: Fits, fov_deg: float, top: int, separation_m: float = 0.0
-) -> list[Candidate]:
-    """Return the best candidates, none within ``separation_m`` of a better one.
+) -> Ranking:
+    """Return the best poses, none within ``separation_m`` of a better one.
 
     Equal scores keep the order of the locations. Locations without a fit are left out.
 
@@ -133,25 +202,14 @@ def select(
     """
     if top < 1:
         raise InputError(f"top is {top}; expected at least 1 candidate")
-    place = np.stack([profiles.easting_m, profiles.northing_m], axis=1)
-    left = np.isfinite(fits.score)
-    chosen: list[Candidate] = []
-    for location in np.argsort(fits.score, kind="stable"):
-        if len(chosen) == top:
-            break
-        if not left[location]:
-            continue
-        chosen.append(
-            Candidate(
-                float(profiles.easting_m[location]),
-                float(profiles.northing_m[location]),
-                float(fits.heading_deg[location] % 360.0),
-                float(fits.pitch_deg[location]),
-                float(fits.roll_deg[location]),
-                fov_deg,
-                float(fits.score[location]),
-            )
-        )
-        if separation_m > 0.0:
-            left &= np.hypot(*(place - place[location]).T) >= separation_m
-    return chosen
+    poses = Hypotheses(
+        profiles.easting_m,
+        profiles.northing_m,
+        profiles.eye_elevation_m,
+        fits.heading_deg % 360.0,
+        fits.pitch_deg,
+        fits.roll_deg,
+        np.full(len(profiles), fov_deg),
+        fits.score,
+    )
+    return Ranking(poses[poses.spread(top, separation_m)])

@@ -113,7 +113,7 @@ def view_rows(terrain: HeightField, config: RenderConfig, plan: dict[str, object
 def render_views(
     terrain: HeightField, viewpoints: Viewpoints, config: RenderConfig | None = None
 ) -> Views:
-    """Render the skylines of viewpoints in all four headings (4 N views)."""
+    """Render the skylines of viewpoints to grid north, east, south, west (4 N views)."""
     config = config or RenderConfig()
     with make_renderer(terrain, config) as renderer:
         return renderer.render(viewpoints)

@@ -2,24 +2,25 @@
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Frame
-from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays
+from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays, Ranker, Ranking
 from skyline.matching.full import FullConfig, FullMatcher
 from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.matching.screening import Alike
 from skyline.photo import Projection, QuerySkyline, read_query
 from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
+from skyline.pipeline.tables import to_geodataframe
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import Store, StoreHeader, open_store
 from skyline.store.header import PLACES
@@ -94,7 +95,7 @@ class MatchResult:
     query : QuerySkyline
         The skyline that was matched.
     candidates : tuple of Candidate
-        Best first; headings from grid north.
+        Best first.
     seconds : float
         From the query to the candidates.
     refusal : str or None
@@ -110,6 +111,10 @@ class MatchResult:
     def answer(self) -> Candidate | None:
         """The best candidate, if the matcher stands by it."""
         return self.candidates[0] if self.candidates and not self.refusal else None
+
+    def to_geodataframe(self) -> Any:
+        """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
+        return to_geodataframe([self])
 
 
 class Matcher:
@@ -147,8 +152,7 @@ class Matcher:
         if matcher not in MATCHER_NAMES:
             raise InputError(f"matcher is {matcher!r}; expected one of {', '.join(MATCHER_NAMES)}")
         self._config = config or MatchConfig()
-        self._rank: Callable[[QueryRays, int], list[Candidate]] | None = None
-        self._full: FullMatcher | None = None
+        self._matcher: FullMatcher | Ranker
         self._scene: RenderedScene | None = None
         with open_store(store) as opened:
             self.header = opened.header
@@ -164,10 +168,10 @@ class Matcher:
                     self._scene = RenderedScene(self.terrain, self.header, self._config)
                 ground = None if self.terrain is None else self.terrain.height_at
                 retriever = Retriever(places, ground, self._config.retrieval)
-                self._full = FullMatcher(retriever, self._scene, self._config.full)
+                self._matcher = FullMatcher(retriever, self._scene, self._config.full)
             else:
                 profiles = Profiles.from_views(_chunks(opened))
-                self._rank = MATCHERS[matcher]().prepare(profiles).rank
+                self._matcher = MATCHERS[matcher]().prepare(profiles)
         self.frame = Frame(self.header.frame_wkt)
 
     def release(self) -> None:
@@ -222,18 +226,13 @@ class Matcher:
             query = read_query(query, fov_deg)
         elif fov_deg is not None:
             query = query.with_fov(fov_deg)
-        candidates: list[Candidate] = []
+        candidates: tuple[Candidate, ...] = ()
         refusal = too_little(query, self._config)
         if refusal is None:
-            rays = self._rays(query)
-            if self._full is not None:
-                candidates = self._full.rank(rays, top, self._narrowed(narrowing), screened)
-            elif self._rank is not None:
-                if narrowing not in (None, Narrowing()):
-                    raise InputError("only the full matcher can narrow its search; leave it wide")
-                candidates = self._rank(rays, top)
+            ranking = self._ranking(self._rays(query), top, narrowing, screened)
+            candidates = ranking.candidates(self.frame)
             refusal = unsure(candidates, self._config)
-        return MatchResult(query, tuple(candidates), time.perf_counter() - started, refusal)
+        return MatchResult(query, candidates, time.perf_counter() - started, refusal)
 
     def screen(
         self, query: QuerySkyline, narrowing: Narrowing | None = None, part: slice = slice(None)
@@ -243,9 +242,10 @@ class Matcher:
         None where there is nothing to screen: a query that shows too little, or another matcher.
         ``part`` is of the store's blocks of places. Raises as `match`.
         """
-        if self._full is None or too_little(query, self._config) is not None:
+        full = self._matcher
+        if not isinstance(full, FullMatcher) or too_little(query, self._config) is not None:
             return None
-        return self._full.screened(self._rays(query), self._narrowed(narrowing), part)
+        return full.screened(self._rays(query), self._narrowed(narrowing), part)
 
     def match_all(
         self,
@@ -255,6 +255,15 @@ class Matcher:
     ) -> list[MatchResult]:
         """Find where several queries were taken, in order; see `match`."""
         return [self.match(query, fov_deg, top) for query in queries]
+
+    def _ranking(
+        self, rays: QueryRays, top: int, narrowing: Narrowing | None, screened: Alike | None
+    ) -> Ranking:
+        if isinstance(self._matcher, FullMatcher):
+            return self._matcher.rank(rays, top, self._narrowed(narrowing), screened)
+        if narrowing not in (None, Narrowing()):
+            raise InputError("only the full matcher can narrow its search; leave it wide")
+        return self._matcher.rank(rays, top)
 
     def _narrowed(self, narrowing: Narrowing | None) -> Narrowed | None:
         return None if narrowing is None else narrowing.within(self.frame)
@@ -268,7 +277,7 @@ class Matcher:
         elif fov_deg is not None:
             widest = min(fov_deg * (1.0 + config.fov_slack), 0.5 * (fov_deg + 180.0))
             bounds_deg = (fov_deg * (1.0 - config.fov_slack), widest)
-        elif self._full is not None and query.projection is Projection.PERSPECTIVE:
+        elif isinstance(self._matcher, FullMatcher) and query.projection is Projection.PERSPECTIVE:
             fov_deg = float(np.sqrt(bounds_deg[0] * bounds_deg[1]))
         else:
             raise InputError(

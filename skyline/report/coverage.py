@@ -16,7 +16,7 @@ from skyline.planning.plan import Plan
 from skyline.report.pictures import save_figure
 from skyline.report.relief import Area, draw_bearings, draw_relief
 
-_HEADING_NAMES = ("north", "east", "south", "west")
+_HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
 _PANEL_SQUARE_IN = 14.0
 
 _OPACITY = 0.55

@@ -62,10 +62,10 @@ def _features(query: str, rank: int, candidate: Candidate, frame: Frame) -> list
     about: Json = {"query": query, "rank": rank}
     record = {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in describe_candidate(candidate, frame).items()
+        for name, value in describe_candidate(candidate).items()
     }
-    place = np.array([[candidate.easting_m, candidate.northing_m]])
-    point: Json = {"type": "Point", "coordinates": _lonlat(place, frame)[0]}
+    place = [round(candidate.lon, _DECIMALS), round(candidate.lat, _DECIMALS)]
+    point: Json = {"type": "Point", "coordinates": place}
     wedge = _polygon(view_wedge_m(candidate, VIEW_REACH_M), frame)
     features = [
         _feature(point, {**about, "shape": "candidate", **record}),

@@ -20,7 +20,6 @@ from skyline.report.overlay import Overlay
 from skyline.report.peaks import HIDDEN_DEG, Sighting, visible_peaks
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, median_gap_deg
-from skyline.report.records import CandidateRecord, describe_candidates
 from skyline.report.shapes import Ellipse
 from skyline.report.surroundings import Surroundings
 
@@ -132,7 +131,7 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
     view = _BestView() if best is None else _view_of(best, surroundings)
     overlay = Overlay(matched.query, matched.photo, best, view.panorama, view.sightings)
     parts: list[Part] = [
-        Text(_result(matched, surroundings.frame), is_result=True),
+        Text(_result(matched), is_result=True),
         Picture(
             _keep(folder / f"{number:02d}-overlay.jpg", overlay.jpeg()),
             _overlay_caption(overlay),
@@ -140,7 +139,7 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
         *_maps(folder, number, matched.candidates, surroundings, view),
     ]
     if matched.candidates:
-        parts.append(_candidate_table(matched.candidates, surroundings.frame))
+        parts.append(_candidate_table(matched.candidates))
     done = " ".join(matched.done)
     parts.append(
         Text(f"What was done: {done} It took {matched.seconds:.2f} s.".replace(":  ", ": "))
@@ -192,18 +191,18 @@ def _maps(
     return pictures
 
 
-def _result(matched: Matched, frame: Frame) -> str:
+def _result(matched: Matched) -> str:
     if not matched.candidates:
         return "No place fits."
-    best = describe_candidates(matched.candidates[:1], frame)[0]
-    sure = "" if best["confidence"] is None else f", confidence {100.0 * best['confidence']:.0f} %"
+    best = matched.candidates[0]
+    sure = "" if best.confidence is None else f", confidence {100.0 * best.confidence:.0f} %"
     place = (
-        f"latitude {best['lat']:.5f}°, longitude {best['lon']:.5f}°, looking "
-        f"{best['heading_deg']:.1f}° from true north{sure}"
+        f"latitude {best.lat:.5f}°, longitude {best.lon:.5f}°, looking "
+        f"{best.heading_deg:.1f}° from true north{sure}"
     )
     if not matched.is_answered:
         return f"Not answered: the best candidate is not sure enough ({place})."
-    return f"Taken at {place}{'' if best['refined'] else ' (not refined by rendering)'}."
+    return f"Taken at {place}{'' if best.refined else ' (not refined by rendering)'}."
 
 
 def _overlay_caption(overlay: Overlay) -> str:
@@ -219,31 +218,27 @@ def _overlay_caption(overlay: Overlay) -> str:
     )
 
 
-def _candidate_table(candidates: Sequence[Candidate], frame: Frame) -> Table:
-    records = describe_candidates(candidates, frame)
+def _candidate_table(candidates: Sequence[Candidate]) -> Table:
     columns = (
         "#", "latitude °", "longitude °", "heading °", "pitch °", "roll °", "FOV °", "score",
         "confidence", "refined", "95 % ellipse, m",
     )  # fmt: skip
-    rows = [
-        _candidate_row(rank, record, Ellipse.of(candidate))
-        for rank, (record, candidate) in enumerate(zip(records, candidates, strict=True), start=1)
-    ]
+    rows = [_candidate_row(rank, each) for rank, each in enumerate(candidates, start=1)]
     return Table(columns, rows, "Candidates; headings from true north, a lower score is better")
 
 
-def _candidate_row(rank: int, record: CandidateRecord, ellipse: Ellipse | None) -> list[object]:
-    sure = record["confidence"]
+def _candidate_row(rank: int, candidate: Candidate) -> list[object]:
+    sure, ellipse = candidate.confidence, Ellipse.of(candidate)
     return [
         rank,
-        f"{record['lat']:.5f}",
-        f"{record['lon']:.5f}",
-        f"{record['heading_deg']:.2f}",
-        f"{record['pitch_deg']:.2f}",
-        f"{record['roll_deg']:.2f}",
-        f"{record['fov_deg']:.2f}",
-        f"{record['score']:.4f}",
+        f"{candidate.lat:.5f}",
+        f"{candidate.lon:.5f}",
+        f"{candidate.heading_deg:.2f}",
+        f"{candidate.pitch_deg:.2f}",
+        f"{candidate.roll_deg:.2f}",
+        f"{candidate.fov_deg:.2f}",
+        f"{candidate.score:.4f}",
         None if sure is None else f"{sure:.2f}",
-        record["refined"],
+        candidate.refined,
         None if ellipse is None else f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}",
     ]

@@ -153,7 +153,7 @@ def _draw_rendered(axis: Axes, overlay: Overlay, scale: float) -> None:
     pose = overlay.pose
     if pose is None or overlay.panorama is None:
         return
-    panorama = overlay.panorama.from_azimuth(pose.candidate.heading_deg + 180.0)
+    panorama = overlay.panorama.from_azimuth(pose.candidate.grid_heading_deg + 180.0)
     column, row = pose.pixels(panorama.azimuth_deg, panorama.elevation_tan)
     near = np.abs(column - pose.width_px / 2.0) <= _AROUND * pose.width_px
     for sure, style, label in (

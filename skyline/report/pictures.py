@@ -13,7 +13,7 @@ from skyline.camera import HEADINGS
 from skyline.report.files import write_whole
 from skyline.views import Views
 
-_HEADING_NAMES = ("north", "east", "south", "west")
+_HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
 _DPI = 110
 _JPEG = {"quality": 88, "subsampling": 0}
 """Full colour resolution, or thin coloured lines fade."""

@@ -45,7 +45,7 @@ class PosedPicture:
             Tangent of the elevation angle: up over horizontal distance.
         """
         pose = self.candidate
-        turn = np.radians(np.asarray(azimuth_deg, dtype=np.float64) - pose.heading_deg)
+        turn = np.radians(np.asarray(azimuth_deg, dtype=np.float64) - pose.grid_heading_deg)
         y = np.asarray(elevation_tan, dtype=np.float64)
         u, v = project(turn, y, pose.pitch_deg, pose.roll_deg)
         return (
@@ -57,7 +57,7 @@ class PosedPicture:
         """Return grid azimuths, degrees, and elevation tangents of the trusted columns."""
         u, v = query.image_plane(self.candidate.fov_deg)
         turn, y = level(u, v, self.candidate.pitch_deg, self.candidate.roll_deg)
-        return (np.degrees(turn) + self.candidate.heading_deg) % 360.0, y
+        return (np.degrees(turn) + self.candidate.grid_heading_deg) % 360.0, y
 
 
 @dataclass(frozen=True, slots=True, eq=False)

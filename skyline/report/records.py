@@ -3,12 +3,11 @@
 from collections.abc import Iterable
 from typing import NotRequired, TypedDict
 
-from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
 
 
 class CandidateRecord(TypedDict):
-    """One candidate as ``skyline match --json`` prints it; the heading is from true north."""
+    """One `Candidate` as ``skyline match --json`` prints it; the heading is from true north."""
 
     easting: float
     northing: float
@@ -33,21 +32,19 @@ class MatchRecord(TypedDict):
     refusal: NotRequired[str]
 
 
-def describe_candidates(candidates: Iterable[Candidate], frame: Frame) -> list[CandidateRecord]:
+def describe_candidates(candidates: Iterable[Candidate]) -> list[CandidateRecord]:
     """Return candidates in the public JSON's terms."""
-    return [describe_candidate(candidate, frame) for candidate in candidates]
+    return [describe_candidate(candidate) for candidate in candidates]
 
 
-def describe_candidate(candidate: Candidate, frame: Frame) -> CandidateRecord:
+def describe_candidate(candidate: Candidate) -> CandidateRecord:
     """Return one candidate in the public JSON's terms."""
-    place = candidate.easting_m, candidate.northing_m
-    lon, lat = frame.to_lonlat(*place)
     return CandidateRecord(
         easting=candidate.easting_m,
         northing=candidate.northing_m,
-        lon=float(lon),
-        lat=float(lat),
-        heading_deg=float((candidate.heading_deg + frame.convergence_deg(*place)) % 360.0),
+        lon=candidate.lon,
+        lat=candidate.lat,
+        heading_deg=candidate.heading_deg,
         pitch_deg=candidate.pitch_deg,
         roll_deg=candidate.roll_deg,
         fov_deg=candidate.fov_deg,

@@ -73,7 +73,7 @@ def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:
     steps = max(2, int(np.ceil(candidate.fov_deg / _ARC_STEP_DEG)) + 1)
     half = candidate.fov_deg / 2.0
     # Azimuths fall along the arc, since they count clockwise.
-    azimuth = np.radians(candidate.heading_deg + np.linspace(half, -half, steps))
+    azimuth = np.radians(candidate.grid_heading_deg + np.linspace(half, -half, steps))
     camera = np.array([[candidate.easting_m, candidate.northing_m]])
     arc = camera + reach_m * np.stack([np.sin(azimuth), np.cos(azimuth)], axis=1)
     return np.concatenate([camera, arc, camera])

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from skyline.errors import OffMapError
 from skyline.geodesy import Curvature, Frame
 from skyline.matching.ranking import Candidate
@@ -42,19 +44,12 @@ class Surroundings:
     curvature: Curvature = field(default_factory=Curvature)
 
     def eye_of(self, candidate: Candidate) -> Viewpoints | None:
-        """Return a candidate's eye; None without terrain there.
-
-        An eye that is not known stands at the usual height; one below the ground is lifted to it.
-        """
+        """Return a candidate's eye, lifted to the ground from below it; None without terrain."""
         if self.terrain is None:
             return None
         try:
-            eye = stand_on(self.terrain, candidate.easting_m, candidate.northing_m)
-            ground = stand_on(self.terrain, candidate.easting_m, candidate.northing_m, 0.0)
+            eye = stand_on(self.terrain, candidate.easting_m, candidate.northing_m, 0.0)
         except OffMapError:
             return None
-        if candidate.eye_elevation_m is None:
-            return eye
-        known = max(candidate.eye_elevation_m, float(ground.eye_elevation_m[0]))
-        eye.eye_elevation_m[0] = known
+        np.maximum(eye.eye_elevation_m, candidate.eye_elevation_m, out=eye.eye_elevation_m)
         return eye

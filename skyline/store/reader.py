@@ -19,7 +19,9 @@ from skyline.errors import (
     StoreError,
 )
 from skyline.features import NO_KEYPOINT
+from skyline.geodesy import Frame
 from skyline.store.checks import checked_dataset, read_committed, read_header
+from skyline.store.dataset import dataset_of_places, dataset_of_views
 from skyline.store.digest import row_checksums
 from skyline.store.explain import REBUILD, UNREADABLE, explained
 from skyline.store.header import (
@@ -56,6 +58,7 @@ class Locations:
     easting_m, northing_m, eye_elevation_m : (N,) float64
         In the store's frame, above the DEM's datum.
     heading : (N,) uint8
+        0, 1, 2, 3 = grid north, east, south, west.
     """
 
     easting_m: NDArray[np.float64]
@@ -200,6 +203,36 @@ class Store:
         offsets = self._reading(self._chunk_offsets)
         with explained(self._path, "it cannot be mapped"):
             return PlaceMap(self._path, self._raw.fileno(), self._header, self._committed, offsets)
+
+    def to_xarray(self, index: RowIndex = slice(None)) -> Any:
+        """Return rows as an `xarray.Dataset` (extra ``geo``), in memory.
+
+        Parameters
+        ----------
+        index : int, slice, integer or boolean array
+            Rows in the order wanted, as of `views`.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``elevation_deg`` and ``distance_m`` (horizontal), of a store of places by ``place``
+            and ``grid_azimuth_deg``, of one of renderings by ``view`` and ``column``, with their
+            ``flags``. The coordinate ``azimuth_deg``, of two dimensions, is from true north;
+            ``grid_azimuth_deg`` is from grid north and ``convergence_deg`` what a row's true
+            azimuths are more than its grid azimuths. Also ``lon``, ``lat``, ``easting_m``,
+            ``northing_m``, ``eye_elevation_m`` of the eyes, and ``spatial_ref`` (CF), the frame.
+
+        Raises
+        ------
+        InputError
+            A row that is not committed, or xarray is not installed.
+        StoreError
+            Damaged data.
+        """
+        rows, frame = self._rows(index), Frame(self._header.frame_wkt)
+        if self._header.holds == PLACES:
+            return dataset_of_places(self.places().take(rows), rows, frame)
+        return dataset_of_views(self.views(index), rows, frame)
 
     def _rows(self, index: RowIndex) -> NDArray[np.intp]:
         try:

@@ -5,17 +5,28 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame, is_metric
+from skyline.terrain.arrays import read_array
 from skyline.terrain.cleaning import count_voids, fill_voids, remove_spikes, strips
 from skyline.terrain.heightfield import HeightField, Provenance
-from skyline.terrain.tiles import Grid, mosaic_grid, open_tile, read_mosaic
+from skyline.terrain.tiles import (
+    Grid,
+    Tile,
+    mosaic_grid,
+    open_tile,
+    read_into,
+    read_mosaic,
+    tile_of,
+)
 from skyline.terrain.warp import ground_spacing_m, local_frame, square_spacing_m, warp
 
 CONFORMAL_DEG = 0.01
@@ -132,26 +143,75 @@ def read_dem(
         raise InputError("no DEM file was given; name one or more")
     default_crs = _parse_crs(options.crs)
     tiles = [open_tile(path, default_crs) for path in paths]
-    crs = tiles[0].crs
-    _check_kind(tiles[0].source, crs)
+    _check_kind(tiles[0])
     grid, offsets = mosaic_grid(tiles)
     files = tuple(tile.source for tile in tiles)
-    heights = read_mosaic(tiles, grid, offsets)
+    raster = _Raster(", ".join(files), tiles[0].crs, grid, files)
+    return _height_field(read_mosaic(tiles, grid, offsets), raster, options)
+
+
+def dem_of_dataset(dataset: Any, options: DemOptions) -> HeightField:
+    """Return an open dataset as a height field; see `HeightField.from_rasterio`."""
+    source = str(dataset.name)
+    tile = tile_of(source, dataset, _parse_crs(options.crs))
+    _check_kind(tile)
+    grid, _ = mosaic_grid([tile])
+    heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
+    read_into(dataset, tile, heights)
+    # A warped or virtual dataset is not what lies in a file of its name.
+    is_file = isinstance(dataset, rasterio.DatasetReader) and Path(source).is_file()
+    files = (str(Path(source).absolute()),) if is_file else ()
+    return _height_field(heights, _Raster(source, tile.crs, grid, files), options)
+
+
+def dem_of_array(data_array: Any, options: DemOptions) -> HeightField:
+    """Return a DataArray as a height field; see `HeightField.from_xarray`."""
+    tile, heights = read_array(data_array, _parse_crs(options.crs))
+    _check_kind(tile)
+    grid, _ = mosaic_grid([tile])
+    return _height_field(heights, _Raster(tile.source, tile.crs, grid, ()), options)
+
+
+@dataclass(frozen=True, slots=True)
+class _Raster:
+    """Where heights come from.
+
+    Attributes
+    ----------
+    source : str
+        What errors call it.
+    crs : CRS
+    grid : Grid
+        In the units of the CRS.
+    files : tuple of str
+        It can be read from again.
+    """
+
+    source: str
+    crs: CRS
+    grid: Grid
+    files: tuple[str, ...]
+
+
+def _height_field(heights: Float32Array, raster: _Raster, options: DemOptions) -> HeightField:
+    """Clean heights on their raster's own grid, and warp them if they need a metric frame."""
+    crs, grid = raster.crs, raster.grid
     if is_metric(crs) and not options.reproject:
         frame = Frame.from_crs(crs)
         _warn_of_distortion(grid, frame)
-        counts = _clean(heights, files, max(grid.step_east, grid.step_north), options)
-        return _field(heights, grid, frame, Provenance(files, "none", *counts, options.to_json()))
+        counts = _clean(heights, raster.source, max(grid.step_east, grid.step_north), options)
+        provenance = Provenance(raster.files, "none", *counts, options.to_json())
+        return _field(heights, grid, frame, provenance)
     frame = local_frame(grid, crs)
     ground_spacing = ground_spacing_m(grid, crs, frame)
-    counts = _clean(heights, files, max(ground_spacing), options)
+    counts = _clean(heights, raster.source, max(ground_spacing), options)
     spacing_m = square_spacing_m(ground_spacing)
     heights, warped_grid = warp(heights, grid, crs, frame, spacing_m)
     resampling = (
         f"cubic, once, from {crs.name} ({ground_spacing[0]:.2f} x {ground_spacing[1]:.2f} m at "
         f"the centre) to {spacing_m:g} m in the local conformal frame"
     )
-    provenance = Provenance(files, resampling, *counts, options.to_json())
+    provenance = Provenance(raster.files, resampling, *counts, options.to_json())
     return _field(heights, warped_grid, frame, provenance)
 
 
@@ -167,22 +227,22 @@ def _parse_crs(text: str | None) -> CRS | None:
         ) from error
 
 
-def _check_kind(source: str, crs: CRS) -> None:
+def _check_kind(tile: Tile) -> None:
+    crs = tile.crs
     if not (crs.is_geographic or crs.is_projected):
         raise InputError(
-            f"{source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or projected "
-            "coordinate reference system: warp it first with gdalwarp"
+            f"{tile.source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or "
+            "projected coordinate reference system: warp it first with gdalwarp"
         )
 
 
 def _clean(
-    heights: Float32Array, files: tuple[str, ...], spacing_m: float, options: DemOptions
+    heights: Float32Array, source: str, spacing_m: float, options: DemOptions
 ) -> tuple[int, int, int]:
     """Remove spikes and fill voids in place; return how many were filled, hollow, despiked."""
     if not any(np.isfinite(heights[rows]).any() for rows in strips(heights)):
         raise InputError(
-            f"{', '.join(files)} holds no height: all samples are nodata; check the file and its "
-            "nodata value"
+            f"{source} holds no height: all samples are nodata; check the file and its nodata value"
         )
     despiked = remove_spikes(heights, spacing_m, options.spike_m)
     filled = fill_voids(heights, options.max_void_samples)

@@ -8,12 +8,16 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+
+if TYPE_CHECKING:
+    from skyline.terrain.dem import DemOptions
 
 Float64Array = NDArray[np.float64]
 
@@ -88,6 +92,62 @@ class HeightField:
             heights = np.array(heights, order="C")
             heights.setflags(write=False)
         object.__setattr__(self, "heights_m", heights)
+
+    @classmethod
+    def from_rasterio(cls, dataset: Any, options: "DemOptions | None" = None) -> "HeightField":
+        """Read an open rasterio dataset, as `read_dem` reads a file.
+
+        Parameters
+        ----------
+        dataset : rasterio dataset
+            Open to read, of one band: a file, a `MemoryFile`, a `WarpedVRT`.
+        options : DemOptions, optional
+
+        Returns
+        -------
+        HeightField
+            Its provenance names the file, where the dataset is one. A store of a field that no
+            file holds is matched with ``Matcher(store, dem=field)``.
+
+        Raises
+        ------
+        InputError
+            Not one band, no (understood) CRS, a rotated grid, no height at all.
+        """
+        from skyline.terrain import dem  # noqa: PLC0415  (it makes height fields)
+
+        return dem.dem_of_dataset(dataset, options or dem.DemOptions())
+
+    @classmethod
+    def from_xarray(cls, data_array: Any, options: "DemOptions | None" = None) -> "HeightField":
+        """Read an `xarray.DataArray`, as `read_dem` reads a file.
+
+        A file that rioxarray has opened gives the heights that `read_dem` gives of it.
+
+        Parameters
+        ----------
+        data_array : xarray.DataArray
+            Heights by two dimensions, ``y, x``, ``lat, lon``, ``latitude, longitude`` or
+            ``northing, easting``, in any order, with even coordinates of the samples. Further
+            dimensions have one entry. The CRS is that of its grid mapping (CF, as rioxarray
+            writes it), else ``options.crs``. ``_FillValue``, ``missing_value``, ``scale_factor``,
+            ``add_offset`` and ``units`` among its attributes are heeded.
+        options : DemOptions, optional
+
+        Returns
+        -------
+        HeightField
+            No file holds it: a store of it is matched with ``Matcher(store, dem=field)``.
+
+        Raises
+        ------
+        InputError
+            Other dimensions, several bands, coordinates missing or not even, no (understood) CRS,
+            no height at all.
+        """
+        from skyline.terrain import dem  # noqa: PLC0415  (it makes height fields)
+
+        return dem.dem_of_array(data_array, options or dem.DemOptions())
 
     @property
     def rows(self) -> int:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from skyline.errors import InputError, MissingFileError
@@ -96,13 +97,28 @@ class Tile:
     flip_cols: bool
 
 
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What a raster says of its numbers: whether some are nodata, scale, offset and unit."""
+
+    nodata: bool
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+
+
 def open_tile(path: str | Path, default_crs: CRS | None) -> Tile:
     """Look at a file; `InputError` or `MissingFileError` where it is not a usable DEM."""
     source = _resolve(path)
     with _opened(source) as dataset:
-        _check_one_band(source, dataset)
-        crs = _crs_of(source, dataset, default_crs)
-        return Tile(source, crs, *_grid_of(source, dataset))
+        return tile_of(source, dataset, default_crs)
+
+
+def tile_of(source: str, dataset: Any, default_crs: CRS | None) -> Tile:
+    """Look at an open rasterio dataset; `InputError` where it is not a usable DEM."""
+    _check_one_band(source, dataset)
+    crs = crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
+    return Tile(source, crs, *grid_of(source, dataset.transform, dataset.shape))
 
 
 def full_turn(crs: CRS) -> float | None:
@@ -167,7 +183,8 @@ def read_mosaic(
     heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
     for tile, (row, col) in zip(tiles, offsets, strict=True):
         place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols]
-        disagreement_m = _read_into(tile, place)
+        with _opened(tile.source) as dataset:
+            disagreement_m = read_into(dataset, tile, place)
         if disagreement_m > AGREEMENT_M:
             _log.warning(
                 "%s differs by up to %.2f m from tiles named before it, whose heights are kept",
@@ -209,7 +226,7 @@ def _opened(source: str) -> Iterator[Any]:
 @contextmanager
 def _dataset(source: str) -> Iterator[Any]:
     with warnings.catch_warnings():
-        # Told as an error of our own, by `_grid_of`.
+        # Told as an error of our own, by `grid_of`.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         if not source.lower().endswith(".gz") or source.startswith("/vsi"):
             dataset = rasterio.open(source)
@@ -257,16 +274,17 @@ def _check_one_band(source: str, dataset: Any) -> None:
         raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
 
 
-def _crs_of(source: str, dataset: Any, default_crs: CRS | None) -> CRS:
-    if dataset.crs is None:
+def crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
+    """Return the CRS a raster says it is in, else the default; `InputError` without either."""
+    if wkt is None:
         if default_crs is None:
             raise InputError(
                 f"{source} has no coordinate reference system; say which it is with --crs, "
-                "for example --crs EPSG:32632"
+                "for example --crs EPSG:32632 (in Python DemOptions(crs=...))"
             )
         return default_crs
     try:
-        crs = CRS.from_wkt(dataset.crs.to_wkt())
+        crs = CRS.from_wkt(wkt)
     except CRSError as error:
         raise InputError(
             f"the coordinate reference system of {source} is not understood ({error}); "
@@ -282,8 +300,14 @@ def _crs_of(source: str, dataset: Any, default_crs: CRS | None) -> CRS:
     return crs
 
 
-def _grid_of(source: str, dataset: Any) -> tuple[Grid, bool, bool]:
-    transform = dataset.transform
+def grid_of(source: str, transform: Affine, shape: tuple[int, int]) -> tuple[Grid, bool, bool]:
+    """Return the north-up grid of a raster, and whether its rows and its columns are flipped.
+
+    Raises
+    ------
+    InputError
+        No georeference, or a rotated grid.
+    """
     if transform.is_identity:
         raise InputError(
             f"{source} has no georeference, so its place on the map is unknown; give a "
@@ -295,7 +319,7 @@ def _grid_of(source: str, dataset: Any) -> tuple[Grid, bool, bool]:
             "expected rows along the easting and columns along the northing: straighten it first "
             "(gdalwarp)"
         )
-    rows, cols = dataset.shape
+    rows, cols = shape
     west = transform.c + 0.5 * transform.a
     north = transform.f + 0.5 * transform.e
     flip_rows, flip_cols = transform.e > 0.0, transform.a < 0.0
@@ -332,19 +356,18 @@ def _check_fits(tile: Tile, grid: Grid, first: Tile) -> None:
         )
 
 
-def _read_into(tile: Tile, place: Float32Array) -> float:
+def read_into(dataset: Any, tile: Tile, place: Float32Array) -> float:
     """Read a tile where nothing has been read yet; return the worst disagreement elsewhere."""
     place = place[:: -1 if tile.flip_rows else 1, :: -1 if tile.flip_cols else 1]
     disagreement_m = 0.0
-    with _opened(tile.source) as dataset:
-        for rows in strips(place):
-            fresh = _read_rows(dataset, rows)
-            old = place[rows]
-            known = np.isfinite(old)
-            both = known & np.isfinite(fresh)
-            if both.any():
-                disagreement_m = max(disagreement_m, float(np.abs(old - fresh)[both].max()))
-            np.copyto(old, fresh, where=~known)
+    for rows in strips(place):
+        fresh = _read_rows(dataset, rows)
+        old = place[rows]
+        known = np.isfinite(old)
+        both = known & np.isfinite(fresh)
+        if both.any():
+            disagreement_m = max(disagreement_m, float(np.abs(old - fresh)[both].max()))
+        np.copyto(old, fresh, where=~known)
     return disagreement_m
 
 
@@ -352,14 +375,21 @@ def _read_rows(dataset: Any, rows: slice) -> Float32Array:
     """Read rows of the band as metres, NaN where void."""
     window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
     band = dataset.read(1, window=window, masked=True)
-    heights: Float32Array = band.data.astype(np.float32)
-    heights[np.ma.getmaskarray(band) | ~np.isfinite(heights)] = np.nan
-    if dataset.nodata is None:
+    said = Said(
+        dataset.nodata is not None, dataset.scales[0], dataset.offsets[0], dataset.units[0] or ""
+    )
+    return heights_of(band.data, np.ma.getmaskarray(band), said)
+
+
+def heights_of(band: NDArray[Any], voids: NDArray[np.bool_], said: Said) -> Float32Array:
+    """Return what a band holds as heights in metres, NaN where void; a copy."""
+    heights: Float32Array = band.astype(np.float32)
+    heights[voids | ~np.isfinite(heights)] = np.nan
+    if not said.nodata:
         heights[np.isin(heights, UNDECLARED_VOIDS)] = np.nan
-    scale, offset = dataset.scales[0], dataset.offsets[0]
-    if (scale, offset) != (1.0, 0.0):
-        heights = (heights * scale + offset).astype(np.float32)
-    unit = (dataset.units[0] or "").strip().lower()
+    if (said.scale, said.offset) != (1.0, 0.0):
+        heights = (heights * said.scale + said.offset).astype(np.float32)
+    unit = said.unit.strip().lower()
     if unit in _FEET_M:
         heights *= np.float32(_FEET_M[unit])
     return heights

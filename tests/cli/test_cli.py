@@ -480,9 +480,11 @@ def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert query.returncode == 0, query.stderr
-    places = re.findall(r": (\S+) (\S+) confidence 0\.\d\d$", query.stdout, re.MULTILINE)
+    said = r": (\S+) (\S+) heading (\S+) from true north confidence 0\.\d\d$"
+    places = re.findall(said, query.stdout, re.MULTILINE)
     assert 1 <= len(places) <= 3
-    lat, lon = map(float, places[0])
+    lat, lon, heading_deg = map(float, places[0])
+    assert abs(heading_deg - 140.95) < 1.5  # the grid's 140, and 0.95 of convergence
     (east_m,), (north_m,) = read_dem([dem]).frame.from_lonlat([lon], [lat])
     assert math.hypot(east_m - 601_800.0, north_m - 5_178_000.0) < 200.0
 

@@ -92,7 +92,7 @@ def test_queries_are_found_where_they_were_taken(store, terrain, queries):
         assert 0.0 < best.confidence < 1.0
         if error_m(best, query.truth) < 10.0:
             assert np.linalg.eigvalsh(best.covariance_m2).min() > 0.0
-            turn = (best.heading_deg - query.truth.heading_deg + 180.0) % 360.0 - 180.0
+            turn = (best.grid_heading_deg - query.truth.heading_deg + 180.0) % 360.0 - 180.0
             assert abs(turn) < 1.0
 
 
@@ -171,11 +171,13 @@ def test_a_narrowed_search_looks_nowhere_else(store, terrain, queries):
         )
         for place in matcher.match(query, narrowing=right).candidates:
             assert error_m(place, truth) <= 200.0 + 1.0
-            assert abs((place.heading_deg - truth.heading_deg + 180.0) % 360.0 - 180.0) <= 5.0
+            off_deg = place.heading_deg - (truth.heading_deg + turn)
+            assert abs((off_deg + 180.0) % 360.0 - 180.0) <= 5.0
             assert abs(place.eye_elevation_m - truth.eye_elevation_m) <= 60.0
         away = Narrowing(heading_deg=(truth.heading_deg + turn + 180.0, 40.0))
         for place in matcher.match(query, narrowing=away).candidates:
-            assert abs((place.heading_deg - truth.heading_deg + 180.0) % 360.0 - 180.0) >= 140.0
+            off_deg = place.heading_deg - (truth.heading_deg + turn)
+            assert abs((off_deg + 180.0) % 360.0 - 180.0) >= 140.0
         with pytest.raises(InputError, match="no place within what the search is narrowed to"):
             matcher.match(query, narrowing=Narrowing(elevation_m=(8000.0, 9000.0)))
 

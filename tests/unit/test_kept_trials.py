@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scenes import candidate_at
 
 import skyline
 from skyline.experiments.kept_trials import (
@@ -16,7 +17,6 @@ from skyline.experiments.kept_trials import (
 )
 from skyline.experiments.queries import MadeQuery, Truth
 from skyline.experiments.trials import summarize, trial_of
-from skyline.matching import Candidate
 from skyline.photo import QuerySkyline
 from skyline.pipeline import MatchResult
 
@@ -28,7 +28,7 @@ QUERIES = [
     )
     for i in range(3)
 ]  # fmt: skip
-BEST = Candidate(0.0, 0.0, 5.0, 0.0, 0.0, 60.0, 0.1, 0.8, True, ((1.0, 0.0), (0.0, 2.0)), 1e3)
+BEST = candidate_at(0.0, 0.0, 5.0, confidence=0.8, covariance_m2=((1.0, 0.0), (0.0, 2.0)))
 KEY = {"seed": 3, "query": {"fov_deg": (60.0, 60.0)}, "store": "abc"}
 
 

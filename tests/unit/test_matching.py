@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import field_of, fractal
+from scenes import FRAME, field_of, fractal
 
 from skyline import oracle
 from skyline.errors import InputError
@@ -99,14 +99,14 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, matche
     right = 0
     cases = [(3, 44.9), (9, 315.0), (17, 359.5), (22, 200.0), (30, 100.0), (41, 271.0)]
     for index, heading_deg in cases:
-        best = matcher.rank(profiles, query_at(viewpoints, index, heading_deg), 3)[0]
+        best = matcher.rank(profiles, query_at(viewpoints, index, heading_deg), 3).poses
         right += (
             np.hypot(
-                best.easting_m - viewpoints.easting_m[index],
-                best.northing_m - viewpoints.northing_m[index],
+                best.easting_m[0] - viewpoints.easting_m[index],
+                best.northing_m[0] - viewpoints.northing_m[index],
             )
             < 1.0
-            and turned_by(best.heading_deg, heading_deg) < 1.0
+            and turned_by(best.heading_deg[0], heading_deg) < 1.0
         )
     # Keypoints are the paper's weak spot: now and then a low skyline has too few.
     assert right >= (len(cases) if isinstance(matcher, CorrelationMatcher) else len(cases) - 1)
@@ -114,9 +114,9 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, matche
 
 def test_an_assumed_pitch_is_told_from_the_others(profiles, viewpoints):
     query = query_at(viewpoints, 12, 150.0, pitch_deg=-5.0)
-    best = CorrelationMatcher().rank(profiles, query, 1)[0]
-    assert best.pitch_deg == -5.0
-    assert turned_by(best.heading_deg, 150.0) < 1.0
+    best = CorrelationMatcher().rank(profiles, query, 1).poses
+    assert best.pitch_deg[0] == -5.0
+    assert turned_by(best.heading_deg[0], 150.0) < 1.0
 
 
 def test_correlation_equals_a_direct_loop(profiles, viewpoints):
@@ -139,7 +139,7 @@ def test_correlation_equals_a_direct_loop(profiles, viewpoints):
 def test_ranking_is_the_same_each_time_and_each_place_once(profiles, viewpoints):
     query = query_at(viewpoints, 15, 20.0)
     for matcher in (PaperMatcher(LEVEL), CorrelationMatcher(LEVEL)):
-        first, again = (matcher.rank(profiles, query, 8) for _ in range(2))
+        first, again = (matcher.rank(profiles, query, 8).candidates(FRAME) for _ in range(2))
         assert first == again
         assert [c.score for c in first] == sorted(c.score for c in first)
         assert len({(c.easting_m, c.northing_m) for c in first}) == len(first)
@@ -192,8 +192,7 @@ def test_degenerate_queries_and_stores_have_an_answer(profiles):
             QueryRays.equally_trusted(np.array([0.0]), np.array([0.1]), 60.0),
             QueryRays.equally_trusted(np.array([-0.1, 0.1]), np.array([0.1, 0.2]), 60.0),
         ):
-            for candidate in matcher.rank(profiles, query, 3):
-                assert np.isfinite(candidate.score)
+            assert np.isfinite(matcher.rank(profiles, query, 3).poses.score).all()
         unknown = Profiles(
             profiles.easting_m[:2],
             profiles.northing_m[:2],
@@ -202,7 +201,7 @@ def test_degenerate_queries_and_stores_have_an_answer(profiles):
             np.zeros(0, dtype=np.intp),
             np.zeros(3, dtype=np.intp),
         )
-        assert matcher.rank(unknown, flat_query(), 3) == []
+        assert matcher.rank(unknown, flat_query(), 3).candidates(FRAME) == ()
 
 
 def test_queries_and_stores_of_nothing_say_so(profiles):

@@ -8,10 +8,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from scenes import field_of, fractal
+from scenes import candidate_at, field_of, fractal
 
 from skyline import oracle
-from skyline.matching import Candidate
 from skyline.photo import QuerySkyline
 from skyline.planning.uniform import uniform_grid
 from skyline.report import Matched, Peaks, Surroundings, write_match_report
@@ -22,11 +21,12 @@ from skyline.terrain.viewpoints import stand_on
 
 FIELD = field_of(fractal(120, 120, seed=1), west_m=0.0, north_m=3600.0)
 EYE = stand_on(FIELD, 1800.0, 1800.0)
-BEST = Candidate(
-    1800.0, 1800.0, 350.0, 12.0, 4.0, 70.0, 0.1, 0.9, True, ((1e4, 0.0), (0.0, 2e4)),
-    float(EYE.eye_elevation_m[0]),
+EYE_M = float(EYE.eye_elevation_m[0])
+BEST = candidate_at(
+    1800.0, 1800.0, 350.0, 12.0, 4.0, 70.0, eye_elevation_m=EYE_M, confidence=0.9,
+    covariance_m2=((1e4, 0.0), (0.0, 2e4)),
 )  # fmt: skip
-OTHER = replace(BEST, easting_m=900.0, heading_deg=80.0, confidence=None, covariance_m2=None)
+OTHER = candidate_at(900.0, 1800.0, 80.0, 12.0, 4.0, 70.0, eye_elevation_m=EYE_M)
 WIDTH_PX, HEIGHT_PX = 900, 600
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -42,7 +42,7 @@ PICTURE = PosedPicture(WIDTH_PX, HEIGHT_PX, BEST)
 
 def true_query():
     """The query that the best candidate would take, a fifth of its columns masked."""
-    around = PANORAMA.from_azimuth(BEST.heading_deg + 180.0)
+    around = PANORAMA.from_azimuth(BEST.grid_heading_deg + 180.0)
     column, row = PICTURE.pixels(around.azimuth_deg, around.elevation_tan)
     seen = np.isfinite(column)
     order = np.argsort(column[seen])
@@ -100,8 +100,8 @@ def test_the_overlay_draws_both_skylines_where_they_are():
 
 
 def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
-    ahead = Sighting("$Ahead", 0.0, 0.0, 900.0, BEST.heading_deg, 0.2, 2000.0)
-    behind = replace(ahead, label="Behind", azimuth_deg=BEST.heading_deg + 180.0)
+    ahead = Sighting("$Ahead", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
+    behind = replace(ahead, label="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)
     above = replace(ahead, label="Above", elevation_tan=3.0)
     none = pixels(Overlay(QUERY, None, BEST, PANORAMA, [behind, above]).jpeg())
     named = pixels(Overlay(QUERY, None, BEST, PANORAMA, [ahead, behind]).jpeg())
@@ -109,7 +109,7 @@ def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
     assert band > 15
     text = (named[: band - 8] < 100).all(axis=-1)
     middle = np.flatnonzero(text.any(axis=0)).mean()
-    assert middle == pytest.approx(PICTURE.pixels(BEST.heading_deg, 0.2)[0], abs=10.0)
+    assert middle == pytest.approx(PICTURE.pixels(BEST.grid_heading_deg, 0.2)[0], abs=10.0)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (40, 3000), (6000, 60)])

@@ -4,21 +4,20 @@ import json
 
 import numpy as np
 import pytest
-from scenes import FRAME
+from scenes import FRAME, candidate_at
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.matching import Candidate
 from skyline.report.geojson import VIEW_REACH_M, match_collection, write_geojson
 from skyline.report.shapes import Ellipse, view_wedge_m
 
 UTM = Frame.from_crs("EPSG:32632")
 PLACE = UTM.from_lonlat(10.78277, 46.79586)
-BEST = Candidate(
-    float(PLACE[0]), float(PLACE[1]), 275.0, -8.5, 1.0, 78.7, 0.1, 0.9, True,
-    ((400.0, 100.0), (100.0, 900.0)),
+BEST = candidate_at(
+    *PLACE, 275.0, -8.5, 1.0, 78.7, confidence=0.9, frame=UTM,
+    covariance_m2=((400.0, 100.0), (100.0, 900.0)),
 )  # fmt: skip
-OTHER = Candidate(BEST.easting_m + 500.0, BEST.northing_m, 350.0, 0.0, 0.0, 60.0, 0.4)
+OTHER = candidate_at(BEST.easting_m + 500.0, BEST.northing_m, 350.0, score=0.4, frame=UTM)
 
 
 def signed_area(ring):
@@ -32,9 +31,7 @@ def test_an_ellipse_has_the_covariance_s_axes():
     major = np.array([np.sin(np.radians(azimuth_deg)), np.cos(np.radians(azimuth_deg))])
     minor = np.array([major[1], -major[0]])
     covariance = along**2 * np.outer(major, major) + across**2 * np.outer(minor, minor)
-    ellipse = Ellipse.of(
-        Candidate(5.0, 7.0, 0.0, 0.0, 0.0, 60.0, 0.1, covariance_m2=covariance.tolist())
-    )
+    ellipse = Ellipse.of(candidate_at(5.0, 7.0, covariance_m2=covariance))
     quantile = np.sqrt(-2.0 * np.log(0.05))
     assert ellipse.semi_major_m == pytest.approx(along * quantile)
     assert ellipse.semi_minor_m == pytest.approx(across * quantile)
@@ -106,7 +103,7 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
 
 
 def test_geojson_has_no_word_for_infinity():
-    lost = Candidate(0.0, 0.0, 0.0, 0.0, 0.0, 60.0, np.inf)
+    lost = candidate_at(0.0, 0.0, score=np.inf)
     point = match_collection([("q", [lost])], FRAME)["features"][0]
     assert point["properties"]["score"] is None
 

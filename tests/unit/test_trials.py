@@ -5,11 +5,11 @@ import json
 
 import numpy as np
 import pytest
+from scenes import candidate_at
 
 from skyline.errors import InputError
 from skyline.experiments.queries import MadeQuery, Truth
 from skyline.experiments.trials import candidate_rows, run_trials, summarize, write_rows
-from skyline.matching import Candidate
 from skyline.photo import QuerySkyline
 from skyline.pipeline import MatchResult
 
@@ -32,7 +32,7 @@ class Nearby:
         self.calls += 1
         if self.calls == 3:
             raise InputError("too little to see")
-        found = [Candidate(0.0, 100.0 * i, 5.0, 0, 0, 60.0, 0.1) for i in range(top)]
+        found = [candidate_at(0.0, 100.0 * i, 5.0) for i in range(top)]
         return MatchResult(query, () if self.calls == 4 else tuple(found), 0.5)
 
 
@@ -94,7 +94,7 @@ def test_every_candidate_has_a_row(trials, tmp_path):
     assert [row["rank"] for row in rows] == [1, 2, 3, 1, 2, 3, None, None]
     assert rows[1]["error_m"] == pytest.approx(np.hypot(30.0, 100.0))
     assert rows[1]["score"] == 0.1
-    assert rows[0]["true_heading_deg"] == 355.0
+    assert rows[0]["true_grid_heading_deg"] == 355.0
     write_rows(tmp_path / "rows.csv", "matching-candidates", rows)
     with (tmp_path / "rows.csv").open() as file:
         read = list(csv.DictReader(file))

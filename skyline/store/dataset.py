@@ -1,0 +1,102 @@
+"""Rows of a store as an `xarray.Dataset`: angles in degrees, places in degrees and metres.
+
+Skylines are rendered by grid azimuth, and the grid turns from true north by another angle at every
+place. So the grid azimuths of places are a dimension, which all places share, and the azimuths from
+true north are a coordinate of two dimensions.
+"""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import columns_u
+from skyline.errors import InputError
+from skyline.geodesy import Frame
+from skyline.horizons import bin_azimuths_rad
+from skyline.places import BINS, DISTANCE_BINS, Places
+from skyline.views import Views
+
+_METRES, _DEGREES = {"units": "m"}, {"units": "degrees"}
+_ELEVATION = {"long_name": "elevation angle of the skyline", **_DEGREES}
+_TRUE = {"long_name": "azimuth, clockwise from true north", **_DEGREES}
+_GRID = {"long_name": "azimuth, clockwise from grid north", **_DEGREES}
+
+
+def dataset_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> Any:
+    """Return places as a dataset; see `Store.to_xarray`."""
+    angle = "grid_azimuth_deg"
+    # Whole halves of a degree, so that they can be looked up.
+    grid_deg = np.degrees(bin_azimuths_rad(BINS)).round(9)
+    coords = _coordinates("place", places, rows, frame)
+    coords[angle] = angle, grid_deg, _GRID
+    coords["azimuth_deg"] = ("place", angle), _from_true_north(coords, grid_deg), _TRUE
+    distance_m = np.repeat(places.distance_m(), BINS // DISTANCE_BINS, axis=1)
+    nearest = f"horizontal distance of the skyline, its nearest in {360 // DISTANCE_BINS} degrees"
+    return _xarray().Dataset(
+        {
+            "elevation_deg": (
+                ("place", angle),
+                np.degrees(np.arctan(places.elevation_tan())),
+                _ELEVATION,
+            ),
+            "distance_m": (("place", angle), distance_m, {"long_name": nearest, **_METRES}),
+        },
+        coords,
+    )
+
+
+def dataset_of_views(views: Views, rows: NDArray[np.intp], frame: Frame) -> Any:
+    """Return views as a dataset; see `Store.to_xarray`."""
+    columns = ("view", "column")
+    grid_deg = views.azimuth_deg()
+    coords = _coordinates("view", views, rows, frame)
+    coords["grid_azimuth_deg"] = columns, grid_deg, _GRID
+    coords["azimuth_deg"] = columns, _from_true_north(coords, grid_deg), _TRUE
+    distance_m = views.depth_m * np.hypot(1.0, columns_u(views.width)).astype(np.float32)
+    return _xarray().Dataset(
+        {
+            "elevation_deg": (columns, views.elevation_deg().astype(np.float32), _ELEVATION),
+            "distance_m": (
+                columns,
+                distance_m,
+                {"long_name": "horizontal distance of the skyline", **_METRES},
+            ),
+            "flags": (columns, views.flags, {"long_name": "bits of skyline.views"}),
+        },
+        coords,
+    )
+
+
+def _coordinates(
+    dim: str, eyes: Places | Views, rows: NDArray[np.intp], frame: Frame
+) -> dict[str, Any]:
+    easting_m, northing_m = eyes.easting_m, eyes.northing_m
+    lon, lat = frame.to_lonlat(easting_m, northing_m)
+    convergence_deg = frame.convergence_deg(easting_m, northing_m) if len(rows) else np.zeros(0)
+    turn = {"long_name": "grid convergence: true azimuth minus grid azimuth", **_DEGREES}
+    return {
+        dim: (dim, rows, {"long_name": "row of the store"}),
+        "lon": (dim, lon, {"standard_name": "longitude", "units": "degrees_east"}),
+        "lat": (dim, lat, {"standard_name": "latitude", "units": "degrees_north"}),
+        "easting_m": (dim, easting_m, _METRES),
+        "northing_m": (dim, northing_m, _METRES),
+        "eye_elevation_m": (dim, eyes.eye_elevation_m, _METRES),
+        "convergence_deg": (dim, convergence_deg, turn),
+        "spatial_ref": ((), 0, {"long_name": "frame of the eastings", **frame.crs.to_cf()}),
+    }
+
+
+def _from_true_north(coords: dict[str, Any], grid_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    convergence_deg: NDArray[np.float64] = coords["convergence_deg"][1]
+    return (grid_deg + convergence_deg[:, np.newaxis]) % 360.0
+
+
+def _xarray() -> Any:
+    try:
+        import xarray  # noqa: PLC0415  (optional)
+    except ImportError as error:
+        raise InputError(
+            "a Dataset needs xarray, which is not installed; pip install 'skyline[geo]'"
+        ) from error
+    return xarray

@@ -1,0 +1,179 @@
+"""A DEM held by rasterio or xarray gives the height field that its file gives."""
+
+import numpy as np
+import pytest
+import rasterio
+import xarray
+from dem_files import write
+from rasterio.transform import Affine
+from rasterio.vrt import WarpedVRT
+from scenes import fractal
+
+from skyline.errors import InputError
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+
+rioxarray = pytest.importorskip("rioxarray")
+
+DEGREES = {
+    "crs": "EPSG:4326",
+    "transform": Affine(1 / 1200, 0.0, 9.7, 0.0, -1 / 1200, 46.9),
+}
+VOID = -9999.0
+
+
+def rough(dtype="float32"):
+    """Heights with a spike and a small void, as `read_dem` cleans them."""
+    heights = np.round(fractal(60, 50, seed=4) + 1500.0)
+    heights[20, 20] += 2000.0
+    heights[30:32, 10:13] = VOID
+    return heights.astype(dtype)
+
+
+FILES = {
+    "metric": {"nodata": VOID},
+    "degrees": {"nodata": VOID, **DEGREES},
+    "no nodata value said": DEGREES,
+    "whole metres": {"nodata": VOID, **DEGREES},
+    "from the south": {
+        "nodata": VOID, "transform": Affine(30.0, 0.0, 6e5, 0.0, 30.0, 5.17e6)
+    },
+}  # fmt: skip
+
+
+def assert_same(field, other):
+    assert field.digest == other.digest
+    assert field.frame == other.frame
+    counts = "filled", "hollow", "despiked", "options", "resampling"
+    for name in counts:
+        assert getattr(field.provenance, name) == getattr(other.provenance, name), name
+    assert other.provenance.despiked >= 1
+    assert other.provenance.filled >= 6
+
+
+@pytest.fixture(params=FILES)
+def path(request, tmp_path):
+    dtype = "int16" if request.param == "whole metres" else "float32"
+    return write(tmp_path / "dem.tif", rough(dtype), **FILES[request.param])
+
+
+def test_an_open_dataset_gives_what_its_file_gives(path):
+    with rasterio.open(path) as dataset:
+        field = HeightField.from_rasterio(dataset)
+    assert_same(field, read_dem(path))
+    assert field.provenance.files == (str(path),)
+
+
+def test_what_lies_in_no_file_names_none(path):
+    memory = rasterio.MemoryFile(path.read_bytes())
+    with memory, memory.open() as dataset:
+        field = HeightField.from_rasterio(dataset)
+        assert_same(field, read_dem(path))
+        assert field.provenance.files == ()
+        with WarpedVRT(dataset, crs="EPSG:32632") as warped:
+            metric = HeightField.from_rasterio(warped)
+    assert metric.frame.name == "EPSG:32632"
+    assert metric.provenance.files == ()
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_a_data_array_gives_what_its_file_gives(path, masked):
+    with rioxarray.open_rasterio(path, masked=masked) as array:
+        assert_same(HeightField.from_xarray(array), read_dem(path))
+
+
+def test_options_are_those_of_a_file(tmp_path):
+    path = write(tmp_path / "dem.tif", rough(), nodata=VOID)
+    options = DemOptions(reproject=True, spike_m=np.inf, max_void_samples=0)
+    wanted = read_dem(path, options)
+    with rasterio.open(path) as dataset:
+        assert HeightField.from_rasterio(dataset, options).digest == wanted.digest
+    with rioxarray.open_rasterio(path) as array:
+        assert HeightField.from_xarray(array, options).digest == wanted.digest
+
+
+def plain(y="y", x="x"):
+    """Heights in UTM that say nothing of their CRS."""
+    heights = np.round(fractal(30, 40, seed=2) + 1000.0)
+    north, east = 5_180_000.0 - 30.0 * np.arange(30), 6e5 + 30.0 * np.arange(40)
+    return xarray.DataArray(heights, {y: north, x: east}, (y, x), name="height")
+
+
+UTM = DemOptions(crs="EPSG:32632")
+
+
+def test_order_and_names_of_dimensions_do_not_matter():
+    field = HeightField.from_xarray(plain(), UTM)
+    np.testing.assert_array_equal(field.heights_m, plain().values)
+    assert (field.west_m, field.north_m) == (6e5, 5_180_000.0)
+    for other in (
+        plain().transpose("x", "y"),
+        plain().isel(y=slice(None, None, -1)),
+        plain().isel(x=slice(None, None, -1)),
+        plain().expand_dims("band"),
+        plain("northing", "easting"),
+    ):
+        assert HeightField.from_xarray(other, UTM).digest == field.digest
+
+
+def test_a_part_of_an_array_is_that_part_of_the_field(tmp_path):
+    path = write(tmp_path / "dem.tif", np.round(fractal(60, 50, seed=4) + 1500.0))
+    whole = read_dem(path)
+    with rioxarray.open_rasterio(path) as array:
+        # What rioxarray notes of the file's grid is no longer so, and not believed.
+        part = HeightField.from_xarray(array.isel(y=slice(7, 40), x=slice(11, 30)))
+    np.testing.assert_array_equal(part.heights_m, whole.heights_m[7:40, 11:30])
+    assert (part.west_m, part.north_m) == whole.to_map(7, 11)
+
+
+def test_units_scale_and_cf_grid_mappings_are_heeded():
+    feet = plain().assign_attrs(units="ft", scale_factor=0.5, add_offset=10.0)
+    field = HeightField.from_xarray(feet, UTM)
+    np.testing.assert_allclose(field.heights_m, (plain() * 0.5 + 10.0) * 0.3048, rtol=1e-6)
+    crs = xarray.DataArray(0, attrs={
+        "grid_mapping_name": "transverse_mercator", "latitude_of_projection_origin": 0.0,
+        "longitude_of_central_meridian": 9.0, "false_easting": 5e5, "false_northing": 0.0,
+        "scale_factor_at_central_meridian": 0.9996, "reference_ellipsoid_name": "WGS 84",
+    })  # fmt: skip
+    mapped = plain().assign_coords(utm=crs).assign_attrs(grid_mapping="utm")
+    found = HeightField.from_xarray(mapped)
+    np.testing.assert_allclose(
+        found.frame.to_lonlat(6e5, 5.18e6), HeightField.from_xarray(plain(), UTM).frame.to_lonlat(
+            6e5, 5.18e6
+        ), atol=1e-9,
+    )  # fmt: skip
+
+
+REFUSED = {
+    "no coordinate reference system": plain(),
+    "expected y, x or lat, lon": plain("row", "column"),
+    "has 2 bands": xarray.concat([plain(), plain()], "band"),
+    "no coordinates along x": plain().drop_vars("x"),
+    "along y that are not even": plain().isel(y=[0, 1, 3, 4]),
+    "1 samples along x": plain().isel(x=[0]),
+    "complex": plain().astype(complex),
+    "holds no height": (plain() * np.nan).rio.write_crs("EPSG:32632"),
+    "is not understood": plain().assign_coords(
+        spatial_ref=xarray.DataArray(0, attrs={"grid_mapping_name": "unheard_of"})
+    ),
+}
+
+
+@pytest.mark.parametrize("said", REFUSED)
+def test_arrays_that_are_no_dem_are_refused_in_one_line(said):
+    options = UTM if said not in ("no coordinate reference system", "is not understood") else None
+    with pytest.raises(InputError, match=said) as refused:
+        HeightField.from_xarray(REFUSED[said], options)
+    assert "\n" not in str(refused.value)
+
+
+def test_datasets_that_are_no_dem_are_refused(tmp_path):
+    path = write(tmp_path / "two.tif", np.ones((2, 5, 5), np.float32))
+    with rasterio.open(path) as dataset, pytest.raises(InputError, match="2 bands"):
+        HeightField.from_rasterio(dataset)
+    path = write(tmp_path / "nowhere.tif", np.ones((5, 5), np.float32), crs=None)
+    with (
+        rasterio.open(path) as dataset,
+        pytest.raises(InputError, match="no coordinate reference system"),
+    ):
+        HeightField.from_rasterio(dataset)

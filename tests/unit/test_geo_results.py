@@ -1,0 +1,123 @@
+"""Candidates as a GeoDataFrame, and rows of a store as a Dataset, say what they are made from."""
+
+import sys
+from dataclasses import fields, replace
+
+import geopandas
+import numpy as np
+import pytest
+from scenes import candidate_at
+from store_rows import HEADER, rows
+
+import skyline
+from skyline import Candidate, Frame, InputError, MatchResult, QuerySkyline, open_store
+from skyline.experiments.durability import numbered_places
+from skyline.store import create_store
+
+UTM = Frame(HEADER.frame_wkt)
+BEST = candidate_at(
+    750_000.0, 5_180_000.0, 300.0, confidence=0.9, frame=UTM,
+    covariance_m2=((400.0, 100.0), (100.0, 900.0)),
+)  # fmt: skip
+OTHER = candidate_at(751_000.0, 5_181_000.0, 20.0, frame=UTM)
+QUERY = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
+
+
+def test_a_result_is_a_table_of_points_in_degrees():
+    table = MatchResult(QUERY, (BEST, OTHER), 0.1).to_geodataframe()
+    assert table.crs == "EPSG:4326"
+    assert list(table["rank"]) == [1, 2]
+    assert list(table["is_answer"]) == [True, False]
+    whole = {field.name for field in fields(Candidate)} - {"covariance_m2"}
+    for name in whole:
+        assert table[name][0] == getattr(BEST, name), name
+    assert table["confidence"].isna().tolist() == [False, True]
+    assert table["easting_variance_m2"][0] == 400.0
+    assert table["northing_variance_m2"][0] == 900.0
+    assert table["easting_northing_covariance_m2"][0] == 100.0
+    # The points, brought back to the frame by other means, are where the candidates are.
+    back = table.to_crs("EPSG:32632").geometry
+    np.testing.assert_allclose(back.x, table["easting_m"], atol=1e-4)
+    np.testing.assert_allclose(back.y, table["northing_m"], atol=1e-4)
+
+
+def test_results_keep_their_number_and_files_hold_them(tmp_path):
+    refused = MatchResult(QUERY, (OTHER,), 0.1, "too unsure")
+    nothing = MatchResult(QUERY, (), 0.1, "no place fits")
+    results = [MatchResult(QUERY, (BEST, OTHER), 0.1), nothing, refused]
+    table = skyline.to_geodataframe(results)
+    assert list(table["query"]) == [0, 0, 2]
+    assert list(table["is_answer"]) == [True, False, False]
+    table.to_file(tmp_path / "found.gpkg")
+    again = geopandas.read_file(tmp_path / "found.gpkg")
+    assert list(again["heading_deg"]) == list(table["heading_deg"])
+    empty = skyline.to_geodataframe([nothing])
+    assert len(empty) == 0
+    assert list(empty.columns) == list(table.columns)
+
+
+@pytest.fixture
+def place_store(tmp_path):
+    header = replace(HEADER, width=0, holds="places")
+    with create_store(tmp_path / "places.h5", header) as writer:
+        writer.append_places(numbered_places(0, 50))
+    with open_store(tmp_path / "places.h5") as store:
+        yield store
+
+
+@pytest.fixture
+def view_store(tmp_path):
+    views, keypoints = rows(0, 12)
+    with create_store(tmp_path / "views.h5", HEADER) as writer:
+        writer.append(views, keypoints)
+    with open_store(tmp_path / "views.h5") as store:
+        yield store
+
+
+def test_places_are_a_dataset_by_azimuth(place_store):
+    data, places = place_store.to_xarray(), numbered_places(0, 50)
+    assert data.elevation_deg.dims == ("place", "grid_azimuth_deg")
+    np.testing.assert_allclose(
+        np.tan(np.radians(data.elevation_deg)), places.elevation_tan(), atol=1e-5
+    )
+    np.testing.assert_array_equal(data.distance_m[:, 1::3], places.distance_m())
+    np.testing.assert_array_equal(data.grid_azimuth_deg, np.arange(360) + 0.5)
+    assert set(data.attrs) == set()
+    some = place_store.to_xarray([7, 3])
+    assert some.identical(data.isel(place=[7, 3]))
+    assert len(place_store.to_xarray(slice(0)).place) == 0
+
+
+def test_views_are_a_dataset_of_the_same_terms(view_store):
+    data, (views, _) = view_store.to_xarray(slice(2, 9)), rows(2, 9)
+    assert list(data["view"]) == list(range(2, 9))
+    np.testing.assert_allclose(data.elevation_deg, views.elevation_deg(), rtol=1e-5)
+    along = np.linalg.norm(views.skyline_points_m()[..., [0, 2]], axis=-1)
+    np.testing.assert_allclose(data.distance_m, along, rtol=1e-5)
+    np.testing.assert_array_equal(data.flags, views.flags)
+    np.testing.assert_array_equal(data.grid_azimuth_deg, views.azimuth_deg())
+
+
+@pytest.mark.parametrize("kind", ["place_store", "view_store"])
+def test_azimuths_are_from_true_north_at_each_place(kind, request):
+    data = request.getfixturevalue(kind).to_xarray()
+    lon, lat = UTM.to_lonlat(data.easting_m, data.northing_m)
+    np.testing.assert_array_equal(data.lon, lon)
+    np.testing.assert_array_equal(data.lat, lat)
+    assert data.azimuth_deg.ndim == 2
+    turn = (data.azimuth_deg - data.grid_azimuth_deg - data.convergence_deg + 180.0) % 360.0
+    np.testing.assert_allclose(turn, 180.0, atol=1e-9)
+    # Geographic north of a place lies at azimuth 0, whatever the grid's north is.
+    north = UTM.from_lonlat(lon, lat + 1e-4)
+    grid = np.degrees(np.arctan2(north[0] - data.easting_m, north[1] - data.northing_m))
+    np.testing.assert_allclose(grid + data.convergence_deg, 0.0, atol=1e-3)
+    assert Frame.from_crs(data.spatial_ref.attrs["crs_wkt"]).crs == UTM.crs
+
+
+def test_without_the_extra_one_line_says_what_is_missing(monkeypatch, place_store):
+    monkeypatch.setitem(sys.modules, "geopandas", None)
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(InputError, match=r"geopandas.*skyline\[geo\]"):
+        MatchResult(QUERY, (BEST,), 0.1).to_geodataframe()
+    with pytest.raises(InputError, match=r"xarray.*skyline\[geo\]"):
+        place_store.to_xarray()

@@ -1,0 +1,70 @@
+"""`import skyline` is light, and it has the names that its functions take and give."""
+
+import inspect
+import subprocess
+import sys
+import typing
+from functools import cached_property
+
+import pytest
+
+import skyline
+
+HEAVY = ("cv2", "matplotlib", "moderngl", "h5py", "numpy", "rasterio", "scipy", "xarray")
+INTERNAL = {
+    "FitConfig", "Horizons", "Narrowed", "SkySession", "SolverConfig", "Spec", "WholeFile",
+}  # fmt: skip
+"""Skyline's own, in signatures that users have no need to call or settings of settings."""
+
+
+def test_importing_skyline_loads_nothing_heavy():
+    code = f"import sys, skyline; print(sorted(set({HEAVY}) & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_every_public_name_is_there_once():
+    assert len(set(skyline.__all__)) == len(skyline.__all__)
+    assert set(dir(skyline)) >= set(skyline.__all__)
+    for name in skyline.__all__:
+        assert getattr(skyline, name).__name__ == name
+        assert getattr(skyline, name).__doc__, name
+    with pytest.raises(AttributeError, match="no_such_name"):
+        skyline.no_such_name  # noqa: B018
+
+
+def classes_in(hint):
+    """Yield Skyline's classes that a type hint speaks of."""
+    if inspect.isclass(hint) and hint.__module__.startswith("skyline"):
+        yield hint
+    for part in typing.get_args(hint):
+        for each in part if isinstance(part, list) else [part]:
+            yield from classes_in(each)
+
+
+def functions_of(thing):
+    """Yield a function, or the public methods, properties and the constructor of a class."""
+    if not inspect.isclass(thing):
+        yield thing
+        return
+    for name, member in vars(thing).items():
+        if name.startswith("_") and name != "__init__":
+            continue
+        if isinstance(member, classmethod | staticmethod):
+            yield member.__func__
+        elif isinstance(member, property):
+            yield member.fget
+        elif isinstance(member, cached_property):
+            yield member.func
+        elif inspect.isfunction(member):
+            yield member
+
+
+@pytest.mark.parametrize("name", skyline.__all__)
+def test_what_it_takes_and_gives_is_public_too(name):
+    known = {"DemOptions": skyline.DemOptions, "MatchResult": skyline.MatchResult}
+    for function in functions_of(getattr(skyline, name)):
+        for hint in typing.get_type_hints(function, localns=known).values():
+            for each in classes_in(hint):
+                public = getattr(skyline, each.__name__, None) is each
+                assert public or each.__name__ in INTERNAL, function.__qualname__

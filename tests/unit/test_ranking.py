@@ -1,0 +1,78 @@
+"""Candidates say in degrees and from true north what poses say on the grid."""
+
+import dataclasses
+
+import hypothesis.strategies as st
+import numpy as np
+import pytest
+from hypothesis import given
+from scenes import candidate_at
+
+from skyline.geodesy import Frame
+from skyline.matching import Hypotheses, Ranking
+
+FRAMES = {
+    name: Frame.from_crs(name) for name in ("EPSG:32632", "EPSG:2056", "EPSG:3413", "EPSG:2193")
+}
+MIDDLES = {
+    "EPSG:32632": (11.8, 46.8),
+    "EPSG:2056": (9.8, 46.8),
+    "EPSG:3413": (25.0, 78.0),
+    "EPSG:2193": (168.7, -44.6),
+}
+
+
+@given(
+    name=st.sampled_from(sorted(FRAMES)),
+    east_m=st.floats(-2e4, 2e4),
+    north_m=st.floats(-2e4, 2e4),
+    grid_heading_deg=st.floats(0.0, 360.0, exclude_max=True),
+)
+def test_places_and_headings_go_to_degrees_and_back(name, east_m, north_m, grid_heading_deg):
+    frame = FRAMES[name]
+    easting_m, northing_m = np.add(frame.from_lonlat(*MIDDLES[name]), [east_m, north_m])
+    found = candidate_at(easting_m, northing_m, grid_heading_deg, frame=frame)
+    assert 0.0 <= found.heading_deg < 360.0
+    back = frame.from_lonlat(found.lon, found.lat)
+    np.testing.assert_allclose(back, [easting_m, northing_m], atol=1e-4)
+    turn = (found.grid_heading_deg - grid_heading_deg + 180.0) % 360.0 - 180.0
+    assert abs(turn) < 1e-9
+    # A step along the grid heading goes the true way that the candidate says it looks.
+    along = np.radians(grid_heading_deg)
+    step = easting_m + 10.0 * np.sin(along), northing_m + 10.0 * np.cos(along)
+    lon, lat = frame.to_lonlat(*step)
+    east = (lon - found.lon) * np.cos(np.radians(found.lat))
+    # On the sphere; the ellipsoid's radii differ by less than a hundredth.
+    went = np.degrees(np.arctan2(east, lat - found.lat))
+    assert abs((went - found.heading_deg + 180.0) % 360.0 - 180.0) < 0.5
+
+
+def test_the_same_place_in_two_frames_is_one_candidate():
+    lon, lat, heading_deg = 10.2, 46.8, 100.0
+    found = []
+    for name in ("EPSG:32632", "EPSG:2056"):
+        place = FRAMES[name].from_lonlat(lon, lat)
+        grid = heading_deg - float(FRAMES[name].convergence_deg(*place))
+        found.append(candidate_at(*place, grid, frame=FRAMES[name]))
+    for one in found:
+        # Swiss coordinates are of another datum, whose north differs by an arc-second or two.
+        assert (one.lon, one.lat) == pytest.approx((lon, lat), abs=1e-7)
+        assert one.heading_deg == pytest.approx(heading_deg, abs=2e-3)
+
+
+def test_a_ranking_is_its_poses_in_order():
+    frame = FRAMES["EPSG:32632"]
+    columns = np.arange(24.0).reshape(8, 3)
+    columns[:2] += np.array([[6e5], [5.2e6]])
+    covariance_m2 = np.arange(12.0).reshape(3, 2, 2)
+    ranking = Ranking(Hypotheses(*columns), np.array([0.3, 0.2, 0.1]), covariance_m2)
+    found = ranking.candidates(frame)
+    assert [one.confidence for one in found] == [0.3, 0.2, 0.1]
+    assert [one.score for one in found] == [21.0, 22.0, 23.0]
+    assert [one.eye_elevation_m for one in found] == [6.0, 7.0, 8.0]
+    assert found[1].covariance_m2 == ((4.0, 5.0), (6.0, 7.0))
+    assert all(one.refined for one in found)
+    plain = Ranking(ranking.poses).candidates(frame)
+    bare = dataclasses.replace(found[0], confidence=None, refined=False, covariance_m2=None)
+    assert plain[0] == bare
+    assert Ranking(ranking.poses[:0]).candidates(frame) == ()
