@@ -18,8 +18,6 @@ from rasterio.transform import from_bounds
 from rich.console import Console
 from rich.table import Table
 
-from skyline.experiments.photographs import photograph
-from skyline.experiments.pinhole import Camera
 from skyline.photo import write_overlay
 from skyline.pipeline import (
     FULL,
@@ -36,6 +34,8 @@ from skyline.report import Found, save_map, save_panorama
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.pinhole import Camera
 
 BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
 PLACES_M = 120.0

@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from skyline.errors import InputError
-from skyline.experiments.calibration import (
+from skyline.matching import confidence
+from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.pose import Poses
+from skyline.matching.query import QueryRays
+from skyline_bench.runs.calibration import (
     MODELS,
     Example,
     calibration_error,
@@ -13,10 +17,6 @@ from skyline.experiments.calibration import (
     save_reliability,
     write_models,
 )
-from skyline.matching import confidence
-from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.pose import Poses
-from skyline.matching.query import QueryRays
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = QueryRays.equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)

@@ -1,0 +1,63 @@
+"""Where the webcam photo of Hintereisferner is put, with and without its field of view.
+
+The store covers all of the Rofental DEM, 725 km2, and the station's place is good to 100 to 150 m
+(`shared/data/README.md`). Run as ``python bench/real_photo.py STORE``; the store is built where
+it is not there.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from skyline import Matcher, read_dem
+from skyline.pipeline import build_places
+from skyline.pipeline.places import DEFAULT_SPACING_M
+from skyline.terrain.dem import DemOptions
+from skyline_bench.measuring.record import write_record
+
+ROOT = Path(__file__).resolve().parents[1]
+ROFENTAL = ROOT.parent / "shared" / "data" / "rofental"
+RESULT = ROOT / "bench" / "results" / "real_photo.json"
+
+STATION_LON, STATION_LAT = 10.78277, 46.79586
+HEADING_DEG, FOV_DEG = 275.96, 78.7
+
+
+def main(store: Path) -> None:
+    terrain = read_dem([ROFENTAL / "dem_rofental_50.asc"], DemOptions(crs="EPSG:32632"))
+    built = build_places(terrain, store, DEFAULT_SPACING_M)
+    started = time.perf_counter()
+    matcher = Matcher(store, terrain)
+    open_s = time.perf_counter() - started
+    station = terrain.frame.from_lonlat(STATION_LON, STATION_LAT)
+    rows = []
+    for fov_deg in (FOV_DEG, None):
+        found = matcher.match(ROFENTAL / "hintereisferner_webcam.jpg", fov_deg)
+        best = found.candidates[0]
+        place = best.easting_m, best.northing_m
+        heading_deg = best.heading_deg + terrain.frame.convergence_deg(*place)
+        rows.append(
+            {
+                "fov_given_deg": fov_deg,
+                "error_m": float(np.hypot(*np.subtract(place, station))),
+                "heading_error_deg": float((heading_deg - HEADING_DEG + 180.0) % 360.0 - 180.0),
+                "fov_deg": best.fov_deg,
+                "pitch_deg": best.pitch_deg,
+                "confidence": best.confidence,
+                "answered": found.answer is not None,
+                "query_s": found.seconds,
+                "open_s": open_s,
+                "places": built.rows,
+                "bytes": store.stat().st_size,
+            }
+        )
+        print(rows[-1])
+    write_record(RESULT, "real-photo", rows)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("store", type=Path, help="built where it is not there")
+    main(parser.parse_args().store)
