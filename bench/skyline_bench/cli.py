@@ -1,5 +1,7 @@
 """The command line of benchmarks: ``skyline-bench COMMAND``."""
 
+import inspect
+from collections.abc import Callable, Mapping
 from typing import Annotated
 
 import typer
@@ -8,22 +10,68 @@ from skyline import __version__
 from skyline.console import run_app
 from skyline_bench.commands.adaptive import uniform_adaptive
 from skyline_bench.commands.matching import matching
-from skyline_bench.commands.rendering import speed_error, stability
+from skyline_bench.commands.photos import photo, photo_quality, readme_picture
+from skyline_bench.commands.planning import planned_build, prediction_quality, table1
 from skyline_bench.commands.scale import scale
-from skyline_bench.commands.simulation import table1
+from skyline_bench.commands.search import accuracy_time, calibrate, retrieval_scale, strangers
+from skyline_bench.commands.skylines import (
+    large_dem,
+    pipeline_speed,
+    place_speed,
+    speed_error,
+    stability,
+)
+from skyline_bench.commands.stores import input_fuzz, sharded_build, store_durability
+
+COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
+    "Skylines": {
+        speed_error: "5 minutes",
+        stability: "5 minutes",
+        place_speed: "a minute",
+        large_dem: "2 minutes",
+        pipeline_speed: "a minute",
+    },
+    "Planning": {
+        table1: "2 minutes",
+        prediction_quality: "5 minutes",
+        planned_build: "5 minutes",
+    },
+    "Builds, stores and files": {
+        sharded_build: "an hour",
+        store_durability: "an hour",
+        input_fuzz: "5 minutes",
+    },
+    "Search": {
+        matching: "hours",
+        uniform_adaptive: "hours",
+        scale: "hours",
+        accuracy_time: "an hour",
+        retrieval_scale: "15 minutes",
+        strangers: "5 minutes",
+        calibrate: "20 minutes",
+    },
+    "Photographs": {
+        photo_quality: "5 minutes",
+        photo: "5 minutes",
+        readme_picture: "a minute",
+    },
+}
+"""Commands by what they measure, and how long each takes on 2 cores without a GPU."""
 
 app = typer.Typer(
     name="skyline-bench",
-    help="Measure Skyline: speeds with their errors, on this machine.",
+    help="Measure Skyline on this machine. Times are of 2 cores without a GPU; see --quick.",
     pretty_exceptions_enable=False,
     add_completion=False,
 )
-app.command("speed-error")(speed_error)
-app.command()(stability)
-app.command()(table1)
-app.command()(matching)
-app.command("uniform-adaptive")(uniform_adaptive)
-app.command()(scale)
+for subject, commands in COMMANDS.items():
+    for command, takes in commands.items():
+        told = (inspect.getdoc(command) or "").splitlines()[0].rstrip(".")
+        app.command(
+            command.__name__.replace("_", "-"),
+            short_help=f"{told} ({takes}).",
+            rich_help_panel=subject,
+        )(command)
 
 
 @app.callback(invoke_without_command=True)
@@ -31,7 +79,7 @@ def options(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
 ) -> None:
-    """Measure Skyline: speeds with their errors, on this machine."""
+    """Measure Skyline on this machine. Times are of 2 cores without a GPU; see --quick."""
     if version:
         typer.echo(f"skyline {__version__}")
         raise typer.Exit

@@ -6,7 +6,7 @@ import cv2
 import pytest
 
 from skyline_bench.cases import stability
-from skyline_bench.commands import rendering
+from skyline_bench.commands import skylines
 from skyline_bench.peers.embree import is_installed
 from skyline_bench.runs import speed_error
 
@@ -142,7 +142,7 @@ def test_ctrl_c_ends_in_one_line(run_bench, dem, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(rendering, "measure", interrupted)
+    monkeypatch.setattr(skylines, "measure", interrupted)
     done = run_bench("speed-error", dem, "--quick")
     assert done.code == 130
     assert done.err == "error: stopped; nothing was written\n"

@@ -8,13 +8,13 @@ from skyline.matching import confidence
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.pose import Poses
 from skyline.matching.query import QueryRays
+from skyline_bench.figures.reliability import save_reliability
 from skyline_bench.runs.calibration import (
     MODELS,
     Example,
     calibration_error,
     learn,
     probabilities,
-    save_reliability,
     write_models,
 )
 

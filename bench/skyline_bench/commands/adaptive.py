@@ -11,6 +11,7 @@ from skyline.console import parse_bounds, progress_bar
 from skyline.planning.strategies import STRATEGIES
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands.options import (
+    Bounds,
     Crs,
     Dems,
     JsonFile,
@@ -19,12 +20,13 @@ from skyline_bench.commands.options import (
     Seed,
     check_outputs,
     check_report,
+    keep_record,
     print_rows,
     store_folder,
 )
 from skyline_bench.figures.report import write_report
 from skyline_bench.figures.uniform_adaptive import save_costs
-from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.measuring.record import Row
 from skyline_bench.runs.cost_summary import equal_rows, reached_rows
 from skyline_bench.runs.uniform_adaptive import AdaptiveConfig, check, measure
 from skyline_bench.trials.distance_groups import ALL, DistanceGroup
@@ -74,13 +76,7 @@ _EQUAL = {
 
 def uniform_adaptive(
     dem: Dems,
-    bounds: Annotated[
-        str | None,
-        typer.Option(
-            metavar="W,S,E,N",
-            help="Degrees of longitude and latitude (WGS 84); by default 5 x 10 km in the middle.",
-        ),
-    ] = None,
+    bounds: Bounds = None,
     spacing: Annotated[
         list[float] | None,
         typer.Option(help="Of a uniform store, metres; may be repeated [1024 512 256 128]."),
@@ -160,8 +156,7 @@ def uniform_adaptive(
         summary = {"as_accurate": reached_rows(rows), "as_many_renderings": equal_rows(rows)}
         print_rows([_in_megabytes(row) for row in summary["as_accurate"]], _REACHED)
         print_rows(summary["as_many_renderings"], _EQUAL)
-        if json_file is not None:
-            write_record(json_file, "uniform-adaptive", rows, summary)
+        keep_record(json_file, "uniform-adaptive", rows, summary)
         if plot is not None:
             save_costs(rows, plot)
         if report is not None:

@@ -8,6 +8,7 @@ import typer
 from skyline.console import parse_bounds, progress_bar
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands.options import (
+    Bounds,
     Crs,
     Dems,
     JsonFile,
@@ -16,11 +17,11 @@ from skyline_bench.commands.options import (
     Seed,
     check_folder,
     check_outputs,
+    keep_record,
     print_rows,
     store_folder,
 )
 from skyline_bench.figures.matching import save_accuracy
-from skyline_bench.measuring.record import write_record
 from skyline_bench.runs.matching import KINDS, MatchingConfig, measure
 from skyline_bench.trials.matchers import WHAT
 from skyline_bench.trials.trials import candidate_rows, write_rows
@@ -30,13 +31,7 @@ _MATCHING = MatchingConfig()
 
 def matching(
     dem: Dems,
-    bounds: Annotated[
-        str | None,
-        typer.Option(
-            metavar="W,S,E,N",
-            help="Degrees of longitude and latitude (WGS 84); by default 5 x 10 km in the middle.",
-        ),
-    ] = None,
+    bounds: Bounds = None,
     spacing: Annotated[
         list[float] | None,
         typer.Option(
@@ -117,8 +112,7 @@ def matching(
         "query_ms": "ms",
     }
     print_rows([{**row, "megabytes": float(str(row["bytes"])) / 1e6} for row in rows], columns)
-    if json_file is not None:
-        write_record(json_file, "matching", rows)
+    keep_record(json_file, "matching", rows)
     if per_query is not None:
         candidates = [
             {"store": each.store.name, "matcher": each.matcher, "queries": each.kind, **row}

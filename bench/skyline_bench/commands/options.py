@@ -1,7 +1,8 @@
-"""What the commands share: options, checks of what is to be written, and tables."""
+"""What the commands share: options, checks of what is to be written, tables and records."""
 
+import json
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -12,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from skyline.errors import InputError
-from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.record import Row, write_record
 
 _PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 _PIPED_WIDTH = 200
@@ -27,7 +28,17 @@ PlotFile = Annotated[
     Path | None, typer.Option("--plot", metavar="FILE", help="Draw them: PNG, PDF or SVG.")
 ]
 Seed = Annotated[int, typer.Option(help="Of whatever is drawn at random.")]
-Quick = Annotated[bool, typer.Option("--quick", help="A much smaller version.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Two minutes at most: much smaller.")]
+Bounds = Annotated[
+    str | None,
+    typer.Option(
+        metavar="W,S,E,N",
+        help="Degrees of longitude and latitude (WGS 84); by default 5 x 10 km in the middle.",
+    ),
+]
+StoreFile = Annotated[
+    Path, typer.Argument(metavar="STORE", help="A store of places that `skyline build` made.")
+]
 Crs = Annotated[
     str | None, typer.Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")
 ]
@@ -74,8 +85,31 @@ def store_folder(kept: Path | None) -> Iterator[Path]:
         yield Path(passing)
 
 
-def print_rows(rows: Sequence[Row], columns: dict[str, str]) -> None:
-    """Print rows as a table; ``columns`` are the keys shown, with their headings."""
+def keep_record(
+    json_file: Path | None,
+    bench: str,
+    rows: Sequence[Row],
+    summary: Mapping[str, Sequence[Row]] | None = None,
+) -> None:
+    """Write the record of a benchmark where one is asked for."""
+    if json_file is not None:
+        write_record(json_file, bench, rows, summary)
+
+
+def rows_but(json_file: Path | None, key: str, begins: Iterable[str]) -> list[Row]:
+    """Return the rows of a record that is there already, but those to be measured anew.
+
+    These are the rows whose ``key`` begins with one of some words.
+    """
+    if json_file is None or not json_file.exists():
+        return []
+    rows = json.loads(json_file.read_text(encoding="utf-8"))["rows"]
+    return [row for row in rows if not str(row[key]).startswith(tuple(begins))]
+
+
+def print_rows(rows: Sequence[Row], columns: Mapping[str, str] | None = None) -> None:
+    """Print rows as a table; ``columns`` are the keys shown, by default all, with headings."""
+    columns = columns or {key: key for row in rows for key in row}
     table = Table(box=SIMPLE_HEAD)
     for key, heading in columns.items():
         words = any(isinstance(row.get(key), str) for row in rows)

@@ -15,11 +15,11 @@ from skyline_bench.commands.options import (
     Quick,
     Seed,
     check_outputs,
+    keep_record,
     print_rows,
     store_folder,
 )
 from skyline_bench.figures.scale import save_scale
-from skyline_bench.measuring.record import write_record
 from skyline_bench.runs.scale import ScaleConfig, measure
 
 _SCALE = ScaleConfig()
@@ -115,7 +115,6 @@ def scale(
     }
     print_rows([{**cost, **gigabytes, "megabytes": float(str(cost["bytes"])) / 1e6}], _COST)
     print_rows(rows, _FOUND)
-    if json_file is not None:
-        write_record(json_file, "scale", rows, {"store": [cost]})
+    keep_record(json_file, "scale", rows, {"store": [cost]})
     if plot is not None:
         save_scale(rows, plot)

@@ -6,13 +6,11 @@ it is right are an example; a logistic model is fitted to them with a small ridg
 """
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
@@ -25,6 +23,9 @@ from skyline_bench.queries.made import MadeQuery
 
 Float64Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
+
+Reliability = tuple[str, Float64Array, BoolArray]
+"""A label, probabilities (N,), and whether the answers were right."""
 
 MODELS = ("refined", "retrieved")
 
@@ -40,15 +41,9 @@ class Example:
     right: bool
 
 
-def examples(
-    matcher: FullMatcher,
-    queries: Sequence[MadeQuery],
-    progress: Callable[[int, int], None] | None = None,
-) -> Iterator[dict[str, Example]]:
+def examples(matcher: FullMatcher, queries: Sequence[MadeQuery]) -> Iterator[dict[str, Example]]:
     """Yield an example for each model and query; queries that nothing fits give none."""
-    for index, query in enumerate(queries):
-        if progress:
-            progress(index, len(queries))
+    for query in queries:
         try:
             rays = query.rays()
         except InputError:
@@ -122,53 +117,10 @@ def write_models(path: Path, models: Mapping[str, Logistic], about: Mapping[str,
 
 def calibration_error(sure: Float64Array, right: BoolArray) -> float:
     """Return the expected calibration error: mean |share right - mean probability| over bins."""
-    return float(sum(share * abs(hit - said) for said, hit, share, _ in _reliability(sure, right)))
+    return float(sum(share * abs(hit - said) for said, hit, share, _ in reliability(sure, right)))
 
 
-def save_reliability(
-    path: Path, told: Iterable[tuple[str, Float64Array, BoolArray]], title: str
-) -> None:
-    """Save the reliability diagram: how often answers are right against how sure they were.
-
-    Parameters
-    ----------
-    path : Path
-    told : iterable of (str, (N,) float64, (N,) bool)
-        A label, probabilities, and whether the answers were right.
-    title : str
-    """
-    figure = Figure(figsize=(5.6, 5.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axis = figure.subplots()
-    axis.plot([0, 1], [0, 1], color="black", linewidth=0.8, linestyle=":")
-    for label, sure, right in told:
-        rows = _reliability(sure, right)
-        said, hit, share, spread = np.array(rows).T
-        error = calibration_error(sure, right)
-        axis.errorbar(
-            said,
-            hit,
-            yerr=spread,
-            marker="o",
-            capsize=2,
-            label=f"{label}: {len(sure)} queries, calibration error {error:.3f}",
-        )
-        for x, y, part in zip(said, hit, share, strict=True):
-            axis.annotate(f"{part * len(sure):.0f}", (x, y), (4, -10), textcoords="offset points")
-    axis.set(
-        xlim=(0, 1),
-        ylim=(0, 1.02),
-        xlabel="confidence",
-        ylabel=f"right (within {RIGHT_WITHIN_M:.0f} m)",
-        title=title,
-    )
-    axis.grid(alpha=0.3)
-    axis.legend(fontsize=8, loc="upper left")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-
-
-def _reliability(sure: Float64Array, right: BoolArray) -> list[tuple[float, float, float, float]]:
+def reliability(sure: Float64Array, right: BoolArray) -> list[tuple[float, float, float, float]]:
     """Return mean probability, share right, share of all and standard error of filled bins."""
     bin_ = np.minimum((sure * _BINS).astype(int), _BINS - 1)
     rows = []

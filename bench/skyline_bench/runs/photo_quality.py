@@ -4,19 +4,17 @@ A trusted column that is wrong misleads the matcher, a masked one only leaves it
 each condition's row says how much is trusted and how much of that is wrong.
 """
 
-import argparse
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass
-from functools import partial
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError
 from skyline.photo import extract_skyline
-from skyline_bench.measuring.record import write_record
+from skyline.pipeline import Progress
+from skyline_bench.measuring.timing import core_count
+from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.drawn_photos import CONDITIONS, DrawnPhoto, draw_photo
 
 Float64Array = NDArray[np.float64]
@@ -112,26 +110,15 @@ def _px_per_deg(width: int, fov_deg: float) -> float:
     return float(width / 2.0 / np.tan(np.radians(fov_deg) / 2.0) * np.tan(np.radians(1.0)))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and print a table: ``python -m skyline_bench.runs.photo_quality``."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=10, help="photos of each condition")
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--json", type=Path)
-    parser.add_argument("--workers", type=int, default=2)
-    options = parser.parse_args(arguments)
-    seeds = range(options.first_seed, options.first_seed + options.seeds)
-    with ProcessPoolExecutor(options.workers) as pool:
-        rows = list(pool.map(partial(measure_extraction, seeds=seeds), CONDITIONS))
-    print(f"{'condition':<20}{'trusted':>9}{'median px':>11}{'95 % px':>9}{'wrong':>8}  refused")
-    for row in rows:
-        print(
-            f"{row.condition:<20}{100 * row.trusted:>8.1f}%{row.median_px:>11.2f}"
-            f"{row.p95_px:>9.2f}{100 * row.wrong:>7.2f}%  {row.refused} of {row.photos}"
-        )
-    if options.json is not None:
-        write_record(options.json, "photo-quality", [asdict(row) for row in rows])
+def measure(seeds: Sequence[int], progress: Progress) -> list[ConditionQuality]:
+    """Measure every condition, in as many processes as there are cores."""
+    rows: dict[str, ConditionQuality] = {}
+    with crew(seeds, core_count()) as run:
+        for condition, row in run(_of_condition, list(CONDITIONS)):
+            rows[condition] = row
+            progress(len(rows), len(CONDITIONS))
+    return [rows[condition] for condition in CONDITIONS]
 
 
-if __name__ == "__main__":
-    main()
+def _of_condition(seeds: Sequence[int], condition: str) -> ConditionQuality:
+    return measure_extraction(condition, seeds)

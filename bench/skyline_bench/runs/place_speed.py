@@ -1,37 +1,28 @@
 """Skylines all the way round against four headings: milliseconds an eye, taken in turns.
 
-Run as ``python bench/place_speed.py DEM... [--eyes N]`` (a minute); writes place_speed.json to
-bench/results. Eyes are a grid 80 m apart in the DEM's middle. Every round renders all of them in
-every way, so that ratios hold however busy the machine is.
+Eyes are a grid 80 m apart in the DEM's middle. Every round renders all of them in every way, so
+that ratios hold however busy the machine is.
 """
 
-import argparse
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 
-from skyline import read_dem
 from skyline.places import BINS, Places
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.panorama import PanoramaRenderer
-from skyline_bench.measuring.record import write_record
+from skyline.terrain.heightfield import HeightField
 from skyline_bench.runs.speed_error import central_viewpoints
 
-RESULT = Path(__file__).parent / "results" / "place_speed.json"
 SPACING_M = 80.0
 ROUNDS = 5
 REFERENCE = "four headings of 640 columns, 0.05 px"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("dem", nargs="+", type=Path)
-    parser.add_argument("--eyes", type=int, default=2000)
-    given = parser.parse_args()
-    terrain = read_dem(given.dem)
-    eyes = central_viewpoints(terrain, given.eyes, SPACING_M)
+def measure(terrain: HeightField, count: int) -> list[dict[str, object]]:
+    """Return milliseconds an eye, of ``count`` eyes, for each way to render them."""
+    eyes = central_viewpoints(terrain, count, SPACING_M)
     with (
         HorizonRenderer(terrain, 640, tolerance_px=0.05) as headings,
         PanoramaRenderer(terrain, 720) as fine,
@@ -66,9 +57,4 @@ def main() -> None:
                 "times_the_reference_cpu": float(cpu_ratio),
             }
         )
-        print(rows[-1])
-    write_record(RESULT, "place-speed", rows)
-
-
-if __name__ == "__main__":
-    main()
+    return rows

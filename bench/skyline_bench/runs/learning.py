@@ -1,48 +1,40 @@
 """Learn the confidence on Sierra and Rofental, show its reliability on Davos.
 
-Run as ``python bench/calibrate.py [--queries N] [--examples FILE]``: it takes some twenty minutes
-on two cores, and changes what answers are believed. From examples that were kept another model is
-learned in seconds.
+From examples that were kept another model is learned in seconds.
 """
 
-import argparse
 import json
 import os
 import tempfile
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from skyline import MatchConfig, read_dem
-from skyline.console import progress_bar
+from skyline.matching.confidence import Logistic
 from skyline.matching.full import FullMatcher
 from skyline.matching.retrieval import Retriever
-from skyline.pipeline import build_places
+from skyline.pipeline import Progress, build_places
 from skyline.pipeline.match import RenderedScene
 from skyline.pipeline.places import DEFAULT_SPACING_M
 from skyline.store import open_store
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring.record import write_record
+from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.made import MadeQuery, QueryConfig, make_queries
 from skyline_bench.queries.other_dems import perturbed
 from skyline_bench.runs.calibration import (
     MODELS,
     Example,
+    Float64Array,
+    Reliability,
     calibration_error,
     examples,
     learn,
     probabilities,
-    save_reliability,
-    write_models,
 )
-
-ROOT = Path(__file__).resolve().parents[1]
-DATA = ROOT.parent / "shared" / "data"
-MODEL = ROOT / "skyline" / "matching" / "confidence.json"
-RESULTS = ROOT / "bench" / "results"
 
 SIDE_M = 6_000.0
 OUTSIDE = 1.35
@@ -68,11 +60,11 @@ KINDS = (
 )
 
 
-def told_by(
+def _told_by(
     terrain: HeightField, strange: HeightField, folder: Path, queries: int, seed: int
 ) -> dict[str, list[Example]]:
     """Match queries of all kinds in the terrain's middle, and some of another; by model."""
-    middle, half = middle_of(terrain)
+    middle, half = _middle_of(terrain)
     store = folder / "store.h5"
     lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + [[-half, half], [-half, half]]))
     bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
@@ -81,11 +73,11 @@ def told_by(
     with open_store(store) as opened:
         scene = RenderedScene(terrain, opened.header, MatchConfig())
         matcher = FullMatcher(Retriever(opened.places(), terrain.height_at), scene)
-    for made in all_queries(terrain, middle, OUTSIDE * half, queries, seed):
+    for made in _all_queries(terrain, middle, OUTSIDE * half, queries, seed):
         for example in examples(matcher, made):
             for name, one in example.items():
                 told[name].append(one)
-    for made in strangers(strange, max(queries // STRANGERS_SHARE, 1), seed):
+    for made in _strangers(strange, max(queries // STRANGERS_SHARE, 1), seed):
         for example in examples(matcher, made):
             for name, one in example.items():
                 told[name].append(replace(one, right=False))
@@ -93,16 +85,16 @@ def told_by(
     return told
 
 
-def middle_of(terrain: HeightField) -> tuple[np.ndarray, float]:
+def _middle_of(terrain: HeightField) -> tuple[Float64Array, float]:
     """Return the middle of a terrain and half the side of the square that is built there."""
     west, south, east, north = terrain.bounds_m
     middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
     return middle, 0.5 * min(SIDE_M, 0.7 * (east - west), 0.7 * (north - south))
 
 
-def strangers(terrain: HeightField, queries: int, seed: int) -> list[tuple[MadeQuery, ...]]:
+def _strangers(terrain: HeightField, queries: int, seed: int) -> list[tuple[MadeQuery, ...]]:
     """Make queries of every kind, and plain ones, in a terrain's middle."""
-    middle, half = middle_of(terrain)
+    middle, half = _middle_of(terrain)
     area = (*(middle - half), *(middle + half))
     return [
         make_queries(terrain, area, queries, seed + number, replace(kind, fov_error=0.05))
@@ -110,8 +102,8 @@ def strangers(terrain: HeightField, queries: int, seed: int) -> list[tuple[MadeQ
     ]
 
 
-def all_queries(
-    terrain: HeightField, middle: np.ndarray, half: float, queries: int, seed: int
+def _all_queries(
+    terrain: HeightField, middle: Float64Array, half: float, queries: int, seed: int
 ) -> list[tuple[MadeQuery, ...]]:
     """Make queries of every kind, of this elevation model and of one that differs."""
     area = (*(middle - half), *(middle + half))
@@ -123,25 +115,26 @@ def all_queries(
     ]
 
 
-def matched(queries: int, seed: int) -> Told:
+def matched(data: Path, queries: int, seed: int, progress: Progress) -> Told:
     """Match queries on every terrain, each in a process; examples by terrain and model."""
     terrains = LEARNED | HELD_OUT
     told: Told = {}
-    with crew((queries, seed), os.cpu_count() or 1) as work, progress_bar("terrains") as progress:
-        for name, one in work(matched_on, list(terrains)):
+    with crew((data, queries, seed), os.cpu_count() or 1) as work:
+        for name, one in work(_matched_on, list(terrains)):
             told[name] = one
             progress(len(told), len(terrains))
     return {name: told[name] for name in terrains}
 
 
-def matched_on(asked: tuple[int, int], name: str) -> dict[str, list[Example]]:
+def _matched_on(asked: tuple[Path, int, int], name: str) -> dict[str, list[Example]]:
     """Match as many queries as asked of a kind, by a seed, on one terrain; examples by model."""
+    data, queries, seed = asked
     terrain, strange = (
-        read_dem([DATA / path], options)
+        read_dem([data / path], options)
         for path, options in ((LEARNED | HELD_OUT)[one] for one in (name, STRANGERS[name]))
     )
     with tempfile.TemporaryDirectory() as folder:
-        return told_by(terrain, strange, Path(folder), *asked)
+        return _told_by(terrain, strange, Path(folder), queries, seed)
 
 
 def kept(path: Path) -> Told:
@@ -161,50 +154,53 @@ def keep(told: Told, path: Path) -> None:
     path.write_text(json.dumps(written))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--queries", type=int, default=30, help="of each of four kinds")
-    parser.add_argument("--seed", type=int, default=1000)
-    parser.add_argument("--examples", type=Path, help="kept here, and read where they are there")
-    given = parser.parse_args()
-    if given.examples and given.examples.exists():
-        told = kept(given.examples)
-    else:
-        told = matched(given.queries, given.seed)
-        if given.examples:
-            keep(told, given.examples)
-    rows, shown, models = [], [], {}
+@dataclass(frozen=True, slots=True, eq=False)
+class Learned:
+    """What examples teach.
+
+    Attributes
+    ----------
+    models : dict of str to Logistic
+    about : dict
+        What they were learned from.
+    rows : list of dict
+        How well each does on each terrain.
+    shown : list of (str, (N,) float64, (N,) bool)
+        On the terrains held out: a label, probabilities, and whether the answers were right.
+    """
+
+    models: dict[str, Logistic]
+    about: dict[str, object]
+    rows: list[Row]
+    shown: list[Reliability]
+
+
+def learned(told: Told) -> Learned:
+    """Learn a model of each kind, and hold it to every terrain."""
+    learned_from = {
+        model: [one for name in LEARNED for one in told[name][model]] for model in MODELS
+    }
+    models = {model: learn(some) for model, some in learned_from.items()}
+    rows: list[Row] = []
+    shown: list[Reliability] = []
     for model in MODELS:
-        learned_from = [one for name in LEARNED for one in told[name][model]]
-        models[model] = learn(learned_from)
         for name, one in told.items():
             sure = probabilities(models[model], one[model])
             right = np.array([example.right for example in one[model]])
             answered = sure >= MatchConfig().min_confidence
-            row = {
-                "model": model,
-                "terrain": name,
-                "held_out": name in HELD_OUT,
-                "n": len(right),
-                "right": float(right.mean()),
-                "calibration_error": calibration_error(sure, right),
-                "answered": float(answered.mean()),
-                "precision": float(right[answered].mean()) if answered.any() else None,
-            }
-            print(row)
-            rows.append(row)
+            rows.append(
+                {
+                    "model": model,
+                    "terrain": name,
+                    "held_out": name in HELD_OUT,
+                    "n": len(right),
+                    "right": float(right.mean()),
+                    "calibration_error": calibration_error(sure, right),
+                    "answered": float(answered.mean()),
+                    "precision": float(right[answered].mean()) if answered.any() else None,
+                }
+            )
             if name in HELD_OUT:
                 shown.append((f"{model}, {name}", sure, right))
-    about = {
-        "terrain": list(LEARNED),
-        "examples": {model: sum(len(told[name][model]) for name in LEARNED) for model in MODELS},
-    }
-    write_models(MODEL, models, about)
-    write_record(RESULTS / "confidence.json", "confidence", rows)
-    save_reliability(
-        RESULTS / "confidence.png", shown, "Learned on Sierra and Rofental, shown on Davos"
-    )
-
-
-if __name__ == "__main__":
-    main()
+    counts = {model: len(some) for model, some in learned_from.items()}
+    return Learned(models, {"terrain": list(LEARNED), "examples": counts}, rows, shown)

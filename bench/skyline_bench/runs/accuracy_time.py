@@ -1,43 +1,36 @@
 """Accuracy against time: how long a short list, how deep a refinement, and what that buys.
 
-Run as ``python bench/accuracy_time.py STORE.h5 DEM...``; writes accuracy_time.json and .png to
-bench/results. The store holds places, and queries are drawn over its own area. Seconds are
-processor time a query, which other work on the machine hardly changes.
+The store holds places, and queries are drawn over its own area. Seconds are processor time a
+query, which other work on the machine hardly changes.
 """
 
-import argparse
 import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from skyline import MatchConfig
-from skyline.console import progress_bar
 from skyline.errors import InputError
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.full import FullConfig, FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import RetrievalConfig, Retriever
+from skyline.pipeline import Progress
 from skyline.pipeline.config import mapped_area_m, read_dem_of
 from skyline.pipeline.match import RenderedScene
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
-from skyline_bench.measuring.record import write_record
 from skyline_bench.queries.made import MadeQuery, QueryConfig, Truth, make_queries
 
 T = TypeVar("T")
 
-RESULTS = Path(__file__).parent / "results"
 FULL = FullConfig()
 FITTED = (125, 500, 2000)
 """Places whose pose is fitted well in retrieval; the last before every refinement."""
@@ -73,7 +66,7 @@ class Outcome(NamedTuple):
     cpu_s: float
 
 
-class Bench:
+class _Bench:
     """Matches a query in every setting.
 
     Parameters
@@ -108,14 +101,14 @@ class Bench:
             yield from ((setting, Outcome(self._miss_m, 0.0)) for setting in settings)
             return
         for fitted, matcher in self._retrieval.items():
-            found, retrieval_s = _timed(lambda m=matcher: m.retrieve(rays))
+            found, retrieval_s = _timed(partial(matcher.retrieve, rays))
             error_m = self._error_m(found, query.truth)
             yield Setting(UNREFINED, fitted, FULL.shortlist), Outcome(error_m, retrieval_s)
         # What was found last, by the retrieval that fits most, is refined.
         for (name, shortlist), matcher in self._refinement.items():
             best = found[np.arange(min(shortlist, len(found)))]
-            poses, refinement_s = _timed(lambda m=matcher, b=best: m.refine(b, rays))
-            error_m = self._error_m(poses.hypotheses, query.truth)
+            poses, refinement_s = _timed(partial(matcher.refine, best, rays))
+            error_m = self._error_m(poses.hypotheses if poses else best, query.truth)
             yield (
                 Setting(name, FITTED[-1], shortlist),
                 Outcome(error_m, retrieval_s + refinement_s),
@@ -145,7 +138,7 @@ def _timed(work: Callable[[], T]) -> tuple[T, float]:
     return done, time.process_time() - started
 
 
-def summary(setting: Setting, outcomes: Sequence[Outcome]) -> dict[str, object]:
+def _summary(setting: Setting, outcomes: Sequence[Outcome]) -> dict[str, object]:
     """Return a row of the table."""
     error_m, cpu_s = np.array(outcomes).T
     return setting._asdict() | {
@@ -158,64 +151,26 @@ def summary(setting: Setting, outcomes: Sequence[Outcome]) -> dict[str, object]:
     }
 
 
-def save_plot(rows: Sequence[dict[str, object]], path: Path) -> None:
-    """Save error against time, one line a depth of refinement."""
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    error, within = figure.subplots(1, 2)
-    _draw(error, rows, "median_m", "median error (m)")
-    _draw(within, rows, "within_200m", f"share within {RIGHT_WITHIN_M:.0f} m")
-    error.legend(fontsize=8, title="refinement")
-    figure.suptitle(
-        f"retrieval fits {', '.join(map(str, FITTED))} places; the best "
-        f"{', '.join(map(str, SHORTLISTS))} are refined",
-        fontsize=10,
-    )
-    figure.savefig(path, dpi=90)
-
-
-def _draw(axis: Axes, rows: Sequence[dict[str, object]], key: str, label: str) -> None:
-    for name in (UNREFINED, *DEPTHS):
-        line = [row for row in rows if row["refinement"] == name]
-        axis.plot([row["cpu_ms"] for row in line], [row[key] for row in line], "o-", label=name)
-    axis.set(xscale="log", xlabel="processor time a query (ms)", ylabel=label)
-    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.xaxis.set_major_formatter(ScalarFormatter())
-    axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.grid(alpha=0.3)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("store", type=Path)
-    parser.add_argument("dem", nargs="+", type=Path)
-    parser.add_argument("--queries", type=int, default=60)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    config = MatchConfig()
-    with open_store(given.store) as store:
-        terrain = read_dem_of(store.header, given.dem)
+def measure(
+    path: Path, dem: Sequence[str], queries: int, seed: int, progress: Progress | None = None
+) -> list[dict[str, object]]:
+    """Match made queries to a store of places in every setting; return a row a setting."""
+    with open_store(path) as store:
+        terrain = read_dem_of(store.header, dem)
         west, south, east, north = mapped_area_m(store.header, terrain) or map_bounds(terrain, None)
-        places, scene = store.places(), RenderedScene(terrain, store.header, config)
+        places, scene = store.places(), RenderedScene(terrain, store.header, MatchConfig())
     retrievers = {
         fitted: Retriever(places, terrain.height_at, RetrievalConfig(fitted=fitted))
         for fitted in FITTED
     }
-    bench = Bench(retrievers, scene, 0.5 * math.hypot(east - west, north - south))
-    area_m = west, south, east, north
-    queries = make_queries(terrain, area_m, given.queries, given.seed, QueryConfig())
-    deque(bench.outcomes(queries[0]), maxlen=0)  # The first compiles shaders.
+    bench = _Bench(retrievers, scene, 0.5 * math.hypot(east - west, north - south))
+    made = make_queries(terrain, (west, south, east, north), queries, seed, QueryConfig())
+    deque(bench.outcomes(made[0]), maxlen=0)  # The first compiles shaders.
     told: dict[Setting, list[Outcome]] = {}
-    with progress_bar("queries") as progress:
-        for number, query in enumerate(queries, start=1):
-            for setting, outcome in bench.outcomes(query):
-                told.setdefault(setting, []).append(outcome)
-            progress(number, len(queries))
+    for number, query in enumerate(made, start=1):
+        for setting, outcome in bench.outcomes(query):
+            told.setdefault(setting, []).append(outcome)
+        if progress:
+            progress(number, len(made))
     scene.release()
-    rows = [summary(setting, outcomes) for setting, outcomes in told.items()]
-    write_record(RESULTS / "accuracy_time.json", "accuracy-time", rows)
-    save_plot(rows, RESULTS / "accuracy_time.png")
-
-
-if __name__ == "__main__":
-    main()
+    return [_summary(setting, outcomes) for setting, outcomes in told.items()]

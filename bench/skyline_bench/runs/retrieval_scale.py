@@ -1,34 +1,29 @@
 """Retrieval among very many places: seconds, memory, and whether the place still comes first.
 
-Run as ``python bench/retrieval_scale.py STORE.h5 DEM... [--places N]``; writes
-retrieval_scale.json to bench/results. The store's own places are joined by others made of them,
-turned, mirrored and made steeper or flatter, until there are a million: skylines of terrain of
-the same kind.
+A store's own places are joined by others made of them, turned, mirrored and made steeper or
+flatter: skylines of terrain of the same kind.
 """
 
-import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from skyline import MatchConfig
-from skyline.console import progress_bar
 from skyline.horizons import Horizons
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.retrieval import Retriever
 from skyline.matching.threads import one_blas_thread
+from skyline.pipeline import Progress
 from skyline.pipeline.config import mapped_area_m, read_dem_of
 from skyline.places import BINS, DISTANCE_BINS, Places
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline_bench.measuring.memory import own_bytes
-from skyline_bench.measuring.record import write_record
 from skyline_bench.queries.made import QueryConfig, make_queries
 
-RESULT = Path(__file__).parent / "results" / "retrieval_scale.json"
 STEEPER = (0.6, 1.5)
 """Tangents of made-up places are those of the store's times a number between these."""
 ELSEWHERE_M = 100_000.0
@@ -90,26 +85,27 @@ def grown(places: Places, count: int, seed: int) -> Places:
     return whole
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("store", type=Path)
-    parser.add_argument("dem", nargs="+", type=Path)
-    parser.add_argument("--places", type=int, default=1_000_000)
-    parser.add_argument("--queries", type=int, default=30)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    with open_store(given.store) as store:
-        terrain = read_dem_of(store.header, given.dem)
+def measure(
+    path: Path,
+    dem: Sequence[str],
+    places: int,
+    queries: int,
+    seed: int,
+    progress: Progress | None = None,
+) -> list[dict[str, object]]:
+    """Look for made queries among a store's places, and among so many in all; a row for each."""
+    with open_store(path) as store:
+        terrain = read_dem_of(store.header, dem)
         area_m = mapped_area_m(store.header, terrain) or map_bounds(terrain, None)
         own = Places.concatenate(list(store.places().blocks()))
-    made = make_queries(terrain, area_m, given.queries, given.seed, QueryConfig())
-    queries = [query for query in made if query.skyline.trusted.any()]
-    shortlist, rows = MatchConfig().full.shortlist, []
-    for count in (len(own), given.places):
-        retriever = Retriever(InMemory(grown(own, count, given.seed)), terrain.height_at)
+    made = make_queries(terrain, area_m, queries, seed, QueryConfig())
+    seen = [query for query in made if query.skyline.trusted.any()]
+    shortlist, rows = MatchConfig().full.shortlist, list[dict[str, object]]()
+    for count in (len(own), places):
+        retriever = Retriever(InMemory(grown(own, count, seed)), terrain.height_at)
         off_m, taken = [], []
-        with one_blas_thread(), progress_bar(f"queries among {count:,}") as progress:
-            for number, query in enumerate(queries, start=1):
+        with one_blas_thread():
+            for query in seen:
                 rays, clocks = query.rays(), [(time.perf_counter(), time.process_time())]
                 alike = retriever.screened(rays)
                 clocks.append((time.perf_counter(), time.process_time()))
@@ -119,11 +115,12 @@ def main() -> None:
                 east_m = best.easting_m[0] - query.truth.easting_m
                 north_m = best.northing_m[0] - query.truth.northing_m
                 off_m.append(float(np.hypot(east_m, north_m)))
-                progress(number, len(queries))
+                if progress:
+                    progress(len(rows) * len(seen) + len(off_m), 2 * len(seen))
         (screen_s, screen_cpu_s), (fit_s, fit_cpu_s) = np.median(taken, axis=0).tolist()
         row: dict[str, object] = {
             "places": count,
-            "n": len(queries),
+            "n": len(seen),
             "within_200m": float((np.array(off_m) <= RIGHT_WITHIN_M).mean()),
             "median_m": float(np.median(off_m)),
             "screen_s": screen_s,
@@ -132,10 +129,5 @@ def main() -> None:
             "fit_cpu_s": fit_cpu_s,
             "own_bytes": own_bytes(),
         }
-        print(row)
         rows.append(row)
-    write_record(RESULT, "retrieval-scale", rows)
-
-
-if __name__ == "__main__":
-    main()
+    return rows

@@ -1,15 +1,8 @@
-"""Kill builds, flip bits, mutate files, read beside a writer: python bench/store_durability.py DEM.
+"""What stores withstand: kills, flipped bits, mutated files, readers beside a writer; codings."""
 
-Writes bench/results/store_durability.json. --stores names stores of exact rows, on which codings of
-compact rows are compared.
-"""
-
-import argparse
-import json
-import tempfile
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -20,7 +13,6 @@ from skyline.store import RowCoding, create_store, open_store
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.views import Views
-from skyline_bench.measuring.record import write_record
 from skyline_bench.stores.damage import flip_test, fuzz_test
 from skyline_bench.stores.durability import (
     Say,
@@ -31,8 +23,6 @@ from skyline_bench.stores.durability import (
 )
 
 Rows = Iterator[dict[str, object]]
-
-RESULT = Path(__file__).parent / "results" / "store_durability.json"
 
 CODINGS = (
     (0.001, 0.0005),
@@ -45,7 +35,37 @@ CODINGS = (
 """Greatest errors to compare: of skylines in px, of depths relative."""
 
 
-def rendered_build(terrain: HeightField, spacing_m: float, path: Path, say: Say) -> None:
+@dataclass(frozen=True, slots=True)
+class DurabilityConfig:
+    """How much is done to stores.
+
+    Attributes
+    ----------
+    dem : Path
+        What builds to kill are made from.
+    stores : tuple of Path
+        Of exact rows, on which codings of compact rows are compared.
+    kills, flips, cases : int
+        Of each kind of store.
+    seconds : float
+        How long readers read.
+    renderings : int
+        To compare codings on.
+    spacing_m : float
+        Of the builds to kill.
+    """
+
+    dem: Path
+    stores: tuple[Path, ...] = ()
+    kills: int = 200
+    flips: int = 200
+    cases: int = 500
+    seconds: float = 60.0
+    renderings: int = 1024
+    spacing_m: float = 500.0
+
+
+def _rendered_build(terrain: HeightField, spacing_m: float, path: Path, say: Say) -> None:
     """Render a uniform grid into a store, or go on with it."""
 
     def progress(*_: int) -> None:
@@ -55,7 +75,7 @@ def rendered_build(terrain: HeightField, spacing_m: float, path: Path, say: Say)
     build_uniform(terrain, path, spacing_m, config=RenderConfig(width=64), progress=progress)
 
 
-def coding_rows(path: Path, folder: Path, renderings: int) -> list[dict[str, object]]:
+def _coding_rows(path: Path, folder: Path, renderings: int) -> list[dict[str, object]]:
     """Compare codings on some chunks of a store, spread evenly: bytes, errors, reading speed."""
     with open_store(path) as store:
         header = store.header
@@ -78,13 +98,13 @@ def coding_rows(path: Path, folder: Path, renderings: int) -> list[dict[str, obj
                 "tan_error_px": errors[0] if errors else 0.0,
                 "depth_error": errors[1] if errors else 0.0,
                 "write_renderings_per_s": len(exact) / wrote_s,
-                **measured(sample, exact),
+                **_measured(sample, exact),
             }
         )
     return table
 
 
-def measured(path: Path, exact: Views) -> dict[str, object]:
+def _measured(path: Path, exact: Views) -> dict[str, object]:
     """Return what a store takes on disk and to read, and how far its rows are from exact ones."""
     for _ in range(2):
         # Opened again, since HDF5 keeps unpacked chunks of an open file.
@@ -105,76 +125,55 @@ def measured(path: Path, exact: Views) -> dict[str, object]:
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("dem", type=Path)
-    parser.add_argument("--only", nargs="*", default=list(TESTS), choices=TESTS)
-    parser.add_argument("--spacing", type=float, default=500.0, help="of the builds to kill, m")
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--flips", type=int, default=200)
-    parser.add_argument("--cases", type=int, default=500)
-    parser.add_argument("--seconds", type=float, default=60.0)
-    parser.add_argument("--renderings", type=int, default=1024, help="to compare codings on")
-    parser.add_argument("--stores", type=Path, nargs="*", default=[])
-    arguments = parser.parse_args()
-    kept = json.loads(RESULT.read_text())["rows"] if RESULT.exists() else []
-    table: list[dict[str, object]] = []
-    with tempfile.TemporaryDirectory() as temporary:
-        for test in arguments.only:
-            folder = Path(temporary) / test
-            folder.mkdir()
-            for row in TESTS[test](folder, arguments):
-                table.append({"test": test, **row})
-                print(json.dumps(table[-1]), flush=True)
-    kept = [row for row in kept if row["test"] not in arguments.only]
-    write_record(RESULT, "store-durability", [*kept, *table])
+def _coding(config: DurabilityConfig, folder: Path) -> Rows:
+    for store in config.stores:
+        yield from _coding_rows(store, folder, config.renderings)
 
 
-def coding(folder: Path, arguments: argparse.Namespace) -> Rows:
-    for store in arguments.stores:
-        yield from coding_rows(store, folder, arguments.renderings)
-
-
-def damage(test: str, folder: Path, arguments: argparse.Namespace) -> Rows:
+def _damage(test: str, config: DurabilityConfig, folder: Path) -> Rows:
     for rows in ("compact", "exact", "places"):
         whole, header = folder / f"{rows}.h5", numbered_header(640, rows)
         numbered_build(1500 if rows == "places" else 320, header)(whole, lambda _: None)
         if test == "flips":
-            yield {"rows": rows, **flip_test(whole, folder, arguments.flips)}
+            yield {"rows": rows, **flip_test(whole, folder, config.flips)}
         else:
-            yield {"rows": rows, **fuzz_test(whole, folder, arguments.cases)}
+            yield {"rows": rows, **fuzz_test(whole, folder, config.cases)}
 
 
-def kills_of_writer(folder: Path, arguments: argparse.Namespace) -> Rows:
+def _kills_of_writer(config: DurabilityConfig, folder: Path) -> Rows:
     for rows, count in (("compact", 1000), ("places", 20_000)):
         into = folder / rows
         into.mkdir()
         build = numbered_build(count, numbered_header(rows=rows))
-        yield {"rows": rows, **kill_test(build, into, arguments.kills)}
+        yield {"rows": rows, **kill_test(build, into, config.kills)}
 
 
-def kills_of_build(folder: Path, arguments: argparse.Namespace) -> Rows:
+def _kills_of_build(config: DurabilityConfig, folder: Path) -> Rows:
     # Nothing is rendered in this process: OpenGL does not outlive a fork.
-    terrain = read_dem([arguments.dem])
-    yield kill_test(partial(rendered_build, terrain, arguments.spacing), folder, arguments.kills)
+    terrain = read_dem([config.dem])
+    yield kill_test(partial(_rendered_build, terrain, config.spacing_m), folder, config.kills)
 
 
-def readers(folder: Path, arguments: argparse.Namespace) -> Rows:
+def _readers(config: DurabilityConfig, folder: Path) -> Rows:
     for rows in ("compact", "places"):
         into = folder / rows
         into.mkdir()
-        yield {"kind": rows, **readers_test(into, 8, arguments.seconds, rows)}
+        yield {"kind": rows, **readers_test(into, 8, config.seconds, rows)}
 
 
-TESTS: dict[str, Callable[[Path, argparse.Namespace], Rows]] = {
-    "coding": coding,
-    "flips": partial(damage, "flips"),
-    "mutated": partial(damage, "mutated"),
-    "kills of a writer": kills_of_writer,
-    "kills of a build": kills_of_build,
-    "readers": readers,
+TESTS: dict[str, Callable[[DurabilityConfig, Path], Rows]] = {
+    "coding": _coding,
+    "flips": partial(_damage, "flips"),
+    "mutated": partial(_damage, "mutated"),
+    "kills-of-a-writer": _kills_of_writer,
+    "kills-of-a-build": _kills_of_build,
+    "readers": _readers,
 }
 
 
-if __name__ == "__main__":
-    main()
+def measure(config: DurabilityConfig, tests: Iterable[str], folder: Path) -> Rows:
+    """Yield rows of the named `TESTS`, whose files go to a folder."""
+    for test in tests:
+        (folder / test).mkdir()
+        for row in TESTS[test](config, folder / test):
+            yield {"test": test.replace("-", " "), **row}

@@ -1,11 +1,8 @@
 """Where the webcam photo of Hintereisferner is put, with and without its field of view.
 
-The store covers all of the Rofental DEM, 725 km2, and the station's place is good to 100 to 150 m
-(`shared/data/README.md`). Run as ``python bench/real_photo.py STORE``; the store is built where
-it is not there.
+The store covers all of the Rofental DEM, 725 km2; the station's place is good to 100 to 150 m.
 """
 
-import argparse
 import time
 from pathlib import Path
 
@@ -15,26 +12,28 @@ from skyline import Matcher, read_dem
 from skyline.pipeline import build_places
 from skyline.pipeline.places import DEFAULT_SPACING_M
 from skyline.terrain.dem import DemOptions
-from skyline_bench.measuring.record import write_record
-
-ROOT = Path(__file__).resolve().parents[1]
-ROFENTAL = ROOT.parent / "shared" / "data" / "rofental"
-RESULT = ROOT / "bench" / "results" / "real_photo.json"
 
 STATION_LON, STATION_LAT = 10.78277, 46.79586
 HEADING_DEG, FOV_DEG = 275.96, 78.7
+_QUICK_DEG = 0.015
+"""What is built about the station when it must be quick."""
 
 
-def main(store: Path) -> None:
-    terrain = read_dem([ROFENTAL / "dem_rofental_50.asc"], DemOptions(crs="EPSG:32632"))
-    built = build_places(terrain, store, DEFAULT_SPACING_M)
+def measure(folder: Path, store: Path, quick: bool) -> list[dict[str, object]]:
+    """Match the photo of a folder to a store, which is built where it is not there."""
+    terrain = read_dem([folder / "dem_rofental_50.asc"], DemOptions(crs="EPSG:32632"))
+    around = (
+        STATION_LON - _QUICK_DEG, STATION_LAT - _QUICK_DEG,
+        STATION_LON + _QUICK_DEG, STATION_LAT + _QUICK_DEG,
+    )  # fmt: skip
+    built = build_places(terrain, store, DEFAULT_SPACING_M, around if quick else None)
     started = time.perf_counter()
     matcher = Matcher(store, terrain)
     open_s = time.perf_counter() - started
     station = terrain.frame.from_lonlat(STATION_LON, STATION_LAT)
-    rows = []
+    rows = list[dict[str, object]]()
     for fov_deg in (FOV_DEG, None):
-        found = matcher.match(ROFENTAL / "hintereisferner_webcam.jpg", fov_deg)
+        found = matcher.match(folder / "hintereisferner_webcam.jpg", fov_deg)
         best = found.candidates[0]
         place = best.easting_m, best.northing_m
         heading_deg = best.heading_deg + terrain.frame.convergence_deg(*place)
@@ -53,11 +52,4 @@ def main(store: Path) -> None:
                 "bytes": store.stat().st_size,
             }
         )
-        print(rows[-1])
-    write_record(RESULT, "real-photo", rows)
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("store", type=Path, help="built where it is not there")
-    main(parser.parse_args().store)
+    return rows

@@ -1,6 +1,8 @@
-"""Rendering measured: its speed against its error, and the hard cases."""
+"""Skylines measured: speed against error, hard cases, places, and very large DEMs."""
 
+import tempfile
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -17,11 +19,15 @@ from skyline_bench.commands.options import (
     Quick,
     Seed,
     check_outputs,
+    keep_record,
     print_rows,
 )
 from skyline_bench.figures.speed_error import save_speed_error
 from skyline_bench.figures.stability import save_stability
-from skyline_bench.measuring.record import machine, write_record
+from skyline_bench.measuring.record import machine
+from skyline_bench.runs import large_dem as large_dems
+from skyline_bench.runs import pipeline_speed as pipeline_stages
+from skyline_bench.runs import place_speed as ways_to_places
 from skyline_bench.runs.speed_error import SpeedErrorConfig, measure
 from skyline_bench.truth.agreement import DEPTH, HORIZON
 
@@ -59,8 +65,7 @@ def speed_error(
         "missing": "lost",
     }
     print_rows(rows, columns)
-    if json_file is not None:
-        write_record(json_file, "speed-error", rows)
+    keep_record(json_file, "speed-error", rows)
     if plot is not None:
         save_speed_error(rows, machine(), plot)
 
@@ -96,10 +101,49 @@ def stability(
             "verdict": "verdict",
         },
     )
-    if json_file is not None:
-        write_record(json_file, "stability", rows)
+    keep_record(json_file, "stability", rows)
     if plot is not None:
         save_stability(rows, plot)
     failed = [f"{row['case']} ({row['path']})" for row in rows if not row["ok"]]
     if failed:
         raise SkylineError(f"{len(failed)} of {len(rows)} cases fail: {', '.join(failed)}")
+
+
+def place_speed(
+    dem: Dems,
+    eyes: Annotated[int, typer.Option(help="Eyes, on an 80 m grid in the DEM's middle.")] = 2000,
+    json_file: JsonFile = None,
+    quick: Quick = False,
+    crs: Crs = None,
+) -> None:
+    """Skylines all the way round against four headings: milliseconds an eye, taken in turns."""
+    check_outputs(json_file, None)
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    rows = ways_to_places.measure(terrain, min(eyes, 100) if quick else eyes)
+    print_rows(rows)
+    keep_record(json_file, "place-speed", rows)
+
+
+def large_dem(
+    samples: Annotated[int, typer.Option(help="Rows and columns of the made-up DEM.")] = 20_000,
+    viewpoints: Annotated[int, typer.Option(help="About its middle.")] = 256,
+    json_file: JsonFile = None,
+    quick: Quick = False,
+) -> None:
+    """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
+    check_outputs(json_file, None)
+    samples, viewpoints = (
+        (min(samples, 4000), min(viewpoints, 32)) if quick else (samples, viewpoints)
+    )
+    rows = [large_dems.measure(samples, viewpoints)]
+    print_rows(rows)
+    keep_record(json_file, "large-dem", rows)
+
+
+def pipeline_speed(json_file: JsonFile = None, quick: Quick = False) -> None:
+    """Every stage from DEM to match, on a small DEM that is always at hand."""
+    check_outputs(json_file, None)
+    with tempfile.TemporaryDirectory() as folder:
+        rows = pipeline_stages.measure(Path(folder), repeats=1 if quick else 3)
+    print_rows(rows)
+    keep_record(json_file, "pipeline-speed", rows)

@@ -1,17 +1,16 @@
 """Damaged DEMs, viewpoint lists, traces and images: exit 2 and one line, or an answer.
 
 Each case is a small good file with bytes flipped, zeroed, cut off or put in, given to the command
-that reads it, in this process: python bench/input_fuzz.py [--cases 250].
+that reads it, in this process.
 """
 
-import argparse
 import contextlib
 import io
 import signal
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import cv2
@@ -20,10 +19,11 @@ import rasterio
 from rasterio.transform import from_origin
 
 from skyline import cli
-from skyline_bench.measuring.record import write_record
+from skyline.errors import SkylineError
 
-RESULT = Path(__file__).resolve().parent / "results" / "input_fuzz.json"
 LIMIT_S = 60
+KINDS = 6
+"""Of files."""
 PLAIN = ("--matcher", "correlation")
 WEST, NORTH, SPACING_M = 600_000.0, 5_180_000.0, 30.0
 
@@ -86,7 +86,7 @@ def good_files(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], list[str
         file.write(heights, 1)
     store = folder / "store.h5"
     if ended(["build", str(dem), "-o", str(store), "--spacing", "300"]) != "answered":
-        raise SystemExit("the good DEM was not built from")
+        raise SkylineError("the good DEM was not built from")
     ascii_dem = (
         "ncols 40\nnrows 40\nxllcorner 600000\nyllcorner 5178800\ncellsize 30\n"
         + "\n".join(" ".join(f"{height:.1f}" for height in row) for row in heights)
@@ -131,37 +131,25 @@ def _too_long(_signal: int, _frame: object) -> None:
     raise Hang
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=250, help="of each kind of file")
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
+def measure(cases: int, seed: int) -> Iterator[dict[str, object]]:
+    """Yield how many of so many damaged files of each kind were answered, and how many refused."""
     signal.signal(signal.SIGALRM, _too_long)
-    rows = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for suffix, (data, command) in good_files(folder).items():
-            generator = np.random.default_rng(given.seed)
+            generator = np.random.default_rng(seed)
             ends: Counter[str] = Counter()
-            for case in range(given.cases):
+            for case in range(cases):
                 path = folder / f"case-{case}.{suffix}"
                 path.write_bytes(damaged(data, generator))
                 ends[ended(command(path))] += 1
                 path.unlink()
                 (folder / "o.h5").unlink(missing_ok=True)
             answered, refused = ends.pop("answered", 0), ends.pop("refused", 0)
-            rows.append(
-                {
-                    "file": suffix,
-                    "cases": given.cases,
-                    "answered": answered,
-                    "refused": refused,
-                    "wrong": dict(ends),
-                }
-            )
-            print(rows[-1], flush=True)
-    write_record(RESULT, "input-fuzz", rows)
-
-
-if __name__ == "__main__":
-    main()
+            yield {
+                "file": suffix,
+                "cases": cases,
+                "answered": answered,
+                "refused": refused,
+                "wrong": dict(ends),
+            }
