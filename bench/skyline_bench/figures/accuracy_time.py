@@ -4,19 +4,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from skyline.matching.confidence import RIGHT_WITHIN_M
-from skyline_bench.figures.matching import plain_ticks
+from skyline_bench.figures.canvas import new_figure, plain_ticks, save_figure
 from skyline_bench.measuring.record import Row
 from skyline_bench.runs.accuracy_time import DEPTHS, FITTED, SHORTLISTS, UNREFINED
 
 
 def save_accuracy_time(rows: Sequence[Row], path: Path) -> None:
     """Save error against time, one line a depth of refinement."""
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(10.0, 4.4)
     error, within = figure.subplots(1, 2)
     _draw(error, rows, "median_m", "median error (m)")
     _draw(within, rows, "within_200m", f"share within {RIGHT_WITHIN_M:.0f} m")
@@ -26,7 +23,7 @@ def save_accuracy_time(rows: Sequence[Row], path: Path) -> None:
         f"{', '.join(map(str, SHORTLISTS))} are refined",
         fontsize=10,
     )
-    figure.savefig(path, dpi=90)
+    save_figure(figure, path)
 
 
 def _draw(axis: Axes, rows: Sequence[Row], key: str, label: str) -> None:

@@ -3,11 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from matplotlib.axis import Axis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
+from skyline_bench.figures.canvas import new_figure, plain_ticks, save_figure
 from skyline_bench.measuring.record import Row
 
 _COSTS = (
@@ -27,8 +23,7 @@ def save_accuracy(rows: Sequence[Row], path: Path) -> None:
     """Save accuracy against cost: a colour a matcher, a kind of dashes a kind of queries."""
     lines = list(dict.fromkeys((str(row["matcher"]), str(row["queries"])) for row in rows))
     matchers, kinds = (list(dict.fromkeys(names)) for names in zip(*lines, strict=True))
-    figure = Figure(figsize=(13.0, 10.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(13.0, 10.0)
     grid = figure.subplots(len(_FIGURES), len(_COSTS), sharex="col", sharey="row")
     for line, (key, label) in zip(grid, _FIGURES, strict=True):
         line[0].set_ylabel(label)
@@ -57,12 +52,4 @@ def save_accuracy(rows: Sequence[Row], path: Path) -> None:
     for axis, (_, _, label) in zip(grid[-1], _COSTS, strict=True):
         axis.set_xlabel(label)
     grid[0, 0].legend(fontsize=7)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-
-
-def plain_ticks(side: Axis) -> None:
-    """Write the ticks of a logarithmic axis as plain numbers."""
-    side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    side.set_minor_formatter(NullFormatter())
+    save_figure(figure, path)

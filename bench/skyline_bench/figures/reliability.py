@@ -4,10 +4,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from skyline.matching.confidence import RIGHT_WITHIN_M
+from skyline_bench.figures.canvas import new_figure, save_figure
 from skyline_bench.runs.calibration import Reliability, calibration_error, reliability
 
 
@@ -20,8 +19,7 @@ def save_reliability(path: Path, told: Iterable[Reliability], title: str) -> Non
     told : iterable of Reliability
     title : str
     """
-    figure = Figure(figsize=(5.6, 5.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(5.6, 5.2)
     axis = figure.subplots()
     axis.plot([0, 1], [0, 1], color="black", linewidth=0.8, linestyle=":")
     for label, sure, right in told:
@@ -47,5 +45,4 @@ def save_reliability(path: Path, told: Iterable[Reliability], title: str) -> Non
     )
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8, loc="upper left")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)

@@ -4,10 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from skyline_bench.figures.matching import plain_ticks
+from skyline_bench.figures.canvas import new_figure, plain_ticks, save_figure
 from skyline_bench.measuring.record import Row
 from skyline_bench.runs.scale import GROUPS
 from skyline_bench.trials.traced import STAGES
@@ -15,8 +13,7 @@ from skyline_bench.trials.traced import STAGES
 
 def save_scale(rows: Sequence[Row], path: Path) -> None:
     """Save the rows of `skyline_bench.runs.scale.measure`."""
-    figure = Figure(figsize=(14.0, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(14.0, 4.6)
     accuracy, lost, seconds = figure.subplots(1, 3)
     everything = [row for row in rows if row["group"] == "all"]
     for group in GROUPS:
@@ -40,8 +37,7 @@ def save_scale(rows: Sequence[Row], path: Path) -> None:
         axis.set_ylim(0.0, None if axis is seconds else 1.02)
         axis.grid(alpha=0.3)
         axis.legend(fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
 
 
 def _draw(axis: Axes, rows: Sequence[Row], key: str, label: str, dashes: str = "solid") -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+
+from skyline_bench.figures.canvas import new_figure, save_figure
 
 _STYLES = {
     "depth": ("depth path", "tab:gray", "s", 8),
@@ -22,8 +22,7 @@ def save_speed_error(
     rows: Sequence[dict[str, Any]], machine: dict[str, object], path: Path
 ) -> None:
     """Save milliseconds a viewpoint against rms and greatest error, both on log scales."""
-    figure = Figure(figsize=(13, 6.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(13, 6.2)
     panels = figure.subplots(1, 2)
     times_ms = [row["ms_per_viewpoint"] for row in rows]
     for axis, key, name in zip(
@@ -52,8 +51,7 @@ def save_speed_error(
         f"{machine['renderer']}",
         fontsize=11,
     )
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
 
 
 def _series(row: dict[str, Any]) -> str:

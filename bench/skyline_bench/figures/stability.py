@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from skyline_bench.cases.stability import Row
+from skyline_bench.figures.canvas import new_figure, save_figure
 
 _SMALLEST_PX, _LARGEST_PX = 1e-8, 1e3
 """Errors of 0 and of columns without a value are drawn at these."""
@@ -17,8 +16,7 @@ def save_stability(rows: Sequence[Row], path: Path) -> None:
     """Save every case's greatest error beside its bound, on a log scale, a panel a path."""
     paths = list(dict.fromkeys(row["path"] for row in rows))
     cases = list(dict.fromkeys(row["case"] for row in rows))
-    figure = Figure(figsize=(6.5 + 3.5 * len(paths), 1.5 + 0.19 * len(cases)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(6.5 + 3.5 * len(paths), 1.5 + 0.19 * len(cases))
     panels = figure.subplots(1, len(paths), sharey=True, squeeze=False)[0]
     for axis, name in zip(panels, paths, strict=True):
         mine = [row for row in rows if row["path"] == name]
@@ -33,5 +31,4 @@ def save_stability(rows: Sequence[Row], path: Path) -> None:
     panels[0].set_yticks(range(len(cases)), cases, fontsize=7)
     panels[0].set_ylim(len(cases) - 0.5, -0.5)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)

@@ -23,6 +23,7 @@ from skyline.report.relief import Area, draw_bearings, draw_relief
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
+from skyline_bench.figures.canvas import new_figure
 from skyline_bench.queries.made import MadeQuery
 from skyline_bench.queries.photographs import draw_photo
 from skyline_bench.stores.reference import ReferenceStore
@@ -46,9 +47,7 @@ def draw_viewpoints(
     area = Area(*bounds_m)
     shape = area.height_m / area.width_m
     width = float(np.sqrt(_PANEL_SQUARE_IN / shape))
-    figure = Figure(
-        figsize=(len(HEADINGS) * width + 0.6, width * shape + 0.5), layout="constrained"
-    )
+    figure = new_figure(len(HEADINGS) * width + 0.6, width * shape + 0.5)
     counts = []
     for heading, axis in zip(HEADINGS, figure.subplots(1, len(HEADINGS), sharey=True), strict=True):
         mine = headings == heading
@@ -144,7 +143,7 @@ def draw_worked_query(
     area = Area(*bounds_m)
     height = 5.6
     across = height / shape, height * area.width_m / area.height_m, 3.6
-    figure = Figure(figsize=(sum(across) + 0.8, height + 0.5), layout="constrained")
+    figure = new_figure(sum(across) + 0.8, height + 0.5)
     left, middle, right = figure.subplots(1, 3, width_ratios=across)
     left.imshow(picture)
     left.set_axis_off()

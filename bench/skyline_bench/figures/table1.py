@@ -3,16 +3,15 @@
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from skyline.planning.strategies import STRATEGIES
+from skyline_bench.figures.canvas import new_figure, save_figure
 from skyline_bench.truth.simulation import TABLE_1, Simulation, simulate
 
 
 def save_table1(path: Path, seed: int = 0) -> None:
     """Save coverage against renderings, all strategies, one panel a row."""
-    figure = Figure(figsize=(15, 4.6), layout="constrained")
+    figure = new_figure(15, 4.6)
     for axis, row in zip(figure.subplots(1, len(TABLE_1)), TABLE_1, strict=True):
         simulation = Simulation(row)
         for name, strategy in STRATEGIES.items():
@@ -31,6 +30,4 @@ def save_table1(path: Path, seed: int = 0) -> None:
         )
         axis.grid(alpha=0.3)
     axis.legend(loc="lower right")
-    FigureCanvasAgg(figure)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from skyline_bench.figures.matching import plain_ticks
+from skyline_bench.figures.canvas import new_figure, plain_ticks, save_figure
 from skyline_bench.measuring.record import Row
 from skyline_bench.runs.cost_summary import UNIFORM
 from skyline_bench.trials.distance_groups import ALL
@@ -43,8 +42,7 @@ def draw_costs(rows: Sequence[Row]) -> Figure:
     shown = [row for row in rows if row["group"] == ALL]
     matchers = [name for name in WHAT if any(row["matcher"] == name for row in shown)]
     planners = list(dict.fromkeys(str(row["planner"]) for row in shown))
-    figure = Figure(figsize=(2.75 * len(matchers) + 0.9, 6.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(2.75 * len(matchers) + 0.9, 6.4)
     grid = figure.subplots(2, len(matchers), sharey=True, sharex="row", squeeze=False)
     for column, matcher in enumerate(matchers):
         mine = [row for row in shown if row["matcher"] == matcher]
@@ -74,7 +72,7 @@ def draw_costs(rows: Sequence[Row]) -> Figure:
 
 def save_costs(rows: Sequence[Row], path: Path) -> None:
     """Save `draw_costs` as PNG, PDF or SVG, by the path's ending."""
-    draw_costs(rows).savefig(path, dpi=110)
+    save_figure(draw_costs(rows), path)
 
 
 def _draw_line(axis: Axes, planner: str, rows: Sequence[Row], key: str, scale: float) -> None:

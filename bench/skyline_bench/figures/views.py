@@ -18,6 +18,7 @@ from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import Views
+from skyline_bench.figures.canvas import new_figure
 
 Float64Array = NDArray[np.float64]
 
@@ -89,7 +90,7 @@ def figure_1(terrain: HeightField, pairs: Pairs) -> tuple[Figure, str]:
     distance = pairs.distance_px()
     row = _best(distance)
     one, other = pairs.one[row : row + 1], pairs.other[row : row + 1]
-    figure = Figure(figsize=(11.0, 3.9), layout="constrained")
+    figure = new_figure(11.0, 3.9)
     first, second, both = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.15))
     images = [_depth_image(terrain, views) for views in (one, other)]
     norm = _norm(images)
@@ -119,7 +120,7 @@ def figure_2(terrain: HeightField, views: Views) -> tuple[Figure, str]:
     row = _best(spread)
     view = views[row : row + 1]
     image = _depth_image(terrain, view)
-    figure = Figure(figsize=(9.6, 3.9), layout="constrained")
+    figure = new_figure(9.6, 3.9)
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
     norm = _norm([image])
     _draw_depth(left, image, view, norm, OTHER)
@@ -150,7 +151,7 @@ def figure_4(pairs: Pairs) -> tuple[Figure, str]:
     one, other = (views.elevation_tan[row].astype(np.float64) for views in (pairs.one, pairs.other))
     u, pixel = columns_u(len(one)), pixel_size(len(one))
     warped = affine[at] @ np.stack([u, one, np.ones_like(u)])
-    figure = Figure(figsize=(9.6, 3.6), layout="constrained")
+    figure = new_figure(9.6, 3.6)
     left, right = figure.subplots(1, 2, sharey=True, sharex=True)
     left.plot(u / pixel, one / pixel, color=ONE, linewidth=1.6, label="skyline of view A")
     right.plot(*warped / pixel, color=WARPED, linewidth=1.6, label="A after the affine map")

@@ -4,12 +4,8 @@ They are the queries of demos and benchmarks. The terrain is looked up in depth 
 by its slope, veiled by haze and put under a sky; nothing of the pose is left in the picture.
 """
 
-from pathlib import Path
-
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, TiffImagePlugin
-from PIL.ExifTags import IFD, Base
 from scipy import ndimage
 
 from skyline.camera import HEADINGS, rotation
@@ -24,7 +20,6 @@ BoolArray = NDArray[np.bool_]
 
 _BLUR_PX = 0.6
 _NOISE = 3.0
-_SENSOR_WIDTH_MM = 36.0
 
 
 def photograph(
@@ -75,33 +70,6 @@ def draw_photo(
     for occluder in query.occluders:
         put_in_front(picture, occluder, generator)
     return _exposed(picture, generator)
-
-
-def save_photo(
-    path: str | Path, picture: NDArray[np.uint8], fov_deg: float | None, quality: int = 90
-) -> None:
-    """Save a picture (H, W, 3) as JPEG, with the field of view in EXIF as cameras note it.
-
-    Parameters
-    ----------
-    path : str or Path
-    picture : (H, W, 3) uint8
-    fov_deg : float or None
-        Horizontal field of view to note, as focal length and sensor resolution; None for none.
-    quality : int
-        Of the JPEG, 1 to 95.
-    """
-    exif = Image.Exif()
-    if fov_deg is not None:
-        width_px = picture.shape[1]
-        tags = exif.get_ifd(IFD.Exif)
-        focal_mm = _SENSOR_WIDTH_MM / 2.0 / np.tan(np.radians(fov_deg) / 2.0)
-        tags[Base.FocalLength] = TiffImagePlugin.IFDRational(round(1000.0 * focal_mm), 1000)
-        tags[Base.FocalPlaneXResolution] = TiffImagePlugin.IFDRational(
-            10 * width_px, round(_SENSOR_WIDTH_MM)
-        )
-        tags[Base.FocalPlaneResolutionUnit] = 3
-    Image.fromarray(picture).save(path, format="JPEG", quality=quality, exif=exif)
 
 
 def _scene(

@@ -37,7 +37,6 @@ _CLOUD_SCALES = ((0.25, 0.5), (0.09, 0.3), (0.03, 0.2))
 """Sizes of clouds as shares of the image's width, and how much each counts."""
 _TEXTURE_M = (900.0, 160.0, 35.0, 8.0, 2.0)
 _TEXTURE_CELLS = 128
-_TREE_LINE_BELOW_SNOW_M = 500.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from skyline.planning.strategies import STRATEGIES
 from skyline_bench.truth.simulation import TABLE_1, Run, Simulation, simulate
 
 SEEDS = 10
-_QUICK_SEEDS = 2
+_QUICK_SEEDS = 1
 
 PAPER = {
     "rov": ((240, 1545), (81, 6664), (239, 9028)),
@@ -36,7 +36,7 @@ def measure(
     ----------
     seeds : int
     quick : bool
-        Two seeds only.
+        One seed only.
     strategies : sequence of str, optional
         By default all.
 
