@@ -25,38 +25,38 @@ from skyline_bench.commands.stores import input_fuzz, sharded_build, store_durab
 
 COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Skylines": {
-        speed_error: "5 minutes",
+        speed_error: "10 minutes",
         stability: "5 minutes",
         place_speed: "a minute",
         large_dem: "2 minutes",
         pipeline_speed: "a minute",
     },
     "Planning": {
-        table1: "2 minutes",
+        table1: "5 minutes",
         prediction_quality: "5 minutes",
-        planned_build: "5 minutes",
+        planned_build: "10 minutes",
     },
     "Builds, stores and files": {
         sharded_build: "an hour",
         store_durability: "an hour",
-        input_fuzz: "5 minutes",
+        input_fuzz: "2 minutes",
     },
     "Search": {
         matching: "hours",
         uniform_adaptive: "hours",
         scale: "hours",
-        accuracy_time: "an hour",
-        retrieval_scale: "15 minutes",
-        strangers: "5 minutes",
+        accuracy_time: "30 minutes",
+        retrieval_scale: "5 minutes",
+        strangers: "10 minutes",
         calibrate: "20 minutes",
     },
     "Photographs": {
-        photo_quality: "5 minutes",
+        photo_quality: "15 minutes",
         photo: "5 minutes",
         readme_picture: "a minute",
     },
 }
-"""Commands by what they measure, and how long each takes on 2 cores without a GPU."""
+"""Commands by what they measure, and about how long each takes on 2 cores without a GPU."""
 
 app = typer.Typer(
     name="skyline-bench",

@@ -1,6 +1,5 @@
 """Stores measured: uniform against adaptive (paper 5.2)."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -25,53 +24,14 @@ from skyline_bench.commands.options import (
     store_folder,
 )
 from skyline_bench.figures.report import write_report
+from skyline_bench.figures.tables import EQUAL, REACHED, STORES, in_megabytes, store_lines
 from skyline_bench.figures.uniform_adaptive import save_costs
-from skyline_bench.measuring.record import Row
 from skyline_bench.runs.cost_summary import equal_rows, reached_rows
 from skyline_bench.runs.uniform_adaptive import AdaptiveConfig, check, measure
-from skyline_bench.trials.distance_groups import ALL, DistanceGroup
+from skyline_bench.trials.distance_groups import DistanceGroup
 from skyline_bench.trials.matchers import WHAT
 
 _CONFIG = AdaptiveConfig()
-_COLUMNS = {
-    "store": "store",
-    "renderings": "renderings",
-    "megabytes": "MB",
-    "build_s": "build s",
-    "matcher": "matcher",
-    "close": "close m",
-    "medium": "medium m",
-    "far": "far m",
-    "mean_m": "all m",
-    "mean_m_low": "from",
-    "mean_m_high": "to",
-    "median_m": "median m",
-    "p90_m": "90 % m",
-    "within_200m": "in 200 m",
-    "query_ms": "ms",
-}
-_REACHED = {
-    "goal": "as accurate as",
-    "goal_mean_m": "mean m",
-    "cost": "in",
-    "goal_cost": "that is",
-    "matcher": "matcher",
-    "planner": "planner",
-    "store": "store",
-    "mean_m": "mean m",
-    "needed": "needs",
-    "share": "share",
-    "interpolated": "interpolated",
-}
-_EQUAL = {
-    "store": "store",
-    "matcher": "matcher",
-    "renderings": "renderings",
-    "mean_m": "mean m",
-    "median_m": "median m",
-    "uniform_mean_m": "uniform, interpolated",
-    "gain": "gain",
-}
 
 
 def uniform_adaptive(
@@ -150,39 +110,17 @@ def uniform_adaptive(
         with progress_bar("comparing") as progress:
             compared = measure(terrain, config, place, progress)
         rows = compared.rows()
-        print_rows(_table(rows), _COLUMNS)
+        print_rows(store_lines(rows), STORES)
         for group in compared.groups:
             typer.echo(_about(group))
         summary = {"as_accurate": reached_rows(rows), "as_many_renderings": equal_rows(rows)}
-        print_rows([_in_megabytes(row) for row in summary["as_accurate"]], _REACHED)
-        print_rows(summary["as_many_renderings"], _EQUAL)
+        print_rows([in_megabytes(row) for row in summary["as_accurate"]], REACHED)
+        print_rows(summary["as_many_renderings"], EQUAL)
         keep_record(json_file, "uniform-adaptive", rows, summary)
         if plot is not None:
             save_costs(rows, plot)
         if report is not None:
             typer.echo(f"report in {write_report(report, compared)}")
-
-
-def _table(rows: Sequence[Row]) -> list[Row]:
-    """Return a line for each store and matcher: means of every group, the rest over all."""
-    lines: dict[tuple[object, object], dict[str, object]] = {}
-    for row in rows:
-        line = lines.setdefault((row["store"], row["matcher"]), {})
-        line[str(row["group"])] = row["mean_m"]
-        if row["group"] == ALL:
-            line |= {**row, "megabytes": float(str(row["bytes_used"])) / 1e6}
-    return list(lines.values())
-
-
-def _in_megabytes(row: Row) -> Row:
-    """Return a row of what stores need with bytes as megabytes."""
-    if row["cost"] != "bytes_used":
-        return row
-    amounts = {key: row[key] for key in ("goal_cost", "needed", "interpolated")}
-    scaled = {
-        key: None if value is None else float(str(value)) / 1e6 for key, value in amounts.items()
-    }
-    return {**row, **scaled, "cost": "MB"}
 
 
 def _about(group: DistanceGroup) -> str:

@@ -5,7 +5,7 @@ import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.box import SIMPLE_HEAD
@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from skyline.errors import InputError
-from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.measuring.record import Row, shown, write_record
 
 _PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 _PIPED_WIDTH = 200
@@ -115,15 +115,7 @@ def print_rows(rows: Sequence[Row], columns: Mapping[str, str] | None = None) ->
         words = any(isinstance(row.get(key), str) for row in rows)
         table.add_column(heading, justify="left" if words else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*(_cell(row.get(key)) for key in columns))
+        table.add_row(*(shown(row.get(key)) for key in columns))
     console = Console()
     # A file or a pipe has no width that figures would have to be cut to.
     (console if console.is_terminal else Console(width=_PIPED_WIDTH)).print(table)
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "-"
-    if isinstance(value, float):
-        return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
-    return str(value)

@@ -66,6 +66,18 @@ _QUALITY = {
     "answered": "answered",
     "ms_per_area": "ms an area",
 }
+_BUILT = {
+    "planner": "planner",
+    "renderings": "renderings",
+    "batches": "batches",
+    "mean_area": "mean area",
+    "render_cpu_s": "render cpu s",
+    "plan_cpu_s": "plan cpu s",
+    "build_cpu_s": "build cpu s",
+    "predicted": "predicted",
+    "verified": "verified",
+    "bytes": "bytes",
+}
 _QUICK_M = 1500.0
 
 
@@ -111,4 +123,4 @@ def planned_build(
             progress(len(rows), len(planners))
             rows.append(planned_builds.measure(terrain, name, coverage, area, plot))
             keep_record(json_file, "planned-build", rows)
-    print_rows(rows)
+    print_rows(rows, _BUILT)

@@ -1,6 +1,6 @@
 """What a person sees of uniform against adaptive: a page of tables and the paper's figures."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -19,13 +19,13 @@ from skyline_bench.figures.stores import (
     fits_landscape,
     work_query,
 )
+from skyline_bench.figures.tables import EQUAL, REACHED, STORES, in_megabytes, store_lines
 from skyline_bench.figures.uniform_adaptive import draw_costs
 from skyline_bench.figures.views import draw_pairs, figure_1, figure_2, figure_4
-from skyline_bench.measuring.record import Row, machine
+from skyline_bench.measuring.record import Row, machine, shown
 from skyline_bench.queries.made import MadeQuery
-from skyline_bench.runs.cost_summary import COSTS, UNIFORM, equal_rows, reached_rows
+from skyline_bench.runs.cost_summary import UNIFORM, equal_rows, reached_rows
 from skyline_bench.runs.uniform_adaptive import Measured, UniformAdaptive
-from skyline_bench.trials.distance_groups import ALL
 from skyline_bench.trials.matchers import WHAT
 
 _NEAR_M, _FAR_M = 30.0, 100.0
@@ -35,6 +35,19 @@ _COSTS_CAPTION = (
     "Mean position error over all queries against renderings (above) and against the bytes a "
     "matcher reads (below); bars are 95 % bootstrap intervals over the queries. Grey: Table 2 of "
     "the paper, six photos of other terrain."
+)
+
+_STORES = (
+    "All queries. A place counts as four renderings, planning as part of the build. MB are what "
+    "the matcher reads of the store, from and to bound the mean's 95 % interval."
+)
+_REACHED = (
+    "The cheapest adaptive store measured whose mean error is no worse than the finest uniform "
+    "store's. Interpolated: between it and the next cheaper budget, on logarithmic axes."
+)
+_EQUAL = (
+    "Adaptive stores, and what uniform ones would have at as many renderings (interpolated between "
+    "them on logarithmic axes)."
 )
 
 Drawn = tuple[Figure, str]
@@ -49,10 +62,14 @@ def write_report(folder: Path, compared: UniformAdaptive) -> Path:
         A file cannot be written.
     """
     rows = compared.rows()
+    reached = [in_megabytes(row) for row in reached_rows(rows)]
     costs = _kept(folder / "fig7-costs.png", draw_costs(rows), _COSTS_CAPTION)
     sections = [
-        Section("Error against cost", [costs, _accuracy(rows)]),
-        Section("What it comes to", _summary(rows)),
+        Section("Error against cost", [costs, _table(store_lines(rows), STORES, _STORES)]),
+        Section(
+            "What it comes to",
+            [_table(reached, REACHED, _REACHED), _table(equal_rows(rows), EQUAL, _EQUAL)],
+        ),
         *_groups(compared, rows),
         Section("What planners chose, and a query answered", _stores(folder, compared)),
         Section("Views of this terrain", _views(folder, compared)),
@@ -72,82 +89,9 @@ def write_report(folder: Path, compared: UniformAdaptive) -> Path:
     return path
 
 
-def _accuracy(rows: Sequence[Row]) -> Table:
-    """Return the table of all queries."""
-    shown = [
-        {
-            "store": row["store"],
-            "renderings": row["renderings"],
-            "MB": f"{float(str(row['bytes_used'])) / 1e6:.1f}",
-            "build s": _metres(row["build_s"]),
-            "matcher": row["matcher"],
-            "mean m": _metres(row["mean_m"]),
-            "from": _metres(row["mean_m_low"]),
-            "to": _metres(row["mean_m_high"]),
-            "median m": _metres(row["median_m"]),
-            "90 % m": _metres(row["p90_m"]),
-            "within 200 m": f"{float(str(row['within_200m'])):.3f}",
-            "ms a query": _metres(row["query_ms"]),
-        }
-        for row in rows
-        if row["group"] == ALL
-    ]
-    return Table.of_records(
-        shown,
-        caption="All queries. A place counts as four renderings, planning as part of the build. "
-        "MB are what the matcher reads of the store, from and to bound the mean's 95 % interval.",
-    )
-
-
-def _summary(rows: Sequence[Row]) -> list[Part]:
-    """Return what the rows come to."""
-    equal = [
-        {
-            "store": row["store"],
-            "matcher": row["matcher"],
-            "renderings": row["renderings"],
-            "mean m": _metres(row["mean_m"]),
-            "median m": _metres(row["median_m"]),
-            "uniform, interpolated": _metres(row["uniform_mean_m"]),
-            "gain": None if row["gain"] is None else f"{float(str(row['gain'])):.2f}",
-        }
-        for row in equal_rows(rows)
-    ]
-    return [
-        *(_reached(rows, cost) for cost in COSTS),
-        Table.of_records(
-            equal,
-            caption="Adaptive stores, and what uniform ones would have at as many renderings "
-            "(interpolated between them on logarithmic axes).",
-        ),
-    ]
-
-
-def _reached(rows: Sequence[Row], cost: str) -> Table:
-    """Return what adaptive stores need of one cost."""
-    unit = "MB" if cost == "bytes_used" else cost
-    lines = [
-        {
-            "as accurate as": row["goal"],
-            "of mean m": _metres(row["goal_mean_m"]),
-            f"its {unit}": _amount(row["goal_cost"], cost),
-            "matcher": row["matcher"],
-            "planner": row["planner"],
-            "store": row["store"],
-            "mean m": _metres(row["mean_m"]),
-            unit: _amount(row["needed"], cost),
-            "share": None if row["share"] is None else f"{float(str(row['share'])):.3f}",
-            "interpolated": _amount(row["interpolated"], cost),
-        }
-        for row in reached_rows(rows)
-        if row["cost"] == cost
-    ]
-    return Table.of_records(
-        lines,
-        caption="The cheapest adaptive store measured whose mean error is no worse than the finest "
-        f"uniform store's, in {unit}. Interpolated: between it and the next cheaper budget, on "
-        "logarithmic axes.",
-    )
+def _table(rows: Sequence[Row], columns: Mapping[str, str], caption: str) -> Table:
+    lines = [[shown(row.get(key)) for key in columns] for row in rows]
+    return Table(list(columns.values()), lines, caption)
 
 
 def _groups(compared: UniformAdaptive, rows: Sequence[Row]) -> list[Section]:
@@ -161,7 +105,7 @@ def _groups(compared: UniformAdaptive, rows: Sequence[Row]) -> list[Section]:
             of = {str(row["store"]): row for row in mine if row["group"] == group.name}
             if of:
                 about = f"{group.name} ({group.from_m:.0f} to {group.to_m:.0f} m)"
-                lines.append([about, *(_metres(of[store]["mean_m"]) for store in stores)])
+                lines.append([about, *(shown(of[store]["mean_m"]) for store in stores)])
         if lines:
             parts.append(Table(["skyline", *stores], lines, f"{matcher}: {what}. Mean error, m."))
     return [Section("By how far the skyline is", parts)]
@@ -238,15 +182,3 @@ def _kept(path: Path, figure: Figure, caption: str) -> Picture:
     data = encode_small_png(figure)
     write_whole(path, data)
     return Picture(data, caption)
-
-
-def _metres(value: object) -> str | None:
-    return None if value is None else f"{float(str(value)):.0f}"
-
-
-def _amount(value: object, cost: str) -> str | None:
-    """Return renderings, or bytes as megabytes."""
-    if value is None:
-        return None
-    amount = float(str(value))
-    return f"{amount / 1e6:.1f}" if cost == "bytes_used" else f"{amount:.0f}"

@@ -55,6 +55,15 @@ def write_record(
     partial.replace(path)
 
 
+def shown(value: object) -> str:
+    """Return a value as tables show it: three digits, or all before the point."""
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+    return str(value)
+
+
 def _plain(rows: Sequence[Row]) -> list[Row]:
     return [{key: _finite(value) for key, value in row.items()} for row in rows]
 
