@@ -1,4 +1,4 @@
-"""Small runs of what bench/store_durability.py does at length."""
+"""Small runs of what `skyline-bench store-durability` does at length."""
 
 import json
 import subprocess

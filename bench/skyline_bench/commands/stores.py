@@ -40,8 +40,8 @@ def sharded_build(
 ) -> None:
     """Sharded builds of the High Sierra: two workers against one, one killed, 3,000 km2.
 
-    DEM are the tiles N37 and N38, W119 and W120. In a record that is there already, the parts
-    that are not run keep their rows.
+    DEM are 3 arc-second tiles about 119.6 to 119.0 degrees west, 37.4 to 38.0 north. In a record
+    that is there already, the parts that are not run keep their rows.
     """
     check_outputs(json_file, None)
     parts = _known(part, shards.PARTS)
