@@ -115,7 +115,7 @@ def calibrate(
         told = learning.kept(examples)
     else:
         with progress_bar("terrains") as progress:
-            told = learning.matched(data, min(queries, 2) if quick else queries, seed, progress)
+            told = learning.matched(data, 1 if quick else queries, seed, progress)
         if examples is not None:
             learning.keep(told, examples)
     found = learning.learned(told)
