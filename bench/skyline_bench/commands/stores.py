@@ -33,7 +33,9 @@ def sharded_build(
     dem: Dems,
     part: Annotated[
         list[str] | None,
-        typer.Option(help=f"May be repeated; by default all: {', '.join(shards.PARTS)}."),
+        typer.Option(
+            help=f"May be repeated; by default all: {', '.join(shards.PARTS)}; quick: killed."
+        ),
     ] = None,
     json_file: JsonFile = None,
     quick: Quick = False,
@@ -44,7 +46,7 @@ def sharded_build(
     that is there already, the parts that are not run keep their rows.
     """
     check_outputs(json_file, None)
-    parts = _known(part, shards.PARTS)
+    parts = _known(part or (["killed"] if quick else None), shards.PARTS)
     rows = rows_but(json_file, "case", parts)
     terrain = read_dem(dem)
     with progress_bar("parts") as progress:
