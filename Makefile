@@ -11,7 +11,7 @@ INSTALLED := $(VENV)/.installed
 help: ## List the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
-setup: $(INSTALLED) ## Install system packages (as root), a virtual environment and Skyline in it
+setup: $(INSTALLED) ## Install system packages (as root), a virtual environment, Skyline and its benchmarks
 
 demo: setup ## Build a store over a real DEM, match images to it, write out/demo
 	$(IN_VENV)/python examples/demo.py --out out/demo
@@ -26,15 +26,15 @@ check: setup ## Lint, check format, types and spelling
 	$(IN_VENV)/codespell
 
 bench: setup ## Time the pipeline stage by stage, write bench/results
-	$(IN_VENV)/python bench/pipeline_speed.py
+	$(IN_VENV)/skyline-bench pipeline-speed --json bench/results/pipeline_speed.json
 
 clean: ## Remove what the targets above made, except benchmark results
 	rm -rf $(VENV) out/demo build dist
 	rm -rf .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-$(INSTALLED): pyproject.toml
+$(INSTALLED): pyproject.toml bench/pyproject.toml
 	@$(PYTHON) .ci/system_packages.py
 	$(PYTHON) -m venv $(VENV)
-	$(IN_VENV)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(IN_VENV)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' --editable bench
 	@touch $@

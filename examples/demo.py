@@ -11,15 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import rasterio
-from matplotlib.cbook import get_sample_data
 from PIL import Image
-from rasterio.transform import from_bounds
 from rich.console import Console
 from rich.table import Table
 
-from skyline.experiments.photographs import photograph
-from skyline.experiments.pinhole import Camera
 from skyline.photo import write_overlay
 from skyline.pipeline import (
     FULL,
@@ -36,6 +31,9 @@ from skyline.report import Found, save_map, save_panorama
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.pinhole import Camera
+from skyline_bench.queries.sample import write_sample_dem
 
 BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
 PLACES_M = 120.0
@@ -65,7 +63,7 @@ def main() -> None:
     console = Console()
     started = time.perf_counter()
 
-    terrain = read_dem([write_dem(out / "jacksboro.tif")])
+    terrain = read_dem([write_sample_dem(out / "jacksboro.tif")])
     console.print(f"DEM: {terrain.cols} x {terrain.rows} samples, {terrain.spacing_m:.0f} m apart")
 
     places, renderings = out / "places.h5", out / "renderings.h5"
@@ -92,29 +90,6 @@ def main() -> None:
     console.print(f"all in {time.perf_counter() - started:.0f} s; pictures in {out}:")
     for path in sorted(out.rglob("*.png")):
         console.print(f"  {path}")
-
-
-def write_dem(path: Path) -> Path:
-    """Write matplotlib's sample DEM as a GeoTIFF."""
-    with get_sample_data("jacksboro_fault_dem.npz") as sample:
-        heights = sample["elevation"]
-        # The sample's ymin is its northern edge.
-        west, east = float(sample["xmin"]), float(sample["xmax"])
-        north, south = float(sample["ymin"]), float(sample["ymax"])
-    rows, cols = heights.shape
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=cols,
-        height=rows,
-        count=1,
-        dtype=heights.dtype,
-        crs="EPSG:4326",
-        transform=from_bounds(west, south, east, north, cols, rows),
-    ) as raster:
-        raster.write(heights, 1)
-    return path
 
 
 def take_pictures(terrain: HeightField, folder: Path) -> list[Query]:

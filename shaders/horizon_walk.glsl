@@ -1,9 +1,9 @@
 // Skyline of one column: walk forward over a tree of slabs and keep the greatest v.
 //
 // The vertical half-plane of a column meets the surface's edges where its ground ray crosses rows,
-// columns and diagonals of samples; the greatest v over these crossings is the skyline, as in
-// skyline/oracle.py. Along the axis the heading faces the field is cut into strips, one row of
-// cells each; the ray drifts sideways by k cells a strip. Slabs of 2, 16, 128, 1024 strips carry
+// columns and diagonals of samples; the greatest v over these crossings is the skyline, as in the
+// oracle of the benchmarks. Along the axis the heading faces the field is cut into strips, one row
+// of cells each; the ray drifts sideways by k cells a strip. Slabs of 2, 16, 128, 1024 strips carry
 // the greatest height that rays of their slope can meet (skyline/terrain/pyramid.py): one that
 // cannot rise above the best crossing so far is passed over whole.
 //

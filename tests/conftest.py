@@ -1,10 +1,23 @@
 """Fixtures that several kinds of tests share."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from scenes import fractal, write_dem
 
+from skyline import build_places, build_uniform, read_dem
 from skyline.pipeline.cluster import local_cluster
+from skyline.render.context import acquire_context
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a command ended with and printed."""
+
+    code: int
+    out: str
+    err: str
 
 
 @pytest.fixture(scope="session")
@@ -21,3 +34,49 @@ def dask_cluster():
     """Two workers on this machine, for the tests of a module."""
     with local_cluster(2) as cluster:
         yield cluster
+
+
+@pytest.fixture
+def no_gl_error():
+    """Fail a test during which OpenGL recorded an error."""
+    ctx = acquire_context().ctx
+    assert ctx.error == "GL_NO_ERROR"
+    yield
+    assert acquire_context().ctx.error == "GL_NO_ERROR"
+
+
+@pytest.fixture
+def run_main(monkeypatch, capsys):
+    """Return a function that runs a command's main with arguments."""
+
+    def run_command(main, name, *arguments):
+        monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main()
+        printed = capsys.readouterr()
+        return Result(int(stop.value.code or 0), printed.out, printed.err)
+
+    return run_command
+
+
+@pytest.fixture(scope="session")
+def dem(tmp_path_factory):
+    """A GeoTIFF of rough terrain, 120 x 110 samples."""
+    return write_dem(tmp_path_factory.mktemp("dem") / "dem.tif", fractal(110, 120, 250.0, seed=11))
+
+
+@pytest.fixture(scope="session")
+def store(dem, tmp_path_factory):
+    """A store of places over that DEM."""
+    path = tmp_path_factory.mktemp("store") / "store.h5"
+    build_places(read_dem([dem]), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def renderings(dem, tmp_path_factory):
+    """A store of renderings over that DEM."""
+    path = tmp_path_factory.mktemp("renderings") / "renderings.h5"
+    build_uniform(read_dem([dem]), path, 600.0)
+    return path

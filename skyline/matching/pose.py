@@ -26,7 +26,6 @@ from skyline.matching.rays import thinned
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.rows import Rows
 from skyline.matching.solver import HEADING, Curves, Fit, Solver
-from skyline.matching.verify import posed
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
@@ -297,7 +296,7 @@ class _Refinement:
         eye_m = self._scene.ground_m(easting_m, northing_m) + self._config.eye_height_m
         none = np.zeros(len(walkers))
         places = Hypotheses(easting_m, northing_m, eye_m, none, none, none, none, none)
-        return posed(places, walkers.fit, solver)
+        return solver.posed(places, walkers.fit)
 
     def _poses(self, walkers: _Walkers) -> Poses:
         solver = self._fine if self._config.final_rounds else self._rough

@@ -203,6 +203,17 @@ class Solver:
         odds = np.ones((count, len(self.query.u)))
         return Fit(state, angle, height, np.full(count, np.inf), odds)
 
+    def posed(self, hypotheses: Hypotheses, fit: Fit) -> Hypotheses:
+        """Return hypotheses with the attitude, the field of view and the cost of a fit."""
+        return replace(
+            hypotheses,
+            heading_deg=np.degrees(fit.state[:, HEADING]) % 360.0,
+            pitch_deg=np.degrees(fit.state[:, PITCH]),
+            roll_deg=np.degrees(fit.state[:, ROLL]),
+            fov_deg=self.fov_deg(fit.state),
+            score=fit.cost,
+        )
+
     def fov_deg(self, state: Float64Array) -> Float64Array:
         """Return the field of view of states (M, 6), degrees."""
         tangent = np.exp(state[:, LOG_SCALE] + _log_tangent(self.query.fov_deg))

@@ -13,12 +13,13 @@ import pytest
 from PIL import Image
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
-from skyline import Matcher, Narrowing, build_places, build_uniform, cli, oracle, read_dem, stand_on
-from skyline.experiments.photographs import photograph
-from skyline.experiments.pinhole import Camera
+from skyline import Matcher, Narrowing, build_places, build_uniform, cli, read_dem, stand_on
 from skyline.pipeline import places
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
+from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.pinhole import Camera
+from skyline_bench.truth import oracle
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 

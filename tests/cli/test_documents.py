@@ -33,12 +33,13 @@ from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 from scenes import fractal
 
-from skyline import bench, cli, read_dem, stand_on
-from skyline.experiments.photographs import photograph
-from skyline.experiments.pinhole import Camera
+from skyline import cli, read_dem, stand_on
 from skyline.fetch.sources import SOURCES
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
+from skyline_bench import cli as bench
+from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.pinhole import Camera
 
 README, *DOCS = DOCUMENTS
 STORE_DOC = ROOT / "docs" / "store.md"

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from scenes import field_from, field_of, fractal
 
-from skyline import oracle
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED
+from skyline_bench.truth import oracle
 
 FLAT = Curvature(enabled=False)
 

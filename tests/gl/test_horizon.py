@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal
 
-from skyline import oracle
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
 from skyline.render import horizon, windows
@@ -13,6 +12,7 @@ from skyline.render.horizon import HorizonRenderer
 from skyline.render.walks import ComputeWalker, FragmentWalker
 from skyline.terrain.viewpoints import stand_on
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED, ROW_FIELDS
+from skyline_bench.truth import oracle
 
 EXACT_PX = 0.001
 """Rounding of float32 on these scenes; the worst seen is 2e-4."""

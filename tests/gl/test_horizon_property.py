@@ -7,9 +7,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scenes import field_of
 
-from skyline.experiments.agreement import HORIZON, Scene, oracle_truth
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import stand_on
+from skyline_bench.truth.agreement import HORIZON, Scene, oracle_truth
 
 
 @dataclass(frozen=True)

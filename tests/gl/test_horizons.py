@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal
 
-from skyline import oracle
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.horizons import bin_azimuths_rad, quadrant_azimuths_rad
@@ -13,6 +12,7 @@ from skyline.render.panorama import PanoramaRenderer
 from skyline.render.walks import FragmentWalker
 from skyline.terrain.viewpoints import stand_on
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
+from skyline_bench.truth import oracle
 
 BINS = 240
 EPSILON = 2.0**-24

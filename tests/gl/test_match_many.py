@@ -9,11 +9,11 @@ from scenes import NORTH_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
 from skyline.errors import InputError
-from skyline.experiments.queries import QueryConfig, make_queries
 from skyline.photo import write_trace
 from skyline.pipeline import FULL, QueryReading, match_many, remote_runner
 from skyline.pipeline.jobs import run_here
 from skyline.store import open_store
+from skyline_bench.queries.made import QueryConfig, make_queries
 
 SPACING_M = 40.0
 AREA = (WEST_M + 800.0, NORTH_M - 2400.0, WEST_M + 2400.0, NORTH_M - 800.0)

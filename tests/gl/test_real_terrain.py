@@ -7,13 +7,13 @@ import pytest
 import rasterio
 from rasterio.transform import from_origin
 
-from skyline import oracle
 from skyline.geodesy import Curvature, Frame
 from skyline.planning.uniform import map_bounds
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on
+from skyline_bench.truth import oracle
 
 SEED = 20
 

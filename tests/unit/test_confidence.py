@@ -4,15 +4,6 @@ import numpy as np
 import pytest
 
 from skyline.errors import InputError
-from skyline.experiments.calibration import (
-    MODELS,
-    Example,
-    calibration_error,
-    learn,
-    probabilities,
-    save_reliability,
-    write_models,
-)
 from skyline.matching import confidence
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.pose import Poses
@@ -30,43 +21,11 @@ def retrieved(easting_m: list[float], score: list[float]) -> Hypotheses:
     )
 
 
-def told(count: int, seed: int) -> list[Example]:
-    """Examples whose odds of being right are exp(2 a - 1), whatever b is."""
-    generator = np.random.default_rng(seed)
-    figures = generator.normal(size=(count, 2))
-    right = generator.random(count) < 1.0 / (1.0 + np.exp(1.0 - 2.0 * figures[:, 0]))
-    return [
-        Example({"a": float(a), "b": float(b)}, bool(hit))
-        for (a, b), hit in zip(figures, right, strict=True)
-    ]
-
-
-def test_what_decides_is_learned_and_what_does_not_is_ignored() -> None:
-    model = learn(told(4000, seed=1))
-    weight = np.array(model.weight) / np.array(model.scale)
-    assert weight[0] == pytest.approx(2.0, abs=0.35)
-    assert weight[1] == pytest.approx(0.0, abs=0.15)
-
-
-def test_a_learned_probability_is_a_frequency() -> None:
-    model = learn(told(4000, seed=2))
-    others = told(4000, seed=3)
-    sure, right = probabilities(model, others), np.array([one.right for one in others])
-    assert calibration_error(sure, right) < 0.03
-    assert calibration_error(np.minimum(sure + 0.3, 1.0), right) > 0.15
-
-
-@pytest.mark.parametrize("right", [True, False])
-def test_one_kind_of_examples_teaches_nothing(right: bool) -> None:
-    with pytest.raises(InputError, match="both"):
-        learn([Example({"a": 0.0}, right), Example({"a": 1.0}, right)])
-
-
 def test_the_packaged_models_know_the_figures_they_are_given() -> None:
     zero = np.zeros(3)
     figures = confidence.retrieved_figures(retrieved([0.0, 1e3, 2e3], [0.0] * 3), QUERY)
     models = confidence.models()
-    assert set(models) == set(MODELS)
+    assert set(models) == {"refined", "retrieved"}
     sure = models["retrieved"].probability(figures)
     assert sure.shape == (3,)
     assert ((sure > 0.0) & (sure < 1.0)).all()
@@ -105,18 +64,3 @@ def test_every_refined_pose_hears_of_the_best_that_was_retrieved() -> None:
     assert figures["log_margin"][0] == pytest.approx(np.log(60.0))
     assert figures["log_margin"][1] < figures["log_margin"][0] - 10.0
     assert set(confidence.models()["refined"].names) == set(figures)
-
-
-def test_models_are_written_as_they_are_read(tmp_path, monkeypatch) -> None:
-    model = learn(told(300, seed=4))
-    write_models(tmp_path / "confidence.json", dict.fromkeys(MODELS, model), {"seed": 4})
-    monkeypatch.setattr(confidence.resources, "files", lambda _: tmp_path)
-    assert confidence.models() == dict.fromkeys(MODELS, model)
-
-
-def test_the_reliability_diagram_shows_its_points(tmp_path) -> None:
-    examples = told(500, seed=5)
-    right = np.array([one.right for one in examples])
-    path = tmp_path / "out" / "reliability.png"
-    save_reliability(path, [("made", probabilities(learn(examples), examples), right)], "title")
-    assert path.read_bytes().startswith(b"\x89PNG")

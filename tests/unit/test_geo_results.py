@@ -11,8 +11,8 @@ from store_rows import HEADER, rows
 
 import skyline
 from skyline import Candidate, Frame, InputError, MatchResult, QuerySkyline, open_store
-from skyline.experiments.durability import numbered_places
 from skyline.store import create_store
+from skyline_bench.stores.durability import numbered_places
 
 UTM = Frame(HEADER.frame_wkt)
 BEST = candidate_at(

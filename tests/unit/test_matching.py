@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scenes import FRAME, field_of, fractal
 
-from skyline import oracle
 from skyline.errors import InputError
 from skyline.features import polyline_keypoints
 from skyline.matching.alignment import align_curves
@@ -14,6 +13,7 @@ from skyline.matching.paper import PaperMatcher
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays, level
 from skyline.planning.uniform import uniform_grid
+from skyline_bench.truth import oracle
 
 LEVEL = Attitudes(pitch_deg=(0.0,))
 TERRAIN = field_of(fractal(160, 160, 600.0, seed=2, exponent=1.9))

@@ -19,7 +19,6 @@ from store_rows import HEADER, rows
 
 from skyline.describe import describe_store
 from skyline.errors import InputError, StoreError, StoreMismatchError
-from skyline.experiments.durability import numbered_places
 from skyline.places import BINS, DISTANCE_BINS, Places
 from skyline.store import (
     RowCoding,
@@ -33,6 +32,7 @@ from skyline.store import (
     repair_store,
 )
 from skyline.store.integrity import examine
+from skyline_bench.stores.durability import numbered_places
 
 PLACES = replace(HEADER, width=0, holds="places")
 CHUNK = 1024
@@ -327,7 +327,7 @@ class TestCommit:
             sys.path.insert(0, {str(Path(__file__).parent)!r})
             from pathlib import Path
             from skyline.errors import StoreError
-            from skyline.experiments.durability import numbered_places
+            from skyline_bench.stores.durability import numbered_places
             from skyline.store import create_store
             from test_place_store import PLACES
             path = Path({str(path)!r})

@@ -9,10 +9,10 @@ from skyline.planning.candidates import Spacing, lay_out
 from skyline.planning.coverage import CandidateGrid, Coverage, Problem
 from skyline.planning.loop import plan
 from skyline.planning.plan import Oracles, PlanConfig
-from skyline.planning.simulation import TABLE_1, Simulation, simulate
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.verify import Checks, verify_coverage, wilson_interval
 from skyline.views import Views
+from skyline_bench.truth.simulation import TABLE_1, Simulation, simulate
 
 REACH = 4
 SPACING = Spacing(coarse_m=300.0, pitch_m=30.0, reach_m=120.0)

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from prediction_scenes import WIDTH, U, layered, mountains, views_of
 from scenes import field_from
 
-from skyline import oracle
 from skyline.camera import columns_u
 from skyline.errors import InputError
 from skyline.prediction import displacements_m, predict
@@ -21,6 +20,7 @@ from skyline.prediction.curves import (
 from skyline.prediction.displacement import NO_VIEW, Reach, flanks
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import FLAG_NO_DATA, Views
+from skyline_bench.truth import oracle
 
 PX = 2.0 / WIDTH
 

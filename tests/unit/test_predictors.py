@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from prediction_scenes import WIDTH, U, layered, mountains, views_of
 from scenes import field_from
 
-from skyline import oracle
 from skyline.camera import columns_u
 from skyline.errors import InputError
 from skyline.prediction import PREDICTORS, predictor_named
 from skyline.prediction.affine import IDENTITY, CurveFit, equation_4, least_squares
 from skyline.terrain.viewpoints import stand_on
+from skyline_bench.truth import oracle
 
 PX = 2.0 / WIDTH
 AFFINE = ("affine-mean", "affine-median", "affine-least-squares")

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 from scenes import field_of, fractal
 
-from skyline import oracle
 from skyline.planning.uniform import uniform_grid
 from skyline.report import Found, save_depth_images, save_map, save_panorama
 from skyline.terrain.viewpoints import stand_on
+from skyline_bench.truth import oracle
 
 FIELD = field_of(fractal(120, 120, seed=1), west_m=0.0, north_m=3600.0)
 

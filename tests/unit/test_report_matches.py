@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scenes import candidate_at, field_of, fractal
 
-from skyline import oracle
 from skyline.photo import QuerySkyline
 from skyline.planning.uniform import uniform_grid
 from skyline.report import Matched, Peaks, Surroundings, write_match_report
@@ -18,6 +17,7 @@ from skyline.report.overlay import Overlay
 from skyline.report.peaks import Sighting
 from skyline.report.projection import Panorama, PosedPicture, median_gap_deg
 from skyline.terrain.viewpoints import stand_on
+from skyline_bench.truth import oracle
 
 FIELD = field_of(fractal(120, 120, seed=1), west_m=0.0, north_m=3600.0)
 EYE = stand_on(FIELD, 1800.0, 1800.0)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scenes import field_from, field_of, fractal
 
-from skyline import oracle
 from skyline.camera import pixel_size
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -16,6 +15,7 @@ from skyline.terrain.scene import (
     sight_range_m,
 )
 from skyline.terrain.viewpoints import stand_on
+from skyline_bench.truth import oracle
 
 
 def test_leaving_curvature_out_costs_no_more_than_its_bound():

@@ -5,11 +5,11 @@ import pytest
 from prediction_scenes import WIDTH, U, mountains, views_of
 from scenes import field_from
 
-from skyline import oracle
 from skyline.errors import InputError
 from skyline.planning.tolerance import Neighbourhood, ToleranceMeter, area_sizes
 from skyline.prediction import PREDICTORS
 from skyline.terrain.viewpoints import stand_on
+from skyline_bench.truth import oracle
 
 
 def level(easting, northing):

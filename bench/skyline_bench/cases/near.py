@@ -1,0 +1,298 @@
+"""Hard cases near the eye: where it stands on the grid, and what is steep or close."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import HEADINGS, columns_u, ground_directions
+from skyline_bench.cases.closed_forms import (
+    FLAT,
+    HORIZON_ONLY,
+    SPACING_M,
+    ClosedForm,
+    SceneCase,
+    eyes_anywhere,
+    eyes_at,
+    field_of,
+    rough_field,
+    rough_heights,
+    spots,
+)
+from skyline_bench.truth.agreement import Scene
+
+Float64Array = NDArray[np.float64]
+
+MAX_DEPTH_WIDTH = 641
+"""A depth image of W x W pixels takes long above this."""
+
+# --- the eye and the grid -------------------------------------------------------------------
+
+_SHARE = np.arange(1.0, 10.0) * 7.0 / 64.0
+_LOW_AND_HIGH_M = np.tile([0.0, 2.0, 50.0], 3)
+
+
+def _eye_at_offset(row_share: float, col_share: float) -> Scene:
+    """Stand so many shares of a cell south and east of samples."""
+    field = rough_field()
+    row, col = spots(field, len(_SHARE))
+    row, col = row + row_share * _SHARE, col + col_share * _SHARE
+    return Scene(field, eyes_at(field, row, col, _LOW_AND_HIGH_M))
+
+
+def _eye_near_edges() -> Scene:
+    """Eyes at 4 m to 0.06 mm from an edge, a diagonal or a sample, no higher than the ground."""
+    field = rough_field()
+    away = 2.0 ** -np.array([3.0, 5.0, 7.0, 8.0, 9.0, 10.0, 12.0, 15.0, 19.0])
+    row, col = spots(field, 3 * len(away))
+    zero = np.zeros_like(away)
+    row += np.concatenate([away, 0.375 + away, away])
+    col += np.concatenate([0.375 + zero, 0.375 + zero, 0.5 * away])
+    return Scene(field, eyes_at(field, row, col, 0.0))
+
+
+def _columns_along_diagonals(spacing_east_m: float, spacing_north_m: float, width: int) -> Scene:
+    field = field_of(rough_heights(64, 96, seed=5), spacing_east_m, spacing_north_m)
+    row, col = spots(field, 6)
+    share = np.array([0.0, 0.0, 0.25, 0.25, 0.5, 0.75])
+    return Scene(field, eyes_at(field, row + share, col + share, 40.0), width)
+
+
+def _of_width(width: int) -> SceneCase:
+    def scene() -> Scene:
+        field = rough_field()
+        return Scene(field, eyes_anywhere(field, 1, 2.0), width)
+
+    return SceneCase(
+        f"W = {width}",
+        "columns per group of lanes: a remainder left out, or written twice",
+        scene,
+        paths=("horizon", "depth") if width <= MAX_DEPTH_WIDTH else HORIZON_ONLY,
+    )
+
+
+GRID_CASES = (
+    SceneCase(
+        "eye on a sample",
+        "edges that start at the eye have depth 0, and rays along them meet nothing else",
+        lambda: _eye_at_offset(0.0, 0.0),
+    ),
+    SceneCase(
+        "eye on a row's edge",
+        "the edge underfoot lies in no direction, or in both",
+        lambda: _eye_at_offset(0.0, 1.0),
+    ),
+    SceneCase(
+        "eye on a column's edge",
+        "the edge underfoot lies in no direction, or in both",
+        lambda: _eye_at_offset(1.0, 0.0),
+    ),
+    SceneCase(
+        "eye on a diagonal",
+        "the side of the diagonal that the eye is on is decided by rounding",
+        lambda: _eye_at_offset(1.0, 1.0),
+    ),
+    SceneCase(
+        "eye a hair off an edge",
+        "an edge's height over the eye is rounded, then divided by next to nothing",
+        _eye_near_edges,
+        paths=HORIZON_ONLY,
+    ),
+    SceneCase(
+        "eye height 0",
+        "the ground underfoot rises or falls from the eye itself: 0 / 0",
+        lambda: Scene(field := rough_field(), eyes_anywhere(field, 8, 0.0)),
+    ),
+    SceneCase(
+        "columns along grid lines",
+        "the middle column of an odd W runs along a row or column and meets samples only",
+        lambda: replace(_eye_at_offset(0.0, 0.0), width=641),
+    ),
+    SceneCase(
+        "columns along diagonals",
+        "a ray parallel to the diagonals divides by a rate of exactly 0",
+        lambda: _columns_along_diagonals(3.0, 8.0, 8),
+    ),
+    SceneCase(
+        "columns almost along diagonals",
+        "a ray parallel to the diagonals but for rounding crosses one at any depth",
+        lambda: _columns_along_diagonals(20.0, 50.0, 5),
+    ),
+    SceneCase(
+        "samples 20 times as far apart north as east",
+        "one strip of cells is crossed by a ray through twenty cells",
+        lambda: Scene(
+            field := field_of(rough_heights(40, 400, 200.0, seed=6), 10.0, 200.0),
+            eyes_anywhere(field, 3, 2.0),
+        ),
+    ),
+    *(_of_width(width) for width in (2, 3, 7, 64, 161, 640, 1023, 2048, 8191, 8192)),
+)
+
+
+# --- steep, near and high -------------------------------------------------------------------
+
+
+def _pyramid() -> Scene:
+    """Return the summit of |east| + |north| pyramid: flat faces that fold along grid lines."""
+    steps = np.abs(np.arange(-64.0, 65.0))
+    heights = 4000.0 - 16.0 * (steps[:, np.newaxis] + steps)
+    field = field_of(heights)
+    return Scene(field, eyes_at(field, [64.0] * 3, [64.0] * 3, [0.5, 2.0, 100.0]), 641, FLAT)
+
+
+def _pyramid_skyline(scene: Scene) -> ClosedForm:
+    # y(z) = -h - slope z (1 + |u|), so v is greatest where the data ends, 64 cells ahead.
+    u = np.abs(columns_u(scene.width))
+    above = np.repeat(_eye_heights_m(scene), len(HEADINGS))
+    return ClosedForm(-above[:, np.newaxis] / (64.0 * SPACING_M) - 0.5 * (1.0 + u))
+
+
+def _eye_heights_m(scene: Scene) -> Float64Array:
+    eyes = scene.viewpoints
+    ground = scene.field.height_at(eyes.easting_m, eyes.northing_m)
+    return np.asarray(eyes.eye_elevation_m - ground, dtype=np.float64)
+
+
+_PIT_CELLS, _PIT_SPACING_M = 1, 16.0
+
+
+def _pit(depth_m: float) -> Scene:
+    """Return a square pit with one-cell walls, one cell from its middle to the foot."""
+    steps = np.abs(np.arange(-40, 41))
+    floor = np.maximum(steps[:, np.newaxis], steps) <= _PIT_CELLS
+    field = field_of(np.where(floor, 0.0, depth_m), _PIT_SPACING_M)
+    return Scene(field, eyes_at(field, [40.0], [40.0], 2.0), 640, FLAT)
+
+
+def _pit_skyline(scene: Scene) -> ClosedForm:
+    # The rim is a square 2 cells out, but in the corners to the north-east and south-west the
+    # split cuts across it, from (1, 2) to (2, 1): a line at east + north = 3 cells.
+    north = np.where(
+        (u := columns_u(scene.width)) > 1.0 - 1.0 / (_PIT_CELLS + 1.0),
+        (2.0 * _PIT_CELLS + 1.0) / (1.0 + u),
+        _PIT_CELLS + 1.0,
+    )
+    depth = _PIT_SPACING_M * np.stack([north, north[::-1], north, north[::-1]])
+    rise = float(scene.field.height_range_m[1] - scene.viewpoints.eye_elevation_m[0])
+    return ClosedForm(rise / depth)
+
+
+def _below_a_crest(slope: float) -> Scene:
+    """Stand with the eye on a slope to the north, 1 mm (2^-10 m) below the crest."""
+    spacing = 4.0
+    profile = -slope * spacing * np.abs(np.arange(41.0) - 16.0)
+    field = field_of(np.broadcast_to(profile[:, np.newaxis], (41, 41)), spacing)
+    off = 2.0**-10 / spacing
+    return Scene(field, eyes_at(field, [16.0 + off] * 2, [20.25, 20.0], 0.0), 640, FLAT)
+
+
+def _slope_skyline(scene: Scene) -> ClosedForm:
+    """Return the eye's own slope: uphill to the crest a millimetre away, downhill for ever."""
+    field = scene.field
+    slope = float(field.heights_m[16, 0] - field.heights_m[17, 0]) / field.spacing_north_m
+    tan = [slope * ground_directions(heading, scene.width)[:, 1] for heading in HEADINGS]
+    return ClosedForm(np.tile(np.stack(tan), (len(scene.viewpoints), 1)))
+
+
+def _at_a_wall() -> Scene:
+    """Stand 1 mm (2^-10 m) before the foot of a 60 m wall in one cell of half a metre."""
+    heights = np.zeros((64, 64))
+    heights[:20] = 60.0
+    field = field_of(heights, 0.5)
+    off = 2.0**-10 / 0.5
+    return Scene(field, eyes_at(field, [20.0 + off] * 3, [30.25] * 3, [0.0, 0.125, 2.0]), 640, FLAT)
+
+
+def _cliff() -> Scene:
+    heights = rough_heights(96, 96, 200.0, seed=8)
+    heights[:40] += 3000.0
+    field = field_of(heights)
+    # At the foot, halfway up the face, on the brink, and back in the plain.
+    row = np.array([40.25, 39.5, 38.96875, 78.0])
+    return Scene(field, eyes_at(field, row, [50.125, 49.25, 48.5, 47.0], 2.0))
+
+
+def _spike() -> Scene:
+    heights = np.full((80, 80), 300.0)
+    heights[40, 40] = 400.0
+    field = field_of(heights)
+    # On its tip, on its flank, a cell away and half the map away, with the tip between columns.
+    row, col = [40.0, 40.25, 41.0, 70.3125], [40.0, 40.125, 40.0, 60.5625]
+    return Scene(field, eyes_at(field, row, col, [2.0, 0.0, 2.0, 2.0]), 640)
+
+
+def _near_and_far() -> Scene:
+    """One view with an edge at 0.1 m and a summit at 250 km."""
+    spacing = 250.0
+    heights = np.full((1030, 41), -400.0)
+    # The row just north of the eye falls from west to east, through the eye's own height.
+    heights[1010:] = 50.0 * (20.0 - np.arange(41.0))
+    heights[10:14] = 9000.0
+    field = field_of(heights, spacing)
+    row = 1010.0 + 0.1 / spacing
+    return Scene(field, eyes_at(field, [row] * 2, [20.0, 20.0], [0.0, 0.005]), 641)
+
+
+def _long() -> Scene:
+    field = field_of(rough_heights(10_001, 6, 100.0, seed=9), 8.0)
+    return Scene(field, eyes_at(field, [9998.7, 5000.0], [2.3, 3.0], 60.0), 16)
+
+
+STEEP_CASES = (
+    SceneCase(
+        "summit",
+        "all skylines are dips: a maximum that starts from 0 never falls below it",
+        _pyramid,
+        _pyramid_skyline,
+    ),
+    SceneCase(
+        "pit with walls of 63 degrees",
+        "skylines past 45 degrees leave the depth image, and bounds made for small v",
+        lambda: _pit(64.0),
+        _pit_skyline,
+    ),
+    SceneCase(
+        "pit with walls of 88 degrees",
+        "skylines past 85 degrees: v above 11",
+        lambda: _pit(1000.0),
+        _pit_skyline,
+    ),
+    SceneCase(
+        "eye 1 mm from a wall",
+        "depth of the nearest edge is 0.002 of a cell and its v is in the hundreds",
+        _at_a_wall,
+    ),
+    SceneCase(
+        "eye 1 mm below a crest of 45 degrees",
+        "the skyline itself is 1 mm away, its height over the eye lost in rounding",
+        lambda: _below_a_crest(1.0),
+        _slope_skyline,
+        HORIZON_ONLY,
+    ),
+    SceneCase(
+        "eye 1 mm below a crest of 87 degrees",
+        "the same with v of 20",
+        lambda: _below_a_crest(20.0),
+        _slope_skyline,
+        HORIZON_ONLY,
+    ),
+    SceneCase(
+        "3 km cliff in one cell", "a fraction along an edge costs 3 km times its rounding", _cliff
+    ),
+    SceneCase(
+        "one-sample spike", "one sample in 6,400 is the skyline: culled, or missed by rays", _spike
+    ),
+    SceneCase(
+        "0.1 m and 250 km in one view",
+        "heights, depths and curvature over six decades",
+        _near_and_far,
+        paths=HORIZON_ONLY,
+    ),
+    SceneCase(
+        "10,000 rows of 6 samples",
+        "more strips than a tree of blocks is deep, and next to none across",
+        _long,
+        paths=HORIZON_ONLY,
+    ),
+)

@@ -1,0 +1,93 @@
+"""The command line of benchmarks: ``skyline-bench COMMAND``."""
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Annotated
+
+import typer
+
+from skyline import __version__
+from skyline.console import run_app
+from skyline_bench.commands.adaptive import uniform_adaptive
+from skyline_bench.commands.matching import matching
+from skyline_bench.commands.photos import photo, photo_quality, readme_picture
+from skyline_bench.commands.planning import planned_build, prediction_quality, table1
+from skyline_bench.commands.scale import scale
+from skyline_bench.commands.search import accuracy_time, calibrate, retrieval_scale, strangers
+from skyline_bench.commands.skylines import (
+    large_dem,
+    pipeline_speed,
+    place_speed,
+    speed_error,
+    stability,
+)
+from skyline_bench.commands.stores import input_fuzz, sharded_build, store_durability
+
+COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
+    "Skylines": {
+        speed_error: "10 minutes",
+        stability: "5 minutes",
+        place_speed: "a minute",
+        large_dem: "2 minutes",
+        pipeline_speed: "a minute",
+    },
+    "Planning": {
+        table1: "5 minutes",
+        prediction_quality: "5 minutes",
+        planned_build: "10 minutes",
+    },
+    "Builds, stores and files": {
+        sharded_build: "an hour",
+        store_durability: "an hour",
+        input_fuzz: "2 minutes",
+    },
+    "Search": {
+        matching: "hours",
+        uniform_adaptive: "hours",
+        scale: "hours",
+        accuracy_time: "30 minutes",
+        retrieval_scale: "5 minutes",
+        strangers: "10 minutes",
+        calibrate: "20 minutes",
+    },
+    "Photographs": {
+        photo_quality: "15 minutes",
+        photo: "5 minutes",
+        readme_picture: "a minute",
+    },
+}
+"""Commands by what they measure, and about how long each takes on 2 cores without a GPU."""
+
+app = typer.Typer(
+    name="skyline-bench",
+    help="Measure Skyline on this machine. Times are of 2 cores without a GPU; see --quick.",
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+for subject, commands in COMMANDS.items():
+    for command, takes in commands.items():
+        told = (inspect.getdoc(command) or "").splitlines()[0].rstrip(".")
+        app.command(
+            command.__name__.replace("_", "-"),
+            short_help=f"{told} ({takes}).",
+            rich_help_panel=subject,
+        )(command)
+
+
+@app.callback(invoke_without_command=True)
+def options(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+) -> None:
+    """Measure Skyline on this machine. Times are of 2 cores without a GPU; see --quick."""
+    if version:
+        typer.echo(f"skyline {__version__}")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+        raise typer.Exit(2)
+
+
+def main() -> None:
+    """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
+    run_app(app, "stopped; nothing was written")

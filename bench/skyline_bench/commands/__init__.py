@@ -1,0 +1,1 @@
+"""Commands of ``skyline-bench``: options, tables and records."""

@@ -1,0 +1,121 @@
+"""What the commands share: options, checks of what is to be written, tables and records."""
+
+import json
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from skyline.errors import InputError
+from skyline_bench.measuring.record import Row, shown, write_record
+
+_PLOT_SUFFIXES = (".png", ".pdf", ".svg")
+_PIPED_WIDTH = 200
+
+Dems = Annotated[
+    list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
+]
+JsonFile = Annotated[
+    Path | None, typer.Option("--json", metavar="FILE", help="Write rows and machine as JSON.")
+]
+PlotFile = Annotated[
+    Path | None, typer.Option("--plot", metavar="FILE", help="Draw them: PNG, PDF or SVG.")
+]
+Seed = Annotated[int, typer.Option(help="Of whatever is drawn at random.")]
+Quick = Annotated[bool, typer.Option("--quick", help="Two minutes at most: much smaller.")]
+Bounds = Annotated[
+    str | None,
+    typer.Option(
+        metavar="W,S,E,N",
+        help="Degrees of longitude and latitude (WGS 84); by default 5 x 10 km in the middle.",
+    ),
+]
+StoreFile = Annotated[
+    Path, typer.Argument(metavar="STORE", help="A store of places that `skyline build` made.")
+]
+Crs = Annotated[
+    str | None, typer.Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")
+]
+
+
+def check_outputs(json_file: Path | None, plot: Path | None) -> None:
+    """Refuse files that could not be written, before the measurement and not after it."""
+    for option, path in (("--json", json_file), ("--plot", plot)):
+        check_folder(option, path)
+    if plot is not None and plot.suffix.lower() not in _PLOT_SUFFIXES:
+        raise InputError(
+            f"--plot {plot}: cannot draw {plot.suffix!r}; expected {', '.join(_PLOT_SUFFIXES)}"
+        )
+
+
+def check_folder(option: str, path: Path | None) -> None:
+    """Refuse a file in a folder that is not there."""
+    if path is not None and not path.absolute().parent.is_dir():
+        raise InputError(f"{option} {path}: there is no folder {path.parent}; make it first")
+
+
+def check_report(folder: Path | None) -> None:
+    """Make the folder of a report, and refuse one that nothing can be written to."""
+    if folder is None:
+        return
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"--report {folder}: cannot be written to ({error.strerror}); name another folder"
+        ) from error
+
+
+@contextmanager
+def store_folder(kept: Path | None) -> Iterator[Path]:
+    """Give a folder for stores: the one named, made where it is not there, else one for now."""
+    if kept is not None:
+        kept.mkdir(parents=True, exist_ok=True)
+        yield kept
+        return
+    with tempfile.TemporaryDirectory(prefix="skyline-bench-") as passing:
+        yield Path(passing)
+
+
+def keep_record(
+    json_file: Path | None,
+    bench: str,
+    rows: Sequence[Row],
+    summary: Mapping[str, Sequence[Row]] | None = None,
+) -> None:
+    """Write the record of a benchmark where one is asked for."""
+    if json_file is not None:
+        write_record(json_file, bench, rows, summary)
+
+
+def rows_but(json_file: Path | None, key: str, begins: Iterable[str]) -> list[Row]:
+    """Return the rows of a record that is there already, but those to be measured anew.
+
+    These are the rows whose ``key`` begins with one of some words.
+    """
+    if json_file is None or not json_file.exists():
+        return []
+    rows = json.loads(json_file.read_text(encoding="utf-8"))["rows"]
+    return [row for row in rows if not str(row[key]).startswith(tuple(begins))]
+
+
+def print_rows(rows: Sequence[Row], columns: Mapping[str, str] | None = None) -> None:
+    """Print rows as a table; ``columns`` are the keys shown, by default all, with headings."""
+    columns = columns or {key: key for row in rows for key in row}
+    table = Table(box=SIMPLE_HEAD)
+    for key, heading in columns.items():
+        words = any(isinstance(row.get(key), str) for row in rows)
+        table.add_column(heading, justify="left" if words else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*(shown(row.get(key)) for key in columns))
+    console = Console()
+    # A file or a pipe has no width that figures would have to be cut to.
+    (console if console.is_terminal else Console(width=_PIPED_WIDTH)).print(table)

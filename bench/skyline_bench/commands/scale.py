@@ -1,0 +1,120 @@
+"""Size measured: what areas cost to build and to search, and what is found in them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skyline.console import parse_bounds, progress_bar
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline_bench.commands.options import (
+    Crs,
+    Dems,
+    JsonFile,
+    PlotFile,
+    Quick,
+    Seed,
+    check_outputs,
+    keep_record,
+    print_rows,
+    store_folder,
+)
+from skyline_bench.figures.scale import save_scale
+from skyline_bench.runs.scale import ScaleConfig, measure
+
+_SCALE = ScaleConfig()
+_COST = {
+    "store": "store",
+    "places": "places",
+    "km2": "km2",
+    "build_s": "build s",
+    "build_cpu_s": "cpu s",
+    "megabytes": "MB",
+    "open_s": "open s",
+    "own_gigabytes": "own GB",
+    "peak_gigabytes": "peak GB",
+}
+_FOUND = {
+    "search": "searched",
+    "group": "skyline",
+    "n": "n",
+    "within_200m": "in 200 m",
+    "within_1km": "in 1 km",
+    "median_m": "median m",
+    "answered": "answered",
+    "precision": "right of these",
+    "query_s": "s",
+    "query_cpu_s": "cpu s",
+    "screened": "screened",
+    "fitted": "fitted",
+    "retrieved": "retrieved",
+    "refined": "refined",
+}
+
+
+def scale(
+    dem: Dems,
+    spacing: Annotated[
+        float, typer.Option(help="Of the store of places that is built, metres.")
+    ] = _SCALE.spacing_m,
+    bounds: Annotated[
+        str | None,
+        typer.Option(metavar="W,S,E,N", help="Of what is built, degrees; by default all."),
+    ] = None,
+    store: Annotated[
+        Path | None, typer.Option(help="A store of places that is there already, instead.")
+    ] = None,
+    area: Annotated[
+        list[float] | None,
+        typer.Option(
+            metavar="KM2",
+            help="A square that is searched; may be repeated [50 1000 10000]. What is larger than "
+            "the store is left out; all of it is searched as well.",
+        ),
+    ] = None,
+    near: Annotated[
+        list[float] | None,
+        typer.Option(metavar="KM", help="A circle's radius, likewise [30]."),
+    ] = None,
+    queries: Annotated[int, typer.Option(help="Each is looked for in every area.")] = (
+        _SCALE.queries
+    ),
+    folder: Annotated[
+        Path | None,
+        typer.Option(help="Where store and results are kept: a run that was stopped goes on."),
+    ] = None,
+    json_file: JsonFile = None,
+    plot: PlotFile = None,
+    seed: Seed = _SCALE.seed,
+    quick: Quick = False,
+    crs: Crs = None,
+) -> None:
+    """Size: a store of places built, and made queries found in squares of it that grow.
+
+    A query's place lies anywhere in its squares. Of screened, fitted, retrieved and refined
+    places, the share of queries is told that have one within one spacing of the truth, looking
+    within 10 degrees of the right way: where it drops, queries are lost.
+    """
+    config = ScaleConfig(
+        spacing_m=spacing,
+        bounds_deg=parse_bounds(bounds) if bounds is not None else None,
+        store=store,
+        areas_km2=tuple(area or _SCALE.areas_km2),
+        near_km=tuple(near or _SCALE.near_km),
+        queries=queries,
+        seed=seed,
+    )
+    check_outputs(json_file, plot)
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    config = config.quick(terrain) if quick else config
+    with store_folder(folder) as place, progress_bar("building and matching") as progress:
+        cost, rows = measure(terrain, config, place, progress)
+    gigabytes = {
+        f"{name}_gigabytes": None if cost[key] is None else float(str(cost[key])) / 1e9
+        for name, key in (("own", "own_bytes"), ("peak", "peak_bytes"))
+    }
+    print_rows([{**cost, **gigabytes, "megabytes": float(str(cost["bytes"])) / 1e6}], _COST)
+    print_rows(rows, _FOUND)
+    keep_record(json_file, "scale", rows, {"store": [cost]})
+    if plot is not None:
+        save_scale(rows, plot)

@@ -1,0 +1,149 @@
+"""Skylines measured: speed against error, hard cases, places, and very large DEMs."""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skyline.console import progress_bar
+from skyline.errors import SkylineError
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline_bench.cases import stability as hard_cases
+from skyline_bench.commands.options import (
+    Crs,
+    Dems,
+    JsonFile,
+    PlotFile,
+    Quick,
+    Seed,
+    check_outputs,
+    keep_record,
+    print_rows,
+)
+from skyline_bench.figures.speed_error import save_speed_error
+from skyline_bench.figures.stability import save_stability
+from skyline_bench.measuring.record import machine
+from skyline_bench.runs import large_dem as large_dems
+from skyline_bench.runs import pipeline_speed as pipeline_stages
+from skyline_bench.runs import place_speed as ways_to_places
+from skyline_bench.runs.speed_error import SpeedErrorConfig, measure
+from skyline_bench.truth.agreement import DEPTH, HORIZON
+
+_SPEED_ERROR = SpeedErrorConfig()
+
+
+def speed_error(
+    dem: Dems,
+    viewpoints: Annotated[
+        int, typer.Option(help="Viewpoints of a batch, on a 100 m grid in the DEM's middle.")
+    ] = _SPEED_ERROR.viewpoints,
+    width: Annotated[
+        int, typer.Option(help="Columns of all but the depth path.")
+    ] = _SPEED_ERROR.width,
+    json_file: JsonFile = None,
+    plot: PlotFile = None,
+    seed: Seed = _SPEED_ERROR.seed,
+    quick: Quick = False,
+    crs: Crs = None,
+) -> None:
+    """Every way to a skyline: milliseconds a viewpoint against error from the oracle."""
+    config = replace(_SPEED_ERROR, viewpoints=viewpoints, width=width, seed=seed)
+    check_outputs(json_file, plot)
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    with progress_bar("measuring") as progress:
+        rows = measure(terrain, config.quick() if quick else config, progress)
+    columns = {
+        "path": "path",
+        "setting": "setting",
+        "viewpoints_per_s": "per s",
+        "ms_per_viewpoint": "ms",
+        "ms_alone": "alone",
+        "rms_px": "rms px",
+        "max_px": "max px",
+        "missing": "lost",
+    }
+    print_rows(rows, columns)
+    keep_record(json_file, "speed-error", rows)
+    if plot is not None:
+        save_speed_error(rows, machine(), plot)
+
+
+def stability(
+    json_file: JsonFile = None,
+    plot: PlotFile = None,
+    seed: Annotated[
+        int, typer.Option(help="For uniformity: the cases are fixed, nothing is drawn.")
+    ] = 0,
+    quick: Quick = False,
+) -> None:
+    """Every hard case along every path that promises something there; exit code 1 if one fails."""
+    check_outputs(json_file, plot)
+    rows: list[hard_cases.Row] = []
+    asked = [
+        (path, case)
+        for path in (HORIZON, DEPTH)
+        for case in hard_cases.HARD_CASES
+        if path.name in case.paths
+    ]
+    with progress_bar("cases") as progress:
+        for path, case in asked:
+            progress(len(rows), len(asked))
+            rows += hard_cases.measure(path, quick, [case])
+    print_rows(
+        [{**row, "verdict": "holds" if row["ok"] else "FAILS"} for row in rows],
+        {
+            "case": "case",
+            "path": "path",
+            "error_px": "error px",
+            "bound_px": "bound px",
+            "verdict": "verdict",
+        },
+    )
+    keep_record(json_file, "stability", rows)
+    if plot is not None:
+        save_stability(rows, plot)
+    failed = [f"{row['case']} ({row['path']})" for row in rows if not row["ok"]]
+    if failed:
+        raise SkylineError(f"{len(failed)} of {len(rows)} cases fail: {', '.join(failed)}")
+
+
+def place_speed(
+    dem: Dems,
+    eyes: Annotated[int, typer.Option(help="Eyes, on an 80 m grid in the DEM's middle.")] = 2000,
+    json_file: JsonFile = None,
+    quick: Quick = False,
+    crs: Crs = None,
+) -> None:
+    """Skylines all the way round against four headings: milliseconds an eye, taken in turns."""
+    check_outputs(json_file, None)
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    rows = ways_to_places.measure(terrain, min(eyes, 100) if quick else eyes)
+    print_rows(rows)
+    keep_record(json_file, "place-speed", rows)
+
+
+def large_dem(
+    samples: Annotated[int, typer.Option(help="Rows and columns of the made-up DEM.")] = 20_000,
+    viewpoints: Annotated[int, typer.Option(help="About its middle.")] = 256,
+    json_file: JsonFile = None,
+    quick: Quick = False,
+) -> None:
+    """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
+    check_outputs(json_file, None)
+    samples, viewpoints = (
+        (min(samples, 4000), min(viewpoints, 32)) if quick else (samples, viewpoints)
+    )
+    rows = [large_dems.measure(samples, viewpoints)]
+    print_rows(rows)
+    keep_record(json_file, "large-dem", rows)
+
+
+def pipeline_speed(json_file: JsonFile = None, quick: Quick = False) -> None:
+    """Every stage from DEM to match, on a small DEM that is always at hand."""
+    check_outputs(json_file, None)
+    with tempfile.TemporaryDirectory() as folder:
+        rows = pipeline_stages.measure(Path(folder), repeats=1 if quick else 3)
+    print_rows(rows)
+    keep_record(json_file, "pipeline-speed", rows)

@@ -1,0 +1,49 @@
+"""The README's picture, ``docs/match.jpg``.
+
+A photo is made from the terrain beside the store's viewpoints, and matched; the picture is the
+report's: the photo with both skylines, and the map of the candidates.
+"""
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from skyline import Matcher, stand_on
+from skyline.pipeline import matched, report_matches
+from skyline.render.depth import DepthRenderer
+from skyline.terrain.heightfield import HeightField
+from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.pinhole import Camera
+
+LON_DEG, LAT_DEG = 9.90673, 46.82570
+CAMERA = Camera(160.0, pitch_deg=9.0, roll_deg=1.0, fov_deg=60.0)
+HEIGHT_PX = 560
+
+
+def save_match(store: Path, terrain: HeightField, path: Path, width: int) -> dict[str, object]:
+    """Save the picture of a photo rendered so wide; return what the match came to."""
+    eye = stand_on(terrain, *terrain.frame.from_lonlat(LON_DEG, LAT_DEG))
+    with tempfile.TemporaryDirectory() as name, Matcher(store, terrain) as matcher:
+        photo, report = Path(name) / "photo.jpg", Path(name) / "report"
+        with DepthRenderer(terrain, width) as renderer:
+            Image.fromarray(photograph(renderer, eye, 0, CAMERA, seed=1)).save(photo, quality=92)
+        result = matcher.match(photo, fov_deg=CAMERA.fov_deg)
+        best = result.candidates[0]
+        apart_m = best.easting_m - eye.easting_m[0], best.northing_m - eye.northing_m[0]
+        off_m = float(np.hypot(*apart_m))
+        report_matches(report, matcher, [matched(photo, result)], terrain)
+        pictures = [Image.open(path) for path in (report / "01-overlay.jpg", report / "01-map.png")]
+        side_by_side(pictures).save(path, quality=85, optimize=True)
+    return {"error_m": off_m, "confidence": best.confidence, "query_s": result.seconds}
+
+
+def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
+    """Return pictures in one row, all as high."""
+    parts = [
+        picture.convert("RGB").resize((picture.width * HEIGHT_PX // picture.height, HEIGHT_PX))
+        for picture in pictures
+    ]
+    return Image.fromarray(np.concatenate([np.asarray(part) for part in parts], axis=1))

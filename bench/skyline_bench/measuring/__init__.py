@@ -1,0 +1,1 @@
+"""Machine, clocks, memory, processes and records: how anything is measured."""

@@ -1,0 +1,82 @@
+"""The record of a benchmark: what was measured, and on which machine."""
+
+import datetime
+import json
+import math
+import platform
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from skyline import __version__
+from skyline.errors import ContextError
+from skyline.render.context import acquire_context
+from skyline_bench.measuring.timing import core_count
+
+Row = Mapping[str, object]
+"""One line of a benchmark's table: plain values by name."""
+
+
+def machine() -> dict[str, object]:
+    """Describe this machine and the software that matters to a measurement on it."""
+    try:
+        context = acquire_context()
+        renderer, driver = context.renderer, context.version
+    except ContextError:
+        renderer = driver = "none"
+    return {
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "processor": _processor(),
+        "cores": core_count(),
+        "os": platform.platform(),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "renderer": renderer,
+        "driver": driver,
+        "skyline": __version__,
+    }
+
+
+def write_record(
+    path: Path, bench: str, rows: Sequence[Row], summary: Mapping[str, Sequence[Row]] | None = None
+) -> None:
+    """Write rows and the machine they come from as JSON, whole or not at all.
+
+    Numbers that are not finite, for which JSON has no word, are written as null. A summary, which
+    follows from the rows, is tables by name.
+    """
+    record: dict[str, object] = {"bench": bench, "machine": machine(), "rows": _plain(rows)}
+    if summary:
+        record["summary"] = {name: _plain(table) for name, table in summary.items()}
+    text = json.dumps(record, indent=1, allow_nan=False) + "\n"
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path)
+
+
+def shown(value: object) -> str:
+    """Return a value as tables show it: three digits, or all before the point."""
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+    return str(value)
+
+
+def _plain(rows: Sequence[Row]) -> list[Row]:
+    return [{key: _finite(value) for key, value in row.items()} for row in rows]
+
+
+def _finite(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _processor() -> str:
+    """Return the processor's model name where the system tells it, else its architecture."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return next(filter(None, [*names, platform.processor()]), platform.machine())

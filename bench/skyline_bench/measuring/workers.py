@@ -1,0 +1,147 @@
+"""Work in processes of its own: a pool for speed, forks where a crash or a hang is a result.
+
+A pool's workers hold the same big thing and do jobs on it, each with one thread, so that what is
+computed does not depend on how many cores there are; as many processes as there are cores, so
+that none of them idles.
+"""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Any, Protocol, TypeVar
+
+from skyline.errors import BuildError, InputError
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_ONE_THREAD = ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+_held: Any = None
+"""In a worker: what it was started with."""
+
+
+class Crew(Protocol):
+    """Does the same work on many items, in any order."""
+
+    def __call__(self, work: Callable[[Any, T], R], items: Sequence[T]) -> Iterator[tuple[T, R]]:
+        """Yield each item with what ``work(held, item)`` returned, as they are done.
+
+        Items are begun in their order. An error that a job raises is raised here.
+        """
+        ...
+
+
+@contextmanager
+def crew(held: object, workers: int) -> Iterator[Crew]:
+    """Start workers for the block, which are stopped whatever they do when it is left.
+
+    Parameters
+    ----------
+    held : object
+        What every worker holds; sent once.
+    workers : int
+
+    Raises
+    ------
+    InputError
+        Fewer than one worker.
+    BuildError
+        A worker died.
+    """
+    if workers < 1:
+        raise InputError(f"workers is {workers}; expected 1 or more")
+    others = set(multiprocessing.active_children())
+    # Spawned, since an OpenGL context does not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with _environment(dict.fromkeys(_ONE_THREAD, "1")):
+        pool = ProcessPoolExecutor(workers, context, _start, (held,))
+
+        def run(work: Callable[[Any, T], R], items: Sequence[T]) -> Iterator[tuple[T, R]]:
+            jobs = {pool.submit(_do, work, item): item for item in items}
+            for job in as_completed(jobs):
+                yield jobs[job], job.result()
+
+        try:
+            yield run
+            pool.shutdown()
+        except BrokenProcessPool as error:
+            raise BuildError(
+                "a worker process died: out of memory, or a fault of OpenGL; what was done is "
+                "kept, run it again with fewer workers"
+            ) from error
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+                process.join()
+
+
+def _start(held: object) -> None:
+    global _held  # noqa: PLW0603  (a process's own)
+    # Ctrl-C goes to workers as well, which are stopped by the one process that answers it.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _held = held
+
+
+def _end_with_parent() -> None:
+    """End this process when its parent is no more, however that ended."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _do(work: Callable[[Any, T], R], item: T) -> R:
+    return work(_held, item)
+
+
+@contextmanager
+def _environment(settings: dict[str, str]) -> Iterator[None]:
+    """Set environment variables, which new processes inherit, for the block."""
+    before = {name: os.environ.get(name) for name in settings}
+    os.environ.update(settings)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def fork(work: Callable[[], None]) -> int:
+    """Do work in a new process, which exits with 0, or with 1 where it raises; return its id."""
+    pid = os.fork()
+    if pid:
+        return pid
+    code = 1
+    try:
+        work()
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def outcome_of(work: Callable[[], str], patience_s: int = 60) -> str:
+    """Return what work in a process of its own says, or "raised", "hang" or "crash"."""
+    reading, writing = os.pipe()
+
+    def child() -> None:
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(patience_s)
+        os.write(writing, work().encode())
+
+    pid = fork(child)
+    os.close(writing)
+    with os.fdopen(reading, "rb") as pipe:
+        said = pipe.read().decode()
+    code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+    return {0: said, 1: "raised", -signal.SIGALRM: "hang"}.get(code, "crash")

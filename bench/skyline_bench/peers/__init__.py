@@ -1,0 +1,1 @@
+"""Other programs that Skyline is compared with."""

@@ -1,0 +1,335 @@
+"""A peer to be measured against: skylines from Embree's rays, a bisection in every column.
+
+The scene is the exact surface, so that every renderer answers for the same physics.
+Curvature depends on the eye and a ray tracer's scene does not, so the samples are dropped around
+the DEM's middle c instead. That drop and the one around an eye e differ at p by a constant and
+2 k (p - e).(e - c), k being the drop per square metre: a shear. It keeps straight edges straight
+and moves the ordinate of a column with ground direction g (metres over the ground per metre of
+depth) by 2 k g.(e - c) at any depth. The rays are tilted by that much; nothing is approximated.
+
+Needs ``embreex``, the optional extra ``peers``. One call to it runs on one thread and lets others
+run, so the viewpoints are shared out among as many threads as there are cores.
+"""
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, ground_directions
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.triangles import Triangles
+from skyline.terrain.viewpoints import Viewpoints
+from skyline.views import FLAG_NO_DATA, Views
+from skyline_bench.measuring.timing import core_count, over_cores
+
+Float64Array = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+STARTS = ("plain", "neighbour")
+
+_HALF_FIELD_TAN = 1.0
+"""Plain bisection starts from the paper's field of view, v from -1 to 1."""
+
+_STEEPEST_TAN = 1e4
+"""A column without a hit below this dip meets no data."""
+
+_COARSEST_STRIDE = 64
+_FIRST_STEP = 1.0 / 64.0
+"""Of the neighbours' difference; of 1/4 to 1/128 and none, about the fastest for Embree."""
+
+_VIEWPOINTS_A_CALL = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Bisection:
+    """How the skyline of a column is found.
+
+    Attributes
+    ----------
+    depth : int
+        The last bracket is 2 / 2 ** depth wide, as after so many bisections of the paper's field
+        of view; its middle is the answer, so the error is at most half of that.
+    start : str
+        "plain" bisects the whole field of view; "neighbour" starts from the columns on either
+        side, found before, with a bracket that widens until it holds the skyline.
+    """
+
+    depth: int
+    start: str = "neighbour"
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.depth <= 30:
+            raise InputError(f"bisection depth is {self.depth}; expected 1 to 30")
+        if self.start not in STARTS:
+            raise InputError(f"bisection starts {self.start!r}; expected {' or '.join(STARTS)}")
+
+    @property
+    def bracket_tan(self) -> float:
+        """Width of the last bracket."""
+        return float(2.0 * _HALF_FIELD_TAN / 2.0**self.depth)
+
+
+def is_installed() -> bool:
+    """Whether ``embreex`` is there to be imported."""
+    return find_spec("embreex") is not None
+
+
+class EmbreePeer:
+    """Skylines of one height field by Embree's rays.
+
+    Parameters
+    ----------
+    field : HeightField
+    width : int
+        Columns W of a view.
+    curvature : Curvature, optional
+        Defaults to the Earth's with k = 0.13.
+
+    Raises
+    ------
+    InputError
+        ``embreex`` is not installed.
+    """
+
+    def __init__(
+        self,
+        field: HeightField,
+        width: int = DEFAULT_WIDTH,
+        curvature: Curvature | None = None,
+    ) -> None:
+        self.field = field
+        self.width = check_width(width)
+        self.curvature = curvature or Curvature()
+        # On a sample, so that the samples' own offsets are short numbers in float32.
+        easting, northing = field.to_map(field.rows // 2, field.cols // 2)
+        self._middle_m = np.array([float(easting), float(northing)])
+        self._datum_m = float(np.mean(field.height_range_m))
+        self._scene = _scene(self._vertices(), _triangles(field))
+        self._directions = np.stack([ground_directions(turn, width) for turn in HEADINGS])
+
+    def render(self, viewpoints: Viewpoints, bisection: Bisection) -> Views:
+        """Find the skylines of N viewpoints in all four headings.
+
+        Returns
+        -------
+        Views
+            4 N views; depth is NaN throughout and `FLAG_NO_DATA` is the only flag.
+        """
+        share = -(-len(viewpoints) // core_count())
+        parts = over_cores(
+            lambda part: self._skylines(part, bisection),
+            viewpoints,
+            min(max(share, 1), _VIEWPOINTS_A_CALL),
+        )
+        tan = np.concatenate([np.zeros((0, self.width)), *parts])
+        return Views(
+            np.repeat(viewpoints.easting_m, len(HEADINGS)),
+            np.repeat(viewpoints.northing_m, len(HEADINGS)),
+            np.repeat(viewpoints.eye_elevation_m, len(HEADINGS)),
+            np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints)),
+            tan,
+            np.full_like(tan, np.nan),
+            np.where(np.isnan(tan), FLAG_NO_DATA, 0).astype(np.uint8),
+        )
+
+    def _vertices(self) -> Float32Array:
+        """Return the samples as (rows * cols, 3) east, up, north of the middle, curved."""
+        field = self.field
+        easting, _ = field.to_map(0, np.arange(field.cols))
+        _, northing = field.to_map(np.arange(field.rows), 0)
+        east = easting - self._middle_m[0]
+        north = (northing - self._middle_m[1])[:, np.newaxis]
+        vertices = np.empty((field.rows, field.cols, 3), dtype=np.float32)
+        vertices[..., 0] = east
+        vertices[..., 1] = (
+            np.nan_to_num(field.heights_m, nan=self._datum_m).astype(np.float64)
+            - self._datum_m
+            - self.curvature.drop_per_m2 * (east**2 + north**2)
+        )
+        vertices[..., 2] = north
+        return vertices.reshape(-1, 3)
+
+    def _skylines(self, viewpoints: Viewpoints, bisection: Bisection) -> Float64Array:
+        """Return elevation_tan of a few viewpoints, (4 N, W)."""
+        rays = self._rays(viewpoints)
+        columns = np.arange(rays.shear_tan.size).reshape(rays.shear_tan.shape)
+        if bisection.start == "plain":
+            tan = _from_the_field_of_view(rays, columns.ravel(), bisection.bracket_tan)
+            return tan.reshape(columns.shape) + rays.shear_tan
+        return _from_neighbours(rays, columns, bisection.bracket_tan) + rays.shear_tan
+
+    def _rays(self, viewpoints: Viewpoints) -> "_Rays":
+        """Place the eyes in the scene and aim at every column of their four views."""
+        offset = np.stack([viewpoints.easting_m, viewpoints.northing_m], axis=1) - self._middle_m
+        up = (
+            viewpoints.eye_elevation_m
+            - self._datum_m
+            - self.curvature.drop_per_m2 * np.square(offset).sum(axis=1)
+        )
+        eyes = np.stack([offset[:, 0], up, offset[:, 1]], axis=1).astype(np.float32)
+        apart = np.einsum("hwk,nk->nhw", self._directions, offset)
+        views = len(HEADINGS) * len(viewpoints)
+        return _Rays(
+            self._scene,
+            np.repeat(eyes, len(HEADINGS) * self.width, axis=0),
+            np.tile(self._directions.reshape(-1, 2).astype(np.float32), (len(viewpoints), 1)),
+            2.0 * self.curvature.drop_per_m2 * apart.reshape(views, self.width),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rays:
+    """Everything about M = views * W columns but the ordinate to look along.
+
+    Attributes
+    ----------
+    scene : embreex EmbreeScene
+    eyes : (M, 3) float32
+        East, up, north of each column's eye in the scene.
+    ground : (M, 2) float32
+        Each column's ground direction.
+    shear_tan : (views, W) float64
+        True ordinate minus the ordinate in the scene.
+    """
+
+    scene: Any
+    eyes: Float32Array
+    ground: Float32Array
+    shear_tan: Float64Array
+
+    def blocked(self, columns: IntArray, tan: Float64Array) -> BoolArray:
+        """Return whether the terrain stands in the way of a ray at ordinate ``tan``."""
+        directions = np.empty((len(columns), 3), dtype=np.float32)
+        directions[:, 0::2] = self.ground[columns]
+        directions[:, 1] = tan
+        hit = self.scene.run(self.eyes[columns], directions, query="OCCLUDED")
+        return np.asarray(hit == 0)
+
+
+def _from_the_field_of_view(rays: _Rays, columns: IntArray, bracket_tan: float) -> Float64Array:
+    """Return the skyline of columns by bisecting the field of view."""
+    low = np.full(len(columns), -_HALF_FIELD_TAN)
+    high = np.full(len(columns), _HALF_FIELD_TAN)
+    tan = _bisected(rays, columns, low, high, bracket_tan)
+    # Only where it ends at the end it started from can the skyline lie outside.
+    outside = np.flatnonzero(np.abs(tan) > _HALF_FIELD_TAN - bracket_tan)
+    if outside.size:
+        tan[outside] = _around(
+            rays, columns[outside], tan[outside], np.full(outside.size, bracket_tan), bracket_tan
+        )
+    return tan
+
+
+def _from_neighbours(rays: _Rays, columns: IntArray, bracket_tan: float) -> Float64Array:
+    """Return the skyline of (views, W) columns, every stride's from the coarser stride's."""
+    tan = np.full(columns.shape, np.nan)
+    first = slice(0, None, _COARSEST_STRIDE)
+    start = np.zeros(columns[:, first].size)
+    tan[:, first] = _around(
+        rays, columns[:, first].ravel(), start, start + _HALF_FIELD_TAN / 4.0, bracket_tan
+    ).reshape(columns[:, first].shape)
+    stride = _COARSEST_STRIDE
+    while stride > 1:
+        half = stride // 2
+        between = columns[:, half::stride]
+        left = tan[:, 0::stride][:, : between.shape[1]]
+        right = tan[:, stride::stride]
+        right = np.concatenate([right, left[:, right.shape[1] :]], axis=1)
+        guess = np.nan_to_num((left + right) / 2.0)
+        step = np.maximum(bracket_tan, _FIRST_STEP * np.nan_to_num(np.abs(left - right)))
+        tan[:, half::stride] = _around(
+            rays, between.ravel(), guess.ravel(), step.ravel(), bracket_tan
+        ).reshape(between.shape)
+        stride = half
+    return tan
+
+
+def _around(
+    rays: _Rays,
+    columns: IntArray,
+    guess: Float64Array,
+    step: Float64Array,
+    bracket_tan: float,
+) -> Float64Array:
+    """Return the skyline of columns, looked for around guesses in growing steps.
+
+    NaN where no ray hits anything.
+    """
+    rising = rays.blocked(columns, guess)
+    stride = np.where(rising, step, -step)
+    near, far = guess.copy(), np.full(len(guess), np.nan)
+    looking = np.arange(len(columns))
+    while looking.size:
+        probe = near[looking] + stride[looking]
+        passed = rays.blocked(columns[looking], probe) != rising[looking]
+        far[looking[passed]] = probe[passed]
+        looking, probe = looking[~passed], probe[~passed]
+        near[looking] = probe
+        stride[looking] *= 2.0
+        looking = looking[np.abs(probe) < _STEEPEST_TAN]
+    tan = np.full(len(guess), np.nan)
+    found = np.flatnonzero(~np.isnan(far))
+    low, high = np.minimum(near[found], far[found]), np.maximum(near[found], far[found])
+    tan[found] = _bisected(rays, columns[found], low, high, bracket_tan)
+    return tan
+
+
+def _bisected(
+    rays: _Rays,
+    columns: IntArray,
+    low: Float64Array,
+    high: Float64Array,
+    bracket_tan: float,
+) -> Float64Array:
+    """Return the middles of brackets that hold the skyline, narrowed to ``bracket_tan``."""
+    wide = np.flatnonzero(high - low > bracket_tan)
+    while wide.size:
+        middle = (low[wide] + high[wide]) / 2.0
+        hit = rays.blocked(columns[wide], middle)
+        low[wide] = np.where(hit, middle, low[wide])
+        high[wide] = np.where(hit, high[wide], middle)
+        wide = wide[high[wide] - low[wide] > bracket_tan]
+    return (low + high) / 2.0
+
+
+def _triangles(field: HeightField) -> NDArray[np.int32]:
+    """Return the vertices of every triangle of the surface, (T, 3)."""
+    triangles = Triangles.of(field.heights_m)
+    corner = np.arange(field.rows * field.cols, dtype=np.int32).reshape(field.rows, field.cols)
+    north_west, south_east = corner[:-1, :-1], corner[1:, 1:]
+    halves = [
+        (triangles.north_east, (north_west, corner[:-1, 1:], south_east)),
+        (triangles.south_west, (north_west, south_east, corner[1:, :-1])),
+    ]
+    return np.concatenate(
+        [
+            np.stack([vertex[present[1:-1, 1:-1]] for vertex in vertices], axis=1)
+            for present, vertices in halves
+        ]
+    )
+
+
+def _scene(vertices: Float32Array, triangles: NDArray[np.int32]) -> Any:
+    """Build Embree's scene.
+
+    Not in its robust mode: that is a quarter slower, and the errors are the same.
+    """
+    try:
+        from embreex.mesh_construction import TriangleMesh  # noqa: PLC0415
+        from embreex.rtcore_scene import EmbreeScene  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError(
+            "Embree is not installed; install the extra: pip install 'skyline-bench[peers]'"
+        ) from error
+    scene = EmbreeScene()
+    TriangleMesh(scene, vertices, triangles)
+    # The first call commits the scene, which must not happen in two threads at once.
+    scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), query="OCCLUDED")
+    return scene

@@ -1,0 +1,1 @@
+"""Made queries with known answers: skylines, photographs, and the terrain they show."""

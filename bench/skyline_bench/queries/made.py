@@ -1,0 +1,307 @@
+"""The query maker: what photos taken at random places would show, and where they were taken.
+
+A made query is what a matcher is given for a photo: the skyline's row in each column of an
+image, with the errors of an extraction, and a field of view that is nearly right. All is drawn
+from a seed, each query by itself: query k of a seed is the same whatever the number of queries,
+and its place and pose are the same whatever the noise, the occluders or the elevation model.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from skyline.camera import check_width
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.matching.query import QueryRays
+from skyline.photo.query import QuerySkyline
+from skyline.planning.uniform import MapBounds
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+from skyline_bench.queries.occluders import Occluder, random_occluders, random_runs
+from skyline_bench.queries.panoramas import Panorama, panoramas
+from skyline_bench.queries.pinhole import Camera
+
+Float64Array = NDArray[np.float64]
+
+_MAX_DRAWS = 10_000
+"""Draws of a place before an area counts as a hole."""
+_POSE, _ERRORS, _MASKS, _OCCLUDERS = range(4)
+"""What is drawn, each from a generator of its own."""
+
+
+@dataclass(frozen=True, slots=True)
+class QueryConfig:
+    """What queries are like. A pair is a range to draw from evenly.
+
+    Attributes
+    ----------
+    fov_deg : (float, float)
+        True horizontal field of view.
+    fov_error : float
+        The field of view given is wrong by up to this share; 0 where it is known.
+    max_tilt_deg : float
+        Pitch and roll are within this, at most 20.
+    noise_deg : (float, float)
+        Standard deviation of the skyline's error, an angle at the image's centre.
+    smooth_share : float
+        Share of that error's variance that varies smoothly along the skyline, as where an
+        extraction follows a snow line; the rest is drawn anew in each column.
+    smooth_deg : float
+        How smoothly: distance at which its correlation has dropped to 1/e.
+    masked_share : float
+        Share of the columns without a skyline, in ``masked_runs`` runs.
+    occluded_share : (float, float)
+        Share of the columns with something near in front, which rises above the skyline.
+    occluders_masked : float
+        Share of such things that the extraction has noticed and masked; the tops of the
+        others are left in as skyline.
+    visibility_m : float
+        Terrain beyond is lost in haze.
+    eye_height_m : float
+        Eye above ground.
+    width_px, height_px : int
+        Image size; tall by default, so that what rises steeply near by stays in the image.
+    render_width : int
+        Columns of the views that the skyline is taken from.
+    curvature : Curvature
+    """
+
+    fov_deg: tuple[float, float] = (60.0, 60.0)
+    fov_error: float = 0.05
+    max_tilt_deg: float = 5.0
+    noise_deg: tuple[float, float] = (0.1, 0.1)
+    smooth_share: float = 0.5
+    smooth_deg: float = 1.0
+    masked_share: float = 0.1
+    masked_runs: int = 2
+    occluded_share: tuple[float, float] = (0.0, 0.0)
+    occluders_masked: float = 0.5
+    visibility_m: float = np.inf
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    width_px: int = 640
+    height_px: int = 960
+    render_width: int = 2560
+    curvature: Curvature = field(default_factory=Curvature)
+
+    def __post_init__(self) -> None:
+        check_width(self.render_width)
+        for name, (low, high), most in (
+            ("fov_deg", self.fov_deg, 120.0),
+            ("noise_deg", self.noise_deg, 10.0),
+            ("occluded_share", self.occluded_share, 0.9),
+        ):
+            if not 0.0 <= low <= high <= most:
+                raise InputError(
+                    f"{name} is {low} to {high}; expected a range within 0 to {most:g}"
+                )
+        for name, most in (
+            ("fov_error", 0.5),
+            ("max_tilt_deg", 20.0),
+            ("smooth_share", 1.0),
+            ("masked_share", 0.9),
+            ("occluders_masked", 1.0),
+        ):
+            if not 0.0 <= getattr(self, name) <= most:
+                raise InputError(f"{name} is {getattr(self, name)}; expected 0 to {most:g}")
+        for name in ("smooth_deg", "masked_runs"):
+            if not getattr(self, name) > 0:
+                raise InputError(f"{name} is {getattr(self, name)}; expected more than 0")
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Where a query was taken and how the camera was held; angles as in `matching.query.level`.
+
+    Attributes
+    ----------
+    easting_m, northing_m, eye_elevation_m : float
+        In the frame and above the datum of the query's elevation model.
+    heading_deg : float
+        Grid azimuth of the optical axis, in [0, 360).
+    pitch_deg, roll_deg, fov_deg : float
+    """
+
+    easting_m: float
+    northing_m: float
+    eye_elevation_m: float
+    heading_deg: float
+    pitch_deg: float
+    roll_deg: float
+    fov_deg: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MadeQuery:
+    """One query and the truth about it.
+
+    Attributes
+    ----------
+    skyline : QuerySkyline
+        What a matcher is given.
+    given_fov_deg : float
+        The field of view it is given with.
+    fov_range_deg : (float, float)
+        Between which the true field of view is known to lie.
+    truth : Truth
+    row_px : (W,) float64
+        The true skyline, without errors, masks and occluders; NaN where it is not in the image.
+    distance_m : float
+        Median horizontal distance of that skyline; NaN where none is in the image.
+    occluders : tuple of Occluder
+    """
+
+    skyline: QuerySkyline
+    given_fov_deg: float
+    fov_range_deg: tuple[float, float]
+    truth: Truth
+    row_px: Float64Array
+    distance_m: float
+    occluders: tuple[Occluder, ...]
+
+    def rays(self) -> QueryRays:
+        """Return the query as a matcher's rays, with the range of its field of view.
+
+        Raises
+        ------
+        InputError
+            No column has a skyline.
+        """
+        u, v = self.skyline.image_plane()
+        weight = self.skyline.confidence[self.skyline.trusted]
+        return QueryRays(u, v, weight, self.given_fov_deg, self.fov_range_deg)
+
+
+def make_queries(
+    terrain: HeightField,
+    bounds_m: MapBounds,
+    count: int,
+    seed: int = 0,
+    config: QueryConfig | None = None,
+) -> tuple[MadeQuery, ...]:
+    """Make queries at places drawn evenly from an area, looking anywhere.
+
+    Parameters
+    ----------
+    terrain : HeightField
+        What the photos show, which need not be what a store was rendered from.
+    bounds_m : (float, float, float, float)
+        West, south, east, north of the area; places off the surface are drawn again.
+    count : int
+        At least 1.
+    seed : int
+    config : QueryConfig, optional
+
+    Raises
+    ------
+    InputError
+        A count below 1, a negative seed, or an area without any surface.
+    """
+    if count < 1:
+        raise InputError(f"the number of queries is {count}; expected at least 1")
+    if seed < 0:
+        raise InputError(f"seed is {seed}; expected 0 or more")
+    config = config or QueryConfig()
+    return tuple(_queries(terrain, bounds_m, count, seed, config))
+
+
+def _queries(
+    terrain: HeightField, bounds_m: MapBounds, count: int, seed: int, config: QueryConfig
+) -> Iterator[MadeQuery]:
+    held = [_hold(terrain, bounds_m, [seed, index], config) for index in range(count)]
+    easting_m, northing_m = np.array([place for place, _ in held]).T
+    eyes = stand_on(terrain, easting_m, northing_m, config.eye_height_m)
+    rendered = panoramas(terrain, eyes, config.render_width, config.curvature, config.visibility_m)
+    for index, (panorama, (_, camera)) in enumerate(zip(rendered, held, strict=True)):
+        yield _photographed(panorama, camera, _truth(eyes, index, camera), [seed, index], config)
+
+
+def _hold(
+    terrain: HeightField, bounds_m: MapBounds, entropy: list[int], config: QueryConfig
+) -> tuple[tuple[float, float], Camera]:
+    """Draw a place on the surface and a camera."""
+    generator = np.random.default_rng([*entropy, _POSE])
+    west, south, east, north = bounds_m
+    camera = Camera(
+        heading_deg=generator.uniform(0.0, 360.0),
+        pitch_deg=generator.uniform(-config.max_tilt_deg, config.max_tilt_deg),
+        roll_deg=generator.uniform(-config.max_tilt_deg, config.max_tilt_deg),
+        fov_deg=generator.uniform(*config.fov_deg),
+        width_px=config.width_px,
+        height_px=config.height_px,
+    )
+    for _ in range(_MAX_DRAWS):
+        place = float(generator.uniform(west, east)), float(generator.uniform(south, north))
+        if np.isfinite(terrain.height_at(*place)):
+            return place, camera
+    raise InputError(
+        f"no place on the surface was found in easting {west:.0f} to {east:.0f}, northing "
+        f"{south:.0f} to {north:.0f}; choose an area that is not all hole"
+    )
+
+
+def _truth(eyes: Viewpoints, index: int, camera: Camera) -> Truth:
+    return Truth(
+        float(eyes.easting_m[index]),
+        float(eyes.northing_m[index]),
+        float(eyes.eye_elevation_m[index]),
+        camera.heading_deg,
+        camera.pitch_deg,
+        camera.roll_deg,
+        camera.fov_deg,
+    )
+
+
+def _photographed(
+    panorama: Panorama, camera: Camera, truth: Truth, entropy: list[int], config: QueryConfig
+) -> MadeQuery:
+    """Return what an extraction finds in a photo of a panorama."""
+    masks = np.random.default_rng([*entropy, _MASKS])
+    errors = np.random.default_rng([*entropy, _ERRORS])
+    things = np.random.default_rng([*entropy, _OCCLUDERS])
+    row_px, sample = camera.skyline(panorama.azimuth_deg, panorama.elevation_tan)
+    inside = (row_px > -0.5) & (row_px < camera.height_px - 0.5)
+    row_px = np.where(inside, row_px, np.nan)
+    occluders = random_occluders(things, row_px, things.uniform(*config.occluded_share))
+    found = row_px.copy()
+    for occluder in occluders:
+        noticed = things.uniform() < config.occluders_masked
+        top_px = np.where(occluder.row_px > -0.5, occluder.row_px, np.nan)
+        found[slice(*occluder.columns)] = np.nan if noticed else top_px
+    found += _errors_px(errors, camera, config)
+    for run in random_runs(masks, camera.width_px, config.masked_share, config.masked_runs):
+        found[slice(*run)] = np.nan
+    given = camera.fov_deg * (1.0 + errors.uniform(-config.fov_error, config.fov_error))
+    return MadeQuery(
+        QuerySkyline(
+            found,
+            np.isfinite(found).astype(np.float64),
+            camera.width_px,
+            camera.height_px,
+            given,
+        ),
+        given,
+        (given / (1.0 + config.fov_error), given / (1.0 - config.fov_error)),
+        truth,
+        row_px,
+        float(np.median(panorama.distance_m[sample[inside]])) if inside.any() else np.nan,
+        occluders,
+    )
+
+
+def _errors_px(generator: np.random.Generator, camera: Camera, config: QueryConfig) -> Float64Array:
+    """Draw the errors of the rows (W,): each column's own, and a smooth part."""
+    rms_px = np.radians(generator.uniform(*config.noise_deg)) * camera.focal_px
+    own, smooth = generator.standard_normal((2, camera.width_px))
+    # White noise under a Gaussian of deviation s has the correlation exp(-d^2 / (4 s^2)).
+    deviation_px = np.radians(config.smooth_deg) * camera.focal_px / 2.0
+    impulse = np.eye(1, camera.width_px)[0]
+    smooth, kernel = (
+        ndimage.gaussian_filter1d(values, deviation_px, mode="wrap") for values in (smooth, impulse)
+    )
+    smooth /= np.linalg.norm(kernel)
+    share = config.smooth_share
+    return np.asarray(rms_px * (np.sqrt(1.0 - share) * own + np.sqrt(share) * smooth))

@@ -1,0 +1,1 @@
+"""Measurements: what each command measures, row by row."""

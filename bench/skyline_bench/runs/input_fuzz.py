@@ -1,0 +1,155 @@
+"""Damaged DEMs, viewpoint lists, traces and images: exit 2 and one line, or an answer.
+
+Each case is a small good file with bytes flipped, zeroed, cut off or put in, given to the command
+that reads it, in this process.
+"""
+
+import contextlib
+import io
+import signal
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import rasterio
+from rasterio.transform import from_origin
+
+from skyline import cli
+from skyline.errors import SkylineError
+
+LIMIT_S = 60
+KINDS = 6
+"""Of files."""
+PLAIN = ("--matcher", "correlation")
+WEST, NORTH, SPACING_M = 600_000.0, 5_180_000.0, 30.0
+
+
+class Hang(BaseException):
+    """A command took longer than any of these files may."""
+
+
+def damaged(data: bytes, generator: np.random.Generator) -> bytes:
+    """Return data with one kind of damage."""
+    some = bytearray(data)
+    at = int(generator.integers(len(some)))
+    kind = generator.integers(4)
+    if kind == 0:
+        for place in generator.integers(len(some), size=int(generator.integers(1, 12))):
+            some[place] ^= 1 << int(generator.integers(8))
+    elif kind == 1:
+        some[at : at + int(generator.integers(1, 64))] = b""
+    elif kind == 2:
+        del some[at:]
+    else:
+        some[at:at] = generator.bytes(int(generator.integers(1, 64)))
+    return bytes(some)
+
+
+def ended(arguments: list[str]) -> str:
+    """Run a command; say how it ended: answered, refused, or what is wrong with its end."""
+    out, err = io.StringIO(), io.StringIO()
+    sys.argv = ["skyline", *arguments]
+    signal.alarm(LIMIT_S)
+    try:
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            cli.main()
+        code: object = 0
+    except SystemExit as stop:
+        code = stop.code or 0
+    except Hang:
+        return "hang"
+    except BaseException as error:
+        return f"raised {type(error).__name__}"
+    finally:
+        signal.alarm(0)
+    told = err.getvalue()
+    if code == 0:
+        return "answered"
+    if code == 2 and told.count("\n") == 1 and told.startswith("error: "):
+        return "refused"
+    return f"code {code}: {told!r}"
+
+
+def good_files(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], list[str]]]]:
+    """Return good files and the commands that read them, by suffix."""
+    generator = np.random.default_rng(0)
+    heights = generator.normal(0.0, 9.0, (40, 40)).cumsum(0).cumsum(1).astype(np.float32)
+    dem = folder / "good.tif"
+    with rasterio.open(
+        dem, "w", driver="GTiff", width=40, height=40, count=1, dtype="float32",
+        crs="EPSG:32632", transform=from_origin(WEST, NORTH, SPACING_M, SPACING_M),
+    ) as file:  # fmt: skip
+        file.write(heights, 1)
+    store = folder / "store.h5"
+    if ended(["build", str(dem), "-o", str(store), "--spacing", "300"]) != "answered":
+        raise SkylineError("the good DEM was not built from")
+    ascii_dem = (
+        "ncols 40\nnrows 40\nxllcorner 600000\nyllcorner 5178800\ncellsize 30\n"
+        + "\n".join(" ".join(f"{height:.1f}" for height in row) for row in heights)
+    )
+    viewpoints = "easting,northing\n" + "".join(
+        f"{WEST + 300 + 20 * k},{NORTH - 400 - 10 * k}\n" for k in range(6)
+    )
+    trace = "# width=200 height=100\ncolumn_px,row_px\n" + "".join(
+        f"{k},{40 + 10 * np.sin(k / 9):.2f}\n" for k in range(200)
+    )
+    rows = np.arange(120)[:, np.newaxis]
+    ridge = 60 + 20 * np.sin(np.arange(200) / 15)
+    photo = np.where((rows < ridge)[..., np.newaxis], (230, 180, 120), (40, 60, 50)).astype(
+        np.uint8
+    )
+    jpeg = cv2.imencode(".jpg", photo)[1].tobytes()
+    png = cv2.imencode(".png", photo)[1].tobytes()
+    return {
+        "tif": (dem.read_bytes(), lambda path: ["info", str(path)]),
+        "asc": (ascii_dem.encode(), lambda path: ["info", str(path), "--crs", "EPSG:32632"]),
+        "csv": (
+            viewpoints.encode(),
+            lambda path: [
+                "render",
+                str(dem),
+                "--viewpoints",
+                str(path),
+                "-o",
+                str(folder / "o.h5"),
+            ],
+        ),
+        "trace.csv": (
+            trace.encode(),
+            lambda path: ["match", str(store), str(path), "--fov-deg", "60", *PLAIN],
+        ),
+        "jpg": (jpeg, lambda path: ["extract", str(path), "-o", str(folder / "jpg-out.csv")]),
+        "png": (png, lambda path: ["extract", str(path), "-o", str(folder / "png-out.csv")]),
+    }
+
+
+def _too_long(_signal: int, _frame: object) -> None:
+    raise Hang
+
+
+def measure(cases: int, seed: int) -> Iterator[dict[str, object]]:
+    """Yield how many of so many damaged files of each kind were answered, and how many refused."""
+    signal.signal(signal.SIGALRM, _too_long)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for suffix, (data, command) in good_files(folder).items():
+            generator = np.random.default_rng(seed)
+            ends: Counter[str] = Counter()
+            for case in range(cases):
+                path = folder / f"case-{case}.{suffix}"
+                path.write_bytes(damaged(data, generator))
+                ends[ended(command(path))] += 1
+                path.unlink()
+                (folder / "o.h5").unlink(missing_ok=True)
+            answered, refused = ends.pop("answered", 0), ends.pop("refused", 0)
+            yield {
+                "file": suffix,
+                "cases": cases,
+                "answered": answered,
+                "refused": refused,
+                "wrong": dict(ends),
+            }

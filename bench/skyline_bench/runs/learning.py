@@ -1,0 +1,206 @@
+"""Learn the confidence on Sierra and Rofental, show its reliability on Davos.
+
+From examples that were kept another model is learned in seconds.
+"""
+
+import json
+import os
+import tempfile
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from skyline import MatchConfig, read_dem
+from skyline.matching.confidence import Logistic
+from skyline.matching.full import FullMatcher
+from skyline.matching.retrieval import Retriever
+from skyline.pipeline import Progress, build_places
+from skyline.pipeline.match import RenderedScene
+from skyline.pipeline.places import DEFAULT_SPACING_M
+from skyline.store import open_store
+from skyline.terrain.dem import DemOptions
+from skyline.terrain.heightfield import HeightField
+from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.workers import crew
+from skyline_bench.queries.made import MadeQuery, QueryConfig, make_queries
+from skyline_bench.queries.other_dems import perturbed
+from skyline_bench.runs.calibration import (
+    MODELS,
+    Example,
+    Float64Array,
+    Reliability,
+    calibration_error,
+    examples,
+    learn,
+    probabilities,
+)
+
+SIDE_M = 6_000.0
+OUTSIDE = 1.35
+"""Queries come from an area this much wider than the store: nearly half from outside it."""
+
+LEARNED = {
+    "sierra": ("sierra/sierra_ansel_adams_30m_albers.tif", DemOptions(reproject=True)),
+    "rofental": ("rofental/dem_rofental_50.asc", DemOptions(crs="EPSG:32632")),
+}
+HELD_OUT = {"davos": ("davos/davos_srtm1_30m.tif", DemOptions())}
+
+STRANGERS = {"sierra": "rofental", "rofental": "sierra", "davos": "sierra"}
+"""Terrain -> one whose skylines its store must refuse."""
+STRANGERS_SHARE = 5
+"""One stranger to so many queries of a kind."""
+
+Told = dict[str, dict[str, list[Example]]]
+"""Examples by terrain and model."""
+
+KINDS = (
+    QueryConfig(fov_deg=(40.0, 90.0), noise_deg=(0.05, 0.3)),
+    QueryConfig(fov_deg=(40.0, 90.0), noise_deg=(0.05, 0.3), occluded_share=(0.0, 0.4)),
+)
+
+
+def _told_by(
+    terrain: HeightField, strange: HeightField, folder: Path, queries: int, seed: int
+) -> dict[str, list[Example]]:
+    """Match queries of all kinds in the terrain's middle, and some of another; by model."""
+    middle, half = _middle_of(terrain)
+    store = folder / "store.h5"
+    lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + [[-half, half], [-half, half]]))
+    bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
+    build_places(terrain, store, DEFAULT_SPACING_M, bounds_deg)
+    told: dict[str, list[Example]] = {name: [] for name in MODELS}
+    with open_store(store) as opened:
+        scene = RenderedScene(terrain, opened.header, MatchConfig())
+        matcher = FullMatcher(Retriever(opened.places(), terrain.height_at), scene)
+    for made in _all_queries(terrain, middle, OUTSIDE * half, queries, seed):
+        for example in examples(matcher, made):
+            for name, one in example.items():
+                told[name].append(one)
+    for made in _strangers(strange, max(queries // STRANGERS_SHARE, 1), seed):
+        for example in examples(matcher, made):
+            for name, one in example.items():
+                told[name].append(replace(one, right=False))
+    scene.release()
+    return told
+
+
+def _middle_of(terrain: HeightField) -> tuple[Float64Array, float]:
+    """Return the middle of a terrain and half the side of the square that is built there."""
+    west, south, east, north = terrain.bounds_m
+    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
+    return middle, 0.5 * min(SIDE_M, 0.7 * (east - west), 0.7 * (north - south))
+
+
+def _strangers(terrain: HeightField, queries: int, seed: int) -> list[tuple[MadeQuery, ...]]:
+    """Make queries of every kind, and plain ones, in a terrain's middle."""
+    middle, half = _middle_of(terrain)
+    area = (*(middle - half), *(middle + half))
+    return [
+        make_queries(terrain, area, queries, seed + number, replace(kind, fov_error=0.05))
+        for number, kind in enumerate((*KINDS, QueryConfig()), start=100)
+    ]
+
+
+def _all_queries(
+    terrain: HeightField, middle: Float64Array, half: float, queries: int, seed: int
+) -> list[tuple[MadeQuery, ...]]:
+    """Make queries of every kind, of this elevation model and of one that differs."""
+    area = (*(middle - half), *(middle + half))
+    return [
+        make_queries(seen, area, queries, seed + number, replace(kind, fov_error=0.05))
+        for number, (seen, kind) in enumerate(
+            (seen, kind) for seen in (terrain, perturbed(terrain, seed=seed)) for kind in KINDS
+        )
+    ]
+
+
+def matched(data: Path, queries: int, seed: int, progress: Progress) -> Told:
+    """Match queries on every terrain, each in a process; examples by terrain and model."""
+    terrains = LEARNED | HELD_OUT
+    told: Told = {}
+    with crew((data, queries, seed), os.cpu_count() or 1) as work:
+        for name, one in work(_matched_on, list(terrains)):
+            told[name] = one
+            progress(len(told), len(terrains))
+    return {name: told[name] for name in terrains}
+
+
+def _matched_on(asked: tuple[Path, int, int], name: str) -> dict[str, list[Example]]:
+    """Match as many queries as asked of a kind, by a seed, on one terrain; examples by model."""
+    data, queries, seed = asked
+    terrain, strange = (
+        read_dem([data / path], options)
+        for path, options in ((LEARNED | HELD_OUT)[one] for one in (name, STRANGERS[name]))
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        return _told_by(terrain, strange, Path(folder), queries, seed)
+
+
+def kept(path: Path) -> Told:
+    """Read examples that `keep` wrote."""
+    return {
+        terrain: {model: [Example(**one) for one in some] for model, some in models.items()}
+        for terrain, models in json.loads(path.read_text()).items()
+    }
+
+
+def keep(told: Told, path: Path) -> None:
+    """Write examples, so that another model can be learned from the same matches."""
+    written = {
+        terrain: {model: [asdict(one) for one in some] for model, some in models.items()}
+        for terrain, models in told.items()
+    }
+    path.write_text(json.dumps(written))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Learned:
+    """What examples teach.
+
+    Attributes
+    ----------
+    models : dict of str to Logistic
+    about : dict
+        What they were learned from.
+    rows : list of dict
+        How well each does on each terrain.
+    shown : list of (str, (N,) float64, (N,) bool)
+        On the terrains held out: a label, probabilities, and whether the answers were right.
+    """
+
+    models: dict[str, Logistic]
+    about: dict[str, object]
+    rows: list[Row]
+    shown: list[Reliability]
+
+
+def learned(told: Told) -> Learned:
+    """Learn a model of each kind, and hold it to every terrain."""
+    learned_from = {
+        model: [one for name in LEARNED for one in told[name][model]] for model in MODELS
+    }
+    models = {model: learn(some) for model, some in learned_from.items()}
+    rows: list[Row] = []
+    shown: list[Reliability] = []
+    for model in MODELS:
+        for name, one in told.items():
+            sure = probabilities(models[model], one[model])
+            right = np.array([example.right for example in one[model]])
+            answered = sure >= MatchConfig().min_confidence
+            rows.append(
+                {
+                    "model": model,
+                    "terrain": name,
+                    "held_out": name in HELD_OUT,
+                    "n": len(right),
+                    "right": float(right.mean()),
+                    "calibration_error": calibration_error(sure, right),
+                    "answered": float(answered.mean()),
+                    "precision": float(right[answered].mean()) if answered.any() else None,
+                }
+            )
+            if name in HELD_OUT:
+                shown.append((f"{model}, {name}", sure, right))
+    counts = {model: len(some) for model, some in learned_from.items()}
+    return Learned(models, {"terrain": list(LEARNED), "examples": counts}, rows, shown)

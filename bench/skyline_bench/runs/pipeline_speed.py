@@ -1,0 +1,70 @@
+"""The pipeline timed stage by stage, on a small DEM that is always at hand.
+
+Times on shared machines wander: compare stages of one run, not runs.
+"""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from skyline.features import polyline_keypoints
+from skyline.matching import MATCHERS
+from skyline.photo import read_query
+from skyline.pipeline import Matcher, build_uniform
+from skyline.planning.uniform import map_bounds, uniform_grid
+from skyline.render.depth import DepthRenderer
+from skyline.terrain.dem import read_dem
+from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.pinhole import Camera
+from skyline_bench.queries.sample import write_sample_dem
+from skyline_bench.truth import oracle
+
+BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
+CAMERA = Camera(140.0, fov_deg=60.0)
+
+
+def timed(work: Callable[[], object], repeats: int) -> float:
+    """Return the median seconds of some runs after one that warms up."""
+    work()
+    seconds = []
+    for _ in range(repeats):
+        started = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - started)
+    return float(np.median(seconds))
+
+
+def measure(folder: Path, repeats: int) -> list[dict[str, object]]:
+    """Return one row a stage, the median of some repeats; files go to a folder."""
+    rows: list[dict[str, object]] = []
+
+    def row(stage: str, seconds: float, count: int, unit: str) -> None:
+        rows.append({"stage": stage, "ms_each": 1e3 * seconds / count, "of": unit})
+
+    dem = write_sample_dem(folder / "dem.tif")
+    row("read and warp DEM", timed(lambda: read_dem([dem]), repeats), 1, "DEM")
+    terrain = read_dem([dem])
+    eyes = uniform_grid(terrain, 1000.0, map_bounds(terrain, BOUNDS_DEG))[:16]
+    for width in (160, 640, 1280):
+        with DepthRenderer(terrain, width) as renderer:
+            seconds = timed(lambda: renderer.render(eyes), repeats)
+        row(f"depth path, W = {width}", seconds, len(eyes), "viewpoint")
+    row("oracle, W = 640", timed(lambda: oracle.skyline(terrain, eyes[:4]), 1), 4, "viewpoint")
+    with DepthRenderer(terrain) as renderer:
+        views = renderer.render(eyes)
+    row("keypoints", timed(lambda: polyline_keypoints(views, 1.0), repeats), len(views), "view")
+    store = folder / "store.h5"
+    build_uniform(terrain, store, 500.0, BOUNDS_DEG)
+    query = folder / "query.jpg"
+    with DepthRenderer(terrain, 2048) as renderer:
+        Image.fromarray(photograph(renderer, eyes, 0, CAMERA, seed=1)).save(query, quality=92)
+    row("photo to skyline", timed(lambda: read_query(query, CAMERA.fov_deg), repeats), 1, "photo")
+    for name in MATCHERS:
+        matcher = Matcher(store, matcher=name)
+        seconds = timed(partial(matcher.match, query, CAMERA.fov_deg), repeats)
+        row(f"match, {name}", seconds, len(matcher.viewpoints), "stored location")
+    return rows

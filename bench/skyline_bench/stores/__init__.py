@@ -1,0 +1,1 @@
+"""Stores to measure with, and what they must withstand."""

@@ -1,0 +1,1 @@
+"""Trials: matchers run on made queries, and how wrong their answers are."""

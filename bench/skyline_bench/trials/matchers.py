@@ -1,0 +1,45 @@
+"""The matchers that are compared: the paper's, plain correlation, and ours without and with all."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+
+from skyline.errors import InputError
+from skyline.pipeline import FULL, MatchConfig, Matcher
+from skyline.store.header import PLACES, RENDERINGS
+from skyline.terrain.heightfield import HeightField
+from skyline_bench.queries.made import QueryConfig
+
+PAPER, CORRELATION, RETRIEVED = "paper", "correlation", "retrieved"
+MATCHING = MatchConfig(fov_slack=QueryConfig().fov_error)
+"""The field of view of made queries is known to 5 %."""
+
+WHAT: Mapping[str, str] = MappingProxyType(
+    {
+        PAPER: "the paper's: keypoints, Chamfer, RANSAC",
+        CORRELATION: "skylines slid along renderings",
+        RETRIEVED: "ours, among places, not refined",
+        FULL: "ours, among places, refined by rendering",
+    }
+)
+"""Matchers by name, and what they are."""
+
+
+def searched_by(name: str) -> str:
+    """Return what a store must hold for a matcher to search it: places or renderings."""
+    return PLACES if name in (RETRIEVED, FULL) else RENDERINGS
+
+
+def open_matcher(name: str, store: Path, terrain: HeightField) -> Matcher:
+    """Open a store for a matcher; raises as `Matcher`."""
+    if searched_by(name) == RENDERINGS:
+        return Matcher(store, terrain, name, MATCHING)
+    return Matcher(store, terrain, FULL, replace(MATCHING, refine=name == FULL))
+
+
+def check_matchers(names: Iterable[str]) -> None:
+    """Raise `InputError` for the name of no matcher."""
+    for name in names:
+        if name not in WHAT:
+            raise InputError(f"matcher is {name!r}; expected one of {', '.join(WHAT)}")

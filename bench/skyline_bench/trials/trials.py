@@ -1,0 +1,186 @@
+"""Trials: one matcher's answers to made queries, how wrong they are, and their summary."""
+
+import csv
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError
+from skyline.matching import Candidate
+from skyline.matching.confidence import RIGHT_WITHIN_M
+from skyline.photo import QuerySkyline
+from skyline.pipeline import MatchResult
+from skyline_bench.measuring.record import write_record
+from skyline_bench.queries.made import MadeQuery, Truth
+
+Float64Array = NDArray[np.float64]
+
+_RESAMPLES = 2000
+_INTERVAL = (2.5, 97.5)
+"""Percentiles of the bootstrap that bound an interval of 95 %."""
+
+
+class QueryMatcher(Protocol):
+    """Anything that finds query skylines on the map."""
+
+    def match(self, query: QuerySkyline, fov_deg: float | None = None, top: int = 5) -> MatchResult:
+        """Return what was found, best first."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What one matcher made of one query.
+
+    Attributes
+    ----------
+    query : int
+        The query's number.
+    truth : Truth
+    distance_m : float
+        Median distance of the query's skyline.
+    candidates : tuple of Candidate
+        Best first; empty where the matcher found nothing or refused the query.
+    answered : bool
+        Whether the matcher stands by the best of them.
+    error_m : float
+        Distance of the best candidate from the truth; without any, what a miss is set to.
+    heading_error_deg : float
+        Of the best candidate, 0 to 180; NaN without any.
+    seconds : float
+    """
+
+    query: int
+    truth: Truth
+    distance_m: float
+    candidates: tuple[Candidate, ...]
+    answered: bool
+    error_m: float
+    heading_error_deg: float
+    seconds: float
+
+    @property
+    def right(self) -> bool:
+        """Whether there is a best candidate, and it is within 200 m."""
+        return bool(self.candidates) and self.error_m <= RIGHT_WITHIN_M
+
+
+def run_trials(
+    matcher: QueryMatcher, queries: Sequence[MadeQuery], miss_m: float, top: int
+) -> Iterator[Trial]:
+    """Yield a trial of each query; a query without any candidate is wrong by ``miss_m``."""
+    for index, query in enumerate(queries):
+        started = time.perf_counter()
+        try:
+            result: MatchResult | None = matcher.match(query.skyline, top=top)
+        except InputError:
+            # Too little of the skyline is in the image: a refusal, and no answer.
+            result = None
+        yield trial_of(index, query, result, time.perf_counter() - started, miss_m)
+
+
+def trial_of(
+    index: int, query: MadeQuery, result: MatchResult | None, seconds: float, miss_m: float
+) -> Trial:
+    """Return what a result, None for a refusal, makes of the query of that number."""
+    candidates = result.candidates if result else ()
+    error_m, turn_deg = miss_m, np.nan
+    if candidates:
+        error_m, turn_deg = errors(candidates[0], query.truth)
+    return Trial(
+        index,
+        query.truth,
+        query.distance_m,
+        candidates,
+        result is not None and result.answer is not None,
+        error_m,
+        turn_deg,
+        seconds,
+    )
+
+
+def errors(candidate: Candidate, truth: Truth) -> tuple[float, float]:
+    """Return a candidate's distance from the truth, metres, and its turn from it, 0 to 180 deg."""
+    east, north = (
+        candidate.easting_m - truth.easting_m,
+        candidate.northing_m - truth.northing_m,
+    )
+    turn = (candidate.grid_heading_deg - truth.heading_deg + 180.0) % 360.0 - 180.0
+    return float(np.hypot(east, north)), abs(turn)
+
+
+def summarize(trials: Sequence[Trial], seed: int) -> dict[str, object]:
+    """Return the figures of one table row; see `runs.matching.measure`.
+
+    Intervals are percentile bootstraps over the queries. One seed draws the same queries for
+    every row, so that rows can be compared.
+    """
+    error_m = np.array([trial.error_m for trial in trials])
+    right = np.array([trial.right for trial in trials])
+    answered = np.array([trial.answered for trial in trials])
+    turn_deg = np.array([trial.heading_error_deg for trial in trials])[right]
+    draws = np.random.default_rng(seed).integers(0, len(trials), (_RESAMPLES, len(trials)))
+    within = np.percentile(right[draws].mean(axis=1), _INTERVAL)
+    mean = np.percentile(error_m[draws].mean(axis=1), _INTERVAL)
+    median = np.percentile(np.median(error_m[draws], axis=1), _INTERVAL)
+    return {
+        "n": len(trials),
+        "within_200m": float(right.mean()),
+        "within_200m_low": float(within[0]),
+        "within_200m_high": float(within[1]),
+        "mean_m": float(error_m.mean()),
+        "mean_m_low": float(mean[0]),
+        "mean_m_high": float(mean[1]),
+        "median_m": float(np.median(error_m)),
+        "median_m_low": float(median[0]),
+        "median_m_high": float(median[1]),
+        "p90_m": float(np.percentile(error_m, 90.0)),
+        "heading_median_deg": float(np.median(turn_deg)) if right.any() else None,
+        "answered": float(answered.mean()),
+        "precision": float(right[answered].mean()) if answered.any() else None,
+        "query_ms": 1e3 * float(np.median([trial.seconds for trial in trials])),
+    }
+
+
+def candidate_rows(trial: Trial) -> list[dict[str, object]]:
+    """Return one row for each candidate of a trial, with all that the matcher said of it.
+
+    A trial without candidates has one row, of rank None.
+    """
+    truth = asdict(trial.truth)
+    truth["grid_heading_deg"] = truth.pop("heading_deg")
+    about: dict[str, object] = {
+        "query": trial.query,
+        **{f"true_{name}": value for name, value in truth.items()},
+        "distance_m": trial.distance_m,
+        "answered": trial.answered,
+        "seconds": trial.seconds,
+    }
+    if not trial.candidates:
+        return [{**about, "rank": None, "error_m": trial.error_m}]
+    rows = []
+    for rank, candidate in enumerate(trial.candidates, start=1):
+        error_m, turn_deg = errors(candidate, trial.truth)
+        figures = {"rank": rank, "error_m": error_m, "heading_error_deg": turn_deg}
+        grid = {"grid_heading_deg": candidate.grid_heading_deg}
+        rows.append({**about, **figures, **asdict(candidate), **grid})
+    return rows
+
+
+def write_rows(path: Path, bench: str, rows: Sequence[dict[str, object]]) -> None:
+    """Write rows as CSV where the path ends so, else as a record with the machine (JSON)."""
+    if path.suffix.lower() != ".csv":
+        write_record(path, bench, rows)
+        return
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    partial = path.with_name(path.name + ".partial")
+    with partial.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, names)
+        writer.writeheader()
+        writer.writerows(rows)
+    partial.replace(path)

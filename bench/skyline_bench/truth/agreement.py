@@ -1,0 +1,302 @@
+"""How far rendered skylines may be from the oracle's, and how far they are.
+
+A path's error is held to a bound derived from how it computes, column by column. The bound of the
+horizon path is that of 32-bit floats; the bound of the depth path is its quantization.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size, project
+from skyline.geodesy import Curvature
+from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
+from skyline.render.horizon import HorizonRenderer
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.triangles import Rims, Triangles
+from skyline.terrain.viewpoints import Viewpoints
+from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
+from skyline_bench.truth import oracle
+
+Float64Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+EPSILON = 2.0**-24
+"""Relative rounding error of a 32-bit float."""
+
+_ASIDE = 16.0 * EPSILON
+"""How far aside a ray may be, a unit of depth."""
+
+_NEAR_PX = 0.008
+"""What heights next to the eye may cost before the horizon path turns to float64."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """What is rendered: eyes on a surface, W columns a view, the planet below."""
+
+    field: HeightField
+    viewpoints: Viewpoints
+    width: int = DEFAULT_WIDTH
+    curvature: Curvature = dataclasses.field(default_factory=Curvature)
+
+    def first(self, count: int) -> "Scene":
+        """Return the scene with its first viewpoints only."""
+        return replace(self, viewpoints=self.viewpoints[:count])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What the skylines of a scene should be.
+
+    Attributes
+    ----------
+    views : Views
+        float64.
+    slack_px : float
+        How far the elevation_tan of ``views`` may be from the exact surface's: 0 from the
+        oracle, the discretization of the terrain for a closed form.
+    """
+
+    views: Views
+    slack_px: float = 0.0
+
+
+def oracle_truth(scene: Scene) -> Truth:
+    """Return the oracle's skylines of a scene."""
+    return Truth(oracle.skyline(scene.field, scene.viewpoints, scene.width, scene.curvature))
+
+
+class Renderer(Protocol):
+    """Anything that renders skylines."""
+
+    def render(self, viewpoints: Viewpoints) -> Views:
+        """Return 4 N views; the four headings of a viewpoint follow one another."""
+        ...
+
+
+class RendererFactory(Protocol):
+    """Makes a renderer of one field, released on leaving its context."""
+
+    def __call__(
+        self, field: HeightField, width: int, curvature: Curvature | None, /
+    ) -> AbstractContextManager[Renderer]:
+        """Return the renderer's context manager."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Agreement:
+    """Rendered skylines against the truth, both (N, W).
+
+    Attributes
+    ----------
+    error_px : float64
+        Infinite where only one of the two meets data; 0 where the path cannot be held to it.
+    bound_px : float64
+        What the path's arithmetic allows.
+    flags_agree : bool
+    """
+
+    error_px: Float64Array
+    bound_px: Float64Array
+    flags_agree: BoolArray
+
+    @property
+    def holds(self) -> bool:
+        """Whether every error is within its bound and every flag agrees."""
+        return bool((self.error_px <= self.bound_px).all() and self.flags_agree.all())
+
+
+@dataclass(frozen=True, slots=True)
+class RenderPath:
+    """A way to render skylines, and what it promises.
+
+    Attributes
+    ----------
+    name : str
+    factory : RendererFactory
+    agreement : callable
+        Compares rendered views of a scene with the truth.
+    """
+
+    name: str
+    factory: RendererFactory
+    agreement: Callable[[Scene, Views, Truth], Agreement]
+
+    def render(self, scene: Scene) -> Views:
+        """Render a scene with a renderer of its own."""
+        with self.factory(scene.field, scene.width, scene.curvature) as renderer:
+            return renderer.render(scene.viewpoints)
+
+
+def exact_agreement(scene: Scene, views: Views, truth: Truth) -> Agreement:
+    """Compare skylines computed exactly but for 32-bit arithmetic: the horizon path's promise.
+
+    Flags must be the oracle's too, except where those floats cannot decide them
+    (`undecided_columns`).
+    """
+    bound = float32_bound_px(scene, views, truth.views) + truth.slack_px
+    error = _error_px(views, truth.views)
+    agree = views.flags == truth.views.flags
+    # Rays that cannot be decided are few, and finding them costs three times the oracle.
+    doubtful = ~((error <= bound) & agree).reshape(len(scene.viewpoints), -1).all(axis=1)
+    if doubtful.any():
+        rows = np.repeat(doubtful, len(HEADINGS))
+        part = replace(scene, viewpoints=scene.viewpoints[doubtful])
+        undecided, spread = undecided_columns(part, bound[rows])
+        agree[rows] |= undecided
+        bound[rows] += spread
+    return Agreement(error, bound, agree)
+
+
+def quantized_agreement(scene: Scene, views: Views, truth: Truth) -> Agreement:
+    """Compare skylines read from depth images: the depth path's promise.
+
+    Nothing is promised outside the image, and behind a hole, where a sliver of the surface
+    without a foot may fall between pixel centres. A border within the same pixel cannot be told
+    from the skyline, so more columns may be flagged truncated than are.
+    """
+    in_image = (views.flags & FLAG_OUT_OF_IMAGE) == 0
+    held = (views.flags & (FLAG_OUT_OF_IMAGE | FLAG_NO_DATA | FLAG_HOLE)) == 0
+    error = np.where(held, _error_px(views, truth.views), 0.0)
+    # Vertices snap sideways too, which a steep skyline turns into height.
+    bound = 0.5 + (QUANTIZATION_PX - 0.5) * (1.0 + _steepness(truth.views)) + truth.slack_px
+    same = FLAG_HOLE | FLAG_NO_DATA
+    missed = truth.views.flags & ~views.flags & FLAG_TRUNCATED
+    agree = (views.flags & same) == (truth.views.flags & same)
+    # The flag is set within `QUANTIZATION_PX` of the border's v.
+    agree &= (missed == 0) | (error > QUANTIZATION_PX)
+    agree |= ~in_image
+    if not agree.all():
+        agree |= undecided_columns(scene, np.zeros(error.shape))[0]
+    return Agreement(error, bound, agree)
+
+
+def _steepness(views: Views) -> Float64Array:
+    """Return the greatest |dv / du| from each column to its neighbours, (N, W)."""
+    steps = np.abs(np.diff(np.nan_to_num(views.elevation_tan), axis=1)) / pixel_size(views.width)
+    steps = np.pad(steps, ((0, 0), (1, 1)))
+    return np.asarray(np.maximum(steps[:, 1:], steps[:, :-1]), dtype=np.float64)
+
+
+def float32_bound_px(scene: Scene, views: Views, truth: Views) -> Float64Array:
+    """Return what 32-bit arithmetic may cost in each column, (N, W), in px.
+
+    A crossing's ordinate is v = y / z with y = (1 - f) h0 + f h1 - drop, heights from the eye,
+    f the fraction along the edge crossed, z the depth. With e = 2^-24, D the greatest height
+    difference along an edge and its sag, s the finer spacing, r the ratio of the spacings, and
+    roundings counted as `shaders/horizon_walk.glsl` makes them:
+
+    - the weighted heights: 3 roundings each, and (1 - f) |h0| + f |h1| is at most |y| + drop +
+      D / 2; the three sums after: 3 of |y| + drop; the drop itself: 6; 1 - f costs D once more;
+    - f is where the ray is, at most r z / s cells aside: 9 e of that (5 in the slope, the depth,
+      the product, the sum, the eye's offset), and costs D times as much;
+    - the depth of a crossing 7 roundings, the division and the scale 2.
+
+    Altogether |dv| <= e (15 |v| + 2.5 D / z + 18 drop / z + 9 r D / s). Nearer than one cell
+    D / z grows; the renderer turns to float64 where it reckons that this costs 0.004 px with the
+    greatest height over the eye for D, of which the difference of two heights is at most twice.
+
+    The greatest of several crossings is wrong by no more than the worst of those that are
+    greatest in the truth or in the rendering, whence the lesser depth and the greater v.
+    """
+    field, pixel = scene.field, pixel_size(scene.width)
+    coarse = max(field.spacing_east_m, field.spacing_north_m)
+    depth = views.depth_m.astype(np.float64)
+    nearer, farther = np.fmin(depth, truth.depth_m), np.fmax(depth, truth.depth_m)
+    tan = np.fmax(np.abs(views.elevation_tan.astype(np.float64)), np.abs(truth.elevation_tan))
+    # An edge's chord hangs below the curved ground by a part of this.
+    sag = scene.curvature.drop_per_m2 * (field.spacing_east_m**2 + field.spacing_north_m**2)
+    step = greatest_step_m(field) + sag
+    # A point's horizontal distance is at most sqrt(2) times its depth.
+    drop_tan = 2.0 * scene.curvature.drop_per_m2 * farther
+    error = 15.0 * tan + 18.0 * drop_tan + 9.0 * coarse * step / field.spacing_m**2
+    relief_px = 2.5 * EPSILON * step / pixel
+    near_px = np.minimum(relief_px / nearer, max(relief_px / field.spacing_m, _NEAR_PX))
+    bound_px = np.nan_to_num(EPSILON * error / pixel + near_px, posinf=0.0)
+    return np.asarray(bound_px, dtype=np.float64)
+
+
+def greatest_step_m(field: HeightField) -> float:
+    """Return the greatest height difference along any edge of the surface; 0 without edges."""
+    heights = field.heights_m.astype(np.float64)
+    steps = (heights[1:] - heights[:-1], heights[:, 1:] - heights[:, :-1])
+    diagonals = heights[1:, 1:] - heights[:-1, :-1]
+    return max(float(np.nanmax(np.abs(np.append(step, 0.0)))) for step in (*steps, diagonals))
+
+
+def undecided_columns(scene: Scene, bound_px: Float64Array) -> tuple[BoolArray, Float64Array]:
+    """Find the columns whose flags 32-bit floats cannot decide.
+
+    Where a ray passes a sample is known to `_ASIDE` of its depth. Whether it passes left or right
+    of one on the border of the map or of a hole is open within that; and whether the skyline is
+    on such a border or inside is open where both have v within the bound of each other.
+
+    Parameters
+    ----------
+    scene : Scene
+    bound_px : (N, W) float64
+        Bound on the error of v.
+
+    Returns
+    -------
+    undecided : (N, W) bool
+    spread_px : (N, W) float64
+        How far apart the skylines to both sides of a column may be: next to nothing but where the
+        ray passes such a sample, or runs almost along the edge that it sees as the skyline.
+        Infinite where only one side meets data.
+    """
+    u, pixel = columns_u(scene.width), pixel_size(scene.width)
+    exact, left, right = (
+        oracle.rivals(scene.field, scene.viewpoints, u + aside, scene.curvature)
+        for aside in (0.0, -2.0 * _ASIDE, 2.0 * _ASIDE)
+    )
+    with np.errstate(invalid="ignore"):
+        lead_px = np.abs(exact.border_tan - exact.inner_tan) / pixel
+    passes_rim = _columns_past_rims(scene)
+    sides = np.stack([np.maximum(each.inner_tan, each.border_tan) for each in (left, right, exact)])
+    with np.errstate(invalid="ignore"):
+        spread_px = np.where(np.isneginf(sides).all(axis=0), 0.0, np.ptp(sides, axis=0) / pixel)
+    # The sides are looked at 32 e apart, for which v may differ by 4 times what 9 e cost.
+    spread_px = spread_px + np.where(passes_rim, 4.0 * bound_px, 0.0)
+    return passes_rim | (lead_px <= 2.0 * bound_px), np.asarray(spread_px, dtype=np.float64)
+
+
+def _columns_past_rims(scene: Scene) -> BoolArray:
+    """Return (N, W): whether a column's ray passes a sample where the surface ends."""
+    field, eyes, u = scene.field, scene.viewpoints, columns_u(scene.width)
+    rims = Rims.of(Triangles.of(field.heights_m))
+    row, col = np.unique(np.stack([rims.row.ravel(), rims.col.ravel()]), axis=1)
+    easting, northing = field.to_map(row, col)
+    passes = np.zeros((len(eyes), len(HEADINGS), scene.width), dtype=bool)
+    for index in range(len(eyes)):
+        offsets = np.zeros((len(easting), 3))
+        offsets[:, 0] = easting - eyes.easting_m[index]
+        offsets[:, 2] = northing - eyes.northing_m[index]
+        for heading in HEADINGS:
+            uv, depth = project(offsets, heading)
+            ahead = depth > 0.0
+            at, slack = uv[ahead, 0], _ASIDE * (1.0 + field.spacing_m / depth[ahead])
+            nearest = np.clip(np.rint((at + 1.0) / pixel_size(scene.width) - 0.5), 0, len(u) - 1)
+            column = nearest.astype(np.int64)
+            passes[index, heading, column[np.abs(u[column] - at) <= slack]] = True
+    return passes.reshape(-1, scene.width)
+
+
+def _error_px(views: Views, truth: Views) -> Float64Array:
+    seen, expected = ~np.isnan(views.elevation_tan), ~np.isnan(truth.elevation_tan)
+    error = np.abs(views.elevation_tan - truth.elevation_tan) / pixel_size(views.width)
+    return np.where(seen & expected, error, np.where(seen == expected, 0.0, np.inf))
+
+
+DEPTH = RenderPath("depth", DepthRenderer, quantized_agreement)
+"""The paper's rasterizer."""
+
+HORIZON = RenderPath("horizon", HorizonRenderer, exact_agreement)
+"""The horizon rasterizer, exact but for 32-bit floats."""

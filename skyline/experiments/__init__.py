@@ -1,1 +1,0 @@
-"""Experiments: made-up queries with known answers, and what is measured with them."""

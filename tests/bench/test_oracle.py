@@ -1,0 +1,221 @@
+"""The oracle against closed forms, and against a loop over every edge of every triangle."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scenes import FRAME, field_from, field_of, fractal
+
+from skyline.camera import columns_u, rotation
+from skyline.geodesy import Curvature
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED
+from skyline_bench.truth import oracle
+
+FLAT = Curvature(enabled=False)
+
+
+def eye(east, north, up):
+    return Viewpoints(np.array([east]), np.array([north]), np.array([up]))
+
+
+def test_step_is_seen_at_its_upper_edge():
+    field = field_from(lambda e, n: np.where(n >= 300.0, 120.0, 0.0) + 0.0 * e, 101, 10.0)
+    view = oracle.skyline(field, eye(3.0, -101.0, 2.0), 64, FLAT)[0:1]
+    np.testing.assert_allclose(view.elevation_tan[0], 118.0 / 401.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(view.depth_m[0], 401.0, rtol=1e-12)
+    assert not view.flags.any()
+
+
+def test_ridge_keeps_one_ordinate_from_end_to_end():
+    field = field_from(lambda e, n: 90.0 - np.abs(n - 200.0) * 0.4 + 0.0 * e, 201, 8.0)
+    view = oracle.skyline(field, eye(-5.0, -300.0, 30.0), 65, FLAT)[0:1]
+    np.testing.assert_allclose(view.elevation_tan[0], 60.0 / 500.0, rtol=0, atol=1e-12)
+
+
+def test_diagonal_roof_follows_its_ridge_line():
+    # The crest runs along the split diagonal (north-west to south-east): east = -north + 400.
+    slope = 0.25
+    field = field_from(lambda e, n: 50.0 - slope * np.abs(e + n - 400.0), 241, 10.0)
+    u = columns_u(41)
+    view = oracle.skyline(field, eye(0.0, 0.0, 0.0), 41, FLAT)[0:1]
+    # Heading north: a crest point at depth z has u z + z = 400.
+    depth = 400.0 / (1.0 + u)
+    inside = depth < 1100.0
+    np.testing.assert_allclose(
+        view.elevation_tan[0][inside], (50.0 / depth)[inside], rtol=0, atol=1e-12
+    )
+
+
+def test_cone_shows_two_straight_lines():
+    # v = h/D - s |u| sqrt(1 - (h / sD)^2): the generators that touch the view's cone of rays.
+    slope, apex, distance, spacing = 0.5, 300.0, 1000.0, 5.0
+    field = field_from(lambda e, n: apex - slope * np.hypot(e, n), 601, spacing)
+    above = 100.0
+    ratio = (apex - above) / (slope * distance)
+    u = columns_u(101)
+    expected = (apex - above) / distance - slope * np.abs(u) * np.sqrt(1.0 - ratio**2)
+    view = oracle.skyline(field, eye(0.0, -distance, above), 101, FLAT)[0:1]
+    seen = np.abs(u) < 0.6
+    # The triangles lie below the cone by at most the slope times the way to a sample.
+    error = expected[seen] - view.elevation_tan[0][seen]
+    assert error.min() > -1e-12
+    assert error.max() < slope * spacing * np.sqrt(0.5) / 500.0
+    centre = 50
+    assert view.elevation_tan[0][centre] == pytest.approx(0.2, abs=1e-12)
+
+
+@pytest.mark.parametrize("spacing", [20.0, 10.0])
+def test_hemisphere_shows_its_tangent(spacing):
+    radius, distance, above = 400.0, 1500.0, 50.0
+
+    def height(east, north):
+        return np.sqrt(np.maximum(radius**2 - east**2 - north**2, 0.0))
+
+    field = field_from(height, int(3600 / spacing) + 1, spacing)
+    view = oracle.skyline(field, eye(0.0, -distance, above), 201, FLAT)[0:1]
+    u = columns_u(201)
+    azimuth = np.arctan(u)
+    seen = np.abs(distance * np.sin(azimuth)) < 0.5 * radius
+    aside, along = distance * np.sin(azimuth[seen]), distance * np.cos(azimuth[seen])
+    circle = np.sqrt(radius**2 - aside**2)
+    angle = np.arcsin(circle / np.hypot(along, above)) + np.arctan2(-above, along)
+    expected = np.tan(angle) / np.cos(azimuth[seen])
+    # Where it is touched the sphere's slope stays under 1: second derivatives under 2^1.5 / R,
+    # and triangles with right angles miss by at most spacing^2 / 4 times that.
+    bound = spacing**2 / 4.0 * 2.0**1.5 / radius / (distance - radius)
+    error = expected - view.elevation_tan[0][seen]
+    assert error.min() > -1e-12
+    assert error.max() < bound
+
+
+def test_plane_shows_its_slope_at_infinity_and_its_border():
+    field = field_from(lambda e, n: 0.1 * n + 0.0 * e, 41, 10.0)
+    views = oracle.skyline(field, eye(0.0, 0.0, 0.0), 31, FLAT)
+    np.testing.assert_allclose(views.elevation_tan[0], 0.1, atol=1e-12)
+    dip = oracle.skyline(field, eye(0.0, 0.0, 5.0), 31, FLAT)
+    np.testing.assert_allclose(dip.elevation_tan[0], 0.1 - 5.0 / 200.0, atol=1e-12)
+    assert (dip.flags == FLAG_TRUNCATED).all()
+
+
+def test_curvature_drops_a_distant_summit():
+    curvature = Curvature(radius_m=6_000_000.0, refraction_k=0.25)
+    heights = np.zeros((401, 3))
+    heights[0, 1] = 1000.0
+    field = field_of(heights, 100.0, west_m=-100.0, north_m=40_000.0)
+    view = oracle.skyline(field, eye(0.0, 0.0, 2.0), 3, curvature)[0:1]
+    drop = 40_000.0**2 * 0.75 / 12_000_000.0
+    assert view.elevation_tan[0, 1] == pytest.approx((998.0 - drop) / 40_000.0, abs=1e-12)
+
+
+def test_hole_is_looked_over_and_flagged():
+    heights = np.zeros((60, 60))
+    heights[10:20, 25:35] = np.nan
+    heights[5, :] = 100.0
+    field = field_of(heights, 10.0)
+    view = oracle.skyline(field, eye(300.0, -500.0, 2.0), 101, FLAT)[0:1]
+    u = columns_u(101)
+    wall = np.abs(u) < 0.6
+    np.testing.assert_allclose(view.elevation_tan[0][wall], 98.0 / 450.0, atol=1e-12)
+    over = (view.flags[0] & FLAG_HOLE) != 0
+    # The hole's nearest corner samples are at columns 24 and 35, rows 9 and 20.
+    assert over[np.abs(u) < 40.0 / 400.0].all()
+    assert not over[np.abs(u) > 60.0 / 290.0].any()
+
+
+def test_eye_on_the_border_meets_no_data_outside():
+    field = field_of(np.zeros((10, 10)), 10.0)
+    views = oracle.skyline(field, eye(45.0, 0.0, 1.0), 16, FLAT)
+    assert np.isnan(views.elevation_tan[0]).all()
+    assert (views.flags[0] == FLAG_NO_DATA).all()
+    assert np.isfinite(views.elevation_tan[2]).all()
+
+
+def skyline_by_edges(field, viewpoints, index, heading, width):
+    """Return v of every column by a loop over the edges of all triangles."""
+    heights = field.heights_m.astype(np.float64)
+    edges = set()
+    for row in range(field.rows - 1):
+        for col in range(field.cols - 1):
+            diagonal = ((row, col), (row + 1, col + 1))
+            for third in ((row, col + 1), (row + 1, col)):
+                corners = (*diagonal, third)
+                if not any(np.isnan(heights[corner]) for corner in corners):
+                    edges |= {diagonal, (diagonal[0], third), (third, diagonal[1])}
+    u = columns_u(width)
+    best = np.full(width, -np.inf)
+    for ends in edges:
+        points = []
+        for row, col in ends:
+            east, north = field.to_map(row, col)
+            east, north = east - viewpoints.easting_m[index], north - viewpoints.northing_m[index]
+            up = heights[row, col] - viewpoints.eye_elevation_m[index]
+            up -= Curvature().drop_per_m2 * (east**2 + north**2)
+            points.append(rotation(heading) @ np.array([east, up, north]))
+        first, second = points
+        start, end = first[0] - u * first[2], second[0] - u * second[2]
+        crossed = (start * end <= 0.0) & (start != end)
+        share = np.where(crossed, start / np.where(crossed, start - end, 1.0), 0.0)
+        depth = first[2] + share * (second[2] - first[2])
+        crossed &= depth > 0.0
+        up = first[1] + share * (second[1] - first[1])
+        best = np.where(crossed, np.maximum(best, up / np.where(crossed, depth, 1.0)), best)
+    return best
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.integers(2, 9),
+    st.integers(2, 9),
+    st.integers(0, 2**32 - 1),
+    st.booleans(),
+    st.sampled_from([7, 16]),
+)
+def test_oracle_equals_a_loop_over_every_edge(rows, cols, seed, holes, width):
+    generator = np.random.default_rng(seed)
+    heights = generator.normal(size=(rows, cols)) * 40.0
+    if holes:
+        heights[generator.random((rows, cols)) < 0.2] = np.nan
+    field = HeightField(heights, 1e6, 5e6, 30.0, 25.0, FRAME)
+    easting = 1e6 + generator.uniform(0, (cols - 1) * 30.0, 20)
+    northing = 5e6 - generator.uniform(0, (rows - 1) * 25.0, 20)
+    standing = ~np.isnan(field.height_at(easting, northing))
+    viewpoints = stand_on(field, easting[standing][:1], northing[standing][:1], 1.5)
+    views = oracle.skyline(field, viewpoints, width)
+    for index in range(len(viewpoints)):
+        for heading in range(4):
+            expected = skyline_by_edges(field, viewpoints, index, heading, width)
+            found = views.elevation_tan[4 * index + heading]
+            np.testing.assert_array_equal(np.isnan(found), np.isinf(expected))
+            np.testing.assert_allclose(
+                np.nan_to_num(found), np.where(np.isinf(expected), 0.0, expected), atol=1e-9
+            )
+
+
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_turned_terrain_gives_turned_skylines(turns):
+    # A half turn keeps the split diagonal; a quarter turn needs cells without a twist.
+    heights = fractal(24, 24, seed=3).astype(np.float64)
+    if turns % 2:
+        ramp = np.arange(24.0)
+        heights = ramp[:, np.newaxis] ** 2 + 3.0 * ramp
+    field = field_of(heights, 30.0, west_m=-345.0, north_m=345.0)
+    turned = field_of(np.rot90(heights, turns), 30.0, west_m=-345.0, north_m=345.0)
+    views = oracle.skyline(field, eye(0.0, 0.0, 2000.0), 32)
+    again = oracle.skyline(turned, eye(0.0, 0.0, 2000.0), 32)
+    # rot90 turns the map anticlockwise: what was east is now north.
+    np.testing.assert_allclose(
+        again.elevation_tan, np.roll(views.elevation_tan, -turns, axis=0), atol=1e-12
+    )
+
+
+def test_large_false_eastings_change_nothing():
+    heights = fractal(40, 40, seed=5)
+    near = field_of(heights, 30.0)
+    far = field_of(heights, 30.0, west_m=2.0**23, north_m=2.0**23)
+    here = stand_on(near, [500.0], [-600.0])
+    there = stand_on(far, [2.0**23 + 500.0], [2.0**23 - 600.0])
+    np.testing.assert_array_equal(
+        oracle.skyline(near, here, 64).elevation_tan, oracle.skyline(far, there, 64).elevation_tan
+    )

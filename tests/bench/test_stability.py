@@ -1,0 +1,212 @@
+"""Every hard case along every path that promises something there, and what the verdicts mean."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import field_of, fractal
+
+from skyline.geodesy import Curvature
+from skyline.render import horizon
+from skyline.render.walks import FragmentWalker
+from skyline.terrain.viewpoints import stand_on
+from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
+from skyline_bench.cases.closed_forms import SceneCase
+from skyline_bench.cases.stability import HARD_CASES, measure
+from skyline_bench.truth import oracle
+from skyline_bench.truth.agreement import (
+    DEPTH,
+    HORIZON,
+    Agreement,
+    RenderPath,
+    Scene,
+    exact_agreement,
+    greatest_step_m,
+    oracle_truth,
+    undecided_columns,
+)
+
+pytestmark = pytest.mark.usefixtures("no_gl_error")
+
+
+class OracleRenderer:
+    """The oracle as if it were a renderer."""
+
+    def __init__(self, field, width, curvature):
+        self.field, self.width, self.curvature = field, width, curvature
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def render(self, viewpoints):
+        return oracle.skyline(self.field, viewpoints, self.width, self.curvature)
+
+
+ORACLE = RenderPath("horizon", OracleRenderer, exact_agreement)
+
+
+def closely(scene, views, truth):
+    """The oracle against a closed form: nothing but how the terrain is sampled."""
+    error = np.abs(views.elevation_tan - truth.views.elevation_tan) * scene.width / 2.0
+    bound = np.full(error.shape, truth.slack_px + 1e-6)
+    return Agreement(np.nan_to_num(error), bound, views.flags == truth.views.flags)
+
+
+CLOSED_FORM = RenderPath("closed form", OracleRenderer, closely)
+
+
+def paths_of(case):
+    """The paths to try, a case's together, since its scene and truth are then made once."""
+    yield from (path for path in (HORIZON, DEPTH) if path.name in case.paths)
+    if isinstance(case, SceneCase) and case.closed_form:
+        yield CLOSED_FORM
+
+
+TRIALS = [(case, path) for case in HARD_CASES for path in paths_of(case)]
+
+
+@pytest.mark.parametrize(
+    ("case", "path"), TRIALS, ids=[f"{case.name}-{path.name}" for case, path in TRIALS]
+)
+def test_hard_case(case, path):
+    if path is CLOSED_FORM:
+        assert case.agreement(path, quick=False).holds
+    else:
+        (row,) = measure(path, cases=[case])
+        assert row["ok"], row
+
+
+BELOW_GL_43 = [
+    "eye 1 mm below a crest of 45 degrees",
+    "columns along diagonals",
+    "voids next to the eye",
+    "heading without data",
+    "endless plain, the data's end",
+    "2 x 2 DEM",
+    "1 x 12 DEM",
+    "the same batch in parts",
+]
+
+
+@pytest.mark.parametrize("name", BELOW_GL_43)
+def test_hard_case_without_compute_shaders(name, monkeypatch):
+    monkeypatch.setattr(horizon, "ComputeWalker", FragmentWalker)
+    (case,) = (case for case in HARD_CASES if case.name == name)
+    (row,) = measure(HORIZON, quick=True, cases=[case])
+    assert row["ok"], row
+
+
+def rough_scene():
+    heights = fractal(40, 50, seed=4)
+    heights[8:12, 20:30] = np.nan
+    field = field_of(heights, 32.0)
+    return Scene(field, stand_on(field, [700.3, 901.7], [-600.9, -800.2], 3.0), 160)
+
+
+class Altered:
+    """The oracle with its views altered."""
+
+    def __init__(self, alter):
+        self.alter = alter
+
+    def __call__(self, field, width, curvature):
+        renderer = OracleRenderer(field, width, curvature)
+        original = renderer.render
+        renderer.render = lambda viewpoints: self.alter(original(viewpoints))
+        return renderer
+
+
+def wrong_by(error_px):
+    return lambda views: replace(views, elevation_tan=views.elevation_tan + error_px * 2.0 / 160)
+
+
+def flag_flipped(flag):
+    def alter(views):
+        flags = views.flags.copy()
+        flags[3, 17] ^= flag
+        return replace(views, flags=flags)
+
+    return alter
+
+
+def one_column_missing(views):
+    tan = views.elevation_tan.copy()
+    tan[2, 40] = np.nan
+    return replace(views, elevation_tan=tan)
+
+
+@pytest.mark.parametrize(
+    ("alter", "ok"),
+    [
+        (lambda views: views, True),
+        (wrong_by(1e-5), True),
+        (wrong_by(5e-3), False),
+        (flag_flipped(FLAG_TRUNCATED), False),
+        (flag_flipped(FLAG_HOLE), False),
+        (one_column_missing, False),
+    ],
+)
+def test_a_wrong_view_fails(alter, ok):
+    case = SceneCase("altered", "nothing", rough_scene)
+    (row,) = measure(RenderPath("horizon", Altered(alter), exact_agreement), cases=[case])
+    assert row["ok"] is ok
+    assert (row["error_px"] <= row["bound_px"] and row["flags_agree"]) is ok
+
+
+def test_few_columns_are_beyond_deciding():
+    scene = rough_scene()
+    undecided, spread_px = undecided_columns(scene, np.full((8, 160), 1e-3))
+    assert undecided.mean() < 0.02
+    assert np.median(spread_px) < 1e-3
+
+
+def test_a_ray_through_the_corner_of_a_hole_is_undecided():
+    heights = np.zeros((21, 21))
+    heights[4:6, 10:14] = np.nan
+    field = field_of(heights, 10.0)
+    # The middle column runs along column 9, which the hole's triangles touch and do not cross.
+    scene = Scene(field, stand_on(field, [90.0], [-150.0], 2.0), 3, Curvature(enabled=False))
+    undecided, _ = undecided_columns(scene, np.zeros((4, 3)))
+    assert undecided[0, 1]
+
+
+def test_the_greatest_step_is_the_steepest_edge_of_all_three_families():
+    heights = np.zeros((3, 3))
+    heights[2, 2] = 5.0
+    heights[0, 2] = np.nan
+    heights[1, 1] = -2.0
+    assert greatest_step_m(field_of(heights)) == 7.0
+    assert greatest_step_m(field_of(np.full((1, 1), 3.0))) == 0.0
+
+
+def test_rivals_are_the_skyline_on_the_border_and_inside():
+    scene = rough_scene()
+    u = (2.0 * np.arange(160) + 1.0) / 160 - 1.0
+    rivals = oracle.rivals(scene.field, scene.viewpoints, u, scene.curvature)
+    views = oracle_truth(scene).views
+    np.testing.assert_array_equal(
+        np.maximum(rivals.inner_tan, rivals.border_tan), views.elevation_tan
+    )
+    np.testing.assert_array_equal(
+        rivals.border_tan > rivals.inner_tan, (views.flags & FLAG_TRUNCATED) != 0
+    )
+    np.testing.assert_array_equal(rivals.hole, (views.flags & FLAG_HOLE) != 0)
+
+
+def test_quick_looks_at_two_viewpoints_and_names_every_case():
+    names = [case.name for case in HARD_CASES]
+    assert len(set(names)) == len(names) > 50
+    seen = []
+
+    def counting(field, width, curvature):
+        renderer = OracleRenderer(field, width, curvature)
+        original = renderer.render
+        renderer.render = lambda viewpoints: (seen.append(len(viewpoints)), original(viewpoints))[1]
+        return renderer
+
+    case = next(case for case in HARD_CASES if case.name == "eye on a sample")
+    measure(RenderPath("horizon", counting, exact_agreement), quick=True, cases=[case])
+    assert seen == [2]

@@ -1,0 +1,167 @@
+"""Aligning a query's curve where the answer is known, and where there is none."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from query_scenes import BINS, hills, panorama_of, poses, rays_of, seen
+
+from skyline.errors import InputError
+from skyline.matching.noise import Noise
+from skyline.matching.panoramas import Panoramas
+from skyline.matching.query import level
+from skyline.matching.rays import level_with_changes, thinned
+from skyline.matching.solver import Curves, Solver, SolverConfig
+
+TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
+
+
+def settled(hypotheses, panoramas, query):
+    """Solve heading, pitch, roll and field of view of hypotheses where they stand."""
+    solver = Solver(
+        thinned(query, panoramas.bins), SolverConfig(iterations=8, noise=Noise(nodes=0))
+    )
+    curves = Curves.of(panoramas, np.zeros((len(panoramas), 2)))
+    return solver.posed(hypotheses, solver.settle(curves, solver.start(hypotheses)))
+
+
+def _query(**change):
+    return rays_of(*seen(hills, **TRUTH), 60.0, **change)
+
+
+def test_levelled_rays_are_those_of_every_matcher():
+    u, v = np.random.default_rng(0).normal(0.0, 0.3, (2, 9))
+    rays = level_with_changes(u, v, np.array([0.1]), np.array([-0.2]), np.array([np.log(1.2)]))
+    azimuth, y = level(1.2 * u, 1.2 * v, np.degrees(0.1), np.degrees(-0.2))
+    np.testing.assert_allclose(rays.azimuth_rad[0], azimuth, atol=1e-12)
+    np.testing.assert_allclose(rays.y[0], y, atol=1e-12)
+
+
+def test_derivatives_agree_with_differences():
+    query = _query()
+    solver = Solver(query, SolverConfig())
+    curves = Curves.of(panorama_of(hills), np.zeros((1, 2)))
+    state = np.array([[0.0, 0.0, np.radians(351.0), 0.03, -0.02, 0.04]])
+    there = solver.linearize(curves, state)
+    for k, step in enumerate([1.0, 1.0, 2e-3, 1e-4, 1e-4, 1e-4]):
+        move = np.zeros((1, 6))
+        move[0, k] = step
+        after, before = (
+            solver.linearize(curves, state + sign * move).residual_rad[0] for sign in (1.0, -1.0)
+        )
+        expected = (after - before) / (2.0 * step)
+        # Curves are linear between bins, so slopes agree on average, not at every point; and
+        # the factor from tangents to angles counts as constant.
+        off = there.jacobian[0, :, k] - expected
+        assert np.sqrt(np.mean(off**2)) < 0.05 * np.sqrt(np.mean(expected**2)) + 1e-9, k
+
+
+def test_attitude_and_field_of_view_are_recovered():
+    query = _query(assumed_fov_deg=62.0, fov_range_deg=(56.0, 64.0))
+    found = settled(poses(heading_deg=348.0, fov_deg=62.0), panorama_of(hills), query)
+    assert found.heading_deg[0] == pytest.approx(350.0, abs=0.02)
+    assert found.pitch_deg[0] == pytest.approx(2.0, abs=0.02)
+    assert found.roll_deg[0] == pytest.approx(-1.5, abs=0.05)
+    assert found.fov_deg[0] == pytest.approx(60.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("low", "high", "expected"), [(63.0, 70.0, 63.0), (50.0, 57.0, 57.0)])
+def test_the_field_of_view_keeps_to_its_range(low, high, expected):
+    query = _query(assumed_fov_deg=(low + high) / 2.0, fov_range_deg=(low, high))
+    found = settled(poses(heading_deg=350.0, fov_deg=1.0), panorama_of(hills), query)
+    assert found.fov_deg[0] == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_known_field_of_view_stays():
+    found = settled(poses(heading_deg=349.0, fov_deg=40.0), panorama_of(hills), _query())
+    assert found.fov_deg[0] == pytest.approx(60.0, abs=1e-9)
+    assert found.heading_deg[0] == pytest.approx(350.0, abs=0.02)
+
+
+def test_the_right_skyline_costs_least_and_order_does_not_matter():
+    headings = np.array([349.0, 80.0, 200.0, 351.0])
+    found = settled(poses(4, heading_deg=headings), panorama_of(hills, 4), _query())
+    assert found.score[[0, 3]].max() < found.score[[1, 2]].min() - 100.0
+    order = np.array([2, 0, 3, 1])
+    other = settled(poses(4, heading_deg=headings[order]), panorama_of(hills, 4), _query())
+    np.testing.assert_allclose(other.score, found.score[order], rtol=1e-9)
+    np.testing.assert_allclose(other.heading_deg, found.heading_deg[order], rtol=1e-9)
+
+
+def test_trees_in_front_do_not_pull():
+    u, v = seen(hills, **TRUTH)
+    hidden = (np.floor(np.arange(len(u)) / 40.0) % 3 == 0) | (u > 0.45)
+    v = np.where(hidden, v + np.radians(4.0) + 0.02 * np.sin(30.0 * u), v)
+    assert hidden.mean() > 0.35
+    found = settled(poses(heading_deg=349.0), panorama_of(hills), rays_of(u, v, 60.0))
+    assert found.heading_deg[0] == pytest.approx(350.0, abs=0.05)
+    assert found.pitch_deg[0] == pytest.approx(2.0, abs=0.05)
+
+
+def test_unknown_columns_are_left_out_but_not_free():
+    whole, half = panorama_of(hills), panorama_of(hills)
+    half.y[:, : BINS // 24] = np.nan
+    known = settled(poses(heading_deg=349.0), whole, _query())
+    found = settled(poses(heading_deg=349.0), half, _query())
+    assert found.heading_deg[0] == pytest.approx(350.0, abs=0.05)
+    assert found.score[0] > known.score[0] + 50.0
+
+
+def test_a_skyline_that_is_nowhere_known_has_no_fit():
+    nothing = Panoramas(np.full((1, BINS), np.nan), np.full((1, BINS), np.nan))
+    found = settled(poses(heading_deg=10.0), nothing, _query())
+    assert found.score[0] == np.inf
+    assert found.heading_deg[0] == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize("columns", [1, 2, 15])
+def test_too_few_columns_have_no_fit(columns):
+    query = _query()
+    few = np.linspace(0, len(query.u) - 1, columns).astype(int)
+    query = replace(query, u=query.u[few], v=query.v[few], weight=query.weight[few])
+    found = settled(poses(heading_deg=350.0), panorama_of(hills), query)
+    assert found.score[0] == np.inf
+    assert np.isfinite(found.heading_deg[0])
+
+
+@pytest.mark.parametrize("height", [0.0, 0.1])
+def test_a_level_skyline_keeps_its_heading(height):
+    query = rays_of(*seen(lambda a: height + 0.0 * a, 40.0), 60.0, None, (50.0, 70.0))
+    found = settled(poses(heading_deg=43.0), panorama_of(lambda a: height + 0.0 * a), query)
+    assert np.isfinite(found.score[0])
+    assert found.heading_deg[0] == pytest.approx(43.0, abs=0.5)
+    assert found.pitch_deg[0] == pytest.approx(0.0, abs=0.3)
+    assert 50.0 <= found.fov_deg[0] <= 70.0
+
+
+def test_a_straight_slanted_skyline_has_an_answer():
+    u = np.linspace(-0.5, 0.5, 300)
+    query = rays_of(u, 0.3 * u, 60.0, None, (50.0, 70.0))
+    found = settled(poses(heading_deg=43.0), panorama_of(lambda a: 0.0 * a), query)
+    values = [
+        getattr(found, name)[0]
+        for name in ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "score")
+    ]
+    assert np.isfinite(values).all()
+    assert abs(found.roll_deg[0]) < 20.0
+
+
+def test_averages_of_rays_lie_on_the_skyline():
+    query = _query()
+    few = thinned(query, BINS)
+    assert len(few.u) <= 60.0 / 360.0 * BINS + 2
+    assert (np.diff(few.u) > 0.0).all()
+    np.testing.assert_allclose(few.v, np.interp(few.u, query.u, query.v), atol=2e-4)
+
+
+def test_panoramas_of_different_shapes_are_refused():
+    with pytest.raises(InputError, match="expected two"):
+        Panoramas(np.zeros((1, 16)), np.zeros((1, 8)))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"iterations": 0}, {"min_columns": 0}, {"pitch_sd_deg": 0.0}, {"position_sd_m": -1.0}]
+)
+def test_impossible_solvers_are_refused(wrong):
+    with pytest.raises(InputError, match="expected"):
+        SolverConfig(**wrong)
