@@ -145,6 +145,10 @@ def run_block(block):
     return names
 
 
+def page_id(path):
+    return str(path.relative_to(ROOT))
+
+
 def to_run(document):
     blocks = (block for block in blocks_of(document) if block.language != "text")
     return [block for block in blocks if block.not_run is None]
@@ -208,7 +212,7 @@ def test_what_pages_share_is_what_they_say(world):
         assert len(store.header.shell_edges_m) == 13
 
 
-@pytest.mark.parametrize("document", DOCS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCS, ids=page_id)
 def test_what_the_docs_show_runs(world, document):
     with chdir(world):
         for block in to_run(document):
@@ -281,7 +285,7 @@ def datasets_of(file):
     return found
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=page_id)
 def test_every_block_says_what_it_is_and_why_it_is_not_run(document):
     for block in blocks_of(document):
         assert block.language in ("sh", "python", "text"), f"{block.document}:{block.line}"
@@ -329,7 +333,7 @@ def test_what_is_made_smaller_is_there():
         assert said in text
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=page_id)
 def test_files_and_names_the_documents_point_to_exist(document):
     for path, names in references(document):
         assert (ROOT / path).exists(), path
