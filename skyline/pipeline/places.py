@@ -20,7 +20,7 @@ from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 Tolerance = Callable[[Viewpoints], float | NDArray[np.float32]]
 
-DEFAULT_SPACING_M = 60.0
+DEFAULT_SPACING_M = 80.0
 """Between places of a grid; docs/accuracy.md has what others cost and find."""
 
 _VIEWPOINTS_A_COMMIT = 2048
