@@ -77,9 +77,8 @@ def api_names(document: Path) -> list[str]:
 
 def import_order(document: Path) -> list[set[str]]:
     """Return the rows of folders that a page says import only downward, the highest first."""
-    text = document.read_text(encoding="utf-8")
-    line = next(line for line in text.splitlines() if line.startswith("`cli > "))
-    return [set(re.findall(r"\w+", row)) for row in line.split(">")]
+    said = next(block.text for block in blocks_of(document) if block.text.startswith("cli > "))
+    return [set(re.findall(r"\w+", row)) for row in said.split(">")]
 
 
 def imports_of(path: Path) -> set[str]:

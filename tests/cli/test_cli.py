@@ -610,7 +610,7 @@ def test_a_truncated_store_is_refused(run, store, photo, tmp_path):
         assert_refused(run(*arguments), "cut.h5")
 
 
-def test_the_python_interface_of_the_readme(store, photo):
+def test_the_python_interface_of_the_documents(store, photo):
     result = Matcher(store).match(photo, fov_deg=60.0)
     assert result.answer is not None
     assert result.answer == result.candidates[0]

@@ -41,6 +41,7 @@ from scenes import fractal
 import skyline
 from skyline import cli, read_dem, stand_on
 from skyline.fetch.sources import SOURCES
+from skyline.pipeline.places import DEFAULT_SPACING_M
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
 from skyline_bench import cli as bench
@@ -374,6 +375,12 @@ def test_the_version_is_one_everywhere():
     ]
     first = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.M)
     assert {first[1], *versions} == {versions[0]}
+
+
+def test_the_default_spacing_is_the_programs():
+    page = (ROOT / "docs" / "guide" / "your-own-area.md").read_text(encoding="utf-8")
+    (said,) = re.findall(r"(\d+) is the default", page)
+    assert float(said) == DEFAULT_SPACING_M
 
 
 def test_a_new_part_needs_two_files_read_at_most():
