@@ -20,7 +20,7 @@ test: setup ## Run all tests
 	$(IN_VENV)/python -m pytest
 
 docs: setup ## Build the documentation into build/site; a broken link fails
-	NO_MKDOCS_2_WARNING=1 $(IN_VENV)/mkdocs build --strict --quiet
+	NO_MKDOCS_2_WARNING=1 $(IN_VENV)/mkdocs build --strict
 
 check: setup docs ## Lint, check format, types and spelling, build the documentation
 	$(IN_VENV)/ruff check

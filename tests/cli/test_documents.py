@@ -10,6 +10,7 @@ import json
 import re
 import shlex
 import shutil
+import subprocess
 import sys
 import tomllib
 from contextlib import chdir, redirect_stderr, redirect_stdout
@@ -349,6 +350,26 @@ def test_files_and_names_the_documents_point_to_exist(document):
 def test_the_api_pages_show_every_public_name_once():
     named = [name for page in (ROOT / "docs" / "api").glob("*.md") for name in api_names(page)]
     assert sorted(named) == sorted(skyline.__all__)
+
+
+def test_a_broken_link_or_anchor_stops_the_site_and_nothing_else_does(tmp_path):
+    for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "mkdocs.yml", "Makefile"):
+        shutil.copy(ROOT / name, tmp_path)
+    for name in (".ci", "bench", "skyline"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    shutil.copytree(ROOT / "docs", tmp_path / "docs")
+    with (tmp_path / "docs" / "glossary.md").open("a") as page:
+        page.write("\n[no page](no-page.md) [no anchor](method.md#no-anchor)\n")
+    line = re.search(r"^\t(.*)mkdocs (build .*)$", (ROOT / "Makefile").read_text(), re.M)
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", *line[2].split()],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    warnings = [told for told in done.stderr.splitlines() if told.startswith("WARNING")]
+    assert done.returncode != 0
+    assert len(warnings) == 2, done.stderr
+    assert "no-page.md" in done.stderr
+    assert "no-anchor" in done.stderr
 
 
 def test_imports_point_downward_as_the_architecture_says():
