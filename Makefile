@@ -6,7 +6,7 @@ IN_VENV := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check bench clean
+.PHONY: help setup demo test check docs bench clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -19,7 +19,10 @@ demo: setup ## Build a store over a real DEM, match images to it, write out/demo
 test: setup ## Run all tests
 	$(IN_VENV)/python -m pytest
 
-check: setup ## Lint, check format, types and spelling
+docs: setup ## Build the documentation into build/site; a broken link fails
+	NO_MKDOCS_2_WARNING=1 $(IN_VENV)/mkdocs build --strict
+
+check: setup docs ## Lint, check format, types and spelling, build the documentation
 	$(IN_VENV)/ruff check
 	$(IN_VENV)/ruff format --check
 	$(IN_VENV)/mypy

@@ -64,12 +64,12 @@ Dems = Annotated[
 Output = Annotated[Path, typer.Option("--output", "-o", help="The store to write (HDF5).")]
 Width = Annotated[int, typer.Option(help="Columns of a 90 degree view.")]
 Tolerance = Annotated[
-    float, typer.Option("--tolerance-px", help="How far a skyline may fall short; 0 is exact.")
+    float, typer.Option("--tolerance-px", help="Pixels a skyline may fall short; 0 is exact.")
 ]
 RefractionK = Annotated[float, typer.Option("--k", help="Refraction coefficient.")]
-NoCurvature = Annotated[bool, typer.Option("--no-curvature", help="Leave the Earth flat.")]
+NoCurvature = Annotated[bool, typer.Option("--no-curvature", help="Take the Earth as flat.")]
 Crs = Annotated[
-    str | None, typer.Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")
+    str | None, typer.Option(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")
 ]
 Reproject = Annotated[
     bool, typer.Option("--reproject", help="Warp a DEM whose CRS is not conformal.")
@@ -79,9 +79,7 @@ Bounds = Annotated[
 ]
 ShardKm = Annotated[
     float | None,
-    typer.Option(
-        metavar="K", help="Build in tiles of K km, each a job of its own (10 with workers)."
-    ),
+    typer.Option(metavar="K", help="Build in tiles of K km; each tile is a job. With workers: 10."),
 ]
 Rows = Annotated[
     str, typer.Option(help=f"How the store holds rows: {' or '.join(ROWS)} (docs/store.md).")
@@ -95,10 +93,11 @@ def render(
     output: Output,
     viewpoints: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.csv", help="CSV: easting,northing or lon,lat; one row each."),
+        typer.Option(metavar="FILE.csv", help="Viewpoints as CSV: easting,northing or lon,lat."),
     ] = None,
     grid: Annotated[
-        float | None, typer.Option(metavar="SPACING_M", help="A uniform grid over the DEM instead.")
+        float | None,
+        typer.Option(metavar="SPACING_M", help="Render a uniform grid instead: metres between."),
     ] = None,
     width: Width = _DEFAULTS.width,
     tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
@@ -135,7 +134,7 @@ def build(
     spacing: Annotated[
         float | None,
         typer.Option(
-            help="Metres between places; with a planner, of its coarse grid.",
+            help="Metres between places; with a planner, between viewpoints of its coarse grid.",
             show_default=f"{DEFAULT_SPACING_M:g}, with a planner {_PLANNED.spacing.coarse_m:g}",
         ),
     ] = None,
@@ -150,8 +149,8 @@ def build(
     planner: Annotated[
         str | None,
         typer.Option(
-            help="Keep renderings instead of places, for the paper's matcher, where a planner "
-            f"puts them: uniform, {', '.join(STRATEGIES)}."
+            help="Store renderings instead of places, for the paper's matcher. The planner "
+            f"chooses their viewpoints: uniform, {', '.join(STRATEGIES)}."
         ),
     ] = None,
     pitch: Annotated[
@@ -165,7 +164,7 @@ def build(
         float | None,
         typer.Option(
             "--threshold-px",
-            help="Planner: what a covered location may differ by.",
+            help="Planner: pixels by which the skyline of a covered location may differ.",
             show_default=f"{_PLANNED.threshold_px:g}",
         ),
     ] = None,
@@ -184,15 +183,19 @@ def build(
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(help="Planner: of its random choices.", show_default=f"{_PLANNED.seed}"),
+        typer.Option(help="Planner: seed of its random choices.", show_default=f"{_PLANNED.seed}"),
     ] = None,
     coverage_map: Annotated[
         Path | None,
-        typer.Option("--map", metavar="PNG", help="Planner: map viewpoints and their areas."),
+        typer.Option(
+            "--map", metavar="PNG", help="Planner: draw a map of viewpoints and their areas."
+        ),
     ] = None,
     shells: Annotated[
         int | None,
-        typer.Option(help="Renderings: distance shells beside each; cover keeps 12 by itself."),
+        typer.Option(
+            help="Renderings: distance shells to store with each; the default of cover is 12."
+        ),
     ] = None,
     width: Annotated[
         int | None,
@@ -204,7 +207,7 @@ def build(
         float | None,
         typer.Option(
             "--tolerance-px",
-            help="Renderings: how far a skyline may fall short.",
+            help="Renderings: pixels a skyline may fall short.",
             show_default=f"{_DEFAULTS.tolerance_px:g}",
         ),
     ] = None,
@@ -216,7 +219,7 @@ def build(
         ),
     ] = None,
 ) -> None:
-    """Build the store that `match` searches. Stopped with Ctrl-C, the same command goes on."""
+    """Build the store that `match` searches. After Ctrl-C, the same command continues."""
     corners = parse_bounds(bounds) if bounds is not None else None
     dem_options = DemOptions(crs=crs, reproject=reproject)
     tiled = (shard_km, workers, scheduler) != (None, None, None)
@@ -262,7 +265,7 @@ def build(
     )
     coarse_m = _PLANNED.spacing.coarse_m if spacing is None else spacing
     if planner == "uniform":
-        _refuse_given(only_planned, "a planner that chooses places; uniform does not")
+        _refuse_given(only_planned, "a planner that chooses viewpoints; uniform does not choose")
         with runner_of(workers, scheduler) as runner, progress_bar("rendering") as progress:
             terrain = read_dem(dem, dem_options)
             if tiled:
@@ -317,9 +320,10 @@ app.command()(photo_cli.extract)
 @app.command()
 def info(
     path: Annotated[
-        list[str] | None, typer.Argument(metavar="[DEM...|STORE]", help="What to describe.")
+        list[str] | None,
+        typer.Argument(metavar="[DEM...|STORE]", help="The files of a DEM, or a store."),
     ] = None,
-    gl: Annotated[bool, typer.Option("--gl", help="Say which OpenGL is used, and why.")] = False,
+    gl: Annotated[bool, typer.Option("--gl", help="Say which OpenGL is used and why.")] = False,
     as_json: AsJson = False,
     crs: Crs = None,
     reproject: Reproject = False,
@@ -348,7 +352,7 @@ def explain(
     reproject: Reproject = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a viewpoint's skyline needs of the model, what is left out, and what that costs."""
+    """Say what a viewpoint's skyline needs of the DEM, what is left out, and the error of that."""
     config = _render_config(width, tolerance_px, k, no_curvature)
     easting, northing = _parse_place(at)
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
@@ -373,7 +377,9 @@ def options(
 
 def main() -> None:
     """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
-    run_app(app, "stopped; what was built or fetched is kept, the same command goes on from it")
+    run_app(
+        app, "stopped; what was built or fetched is kept, and the same command continues from there"
+    )
 
 
 def _render_config(width: int, tolerance_px: float, k: float, no_curvature: bool) -> RenderConfig:

@@ -26,7 +26,9 @@ Workers = Annotated[
 ]
 Scheduler = Annotated[
     str | None,
-    typer.Option(metavar="ADDRESS", help="Spread it over a dask cluster, e.g. tcp://host:8786."),
+    typer.Option(
+        metavar="ADDRESS", help="Spread the work over a dask cluster, e.g. tcp://host:8786."
+    ),
 ]
 
 

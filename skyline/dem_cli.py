@@ -20,25 +20,29 @@ def dem() -> None:
 
 @app.command()
 def fetch(
-    bbox: Annotated[str, typer.Option(metavar="W,S,E,N", help="Degrees (WGS 84).")],
-    folder: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Where tiles go.")],
+    bbox: Annotated[str, typer.Option(metavar="W,S,E,N", help="The box, in degrees (WGS 84).")],
+    folder: Annotated[
+        Path, typer.Option("--output", "-o", metavar="DIR", help="The folder for the tiles.")
+    ],
     source: Annotated[
         str,
         typer.Option(
             metavar="NAME|URL",
             help=f"{', '.join(SOURCES)}, or an address with {{lat:02d}}, {{lon:03d}}, {{ns}}, "
-            "{ew}: a tile's south-west corner without its signs, and its hemispheres.",
+            "{ew}: the degrees of a tile's south-west corner without signs, and its hemispheres.",
         ),
     ] = "copernicus",
-    retries: Annotated[int, typer.Option(help="Of a request that failed.")] = _HTTP.retries,
+    retries: Annotated[
+        int, typer.Option(help="How often to repeat a failed request.")
+    ] = _HTTP.retries,
     timeout: Annotated[
-        int, typer.Option(metavar="SECONDS", help="Without an answer, until a request failed.")
+        int, typer.Option(metavar="SECONDS", help="How long to wait for an answer.")
     ] = _HTTP.timeout_s,
 ) -> None:
     """Fetch elevation tiles (cloud-optimized GeoTIFF), cut to a box, for `skyline build DIR/*.tif`.
 
-    Give a box as much larger than the area to build as one sees from it. Stopped or failed, the
-    same command goes on.
+    The box must contain the area to build and all terrain that is seen from it. After a stop or a
+    failure, the same command continues.
     """
     bounds = parse_bounds(bbox)
     options = HttpOptions(retries=retries, timeout_s=timeout)
@@ -49,4 +53,4 @@ def fetch(
         f"{folder}: {len(done.files)} tiles, {done.fetched} of them new, {held / 1e6:.1f} MB"
     )
     if done.missing:
-        typer.echo(f"not there, as a rule sea: {', '.join(done.missing)}")
+        typer.echo(f"the source has no tile (usually sea) for: {', '.join(done.missing)}")

@@ -33,10 +33,12 @@ from skyline.report.records import CandidateRecord, MatchRecord
 _DEFAULTS = MatchConfig()
 
 FieldOfView = Annotated[
-    float | None, typer.Option(help="Horizontal field of view; else from the photo's EXIF or XMP.")
+    float | None,
+    typer.Option(help="Horizontal field of view; by default from the photo's EXIF or XMP."),
 ]
 PhotoProjection = Annotated[
-    Projection | None, typer.Option("--projection", help="Of a panorama: cylindrical, mostly.")
+    Projection | None,
+    typer.Option("--projection", help="Projection of a panorama, mostly cylindrical."),
 ]
 SkyModel = Annotated[
     Path | None, typer.Option(metavar="ONNX", help="Your own sky segmentation model.")
@@ -54,41 +56,45 @@ def match(
     sky_model: SkyModel = None,
     dem: Annotated[
         list[str] | None,
-        typer.Option(metavar="DEM", help="Where the store's DEM lies now; once for each tile."),
+        typer.Option(metavar="DEM", help="The store's DEM, if it has moved; repeat for each tile."),
     ] = None,
     matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHER_NAMES)}.")] = FULL,
     no_refine: Annotated[
-        bool, typer.Option("--no-refine", help="Do not render around what was found.")
+        bool, typer.Option("--no-refine", help="Do not render around the best poses.")
     ] = False,
     near: Annotated[
         str | None,
-        typer.Option(metavar="LON,LAT,KM", help="Search only within so many km of a place."),
+        typer.Option(metavar="LON,LAT,KM", help="Search only within so many km of a point."),
     ] = None,
     bounds: Annotated[
-        str | None, typer.Option(metavar="W,S,E,N", help="Search only within these degrees.")
+        str | None, typer.Option(metavar="W,S,E,N", help="Search only in this box, in degrees.")
     ] = None,
     heading: Annotated[
         str | None,
         typer.Option(
             metavar="DEG,SLACK",
-            help="The camera looked within a slack of this, degrees from true north.",
+            help="The camera looked this way from true north, or SLACK degrees beside it at most.",
         ),
     ] = None,
     elevation: Annotated[
         str | None,
-        typer.Option(metavar="LOW,HIGH", help="The camera stood between these, metres."),
+        typer.Option(
+            metavar="LOW,HIGH", help="The camera stood between these elevations, in metres."
+        ),
     ] = None,
     min_confidence: Annotated[
-        float, typer.Option(help="Below it there is no answer, only candidates.")
+        float, typer.Option(help="Below this there are candidates but no answer.")
     ] = _DEFAULTS.min_confidence,
-    top: Annotated[int, typer.Option(help="Candidates to name.")] = 5,
+    top: Annotated[int, typer.Option(help="Number of candidates to print.")] = 5,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     report: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Write a page with pictures and maps.")
     ] = None,
     peaks: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.csv", help="Peaks to name in it: name,lon,lat[,height_m]."),
+        typer.Option(
+            metavar="FILE.csv", help="Peaks to name in the report: name,lon,lat[,height_m]."
+        ),
     ] = None,
     geojson: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the candidates as GeoJSON.")
@@ -96,7 +102,7 @@ def match(
     workers: Workers = None,
     scheduler: Scheduler = None,
 ) -> None:
-    """Find where photos were taken and which way the camera looked, from true north."""
+    """Find where photos were taken and in which direction the camera looked."""
     _check_outputs([geojson], [store, *query])
     if peaks is not None and report is None:
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
@@ -141,7 +147,8 @@ def extract(
     photo: Annotated[Path, typer.Argument(metavar="PHOTO")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The trace to write (CSV).")],
     overlay: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="The photo with the skyline drawn.")
+        Path | None,
+        typer.Option(metavar="PNG", help="Also write the photo with its skyline drawn."),
     ] = None,
     fov_deg: FieldOfView = None,
     projection: PhotoProjection = None,
@@ -154,7 +161,7 @@ def extract(
     if overlay is not None:
         write_overlay(image, skyline, overlay)
     trusted = sum(math.isfinite(row) for row in skyline.row_px)
-    typer.echo(f"{output}: skyline in {trusted} of {skyline.width_px} columns")
+    typer.echo(f"{output}: skyline found in {trusted} of {skyline.width_px} columns")
 
 
 def _matched_here(
@@ -201,7 +208,7 @@ def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> No
     read = [path for path in inputs if path.exists()]
     for path in outputs:
         if path is not None and path.exists() and any(path.samefile(one) for one in read):
-            raise InputError(f"{path} is read; choose another name for what is written")
+            raise InputError(f"{path} is an input; choose another name for the output")
 
 
 def _how_sure(place: CandidateRecord) -> str:
@@ -213,7 +220,7 @@ def _how_sure(place: CandidateRecord) -> str:
 def _say_match(record: MatchRecord) -> None:
     typer.echo(f"{record['query']} ({record['seconds']:.2f} s)")
     if record["answer"] is not None:
-        typer.echo("  the answer is 1; places by how well their skyline fits:")
+        typer.echo("  the answer is candidate 1; all candidates, best first:")
     if "refusal" in record:
         typer.echo(f"  no answer: {record['refusal']}")
     for rank, place in enumerate(record["candidates"], start=1):

@@ -32,7 +32,7 @@ def check(
     store: StoreFile,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Read all of a store and hold it to its checksums; exit code 2 where it is damaged."""
+    """Read a whole store and compare it with its checksums; exit code 2 if it is damaged."""
     report = check_store(store)
     if as_json:
         typer.echo(json.dumps({"store": str(store), "whole": report.whole, **asdict(report)}))
@@ -41,14 +41,18 @@ def check(
         said = "; ".join(damage.what for damage in report.damage[:3])
         more = f"; and {len(report.damage) - 3} more" if len(report.damage) > 3 else ""
         raise InputError(f"{store} is damaged: {said}{more}")
-    notes = [] if report.checksums else ["its schema has no checksums; `store compact` adds them"]
+    notes = (
+        []
+        if report.checksums
+        else ["its schema version has no checksums; `store compact` adds them"]
+    )
     notes += ["a writer has it open, or was killed"] if report.in_use else []
     typer.echo("; ".join([f"{store}: {report.committed:,} {report.holds}, whole", *notes]))
 
 
 @store_app.command()
 def repair(store: StoreFile, output: NewStore) -> None:
-    """Save the undamaged rows of a store in a new one, in their order."""
+    """Save the undamaged rows of a store in a new store, in their order."""
     report = repair_store(store, output)
     _say_copied(report, output)
     for damage in report.damage:
@@ -60,7 +64,7 @@ def repair(store: StoreFile, output: NewStore) -> None:
 def merge(
     stores: Annotated[list[Path], typer.Argument(metavar="STORE...")], output: NewStore
 ) -> None:
-    """Make one store of several: rows sorted by place, the same view or place kept once."""
+    """Join several stores into one, sorted by location; equal rows are kept once."""
     _say_copied(merge_stores(stores, output), output)
 
 
@@ -69,16 +73,19 @@ def compact(
     store: StoreFile,
     output: NewStore,
     quantize: Annotated[
-        bool, typer.Option("--quantize", help="Round exact rows, for a fifth of the bytes.")
+        bool,
+        typer.Option("--quantize", help="Round exact rows; they then take a fifth of the bytes."),
     ] = False,
     tan_error_px: Annotated[
-        float, typer.Option("--tan-error-px", help="With --quantize: of skylines at most, px.")
+        float,
+        typer.Option("--tan-error-px", help="With --quantize: greatest error of skylines, px."),
     ] = 0.005,
     depth_error: Annotated[
-        float, typer.Option("--depth-error", help="With --quantize: of depths at most, relative.")
+        float,
+        typer.Option("--depth-error", help="With --quantize: greatest relative error of depths."),
     ] = 0.001,
 ) -> None:
-    """Write a store anew, sorted and in the newest schema; the same rows give the same bytes."""
+    """Write a sorted copy in the newest schema; the same rows give the same bytes."""
     coding = None
     if quantize:
         with open_store(store) as opened:

@@ -106,16 +106,16 @@ class Settings:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where among the results those of a walk are.
+    """The rows of the result arrays that one walk fills.
 
     Attributes
     ----------
     row : int
-        Of the first eye's skyline.
+        The row of the first eye's skyline.
     shell_row : int
-        Of its first shell.
+        The row of that eye's first shell.
     rows_a_shell : int
-        From a shell to the next.
+        The number of rows from one shell to the next.
     """
 
     row: int

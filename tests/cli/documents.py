@@ -7,13 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+DOCUMENTS = (
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+)
 
 _NOT_RUN = re.compile(r"<!-- not run: (.+) -->")
 _REFERENCE = re.compile(
     r"`((?:skyline|shaders|bench|tests|examples)/[\w./-]+)`(?:: ((?:`[\w.]+`(?:, )?)+))?"
 )
 _TEST_NAMED = re.compile(r"\b(?:tests/\w+/)?test_\w+\.py\b")
+_SHOWN_NAME = re.compile(r"^::: skyline\.(\w+)$", re.MULTILINE)
 _LINK = re.compile(r"\]\((?!https?://|#)([^)#]+)(?:#[^)]*)?\)")
 
 
@@ -65,6 +70,28 @@ def links(document: Path) -> list[Path]:
     return [document.parent / target for target in found]
 
 
+def api_names(document: Path) -> list[str]:
+    """Return the public names whose docstrings a page shows."""
+    return _SHOWN_NAME.findall(document.read_text(encoding="utf-8"))
+
+
+def import_order(document: Path) -> list[set[str]]:
+    """Return the rows of folders that a page says import only downward, the highest first."""
+    said = next(block.text for block in blocks_of(document) if block.text.startswith("cli > "))
+    return [set(re.findall(r"\w+", row)) for row in said.split(">")]
+
+
+def imports_of(path: Path) -> set[str]:
+    """Return the folders, or files beside them, of Skyline that a source file imports from."""
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            first, *rest = node.module.split(".")
+            if first == "skyline":
+                found |= {rest[0]} if rest else {alias.name for alias in node.names}
+    return found
+
+
 def defined_in(path: Path) -> set[str]:
     """Return the names that a source file defines; methods as Class.method."""
     text = path.read_text(encoding="utf-8")
@@ -77,6 +104,9 @@ def defined_in(path: Path) -> set[str]:
         if isinstance(node, ast.ClassDef):
             inner = [each for each in node.body if isinstance(each, ast.FunctionDef)]
             names |= {f"{node.name}.{method.name}" for method in inner}
+        if isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names |= {target.id for target in targets if isinstance(target, ast.Name)}
     return names
 
 

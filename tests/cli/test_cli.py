@@ -203,7 +203,7 @@ def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(
         patch.setattr(cli, "build_places", lambda *given: build_places(*given[:-1], stop))
         done = run("build", dem, "-o", out)
     assert done.code == 130
-    assert "goes on from it" in done.err
+    assert "the same command continues" in done.err
     assert done.err.count("\n") == 1
     again = run("build", dem, "-o", out)
     assert again.code == 0, again.err
@@ -610,7 +610,7 @@ def test_a_truncated_store_is_refused(run, store, photo, tmp_path):
         assert_refused(run(*arguments), "cut.h5")
 
 
-def test_the_python_interface_of_the_readme(store, photo):
+def test_the_python_interface_of_the_documents(store, photo):
     result = Matcher(store).match(photo, fov_deg=60.0)
     assert result.answer is not None
     assert result.answer == result.candidates[0]

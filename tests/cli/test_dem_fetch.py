@@ -31,7 +31,7 @@ def test_fetched_tiles_are_built(run, told, tmp_path):
         done = run(*arguments)
         assert done.code == 0, done.err
         assert "1 tiles, 1 of them new" in done.out
-        assert "not there, as a rule sea: N47E009" in done.out
+        assert "the source has no tile (usually sea) for: N47E009" in done.out
         assert "0 of them new" in run(*arguments).out
     built = run("build", folder / "N46E009.tif", "-o", store, "--spacing", "9000")
     assert built.code == 0, built.err

@@ -1,7 +1,8 @@
 """What README and docs/ say is so: commands run, names exist, the store's format is the store's.
 
 All commands run in one folder, README first, over terrain made for it; what takes long is made
-smaller. The public server of elevation tiles is one on this machine.
+smaller, and a command that several pages show runs once. The public server of elevation tiles is
+one on this machine.
 """
 
 import io
@@ -9,7 +10,9 @@ import json
 import re
 import shlex
 import shutil
+import subprocess
 import sys
+import tomllib
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from pathlib import Path
 
@@ -20,8 +23,11 @@ import typer
 from documents import (
     DOCUMENTS,
     ROOT,
+    api_names,
     blocks_of,
     defined_in,
+    import_order,
+    imports_of,
     links,
     named_tests,
     references,
@@ -33,8 +39,10 @@ from rasterio.io import MemoryFile
 from rasterio.transform import from_origin
 from scenes import fractal
 
+import skyline
 from skyline import cli, read_dem, stand_on
 from skyline.fetch.sources import SOURCES
+from skyline.pipeline.places import DEFAULT_SPACING_M
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
 from skyline_bench import cli as bench
@@ -43,6 +51,9 @@ from skyline_bench.queries.pinhole import Camera
 
 README, *DOCS = DOCUMENTS
 STORE_DOC = ROOT / "docs" / "store.md"
+ARCHITECTURE = ROOT / "docs" / "architecture.md"
+CLI_FILES = {"console", "dem_cli", "describe", "photo_cli", "store_cli"}
+"""What counts as `cli` where the architecture speaks of imports."""
 
 SMALLER = {
     "--bounds 9.8,46.7,9.9,46.8": "--spacing 400 --bounds 9.8,46.7,9.9,46.8",
@@ -50,6 +61,12 @@ SMALLER = {
     "--threshold-px 3 --coverage 0.98": "--threshold-px 9 --coverage 0.5 --pitch 200",
 }
 """What the documents say -> what is run."""
+
+LEFT = {
+    "queries.md": ("report/index.html", "candidates.geojson"),
+    "scripts.md": ("pictures/0000.png", "python.h5"),
+}
+"""Page -> files that its commands leave."""
 
 PROGRAMS = {"skyline": cli, "skyline-bench": bench}
 
@@ -79,7 +96,18 @@ def matching(word):
     return sorted(str(path) for path in Path().glob(word)) if "*" in word else [word]
 
 
+_printed = {}
+"""What lines that were run have printed."""
+
+
 def run_command(line):
+    """Run one line of a document, if none has before; return what it printed."""
+    if line not in _printed:
+        _printed[line] = run_now(line)
+    return _printed[line]
+
+
+def run_now(line):
     """Run one line of a document; return what it printed."""
     for said, run in SMALLER.items():
         line = line.replace(said, run)
@@ -119,24 +147,40 @@ def run_block(block):
     return names
 
 
+def page_id(path):
+    return str(path.relative_to(ROOT))
+
+
 def to_run(document):
-    return [block for block in blocks_of(document) if block.not_run is None]
+    blocks = (block for block in blocks_of(document) if block.language != "text")
+    return [block for block in blocks if block.not_run is None]
+
+
+def shown(part):
+    """Return the first command of the documents that a part of it identifies."""
+    return next(
+        line
+        for document in DOCUMENTS
+        for block in to_run(document)
+        for line in block.commands()
+        if part in line
+    )
 
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
-    """A folder in which every block of the README has run."""
+    """A folder in which the README's blocks have run, and what pages share has been made."""
     folder = tmp_path_factory.mktemp("world")
-    fetch = next(
-        line for block in blocks_of(README) for line in block.commands() if "dem fetch" in line
-    )
+    _printed.clear()
     with serve(Behaviour(files=dict(tiles()))) as address, pytest.MonkeyPatch.context() as patch:
         patch.setitem(SOURCES, "copernicus", address + "/{ns}{lat:02d}{ew}{lon:03d}.tif")
         with chdir(folder):
-            assert "4 tiles, 4 of them new" in run_command(fetch)
+            assert "4 tiles, 4 of them new" in run_command(shown("dem fetch"))
             make_queries()
             for block in to_run(README):
                 run_block(block)
+            for part in ("skyline extract", "--planner cover"):
+                run_command(shown(part))
             shutil.copy("davos.h5", "other.h5")
             run_command(
                 "skyline build alps/*.tif -o exact.h5 --planner uniform --rows exact "
@@ -160,14 +204,9 @@ def make_queries():
     Path("peaks.csv").write_text("name,lon,lat\nGrat,9.87,46.72\n")
 
 
-def test_the_readme_leaves_what_it_says(world):
-    for name in (
-        "report/index.html", "overlay.png", "trace.csv", "candidates.geojson", "cover.png",
-        "pictures/0000.png",
-    ):  # fmt: skip
+def test_what_pages_share_is_what_they_say(world):
+    for name in ("report/index.html", "overlay.png", "trace.csv", "cover.png"):
         assert (world / name).stat().st_size > 0, name
-    told = [json.loads(line) for line in (world / "matches.jsonl").read_text().splitlines()]
-    assert [each["query"] for each in told] == ["photos/a.jpg"]
     with open_store(world / "davos.h5") as store:
         assert store.header.holds == "places"
         assert store.places().take(np.array([0])).rise.nbytes == 360
@@ -175,11 +214,16 @@ def test_the_readme_leaves_what_it_says(world):
         assert len(store.header.shell_edges_m) == 13
 
 
-@pytest.mark.parametrize("document", DOCS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCS, ids=page_id)
 def test_what_the_docs_show_runs(world, document):
     with chdir(world):
         for block in to_run(document):
             run_block(block)
+    for name in LEFT.get(document.name, ()):
+        assert (world / name).stat().st_size > 0, name
+    if document.name == "scripts.md":
+        told = [json.loads(line) for line in (world / "matches.jsonl").read_text().splitlines()]
+        assert [each["query"] for each in told] == ["photos/a.jpg"]
 
 
 def test_decoded_as_the_docs_say_a_store_is_what_its_reader_returns(world):
@@ -243,10 +287,10 @@ def datasets_of(file):
     return found
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=page_id)
 def test_every_block_says_what_it_is_and_why_it_is_not_run(document):
     for block in blocks_of(document):
-        assert block.language in ("sh", "python"), f"{block.document}:{block.line}"
+        assert block.language in ("sh", "python", "text"), f"{block.document}:{block.line}"
         assert block.not_run is None or len(block.not_run) > 10
 
 
@@ -286,12 +330,12 @@ def test_commands_that_are_none_are_found_out():
 
 
 def test_what_is_made_smaller_is_there():
-    shown = "\n".join(block.text for document in DOCUMENTS for block in to_run(document))
+    text = "\n".join(block.text for document in DOCUMENTS for block in to_run(document))
     for said in SMALLER:
-        assert said in shown
+        assert said in text
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("document", DOCUMENTS, ids=page_id)
 def test_files_and_names_the_documents_point_to_exist(document):
     for path, names in references(document):
         assert (ROOT / path).exists(), path
@@ -301,6 +345,70 @@ def test_files_and_names_the_documents_point_to_exist(document):
         assert target.exists(), target
     for name in named_tests(document):
         assert list(ROOT.glob(f"tests/**/{Path(name).name}")), name
+
+
+def test_the_api_pages_show_every_public_name_once():
+    named = [name for page in (ROOT / "docs" / "api").glob("*.md") for name in api_names(page)]
+    assert sorted(named) == sorted(skyline.__all__)
+
+
+def test_a_broken_link_or_anchor_stops_the_site_and_nothing_else_does(tmp_path):
+    for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "mkdocs.yml", "Makefile"):
+        shutil.copy(ROOT / name, tmp_path)
+    for name in (".ci", "bench", "skyline"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    shutil.copytree(ROOT / "docs", tmp_path / "docs")
+    with (tmp_path / "docs" / "glossary.md").open("a") as page:
+        page.write("\n[no page](no-page.md) [no anchor](method.md#no-anchor)\n")
+    line = re.search(r"^\t(.*)mkdocs (build .*)$", (ROOT / "Makefile").read_text(), re.M)
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", *line[2].split()],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    warnings = [told for told in done.stderr.splitlines() if told.startswith("WARNING")]
+    assert done.returncode != 0
+    assert len(warnings) == 2, done.stderr
+    assert "no-page.md" in done.stderr
+    assert "no-anchor" in done.stderr
+
+
+def test_imports_point_downward_as_the_architecture_says():
+    order = import_order(ARCHITECTURE)
+    level = {name: row for row, names in enumerate(order) for name in names}
+    files = [
+        path for path in (ROOT / "skyline").rglob("*.py") if path != ROOT / "skyline/__init__.py"
+    ]
+    folders = set()
+    for path in files:
+        name = path.relative_to(ROOT / "skyline").parts[0].removesuffix(".py")
+        folders.add("cli" if name in CLI_FILES else name)
+        own = level["cli" if name in CLI_FILES else name]
+        for other in imports_of(path) - CLI_FILES - {"__version__"}:
+            beside = name == other
+            assert beside or level[other] > own, f"{path.relative_to(ROOT)} imports {other}"
+    assert folders == set(level)
+
+
+def test_the_version_is_one_everywhere():
+    versions = [
+        tomllib.loads((ROOT / file).read_text(encoding="utf-8"))["project"]["version"]
+        for file in ("pyproject.toml", "bench/pyproject.toml")
+    ]
+    first = re.search(r"^## (\S+)", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.M)
+    assert {first[1], *versions} == {versions[0]}
+
+
+def test_the_default_spacing_is_the_programs():
+    page = (ROOT / "docs" / "guide" / "your-own-area.md").read_text(encoding="utf-8")
+    (said,) = re.findall(r"(\d+) is the default", page)
+    assert float(said) == DEFAULT_SPACING_M
+
+
+def test_a_new_part_needs_two_files_read_at_most():
+    rows = table_under(ARCHITECTURE, "new part")
+    assert {"matcher", "planner", "server of tiles"} <= {row["new part"] for row in rows}
+    for row in rows:
+        assert 1 <= len(re.findall(r"`[\w/]+/[\w/]+\.py`", "`" + row["read these"] + "`")) <= 2
 
 
 def test_the_method_names_its_places():

@@ -20,7 +20,7 @@ def field_of(heights: NDArray[np.floating]) -> HeightField:
 
 
 def on_triangle(heights: NDArray[np.float64], row: float, col: float) -> float:
-    """Evaluate the surface of DESIGN 4 at one place, by solving for a plane."""
+    """Evaluate the surface of two triangles a cell at one place, by solving for a plane."""
     top, left = math.floor(row), math.floor(col)
     north_west, south_east = (top, left), (top + 1, left + 1)
     third = (top, left + 1) if col - left > row - top else (top + 1, left)

@@ -38,7 +38,7 @@ class TestRoundTrip:
             assert store.path == tmp_path / "s.h5"
 
     def test_contract_with_other_programs(self, tmp_path: Path) -> None:
-        """Names, types and attributes of DESIGN 8, seen by plain h5py."""
+        """Names, types and attributes of the store's format, seen by plain h5py."""
         build(tmp_path / "s.h5", 40)
         with h5py.File(tmp_path / "s.h5", "r") as file:
             assert file.attrs["schema"] == "skyline-store"
