@@ -7,6 +7,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
+_FEW_DECADES = 500.0
+"""An axis that spans more has ticks at powers of ten alone."""
+
 
 def new_figure(width_in: float, height_in: float) -> Figure:
     """Return an empty figure of a size in inches."""
@@ -21,7 +24,9 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def plain_ticks(side: Axis) -> None:
-    """Write the ticks of a logarithmic axis as plain numbers."""
-    side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    """Write the ticks of a logarithmic axis, after all is drawn, as plain numbers."""
+    low, high = side.get_view_interval()
+    subs = (1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)
+    side.set_major_locator(LogLocator(subs=subs))
     side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     side.set_minor_formatter(NullFormatter())
