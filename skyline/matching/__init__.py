@@ -10,13 +10,13 @@ from types import MappingProxyType
 from skyline.matching.correlation import CorrelationMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.narrowing import Narrowing
-from skyline.matching.paper import PaperMatcher
 from skyline.matching.pose import Poses, Scene, refine
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import Attitudes, QueryRays
 from skyline.matching.ranking import Candidate, Matcher, Ranker, Ranking
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import RetrievalConfig, Retriever
+from skyline.paper.matcher import PaperMatcher
 
 MATCHERS: Mapping[str, Callable[[], Matcher]] = MappingProxyType(
     {"paper": PaperMatcher, "correlation": CorrelationMatcher}

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS
+from skyline.coverage import CandidateGrid, Float32Array, IntArray
 from skyline.errors import InputError
 from skyline.planning.candidates import CandidateMap, Spacing
-from skyline.planning.coverage import CandidateGrid, Float32Array, IntArray
 from skyline.planning.uniform import MapBounds
 
 AIMS = (0.6, 0.9, 1.0)

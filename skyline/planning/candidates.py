@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.coverage import BoolArray, CandidateGrid, IntArray
 from skyline.errors import InputError
-from skyline.planning.coverage import BoolArray, CandidateGrid, IntArray
 from skyline.planning.uniform import MapBounds
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on

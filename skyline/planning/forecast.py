@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.planning.coverage import BoolArray, Float32Array, IntArray, Problem
+from skyline.coverage import BoolArray, Float32Array, IntArray, Problem
 
 Float64Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.planning.coverage import BoolArray, CandidateGrid, IntArray
+from skyline.coverage import BoolArray, CandidateGrid, IntArray
 
 Int32Array = NDArray[np.int32]
 

@@ -17,10 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS
-from skyline.errors import InputError
-from skyline.planning.budget import AIMS, ENOUGH, Outlook, check_coarse, covering_px
-from skyline.planning.candidates import CandidateMap, lay_out
-from skyline.planning.coverage import (
+from skyline.coverage import (
     AreaModel,
     BoolArray,
     Coverage,
@@ -28,6 +25,9 @@ from skyline.planning.coverage import (
     IntArray,
     Problem,
 )
+from skyline.errors import InputError
+from skyline.planning.budget import AIMS, ENOUGH, Outlook, check_coarse, covering_px
+from skyline.planning.candidates import CandidateMap, lay_out
 from skyline.planning.models import Archive, InterpolatedModel, PredictedModel
 from skyline.planning.plan import Oracles, Plan, PlanConfig, PlanProgress
 from skyline.planning.requests import Headings, in_order, places, rows_by_place

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from skyline.coverage import Float32Array, IntArray
 from skyline.planning.candidates import CandidateMap
-from skyline.planning.coverage import Float32Array, IntArray
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, field
 
+from skyline.coverage import Coverage, check_target, check_threshold
 from skyline.errors import InputError
 from skyline.planning.budget import check_budget
 from skyline.planning.candidates import CandidateMap, Spacing
-from skyline.planning.coverage import Coverage, check_target, check_threshold
 from skyline.planning.models import Measure, Predict
 from skyline.planning.requests import Render
 from skyline.planning.strategies import STRATEGIES

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError
-from skyline.prediction import PREDICTORS, Predictor, displacements_m
+from skyline.paper.reprojection import AFFINE_MEAN, displacements_m
+from skyline.prediction import Predictor
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 from skyline.views import Views
 
@@ -88,7 +89,7 @@ class ToleranceMeter:
 
     ground: Ground
     neighbourhood: Neighbourhood = Neighbourhood()
-    predictor: Predictor = PREDICTORS["affine-mean"]
+    predictor: Predictor = AFFINE_MEAN
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
     threshold_px: float | None = None
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.coverage import Coverage, IntArray
 from skyline.errors import InputError
-from skyline.planning.coverage import Coverage, IntArray
 from skyline.planning.plan import Plan
 from skyline.planning.requests import Headings, Render, in_order, places
 from skyline.views import Views

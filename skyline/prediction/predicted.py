@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError
-from skyline.prediction.curves import Image, Polylines, Scenery
-from skyline.prediction.displacement import Reach, displacements_m
+from skyline.paper.reprojection import displacements_m
+from skyline.prediction.curves import Image, Polylines, Reach, Scenery
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_NO_DATA, Shells, Views
 

@@ -6,12 +6,12 @@ from scenes import FRAME, field_of, fractal
 
 from skyline.errors import InputError
 from skyline.features import polyline_keypoints
-from skyline.matching.alignment import align_curves
-from skyline.matching.chamfer import chamfer_px
 from skyline.matching.correlation import CorrelationMatcher
-from skyline.matching.paper import PaperMatcher
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays, level
+from skyline.paper.alignment import align_curves
+from skyline.paper.chamfer import chamfer_px
+from skyline.paper.matcher import PaperMatcher
 from skyline.planning.uniform import uniform_grid
 from skyline_bench.truth import oracle
 

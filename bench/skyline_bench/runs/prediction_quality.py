@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 from skyline.errors import InputError
-from skyline.prediction import PREDICTORS, Predictor, displacements_m, true_errors_px
+from skyline.paper.reprojection import displacements_m
+from skyline.prediction import PREDICTORS, Predictor, true_errors_px
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on

@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import DEFAULT_WIDTH, columns_u, pixel_size
-from skyline.planning.coverage import (
+from skyline.coverage import (
     BoolArray,
     CandidateGrid,
     Coverage,
     Float32Array,
     IntArray,
     Problem,
+    Strategy,
 )
-from skyline.planning.strategies.base import Strategy
 
 _CURVE_POINTS = 513
 _FEWEST_POINTS = 3

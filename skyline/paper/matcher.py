@@ -6,7 +6,7 @@ location with the nearest local skyline; RANSAC finds the affine map that most c
 agree on; the score is the rms distance in px between the warped query skyline and the stored
 one, taken vertically. The affine map also says where the optical axis went: heading, pitch, roll.
 
-Not every location is worth that at every assumed attitude: `skyline.matching.shortlist` says at
+Not every location is worth that at every assumed attitude: `skyline.paper.shortlist` says at
 which of them it is. Without a shortlist every one is tried, which takes seconds a query.
 """
 
@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError
-from skyline.matching.alignment import align_curves
-from skyline.matching.chamfer import mean_squared_px2, nearest_patches
-from skyline.matching.patches import QueryCurve, StoredCurves
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
 from skyline.matching.ranking import Fits, Ranking, select
-from skyline.matching.ransac import Ransac
-from skyline.matching.shortlist import Shortlist
+from skyline.paper.alignment import align_curves
+from skyline.paper.chamfer import mean_squared_px2, nearest_patches
+from skyline.paper.patches import QueryCurve, StoredCurves
+from skyline.paper.ransac import Ransac
+from skyline.paper.shortlist import Shortlist
 
 Float64Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -51,7 +51,7 @@ class PaperMatcher:
         Reach of a local skyline to either side of its keypoint and distance of its samples.
     shortlist_poses : int or None
         Pairs of a location and an assumed attitude that are looked at closely, by Chamfer
-        distance, RANSAC and warping: those `skyline.matching.shortlist` finds most alike. None
+        distance, RANSAC and warping: those `skyline.paper.shortlist` finds most alike. None
         looks at all.
     shortlist : int
         Stored patches a query patch is compared with by Chamfer distance.

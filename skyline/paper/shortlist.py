@@ -23,8 +23,8 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from skyline.matching.patches import QueryCurve, StoredCurves
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
+from skyline.paper.patches import QueryCurve, StoredCurves
 
 Float32Array = NDArray[np.float32]
 Float64Array = NDArray[np.float64]

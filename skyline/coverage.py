@@ -6,6 +6,7 @@ window of K x K candidates around it, K = 2 * reach + 1, rows southward and colu
 whatever the heading. Strategies see candidates, windows and nothing else: no terrain, no views.
 """
 
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -234,6 +235,15 @@ class Problem:
     def open_candidates(self) -> IntArray:
         """Return the uncovered candidates of the region, ascending."""
         return np.flatnonzero(self.coverage.uncovered & self.region)
+
+
+Requests = Generator[IntArray, Float32Array, None]
+"""Yields candidates to render (n,), is sent the reprojection errors (n, K, K) of those views.
+
+The problem's coverage holds the views' areas before the generator is resumed.
+"""
+
+Strategy = Callable[[Problem, np.random.Generator], Requests]
 
 
 def check_target(target: float) -> float:
