@@ -1,7 +1,6 @@
 """What every matcher answers with, and how a list of answers is drawn from all scores."""
 
 from dataclasses import dataclass, fields
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +9,6 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.profiles import Profiles
-from skyline.matching.query import QueryRays
 
 Float64Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -119,29 +117,6 @@ class Ranking:
 def _as_rows(covariance_m2: Float64Array) -> tuple[tuple[float, float], tuple[float, float]]:
     (a, b), (c, d) = covariance_m2.tolist()
     return (a, b), (c, d)
-
-
-class Ranker(Protocol):
-    """Anything that ranks the places of the store it was made for."""
-
-    def rank(self, query: QueryRays, top: int) -> Ranking:
-        """Return up to ``top`` poses, best first, at most one a location.
-
-        Locations nothing fits at are left out, so there may be none.
-        """
-        ...
-
-
-class Matcher(Protocol):
-    """Anything that can rank the places of any store."""
-
-    def prepare(self, profiles: Profiles) -> Ranker:
-        """Return what ranks the places of a store; what queries share is done here, once."""
-        ...
-
-    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> Ranking:
-        """Return what a prepared matcher does, for a single query; see `Ranker.rank`."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,9 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError
+from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
+from skyline.matching.ranker import Ranker, Source
 from skyline.matching.ranking import Fits, Ranking, select
+from skyline.matching.screening import Alike
 from skyline.paper.alignment import align_curves
 from skyline.paper.chamfer import mean_squared_px2, nearest_patches
 from skyline.paper.patches import QueryCurve, StoredCurves
@@ -107,12 +110,8 @@ class PaperMatcher:
         if not self.max_scale >= 1.0:
             raise InputError(f"greatest scale is {self.max_scale}; expected at least 1")
 
-    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> Ranking:
-        """Return the best poses, best first; see `Matcher.rank`."""
-        return self.prepare(profiles).rank(query, top)
-
     def prepare(self, profiles: Profiles) -> "PreparedPaper":
-        """Do once what is the same for every query; see `Matcher.prepare`."""
+        """Do once what is the same for every query."""
         offsets = self._offsets(profiles.bin_px)
         if self.shortlist_poses is None:
             return PreparedPaper(self, profiles, offsets, None)
@@ -133,7 +132,7 @@ class PaperMatcher:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PreparedPaper:
+class PreparedPaper(Ranker):
     """The paper's matcher with a store it is ready to match to; see `PaperMatcher.prepare`."""
 
     matcher: PaperMatcher
@@ -141,7 +140,18 @@ class PreparedPaper:
     _offsets: IntArray
     _shortlist: Shortlist | None
 
-    def rank(self, query: QueryRays, top: int) -> Ranking:
+    @classmethod
+    def open(cls, source: Source) -> "PreparedPaper":
+        """See `Ranker.open`."""
+        return PaperMatcher().prepare(source.profiles())
+
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        narrowed: Narrowed | None = None,
+        screened: Alike | None = None,
+    ) -> Ranking:
         """Return the best poses, best first; see `Ranker.rank`."""
         separation_m = self.matcher.separation_m
         return select(self.profiles, self.fit(query), query.fov_deg, top, separation_m)

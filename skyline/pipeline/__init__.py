@@ -11,8 +11,9 @@ from skyline.pipeline.build import (
 )
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
-from skyline.pipeline.match import FULL, MATCHER_NAMES, MatchConfig, Matcher, MatchResult
+from skyline.pipeline.match import Matcher, MatchResult
 from skyline.pipeline.match_many import QueryReading, match_many
+from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.pipeline.places import PlaceConfig, build_places
 from skyline.pipeline.planned import PlannedResult, build_planned
 from skyline.pipeline.reports import matched, report_matches
@@ -20,9 +21,8 @@ from skyline.pipeline.shards import ShardPlan, build_sharded
 
 __all__ = [
     "FULL",
-    "MATCHER_NAMES",
+    "MATCHERS",
     "BuildResult",
-    "MatchConfig",
     "MatchResult",
     "Matcher",
     "PlaceConfig",

@@ -18,7 +18,8 @@ import numpy as np
 from skyline import MatchConfig
 from skyline.errors import InputError
 from skyline.matching.confidence import RIGHT_WITHIN_M
-from skyline.matching.full import FullConfig, FullMatcher
+from skyline.matching.config import FullConfig
+from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import RetrievalConfig, Retriever
