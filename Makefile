@@ -19,10 +19,11 @@ demo: setup ## Build a store over a real DEM, match images to it, write out/demo
 test: setup ## Run all tests
 	$(IN_VENV)/python -m pytest
 
-check: setup ## Lint, check format, types and spelling
+check: setup ## Lint, check format, types, imports and spelling
 	$(IN_VENV)/ruff check
 	$(IN_VENV)/ruff format --check
 	$(IN_VENV)/mypy
+	$(IN_VENV)/lint-imports
 	$(IN_VENV)/codespell
 
 bench: setup ## Time the pipeline stage by stage, write bench/results
