@@ -5,8 +5,8 @@ Both are left-handed, so every rotation here has determinant +1.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 
 HEADINGS = (0, 1, 2, 3)
@@ -14,8 +14,6 @@ HEADINGS = (0, 1, 2, 3)
 
 DEFAULT_WIDTH = 640
 MAX_WIDTH = 16384
-
-Float64Array = NDArray[np.float64]
 
 
 def check_width(width: int) -> int:

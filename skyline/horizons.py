@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 Index = slice | NDArray[np.integer] | NDArray[np.bool_]
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, FloatArray
 from skyline.camera import columns_u, elevation_deg, rotation
 
 FLAG_TRUNCATED = 1
@@ -25,8 +26,6 @@ FLAG_NAMES = {
     FLAG_OUT_OF_IMAGE: "out of image",
 }
 
-FloatArray = NDArray[np.floating]
-Float64Array = NDArray[np.float64]
 Index = slice | NDArray[np.integer] | NDArray[np.bool_]
 
 

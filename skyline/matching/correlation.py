@@ -27,6 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
@@ -34,8 +35,6 @@ from skyline.matching.query import Attitudes, QueryCurves, QueryRays
 from skyline.matching.ranker import Ranker, Source
 from skyline.matching.ranking import Fits, Ranking, select
 from skyline.matching.screening import Alike
-
-Float64Array = NDArray[np.float64]
 
 _CHUNK = 8
 """Locations at a time; keeps the transforms' arrays in the cache."""

@@ -18,12 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.matching.query import QueryRays
 from skyline.places import Places
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 _HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH = range(6)
 _DAMPING = np.float32(1e-3)

@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.matching import confidence
 from skyline.matching.config import FullConfig
@@ -19,8 +20,6 @@ from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike
 from skyline.matching.threads import one_blas_thread
-
-Float64Array = NDArray[np.float64]
 
 
 class FullMatcher(Ranker):

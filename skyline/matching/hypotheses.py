@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 Index = slice | NDArray[np.integer] | NDArray[np.bool_]
 
 

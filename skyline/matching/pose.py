@@ -19,6 +19,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import QueryRays
@@ -28,9 +29,6 @@ from skyline.matching.rows import Rows
 from skyline.matching.solver import HEADING, Curves, Fit, Solver
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 _SECTOR_MARGIN_DEG = 3.0
 """A view is rendered where the query comes this near to it."""

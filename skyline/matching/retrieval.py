@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.matching.curve_fit import CurveFit, FitConfig, Rays
 from skyline.matching.hypotheses import Hypotheses
@@ -21,8 +22,6 @@ from skyline.matching.query import QueryRays
 from skyline.matching.screening import Alike, Screen, sample_of, screen_places
 from skyline.places import Places, PlaceSource
 
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Heights of the ground at eastings and northings, NaN where there is none."""
 

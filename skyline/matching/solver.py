@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.noise import HeightErrors, Judged, Noise, judge
@@ -26,9 +26,6 @@ from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import level_with_changes
 from skyline.matching.rows import Rows
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 EAST, NORTH, HEADING, PITCH, ROLL, LOG_SCALE = range(6)
 """Columns of a state: the eye's displacement, metres; angles, radians; logarithm of the tangent

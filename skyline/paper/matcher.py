@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
@@ -27,9 +28,6 @@ from skyline.paper.chamfer import mean_squared_px2, nearest_patches
 from skyline.paper.patches import QueryCurve, StoredCurves
 from skyline.paper.ransac import Ransac
 from skyline.paper.shortlist import Shortlist
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 _CHUNK = 64
 """Locations at a time."""

@@ -12,14 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray
 from skyline.camera import HEADINGS, columns_u, rotation
 from skyline.errors import InputError
 from skyline.views import Views
-
-FloatArray = NDArray[np.floating]
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 

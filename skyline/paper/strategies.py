@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from skyline.coverage import BoolArray, Coverage, IntArray, Problem, Requests
+from skyline.arrays import BoolArray, Int64Array
+from skyline.coverage import Coverage, Problem, Requests
 
 _DRAWN = 10
 """How many candidate locations ROV and AROV draw for each viewpoint they select."""
@@ -64,7 +65,7 @@ def _level(problem: Problem, spacing: int) -> Requests:
         yield left[[top]]
 
 
-def _lattice(problem: Problem, spacing: int) -> IntArray:
+def _lattice(problem: Problem, spacing: int) -> Int64Array:
     """Return the region's candidates at whole multiples of a spacing, from half a spacing on."""
     rows, cols = problem.grid.shape
     chosen = np.zeros((rows, cols), dtype=bool)
@@ -157,7 +158,7 @@ def _locate(problem: Problem, known: int, located: BoolArray) -> None:
     located[np.rint(to_row).astype(np.int64), np.rint(to_col).astype(np.int64)] = True
 
 
-def interpolated_areas(coverage: Coverage, candidates: IntArray, nearest: int = 4) -> BoolArray:
+def interpolated_areas(coverage: Coverage, candidates: Int64Array, nearest: int = 4) -> BoolArray:
     """Return areas of candidates (N), interpolated linearly from the nearest rendered views.
 
     The weight of a view falls with its distance; a location is inside where the weighted areas
@@ -181,12 +182,12 @@ def interpolated_areas(coverage: Coverage, candidates: IntArray, nearest: int = 
     return areas
 
 
-def best(coverage: Coverage, candidates: IntArray, areas: BoolArray) -> IntArray:
+def best(coverage: Coverage, candidates: Int64Array, areas: BoolArray) -> Int64Array:
     """Return the one candidate, shape (1,), whose area covers most uncovered ground."""
     return candidates[[np.argmax(coverage.gains(candidates, areas))]]
 
 
-def draw(generator: np.random.Generator, candidates: IntArray, number: int) -> IntArray:
+def draw(generator: np.random.Generator, candidates: Int64Array, number: int) -> Int64Array:
     """Return up to a number of candidates drawn at random without repetition."""
     if len(candidates) <= number:
         return candidates

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from skyline.arrays import UInt8Array
 from skyline.errors import InputError
 from skyline.photo.decode import decode_image
 from skyline.photo.extract import extract_skyline
-from skyline.photo.frame import UInt8Array
 from skyline.photo.mask import is_sky_mask, skyline_of_mask
 from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
 from skyline.photo.query import QuerySkyline

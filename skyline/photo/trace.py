@@ -6,12 +6,10 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError, MissingFileError
 from skyline.photo.query import QuerySkyline
-
-Float64Array = NDArray[np.float64]
 
 MAX_GAP_SHARE = 0.1
 """Points farther apart than this share of the width are not joined."""

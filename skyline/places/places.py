@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.horizons import Horizons, Index
 from skyline.places.coding import (
     decode_distance,
@@ -15,10 +16,6 @@ from skyline.places.coding import (
     encode_rises,
 )
 from skyline.places.phases import encode_phases
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,15 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.paper.reprojection import AFFINE_MEAN, displacements_m
 from skyline.prediction import Predictor
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 from skyline.views import Views
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Heights in metres at eastings and northings, NaN off the map and on holes."""

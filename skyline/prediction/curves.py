@@ -15,13 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from skyline.camera import HEADINGS, columns_u
 from skyline.views import Views
-
-FloatArray = NDArray[np.floating]
-Float32Array = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.intp]
 
 NO_VIEW = -1
 

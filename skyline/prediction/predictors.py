@@ -12,8 +12,8 @@ from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array, FloatArray
 from skyline.errors import InputError
 from skyline.paper.reprojection import (
     AFFINE_LEAST_SQUARES,
@@ -28,10 +28,6 @@ from skyline.paper.reprojection import (
 from skyline.prediction.curves import Reach, Scenery, block_means, seen_from
 from skyline.prediction.warp import WarpFit
 from skyline.views import Views
-
-FloatArray = NDArray[np.floating]
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 
 _FITS_AT_ONCE = 1600
 """Curves warped together: enough that numpy's calls cost little, few enough for the cache."""

@@ -1,8 +1,8 @@
 """What predictions are held to: a stored skyline against the one rendered at another eye."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.paper.reprojection import (
     IDENTITY,
@@ -15,9 +15,6 @@ from skyline.paper.reprojection import (
 from skyline.prediction.curves import block_means
 from skyline.prediction.warp import WarpFit
 from skyline.views import Views
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 
 _FIT = WarpFit(rounds=6)
 _COLUMNS = (20, 40, 80, 160, 320)

@@ -3,14 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float64Array, FloatArray
 from skyline.camera import columns_u, pixel_size
 from skyline.paper.reprojection import IDENTITY
-
-FloatArray = NDArray[np.floating]
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _DAMPING = 1e-3
 _RIDGE = 1e-9

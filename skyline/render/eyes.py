@@ -6,6 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import HEADINGS, rotation
 from skyline.render.trees import split_float
 from skyline.render.walks import EYE
@@ -13,8 +14,6 @@ from skyline.render.windows import Window
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 _ROUNDING = 3.0 * 2.0**-24

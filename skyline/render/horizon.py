@@ -16,6 +16,7 @@ import moderngl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skyline.arrays import Float64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixel_size
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
@@ -35,8 +36,6 @@ from skyline.render.windows import Window, WindowTextures
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_NO_DATA, Shells, Views
-
-Float64Array = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 

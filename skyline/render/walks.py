@@ -13,13 +13,11 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.render.context import GlContext
 from skyline.render.shaders import compile_compute, compile_program
 from skyline.render.trees import SLOPE_BINS, split_float
 from skyline.render.windows import WindowTextures
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 
 EYE = np.dtype(
     [

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 
 if TYPE_CHECKING:
     from skyline.terrain.dem import DemOptions
-
-Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
+
 Samples = NDArray[Any]
 """float32 heights or uint8 marks."""
-Float64Array = NDArray[np.float64]
 
 SLABS = 8
 """Slabs in a band: the children of a node of the tree."""

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError, OffMapError
 from skyline.terrain.heightfield import HeightField
 
 DEFAULT_EYE_HEIGHT_M = 2.0
-
-Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

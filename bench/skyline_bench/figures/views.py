@@ -9,6 +9,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size
 from skyline.errors import InputError
 from skyline.paper.reprojection import IDENTITY
@@ -20,8 +21,6 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import Views
 from skyline_bench.figures.canvas import new_figure
-
-Float64Array = NDArray[np.float64]
 
 ONE, OTHER, WARPED = "#0072B2", "#D55E00", "#009E73"
 """Colours of a view's skyline, another's, and the first one warped."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size, project
 from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
@@ -22,9 +22,6 @@ from skyline.terrain.triangles import Rims, Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 from skyline_bench.truth import oracle
-
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 EPSILON = 2.0**-24
 """Relative rounding error of a 32-bit float."""
