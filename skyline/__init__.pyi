@@ -10,7 +10,7 @@ from .errors import (
     StoreMismatchError,
 )
 from .geodesy import Curvature, Frame
-from .matching.config import FullConfig, MatchConfig
+from .matching.match_config import FullConfig, MatchConfig
 from .matching.narrowing import Narrowing
 from .matching.ranking import Candidate
 from .matching.refine_config import RefineConfig

@@ -13,7 +13,7 @@ from skyline.console import Scheduler, Workers, complain, parse_bounds, runner_o
 from skyline.describe import describe_match
 from skyline.errors import InputError, SkylineError
 from skyline.matching import Narrowing
-from skyline.matching.config import MatchConfig
+from skyline.matching.match_config import MatchConfig
 from skyline.photo import Projection, extract_photo, write_overlay, write_trace
 from skyline.pipeline import (
     FULL,

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.matching import confidence
-from skyline.matching.config import FullConfig
 from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.match_config import FullConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Poses, Scene, refine
 from skyline.matching.query import QueryRays
@@ -124,11 +124,11 @@ class FullMatcher(Ranker):
         return self._models[model].probability(figures)
 
     def _chosen(self, poses: Hypotheses, top: int) -> NDArray[np.intp]:
-        return poses.spread(top, self._config.separation_m)
+        return poses.suppress_non_maxima(top, self._config.separation_m)
 
 
 def _held(poses: Hypotheses, narrowed: Narrowed) -> Hypotheses:
-    """Return poses of which those that have walked out of a narrowing fit nowhere."""
+    """Return poses of which those that have moved out of a narrowing fit nowhere."""
     return replace(poses, score=np.where(narrowed.holds(poses), poses.score, np.inf))
 
 

@@ -1,4 +1,4 @@
-"""Hypotheses: arrays of camera poses a query may have, and how a spread-out few are drawn."""
+"""Hypotheses: arrays of camera poses a query may have, and non-maximum suppression among them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -54,7 +54,9 @@ class Hypotheses:
         }
         return cls(**rows)
 
-    def spread(self, count: int, separation_m: float, turn_deg: float = 360.0) -> IntArray:
+    def suppress_non_maxima(
+        self, count: int, separation_m: float, turn_deg: float = 360.0
+    ) -> IntArray:
         """Return the indices of the best that differ from one another, best first.
 
         A hypothesis is left out where a better one lies nearer than ``separation_m`` and looks

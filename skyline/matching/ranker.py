@@ -2,7 +2,7 @@
 
 from typing import ClassVar, Protocol, Self
 
-from skyline.matching.config import MatchConfig
+from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Scene
 from skyline.matching.profiles import Profiles

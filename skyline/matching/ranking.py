@@ -137,7 +137,7 @@ class Fits:
         """Return no fit at any location."""
         return cls(np.full(locations, np.inf), *np.zeros((3, locations)))
 
-    def spread(self, rows: IntArray, locations: int) -> "Fits":
+    def placed_among(self, rows: IntArray, locations: int) -> "Fits":
         """Return these as the fits of ``rows`` among ``locations``, with none elsewhere."""
         wide = Fits.none(locations)
         for f in fields(self):
@@ -184,4 +184,4 @@ def select(
         np.full(len(profiles), fov_deg),
         fits.score,
     )
-    return Ranking(poses[poses.spread(top, separation_m)])
+    return Ranking(poses[poses.suppress_non_maxima(top, separation_m)])

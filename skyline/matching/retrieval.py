@@ -141,7 +141,9 @@ class Retriever:
             fitted = fitted[narrowed.holds(fitted)]
         if not len(fitted):
             return fitted
-        return fitted[fitted.spread(count, self.config.separation_m, self.config.turn_deg)]
+        return fitted[
+            fitted.suppress_non_maxima(count, self.config.separation_m, self.config.turn_deg)
+        ]
 
     def _screen(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         if self._sample is None:

@@ -171,7 +171,7 @@ class PreparedPaper(Ranker):
                 rows = listed[start : start + _CHUNK]
                 stored = StoredCurves.of(self.profiles, rows, self._offsets)
                 found = self._fit_chunk(stored, query_curve)
-                fits = fits.best_with(found.spread(rows, len(fits.score)))
+                fits = fits.best_with(found.placed_among(rows, len(fits.score)))
         return fits
 
     def _listed(self, assumed: list[QueryCurve]) -> list[IntArray]:

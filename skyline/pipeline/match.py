@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy import Frame
 from skyline.matching import Candidate, Narrowing, Profiles, QueryRays
-from skyline.matching.config import MatchConfig
+from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.retrieval import Ground
 from skyline.matching.screening import Alike

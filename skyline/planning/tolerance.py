@@ -32,12 +32,12 @@ class Neighbourhood:
     ----------
     size : int
         K: rows and columns of locations; 10 in the paper. The view is at [K // 2, K // 2].
-    pitch_m : float
+    spacing_m : float
         Distance between neighbouring locations.
     """
 
     size: int = 10
-    pitch_m: float = 30.0
+    spacing_m: float = 30.0
 
     def __post_init__(self) -> None:
         if not 1 <= self.size <= 1001:
@@ -45,9 +45,9 @@ class Neighbourhood:
                 f"neighbourhood is {self.size} locations wide; expected 1 to 1001 (the paper "
                 "takes 10)"
             )
-        if not (np.isfinite(self.pitch_m) and self.pitch_m > 0.0):
+        if not (np.isfinite(self.spacing_m) and self.spacing_m > 0.0):
             raise InputError(
-                f"neighbourhood has a pitch of {self.pitch_m} m; expected a positive number"
+                f"neighbourhood has a spacing of {self.spacing_m} m; expected a positive number"
             )
 
     @property
@@ -60,7 +60,7 @@ class Neighbourhood:
 
         Row 0 is the northernmost, column 0 the westernmost.
         """
-        steps = (np.arange(self.size) - self.centre) * self.pitch_m
+        steps = (np.arange(self.size) - self.centre) * self.spacing_m
         east, south = np.meshgrid(steps, steps)
         return east, -south
 

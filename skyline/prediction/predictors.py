@@ -26,7 +26,7 @@ from skyline.paper.reprojection import (
     median_depth_m,
 )
 from skyline.prediction.curves import Reach, Scenery, block_means, seen_from
-from skyline.prediction.warp import WarpFit
+from skyline.prediction.warp_fit import WarpFit
 from skyline.views import Views
 
 _FITS_AT_ONCE = 1600

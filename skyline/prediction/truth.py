@@ -13,7 +13,7 @@ from skyline.paper.reprojection import (
     median_depth_m,
 )
 from skyline.prediction.curves import block_means
-from skyline.prediction.warp import WarpFit
+from skyline.prediction.warp_fit import WarpFit
 from skyline.views import Views
 
 _FIT = WarpFit(rounds=6)

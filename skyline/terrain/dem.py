@@ -15,8 +15,8 @@ from pyproj.exceptions import CRSError
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, is_metric
-from skyline.terrain.arrays import read_array
 from skyline.terrain.cleaning import count_voids, fill_voids, remove_spikes, strips
+from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
 from skyline.terrain.tiles import (
     Grid,

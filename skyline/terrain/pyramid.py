@@ -1,4 +1,4 @@
-"""The tree of slabs: upper bounds of the terrain for rays that walk over it.
+"""The tree of slabs: upper bounds of the terrain for rays that march over it.
 
 Seen along one axis, the field is cut across into strips (rows of cells) and these into slabs of
 2, 16, 128, 1024 strips. A ray drifts sideways by its slope, in cells a strip, so it meets only

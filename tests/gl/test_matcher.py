@@ -18,8 +18,8 @@ from skyline import (
     read_dem,
 )
 from skyline.errors import InputError, StoreError, StoreMismatchError
-from skyline.matching.config import FullConfig
 from skyline.matching.full import FullMatcher
+from skyline.matching.match_config import FullConfig
 from skyline.matching.retrieval import Retriever
 from skyline.photo import Projection, QuerySkyline
 from skyline.pipeline.config import curvature_of, mapped_area_m

@@ -11,7 +11,7 @@ from skyline.camera import columns_u
 from skyline.errors import InputError
 from skyline.paper.reprojection import IDENTITY, equation_4, least_squares
 from skyline.prediction import PREDICTORS, predictor_named
-from skyline.prediction.warp import WarpFit
+from skyline.prediction.warp_fit import WarpFit
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 

@@ -92,7 +92,7 @@ def test_bad_settings_say_what_is_wrong():
     with pytest.raises(InputError, match="0 locations wide; expected 1"):
         Neighbourhood(0)
     for pitch in (0.0, -3.0, np.nan, np.inf):
-        with pytest.raises(InputError, match=r"pitch of .* m; expected a positive"):
+        with pytest.raises(InputError, match=r"spacing of .* m; expected a positive"):
             Neighbourhood(10, pitch)
     with pytest.raises(InputError, match="eye height is -1"):
         ToleranceMeter(level, eye_height_m=-1.0)

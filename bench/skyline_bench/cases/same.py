@@ -243,7 +243,7 @@ SAME_CASES = (
     TurnCase("half turn", "headings differ in more than a sign", _split_terrain, HALF_TURN),
     TurnCase(
         "transposition",
-        "rows and columns are walked by different code",
+        "rows and columns are marched by different code",
         _split_terrain,
         TRANSPOSITION,
     ),

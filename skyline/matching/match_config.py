@@ -8,7 +8,7 @@ from skyline.matching.retrieval import RetrievalConfig
 
 _QUICK = RefineConfig(
     shortlist=64,
-    walkers=16,
+    particles=16,
     rounds=4,
     keep_share=0.6,
     keep_least=6,
