@@ -6,7 +6,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.matching.rows import Rows
+from skyline.rows import Rows
 from skyline.views import FLAG_NO_DATA, Views
 
 

@@ -25,8 +25,8 @@ from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import thinned
 from skyline.matching.refine_config import RefineConfig
-from skyline.matching.rows import Rows
 from skyline.matching.solver import HEADING, Curves, Fit, Solver
+from skyline.rows import Rows
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
@@ -157,7 +157,8 @@ class _Refinement:
             kept = max(config.keep_least, int(np.ceil(config.keep_share * len(particles))))
             particles = self._moved(self._rough, self._kept(particles, kept))
         if config.restarts and config.restart_rounds:
-            particles = _joined(particles, self._restarted(self._apart(particles, config.restarts)))
+            restarted = self._restarted(self._apart(particles, config.restarts))
+            particles = _Particles.concatenate([particles, restarted])
         particles = self._finalists(particles)
         if config.final_rounds:
             particles = self._weighed_anew(particles)
@@ -328,16 +329,6 @@ class _Refinement:
         share = odds / odds.sum(axis=1, keepdims=True)
         squares = covariance_m2 + apart[..., np.newaxis] * apart[..., np.newaxis, :]
         return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
-
-
-def _joined(first: _Particles, second: _Particles) -> _Particles:
-    """Return both; the fields of particles are rows, or rows of rows."""
-    if not len(first) or not len(second):
-        return first if len(first) else second
-    both = np.arange(len(first) + len(second))
-    return first[np.minimum(both, len(first) - 1)].replaced(
-        both >= len(first), second[np.maximum(both - len(first), 0)]
-    )
 
 
 def _margin(hypotheses: Hypotheses, elsewhere_m: float) -> Float64Array:

@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
@@ -21,6 +20,7 @@ from skyline.matching.narrowing import Narrowed
 from skyline.matching.query import QueryRays
 from skyline.matching.screening import Alike, Screen, sample_of, screen_places
 from skyline.places import Places, PlaceSource
+from skyline.rows import Rows
 
 Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Heights of the ground at eastings and northings, NaN where there is none."""
@@ -213,7 +213,7 @@ class Retriever:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Start:
+class _Start(Rows):
     """Places (N), how alike they are, and the headings and zooms that fits set out from."""
 
     places: Places
@@ -223,11 +223,6 @@ class _Start:
 
     def __len__(self) -> int:
         return len(self.score)
-
-    def __getitem__(self, index: slice | NDArray[np.integer]) -> "_Start":
-        return _Start(
-            self.places[index], self.score[index], self.heading_rad[index], self.zoom[index]
-        )
 
 
 def _zoom_bounds(query: QueryRays) -> tuple[float, float]:

@@ -25,7 +25,7 @@ from skyline.matching.noise import HeightErrors, Judged, Noise, judge
 from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import level_with_changes
-from skyline.matching.rows import Rows
+from skyline.rows import Rows
 
 EAST, NORTH, HEADING, PITCH, ROLL, LOG_SCALE = range(6)
 """Columns of a state: the eye's displacement, metres; angles, radians; logarithm of the tangent

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
@@ -170,8 +169,3 @@ def _fill_in(errors: Float32Array, known: BoolArray) -> Float32Array:
         own = np.expand_dims(known, (0, 3 - axis))
         errors = np.where(own, errors, np.float32(0.5) * (before + after))
     return errors
-
-
-def area_sizes(areas: BoolArray) -> NDArray[np.intp]:
-    """Return how many locations each of N tolerance areas (N, K, K) holds, (N,)."""
-    return np.asarray(np.count_nonzero(areas, axis=(1, 2)), dtype=np.intp)

@@ -7,6 +7,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Float64Array, FloatArray
 from skyline.camera import columns_u, pixel_size
 from skyline.paper.reprojection import IDENTITY
+from skyline.rows import Rows
 
 _DAMPING = 1e-3
 _RIDGE = 1e-9
@@ -87,14 +88,14 @@ class WarpFit:
                 pair, state = pair[open_], state[open_]
             trial = pair.state(pair.step(state, damping))
             better = trial.error < state.error
-            state = state.replaced(trial, better)
+            state = state.replaced(better, trial)
             damping = np.where(better, 0.3 * damping, 8.0 * damping)
             error[left], affine[left] = state.error, state.affine
         return error / pixel, affine.reshape(-1, 2, 3)
 
 
 @dataclass(slots=True, eq=False)
-class _State:
+class _State(Rows):
     """B warps and how the curves miss each other under them; arrays of columns are (B, Q)."""
 
     affine: Float64Array
@@ -102,25 +103,6 @@ class _State:
     miss: Float64Array
     slope: Float64Array
     usable: BoolArray
-
-    def __getitem__(self, rows: BoolArray) -> "_State":
-        return _State(
-            self.affine[rows],
-            self.error[rows],
-            self.miss[rows],
-            self.slope[rows],
-            self.usable[rows],
-        )
-
-    def replaced(self, other: "_State", where: BoolArray) -> "_State":
-        rows = where[:, np.newaxis]
-        return _State(
-            np.where(rows, other.affine, self.affine),
-            np.where(where, other.error, self.error),
-            np.where(rows, other.miss, self.miss),
-            np.where(rows, other.slope, self.slope),
-            np.where(rows, other.usable, self.usable),
-        )
 
 
 class _Pair:
