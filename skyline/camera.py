@@ -71,7 +71,7 @@ def elevation_deg(elevation_tan: Float64Array, u: Float64Array) -> Float64Array:
     return np.degrees(np.arctan(elevation_tan * np.cos(np.arctan(u))))
 
 
-def project(offsets_m: Float64Array, heading: int) -> tuple[Float64Array, Float64Array]:
+def project_points(offsets_m: Float64Array, heading: int) -> tuple[Float64Array, Float64Array]:
     """Project points given relative to the eye: the paper's I = K [R | t] X without K.
 
     Parameters

@@ -28,10 +28,10 @@ from skyline.pipeline import (
     build_planned,
     build_sharded,
     build_uniform,
+    explain_scene,
     render_to_store,
     save_depth_pictures,
 )
-from skyline.pipeline import explain as explain_scene
 from skyline.pipeline.config import ROWS
 from skyline.pipeline.places import DEFAULT_SPACING_M
 from skyline.pipeline.shards import DEFAULT_TILE_M

@@ -8,9 +8,9 @@ from skyline.matching.pose import Scene
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import QueryRays
 from skyline.matching.ranking import Ranking
-from skyline.matching.retrieval import Ground
 from skyline.matching.screening import Alike
 from skyline.places import PlaceSource
+from skyline.terrain.heightfield import Ground
 
 
 class Source(Protocol):

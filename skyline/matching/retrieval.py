@@ -6,7 +6,6 @@ the best that differ from one another.
 """
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
@@ -21,9 +20,7 @@ from skyline.matching.query import QueryRays
 from skyline.matching.screening import Alike, Screen, sample_of, screen_places
 from skyline.places import Places, PlaceSource
 from skyline.rows import Rows
-
-Ground = Callable[[Float64Array, Float64Array], Float64Array]
-"""Heights of the ground at eastings and northings, NaN where there is none."""
+from skyline.terrain.heightfield import Ground
 
 _FITS_AT_ONCE = 256
 """Poses fitted together; keeps the arrays in the cache."""

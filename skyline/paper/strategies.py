@@ -1,5 +1,7 @@
 """The paper's five strategies: which viewpoint to render next (section 4.3)."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from skyline.arrays import BoolArray, Int64Array
@@ -80,16 +82,7 @@ def sov(problem: Problem, generator: np.random.Generator) -> Requests:
     next ellipse of its kind would touch it; selects among them as AROV does. Where no packed
     candidate is uncovered, candidates are drawn as in AROV.
     """
-    coverage = problem.coverage
-    packed = np.zeros(problem.grid.shape, dtype=bool)
-    known = 0
-    while not problem.done:
-        _pack(problem, known, packed)
-        known = len(coverage.viewpoints)
-        candidates = np.flatnonzero(packed & coverage.uncovered & problem.region)
-        if not candidates.size:
-            candidates = draw(generator, problem.open_candidates(), _DRAWN)
-        yield best(coverage, candidates, interpolated_areas(coverage, candidates))
+    yield from _preselected(problem, generator, _pack)
 
 
 def _pack(problem: Problem, known: int, packed: BoolArray) -> None:
@@ -133,18 +126,7 @@ def lpov(problem: Problem, generator: np.random.Generator) -> Requests:
     an end's size; taken as weights of the ends themselves they would draw viewpoints towards the
     large areas, against what the paper says they achieve: few viewpoints where areas are large.
     """
-    coverage = problem.coverage
-    located = np.zeros(problem.grid.shape, dtype=bool)
-    known = 0
-    while not problem.done:
-        _locate(problem, known, located)
-        known = len(coverage.viewpoints)
-        candidates = np.flatnonzero(located & coverage.uncovered & problem.region)
-        if candidates.size:
-            candidates = draw(generator, candidates, _RANKED)
-        else:
-            candidates = draw(generator, problem.open_candidates(), _DRAWN)
-        yield best(coverage, candidates, interpolated_areas(coverage, candidates))
+    yield from _preselected(problem, generator, _locate, _RANKED)
 
 
 def _locate(problem: Problem, known: int, located: BoolArray) -> None:
@@ -156,6 +138,27 @@ def _locate(problem: Problem, known: int, located: BoolArray) -> None:
     to_row = weight * row[known:, None] + (1.0 - weight) * row
     to_col = weight * col[known:, None] + (1.0 - weight) * col
     located[np.rint(to_row).astype(np.int64), np.rint(to_col).astype(np.int64)] = True
+
+
+def _preselected(
+    problem: Problem,
+    generator: np.random.Generator,
+    mark: Callable[[Problem, int, BoolArray], None],
+    ranked: int | None = None,
+) -> Requests:
+    """Select among candidates that the rendered viewpoints mark, at most so many drawn of them."""
+    coverage = problem.coverage
+    marked = np.zeros(problem.grid.shape, dtype=bool)
+    known = 0
+    while not problem.done:
+        mark(problem, known, marked)
+        known = len(coverage.viewpoints)
+        candidates = np.flatnonzero(marked & coverage.uncovered & problem.region)
+        if not candidates.size:
+            candidates = draw(generator, problem.open_candidates(), _DRAWN)
+        elif ranked is not None:
+            candidates = draw(generator, candidates, ranked)
+        yield best(coverage, candidates, interpolated_areas(coverage, candidates))
 
 
 def interpolated_areas(coverage: Coverage, candidates: Int64Array, nearest: int = 4) -> BoolArray:

@@ -1,10 +1,11 @@
 """The one place that ties renderer, store, planner, photo and matcher together."""
 
+from skyline.pipeline.batch import QueryReading, match_many
 from skyline.pipeline.build import (
     BuildResult,
     Progress,
     build_uniform,
-    explain,
+    explain_scene,
     render_to_store,
     render_views,
     save_depth_pictures,
@@ -12,7 +13,6 @@ from skyline.pipeline.build import (
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.match import Matcher, MatchResult
-from skyline.pipeline.match_many import QueryReading, match_many
 from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.pipeline.places import PlaceConfig, build_places
 from skyline.pipeline.planned import PlannedResult, build_planned
@@ -35,7 +35,7 @@ __all__ = [
     "build_planned",
     "build_sharded",
     "build_uniform",
-    "explain",
+    "explain_scene",
     "local_runner",
     "match_many",
     "matched",

@@ -45,11 +45,6 @@ class BuildResult:
     rendered: int
     seconds: float
 
-    @property
-    def renderings(self) -> int:
-        """The rows of a store of renderings."""
-        return self.rows
-
 
 class _Renderer(Protocol):
     def release(self) -> None: ...
@@ -119,7 +114,7 @@ def render_views(
         return renderer.render(viewpoints)
 
 
-def explain(
+def explain_scene(
     terrain: HeightField, eye: Viewpoints, config: RenderConfig | None = None
 ) -> tuple[SceneNeeds, Views]:
     """Return what one viewpoint's skyline needs, and its views at tolerance 0 and as configured.

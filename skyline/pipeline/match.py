@@ -11,22 +11,21 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.errors import InputError, SkylineError
+from skyline.errors import InputError, SkylineError, named
 from skyline.geodesy import Frame
 from skyline.matching import Candidate, Narrowing, Profiles, QueryRays
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed
-from skyline.matching.retrieval import Ground
 from skyline.matching.screening import Alike
 from skyline.photo import Projection, QuerySkyline, read_query
 from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
-from skyline.pipeline.matchers import FULL, check_narrows, matcher_named
+from skyline.pipeline.matchers import FULL, MATCHERS, check_narrows
 from skyline.pipeline.tables import to_geodataframe
 from skyline.places import PlaceSource
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import Store, StoreHeader, open_store
 from skyline.store.header import PLACES
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import Ground, HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
@@ -98,7 +97,7 @@ class Matcher:
         matcher: str = FULL,
         config: MatchConfig | None = None,
     ) -> None:
-        kind = matcher_named(matcher)
+        kind = named("matcher", matcher, MATCHERS)
         self._config = config or MatchConfig()
         with open_store(store) as opened:
             self.header = opened.header

@@ -17,14 +17,6 @@ MATCHERS: Mapping[str, type[Ranker]] = MappingProxyType(
 """Matchers by the name the command line gives them: ours, the paper's, the plain baseline."""
 
 
-def matcher_named(name: str) -> type[Ranker]:
-    """Return a matcher by its name; raises `InputError` for one that is not known."""
-    try:
-        return MATCHERS[name]
-    except KeyError as error:
-        raise InputError(f"matcher is {name!r}; expected one of {', '.join(MATCHERS)}") from error
-
-
 def check_narrows(matcher: Ranker) -> None:
     """Raise `InputError` for a matcher that cannot narrow its search."""
     if not matcher.narrows:

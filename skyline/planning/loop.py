@@ -24,7 +24,7 @@ from skyline.planning.budget import AIMS, ENOUGH, Outlook, check_coarse, coverin
 from skyline.planning.candidates import CandidateMap, lay_out
 from skyline.planning.models import Archive, InterpolatedModel, PredictedModel
 from skyline.planning.plan import Oracles, Plan, PlanConfig, PlanProgress
-from skyline.planning.requests import Headings, in_order, places, rows_by_place
+from skyline.planning.requests import Headings, as_asked, places, rows_by_place
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import MapBounds
 from skyline.terrain.heightfield import HeightField
@@ -272,7 +272,7 @@ class _Loop:
             parts.append(self._oracles.render(viewpoints[~held], heading[~held]))
             self._render_s += _clocks() - started
             self._fresh += int(np.count_nonzero(~held))
-        return in_order(Views.concatenate(parts), asked)
+        return as_asked(Views.concatenate(parts), asked)
 
     def _report(self) -> None:
         self._batches += 1

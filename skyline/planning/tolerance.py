@@ -1,6 +1,5 @@
 """Tolerance areas: where around a view its skyline still serves (paper 4.2)."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,12 +8,9 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.paper.reprojection import AFFINE_MEAN, displacements_m
 from skyline.prediction import Predictor
+from skyline.terrain.heightfield import Ground
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 from skyline.views import Views
-
-Ground = Callable[[Float64Array, Float64Array], Float64Array]
-"""Heights in metres at eastings and northings, NaN off the map and on holes."""
-
 
 _CAP = np.float32(4.0)
 """Errors above this many thresholds are all alike; a cap lets them be interpolated."""

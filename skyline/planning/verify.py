@@ -10,7 +10,7 @@ from skyline.arrays import Int64Array
 from skyline.coverage import Coverage
 from skyline.errors import InputError
 from skyline.planning.plan import Plan
-from skyline.planning.requests import Headings, Render, in_order, places
+from skyline.planning.requests import Headings, Render, as_asked, places
 from skyline.views import Views
 
 TrueErrors = Callable[[Views, Views], NDArray[np.floating]]
@@ -137,4 +137,4 @@ def _views(source: Render, plan: Plan, candidates: Int64Array, heading: Headings
     """Return views at candidates along headings, in that order; each is asked for once."""
     once = np.unique(np.stack([heading, candidates]), axis=1)
     views = source(plan.candidates.viewpoints(once[1]), once[0].astype(np.uint8))
-    return in_order(views, places(plan.candidates.viewpoints(candidates), heading))
+    return as_asked(views, places(plan.candidates.viewpoints(candidates), heading))

@@ -10,7 +10,7 @@ seen from the new eye, by at most |t| (1 - k) / R in v: 0.013 px for 300 m.
 """
 
 from skyline.prediction.predicted import predict
-from skyline.prediction.predictors import PREDICTORS, Predictor, predictor_named
+from skyline.prediction.predictors import PREDICTORS, Predictor
 from skyline.prediction.shells import shell_edges_m
 from skyline.prediction.truth import true_errors_px
 
@@ -18,7 +18,6 @@ __all__ = [
     "PREDICTORS",
     "Predictor",
     "predict",
-    "predictor_named",
     "shell_edges_m",
     "true_errors_px",
 ]

@@ -139,13 +139,3 @@ PREDICTORS: Mapping[str, Predictor] = MappingProxyType(
     }
 )
 """Predictors by name; the paper's is ``affine-mean``."""
-
-
-def predictor_named(name: str) -> Predictor:
-    """Return a predictor by its name; raises `InputError` for one that is not known."""
-    try:
-        return PREDICTORS[name]
-    except KeyError as error:
-        raise InputError(
-            f"predictor is {name!r}; expected one of {', '.join(PREDICTORS)}"
-        ) from error

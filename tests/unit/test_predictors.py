@@ -10,7 +10,7 @@ from scenes import field_from
 from skyline.camera import columns_u
 from skyline.errors import InputError
 from skyline.paper.reprojection import IDENTITY, equation_4, least_squares
-from skyline.prediction import PREDICTORS, predictor_named
+from skyline.prediction import PREDICTORS
 from skyline.prediction.warp_fit import WarpFit
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
@@ -186,9 +186,6 @@ def test_bad_requests_say_what_is_wrong():
     for name in PREDICTORS:
         with pytest.raises(InputError, match=r"shape \(4, 3\); expected \(1, C, 3\)"):
             PREDICTORS[name].errors_px(view, np.zeros((4, 3)))
-    with pytest.raises(InputError, match="'best'; expected one of non-affine, affine-mean"):
-        predictor_named("best")
-    assert predictor_named("curve") is PREDICTORS["curve"]
 
 
 def test_a_threshold_leaves_what_is_near_it_as_it_is_and_what_is_beyond_beyond():

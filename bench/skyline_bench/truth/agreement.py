@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size, project
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size, project_points
 from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
@@ -277,7 +277,7 @@ def _columns_past_rims(scene: Scene) -> BoolArray:
         offsets[:, 0] = easting - eyes.easting_m[index]
         offsets[:, 2] = northing - eyes.northing_m[index]
         for heading in HEADINGS:
-            uv, depth = project(offsets, heading)
+            uv, depth = project_points(offsets, heading)
             ahead = depth > 0.0
             at, slack = uv[ahead, 0], _ASIDE * (1.0 + field.spacing_m / depth[ahead])
             nearest = np.clip(np.rint((at + 1.0) / pixel_size(scene.width) - 0.5), 0, len(u) - 1)
