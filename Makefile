@@ -22,10 +22,11 @@ test: setup ## Run all tests
 docs: setup ## Build the documentation into build/site; a broken link fails
 	NO_MKDOCS_2_WARNING=1 $(IN_VENV)/mkdocs build --strict
 
-check: setup docs ## Lint, check format, types and spelling, build the documentation
+check: setup docs ## Lint, check format, types, imports and spelling, build the documentation
 	$(IN_VENV)/ruff check
 	$(IN_VENV)/ruff format --check
 	$(IN_VENV)/mypy
+	$(IN_VENV)/lint-imports
 	$(IN_VENV)/codespell
 
 bench: setup ## Time the pipeline stage by stage, write bench/results

@@ -18,7 +18,7 @@ from rich.table import Table
 from skyline.photo import write_overlay
 from skyline.pipeline import (
     FULL,
-    MATCHER_NAMES,
+    MATCHERS,
     Matcher,
     MatchResult,
     RenderConfig,
@@ -76,8 +76,7 @@ def main() -> None:
 
     queries = take_pictures(terrain, out / "queries")
     matchers = {
-        name: Matcher(places if name == FULL else renderings, matcher=name)
-        for name in MATCHER_NAMES
+        name: Matcher(places if name == FULL else renderings, matcher=name) for name in MATCHERS
     }
     results = {name: [m.match(query.path) for query in queries] for name, m in matchers.items()}
     for query, result in zip(queries, results[FULL], strict=True):

@@ -5,7 +5,7 @@
 #version 430
 #define PRECISE precise
 layout(local_size_x = LANES) in;
-#include "horizon_walk.glsl"
+#include "horizon_march.glsl"
 
 layout(std430, binding = 0) readonly buffer Eyes { Eye eyes[]; };
 layout(std430, binding = 1) buffer Tans { float elevation_tan[]; };
@@ -46,7 +46,7 @@ void main() {
         known = (known - 1e-6 * abs(known)) * metres_per_strip;
         winner = known > best ? NO_STRIP : winner;
         best = max(best, known);
-        walk_heights(live, bin, s_first, s_last, done, best, winner);
+        march_heights(live, bin, s_first, s_last, done, best, winner);
         Hit hit = Hit(REAL(NOTHING), REAL(1e30), 0, 0);
         resolve(winner, winner != NO_STRIP, hit);
         bool found = float(hit.v) > DATA;

@@ -1,11 +1,11 @@
 // Skylines of many viewpoints in one heading, for OpenGL below 4.3: a fragment is a column, a row
-// of the target is a view. The same walk as horizon.comp, without first bounds from neighbours.
+// of the target is a view. The same march as horizon.comp, without first bounds from neighbours.
 //
 // What earlier windows of a large field left comes in as a texture.
 #version 330 core
 #extension GL_ARB_gpu_shader_fp64 : enable
 #define PRECISE
-#include "horizon_walk.glsl"
+#include "horizon_march.glsl"
 
 uniform sampler2D eyes;           // two texels an eye: nearest, offset; offset_low, elevation_m
 uniform int first_row;            // of the target, the first eye's
@@ -42,7 +42,7 @@ void main() {
     best = max(best, surfacing_tan(sky_here.x, sky_here.y, shell_m.x));
 #endif
     best = max((best - 1e-6 * abs(best)) * metres_per_strip, NOTHING);
-    walk_heights(live, bin, s_first, s_last, NO_STRIP, best, place);
+    march_heights(live, bin, s_first, s_last, NO_STRIP, best, place);
 #ifdef SHELLS
     float v = place < NO_PLACE ? best : NOTHING, z = place;
 #else

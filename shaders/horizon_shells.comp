@@ -7,7 +7,7 @@
 #version 430
 #define PRECISE precise
 layout(local_size_x = LANES) in;
-#include "horizon_walk.glsl"
+#include "horizon_march.glsl"
 
 layout(std430, binding = 0) readonly buffer Eyes { Eye eyes[]; };
 layout(std430, binding = 1) buffer Tans { float elevation_tan[]; };
@@ -55,7 +55,7 @@ void main() {
             int done = winners[shell];
             float best = max(NOTHING, known), z = NO_PLACE;
             leaf(done, s_first, s_last, best, z);
-            walk_heights(live, bin, s_first, s_last, done, best, z);
+            march_heights(live, bin, s_first, s_last, done, best, z);
             bool found = z < NO_PLACE && best > DATA;
             if (!holds_sky) {
                 winners[shell] = found ? (ip + int(ceil(z + float(fp))) - 1) & ~1 : NO_STRIP;

@@ -10,7 +10,7 @@ from .errors import (
     StoreMismatchError,
 )
 from .geodesy import Curvature, Frame
-from .matching.full import FullConfig
+from .matching.match_config import FullConfig, MatchConfig
 from .matching.narrowing import Narrowing
 from .matching.ranking import Candidate
 from .matching.refine_config import RefineConfig
@@ -19,7 +19,7 @@ from .matching.screening import Alike
 from .photo import Projection, QuerySkyline, read_query
 from .pipeline.build import BuildResult, build_uniform, render_to_store, render_views
 from .pipeline.config import RenderConfig
-from .pipeline.match import MatchConfig, Matcher, MatchResult
+from .pipeline.match import Matcher, MatchResult
 from .pipeline.places import PlaceConfig, build_places
 from .pipeline.tables import to_geodataframe
 from .places import Places

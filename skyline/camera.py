@@ -5,8 +5,8 @@ Both are left-handed, so every rotation here has determinant +1.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 
 HEADINGS = (0, 1, 2, 3)
@@ -14,8 +14,6 @@ HEADINGS = (0, 1, 2, 3)
 
 DEFAULT_WIDTH = 640
 MAX_WIDTH = 16384
-
-Float64Array = NDArray[np.float64]
 
 
 def check_width(width: int) -> int:
@@ -73,7 +71,7 @@ def elevation_deg(elevation_tan: Float64Array, u: Float64Array) -> Float64Array:
     return np.degrees(np.arctan(elevation_tan * np.cos(np.arctan(u))))
 
 
-def project(offsets_m: Float64Array, heading: int) -> tuple[Float64Array, Float64Array]:
+def project_points(offsets_m: Float64Array, heading: int) -> tuple[Float64Array, Float64Array]:
     """Project points given relative to the eye: the paper's I = K [R | t] X without K.
 
     Parameters

@@ -28,10 +28,10 @@ from skyline.pipeline import (
     build_planned,
     build_sharded,
     build_uniform,
+    explain_scene,
     render_to_store,
     save_depth_pictures,
 )
-from skyline.pipeline import explain as explain_scene
 from skyline.pipeline.config import ROWS
 from skyline.pipeline.places import DEFAULT_SPACING_M
 from skyline.pipeline.shards import DEFAULT_TILE_M
@@ -39,7 +39,7 @@ from skyline.planning.plan import PlanConfig
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
 from skyline.prediction import shell_edges_m
-from skyline.report.coverage import save_coverage_map
+from skyline.report.coverage_map import save_coverage_map
 from skyline.store import is_store
 from skyline.store_cli import store_app
 from skyline.terrain.dem import DemOptions, read_dem

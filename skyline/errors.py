@@ -4,6 +4,11 @@ Every error is also the builtin error a Python caller would expect, and carries 
 code of the command line: 2 for bad input, 1 for a failure.
 """
 
+from collections.abc import Mapping
+from typing import TypeVar
+
+T = TypeVar("T")
+
 
 class SkylineError(Exception):
     """Anything Skyline reports on purpose; ``str`` of it is one line for the user."""
@@ -47,3 +52,10 @@ class FetchError(SkylineError, OSError):
 
 class BuildError(SkylineError, RuntimeError):
     """A build some of whose jobs failed; what the others made is kept."""
+
+
+def named(what: str, name: str, known: Mapping[str, T]) -> T:
+    """Return one of many by its name; raises `InputError` for a name that is not known."""
+    if name not in known:
+        raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
+    return known[name]

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.camera import pixel_size
 from skyline.errors import InputError
 from skyline.views import Views
@@ -11,9 +12,6 @@ NO_KEYPOINT = 65535
 """Pads the rows of keypoint tables."""
 
 DEFAULT_MAX_KEYPOINTS = 128
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 
 def polyline_keypoints(

@@ -8,16 +8,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import CRS, Proj, Transformer
 from pyproj.exceptions import CRSError
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 
 EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13
-
-Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -171,24 +170,17 @@ class Frame:
 
     def convergence_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return grid convergence: true azimuth = grid azimuth + convergence, degrees."""
-        lon, lat = self._geographic(easting_m, northing_m)
-        factors = self._projection.get_factors(lon, lat)
-        return np.asarray(factors.meridian_convergence, dtype=np.float64)
+        return self._factor("meridian_convergence", easting_m, northing_m)
 
     def angular_distortion_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return the greatest distortion of an angle at each location; 0 where conformal."""
-        lon, lat = self._geographic(easting_m, northing_m)
-        factors = self._projection.get_factors(lon, lat)
-        return np.asarray(factors.angular_distortion, dtype=np.float64)
+        return self._factor("angular_distortion", easting_m, northing_m)
 
     def scale(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return map metres per metre on the ground at each location, mean over directions."""
-        lon, lat = self._geographic(easting_m, northing_m)
-        factors = self._projection.get_factors(lon, lat)
-        return np.sqrt(np.asarray(factors.areal_scale, dtype=np.float64))
+        return np.sqrt(self._factor("areal_scale", easting_m, northing_m))
 
-    def _geographic(
-        self, easting_m: ArrayLike, northing_m: ArrayLike
-    ) -> tuple[Float64Array, Float64Array]:
+    def _factor(self, name: str, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         lon, lat = self._projection(easting_m, northing_m, inverse=True)
-        return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
+        factors = self._projection.get_factors(np.asarray(lon), np.asarray(lat))
+        return np.asarray(getattr(factors, name), dtype=np.float64)

@@ -1,17 +1,13 @@
 """Horizons: the skylines of many eyes all the way round, in equal steps of azimuth."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-Index = slice | NDArray[np.integer] | NDArray[np.bool_]
+from skyline.rows import Rows
 
 
 def check_bins(bins: int) -> int:
@@ -40,7 +36,7 @@ def quadrant_azimuths_rad(bins: int) -> Float64Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Horizons:
+class Horizons(Rows):
     """The skylines of N eyes in B bins of azimuth; see `bin_azimuths_rad`.
 
     Attributes
@@ -66,19 +62,7 @@ class Horizons:
     def __len__(self) -> int:
         return len(self.easting_m)
 
-    def __getitem__(self, index: Index) -> "Horizons":
-        rows: Any = {f.name: getattr(self, f.name)[index] for f in fields(self)}
-        return Horizons(**rows)
-
     @property
     def bins(self) -> int:
         """Number of azimuth bins B."""
         return int(self.elevation_tan.shape[1])
-
-    @classmethod
-    def concatenate(cls, parts: Sequence["Horizons"]) -> "Horizons":
-        """Join horizons of as many bins, in order; at least one part."""
-        rows: Any = {
-            f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)
-        }
-        return cls(**rows)

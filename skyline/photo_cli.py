@@ -13,11 +13,11 @@ from skyline.console import Scheduler, Workers, complain, parse_bounds, runner_o
 from skyline.describe import describe_match
 from skyline.errors import InputError, SkylineError
 from skyline.matching import Narrowing
+from skyline.matching.match_config import MatchConfig
 from skyline.photo import Projection, extract_photo, write_overlay, write_trace
 from skyline.pipeline import (
     FULL,
-    MATCHER_NAMES,
-    MatchConfig,
+    MATCHERS,
     Matcher,
     MatchResult,
     QueryReading,
@@ -58,7 +58,7 @@ def match(
         list[str] | None,
         typer.Option(metavar="DEM", help="The store's DEM, if it has moved; repeat for each tile."),
     ] = None,
-    matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHER_NAMES)}.")] = FULL,
+    matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHERS)}.")] = FULL,
     no_refine: Annotated[
         bool, typer.Option("--no-refine", help="Do not render around the best poses.")
     ] = False,

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, FloatArray
 from skyline.camera import columns_u, elevation_deg, rotation
+from skyline.rows import Index
 
 FLAG_TRUNCATED = 1
 """The skyline lies on the border of the data."""
@@ -17,17 +19,6 @@ FLAG_NO_DATA = 4
 """The column meets no data; its values are NaN."""
 FLAG_OUT_OF_IMAGE = 8
 """Depth images only: the skyline lies above the image's top or below its bottom."""
-
-FLAG_NAMES = {
-    FLAG_TRUNCATED: "truncated",
-    FLAG_HOLE: "hole",
-    FLAG_NO_DATA: "no data",
-    FLAG_OUT_OF_IMAGE: "out of image",
-}
-
-FloatArray = NDArray[np.floating]
-Float64Array = NDArray[np.float64]
-Index = slice | NDArray[np.integer] | NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

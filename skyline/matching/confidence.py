@@ -18,15 +18,12 @@ from dataclasses import dataclass
 from importlib import resources
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.pose import Poses
 from skyline.matching.query import QueryRays, level
-
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 RIGHT_WITHIN_M = 200.0
 """An answer this near is right."""

@@ -21,17 +21,20 @@ correlation. The score is 1 - ncc, in [0, 2].
 """
 
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
+from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
+from skyline.matching.ranker import Ranker, Source
 from skyline.matching.ranking import Fits, Ranking, select
-
-Float64Array = NDArray[np.float64]
+from skyline.matching.screening import Alike
 
 _CHUNK = 8
 """Locations at a time; keeps the transforms' arrays in the cache."""
@@ -62,12 +65,8 @@ class CorrelationMatcher:
         if not 0.0 < self.min_overlap <= 1.0:
             raise InputError(f"least overlap is {self.min_overlap}; expected above 0, at most 1")
 
-    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> Ranking:
-        """Return the best poses, best first; see `Matcher.rank`."""
-        return self.prepare(profiles).rank(query, top)
-
     def prepare(self, profiles: Profiles) -> "PreparedCorrelation":
-        """Take a store; see `Matcher.prepare`.
+        """Take a store's profiles.
 
         Nothing is computed yet: the transforms of profiles are few beside those that a query
         needs, and would take several times the profiles' memory.
@@ -133,13 +132,24 @@ class CorrelationMatcher:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PreparedCorrelation:
+class PreparedCorrelation(Ranker):
     """The correlation matcher with the store it matches to."""
 
     matcher: CorrelationMatcher
     profiles: Profiles
 
-    def rank(self, query: QueryRays, top: int) -> Ranking:
+    @classmethod
+    def open(cls, source: Source) -> Self:
+        """See `Ranker.open`."""
+        return cls(CorrelationMatcher(), source.profiles())
+
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        narrowed: Narrowed | None = None,
+        screened: Alike | None = None,
+    ) -> Ranking:
         """Return the best poses, best first; see `Ranker.rank`."""
         fits = self.matcher.fit(self.profiles, query)
         return select(self.profiles, fits, query.fov_deg, top, self.matcher.separation_m)

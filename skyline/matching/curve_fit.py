@@ -18,12 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.matching.query import QueryRays
+from skyline.arrays import Float32Array, Float64Array
+from skyline.matching.query import QueryRays, level_axes
 from skyline.places import Places
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 _HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH = range(6)
 _DAMPING = np.float32(1e-3)
@@ -65,7 +62,7 @@ class FitConfig:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Poses:
+class FittedPoses:
     """M fitted poses.
 
     Attributes
@@ -147,7 +144,7 @@ class CurveFit:
         """Of the query's easting, and of its northing, from each place's (M,)."""
         return self.places.tolerance_m / np.float32(np.sqrt(3.0))
 
-    def fit(self, heading: Float64Array, zoom: Float64Array) -> Poses:
+    def fit(self, heading: Float64Array, zoom: Float64Array) -> FittedPoses:
         """Improve poses that look along headings (M,), radians, with zooms (M,)."""
         pose = np.zeros((len(heading), 6), dtype=np.float32)
         pose[:, _HEADING], pose[:, _ZOOM] = heading, zoom
@@ -163,7 +160,7 @@ class CurveFit:
             weight = weight / (variance + np.square(seen.miss) + np.radians(scale_deg) ** 2)
             pose = self._bounded(pose, _step(pose, seen, weight.astype(np.float32), prior))
         score = self._score(pose, self._seen(pose, y, nearness), prior)
-        return Poses(pose, score)
+        return FittedPoses(pose, score)
 
     def _seen(self, pose: Float32Array, y: Float32Array, nearness: Float32Array) -> _Seen:
         azimuth, tangent = self._project(pose)
@@ -200,10 +197,8 @@ class CurveFit:
         pitch, roll, zoom = (pose[:, k, np.newaxis] for k in (_PITCH, _ROLL, _ZOOM))
         scale = np.exp(zoom)
         u, v = self.rays.u * scale, self.rays.v * scale
-        right = u * np.cos(roll) + v * np.sin(roll)
-        up = v * np.cos(roll) - u * np.sin(roll)
-        forward = np.maximum(np.cos(pitch) - up * np.sin(pitch), _MIN_FORWARD)
-        up = up * np.cos(pitch) + np.sin(pitch)
+        right, up, forward = level_axes(u, v, pitch, roll)
+        forward = np.maximum(forward, _MIN_FORWARD)
         return np.arctan(right / forward), up / np.hypot(right, forward)
 
     def _variance(self, pose: Float32Array, nearness: Float32Array) -> Float32Array:

@@ -1,71 +1,28 @@
 """Our matcher: retrieve among places, refine by rendering, say how sure the answer is."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.matching import confidence
 from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.match_config import FullConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Poses, Scene, refine
 from skyline.matching.query import QueryRays
+from skyline.matching.ranker import Ranker, Source
 from skyline.matching.ranking import Ranking
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike
 from skyline.matching.threads import one_blas_thread
 
-Float64Array = NDArray[np.float64]
 
-
-_QUICK = RefineConfig(
-    shortlist=64,
-    walkers=16,
-    rounds=4,
-    keep_share=0.6,
-    keep_least=6,
-    restarts=1,
-    finalists=6,
-    final_rounds=3,
-)
-
-
-@dataclass(frozen=True, slots=True)
-class FullConfig:
-    """How a query is matched.
-
-    Attributes
-    ----------
-    shortlist : int
-        Poses retrieved.
-    separation_m : float
-        Candidates are at least this far apart.
-    quick : RefineConfig
-        How the best of them are refined first.
-    sure_margin : float
-        Where the quick refinement's best pose is this much likelier than any elsewhere (natural
-        logarithm), it stands. Infinite never lets it.
-    refine : RefineConfig
-        How they are refined where it does not.
-    """
-
-    shortlist: int = 400
-    separation_m: float = 100.0
-    quick: RefineConfig = field(default_factory=lambda: _QUICK)
-    sure_margin: float = 75.0
-    refine: RefineConfig = field(default_factory=RefineConfig)
-
-    def __post_init__(self) -> None:
-        if self.shortlist < 1 or self.separation_m < 0.0:
-            raise InputError(
-                f"{self.shortlist} retrieved poses and candidates {self.separation_m:g} m apart; "
-                "expected at least 1 and 0"
-            )
-
-
-class FullMatcher:
+class FullMatcher(Ranker):
     """Retrieval, refinement and confidence in one.
 
     Parameters
@@ -76,6 +33,9 @@ class FullMatcher:
     config : FullConfig, optional
     """
 
+    narrows = True
+    finds_fov = True
+
     def __init__(
         self, retriever: Retriever, scene: Scene | None = None, config: FullConfig | None = None
     ) -> None:
@@ -83,6 +43,13 @@ class FullMatcher:
         self._scene = scene
         self._config = config or FullConfig()
         self._models = confidence.models()
+
+    @classmethod
+    def open(cls, source: Source) -> Self:
+        """See `Ranker.open`."""
+        places, config = source.places(), source.config
+        scene = source.scene()
+        return cls(Retriever(places, source.ground(), config.retrieval), scene, config.full)
 
     def rank(
         self,
@@ -157,11 +124,11 @@ class FullMatcher:
         return self._models[model].probability(figures)
 
     def _chosen(self, poses: Hypotheses, top: int) -> NDArray[np.intp]:
-        return poses.spread(top, self._config.separation_m)
+        return poses.suppress_non_maxima(top, self._config.separation_m)
 
 
 def _held(poses: Hypotheses, narrowed: Narrowed) -> Hypotheses:
-    """Return poses of which those that have walked out of a narrowing fit nowhere."""
+    """Return poses of which those that have moved out of a narrowing fit nowhere."""
     return replace(poses, score=np.where(narrowed.holds(poses), poses.score, np.inf))
 
 

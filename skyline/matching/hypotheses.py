@@ -1,21 +1,16 @@
-"""Hypotheses: arrays of camera poses a query may have, and how a spread-out few are drawn."""
+"""Hypotheses: arrays of camera poses a query may have, and non-maximum suppression among them."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
-Index = slice | NDArray[np.integer] | NDArray[np.bool_]
+from skyline.rows import Rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Hypotheses:
+class Hypotheses(Rows):
     """M poses of the camera that took a query.
 
     Attributes
@@ -43,19 +38,9 @@ class Hypotheses:
     def __len__(self) -> int:
         return len(self.score)
 
-    def __getitem__(self, index: Index) -> "Hypotheses":
-        rows: Any = {f.name: getattr(self, f.name)[index] for f in fields(self)}
-        return Hypotheses(**rows)
-
-    @classmethod
-    def concatenate(cls, parts: Sequence["Hypotheses"]) -> "Hypotheses":
-        """Join hypotheses in order; at least one part."""
-        rows: Any = {
-            f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)
-        }
-        return cls(**rows)
-
-    def spread(self, count: int, separation_m: float, turn_deg: float = 360.0) -> IntArray:
+    def suppress_non_maxima(
+        self, count: int, separation_m: float, turn_deg: float = 360.0
+    ) -> IntArray:
         """Return the indices of the best that differ from one another, best first.
 
         A hypothesis is left out where a better one lies nearer than ``separation_m`` and looks

@@ -7,14 +7,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, Rectangle
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.screening import turns_within
 from skyline.places import Places
-
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _CONVERGENCE_DEG = 5.0
 """More than meridians converge within a frame: turns are screened that much more widely."""

@@ -21,13 +21,10 @@ are kept at a few nodes along the skyline, so that everything costs matrices of 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.matching.rows import Rows
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
+from skyline.rows import Rows
 
 _X_AT_ONE_OVER_E = 2.1461932206205825
 """Where (1 + x) exp(-x) is 1 / e."""

@@ -3,14 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.matching.rows import Rows
+from skyline.rows import Rows
 from skyline.views import FLAG_NO_DATA, Views
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

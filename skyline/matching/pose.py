@@ -1,4 +1,4 @@
-"""Refinement: hypotheses walk to where a rendering fits the query, by rendering again.
+"""Refinement: hypotheses move to where a rendering fits the query, by rendering again.
 
 Each round renders every hypothesis that is left in one call. A rendering carries the distance of
 every skyline point, so it also tells how the skyline changes as the eye moves
@@ -10,7 +10,7 @@ Occlusion makes local optima, so the best few then start again from places aroun
 That much takes the errors of the terrain model as independent from column to column, which is
 quick and reaches far. The last rounds take them as they are, correlated: that weighs the near
 and the far rightly, and makes costs and covariances mean what they say. Where the list is long,
-a rendering of each, compared in wide steps of azimuth, says first which are worth a walk.
+a rendering of each, compared in wide steps of azimuth, says first which are worth following.
 """
 
 from dataclasses import dataclass, replace
@@ -19,18 +19,16 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import thinned
 from skyline.matching.refine_config import RefineConfig
-from skyline.matching.rows import Rows
 from skyline.matching.solver import HEADING, Curves, Fit, Solver
+from skyline.rows import Rows
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 _SECTOR_MARGIN_DEG = 3.0
 """A view is rendered where the query comes this near to it."""
@@ -119,7 +117,7 @@ def refine(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Walkers(Rows):
+class _Particles(Rows):
     """M hypotheses on their way: where they stand, what they see and how it fits."""
 
     easting_m: Float64Array
@@ -131,7 +129,7 @@ class _Walkers(Rows):
     def __len__(self) -> int:
         return len(self.easting_m)
 
-    def best(self, count: int) -> "_Walkers":
+    def best(self, count: int) -> "_Particles":
         """Return the best that fit at all, best first."""
         order = np.argsort(self.fit.cost, kind="stable")[:count]
         return self[order[np.isfinite(self.fit.cost[order])]]
@@ -152,58 +150,59 @@ class _Refinement:
         config = self._config
         best = np.argsort(hypotheses.score, kind="stable")[: config.shortlist]
         taken = hypotheses[best]
-        if len(taken) > config.walkers:
+        if len(taken) > config.particles:
             taken = self._scouted(taken)
-        walkers = self._set_out(self._rough, taken)
+        particles = self._started(self._rough, taken)
         for _ in range(config.rounds - 1):
-            kept = max(config.keep_least, int(np.ceil(config.keep_share * len(walkers))))
-            walkers = self._walked(self._rough, self._kept(walkers, kept))
+            kept = max(config.keep_least, int(np.ceil(config.keep_share * len(particles))))
+            particles = self._moved(self._rough, self._kept(particles, kept))
         if config.restarts and config.restart_rounds:
-            walkers = _joined(walkers, self._restarted(self._apart(walkers, config.restarts)))
-        walkers = self._finalists(walkers)
+            restarted = self._restarted(self._apart(particles, config.restarts))
+            particles = _Particles.concatenate([particles, restarted])
+        particles = self._finalists(particles)
         if config.final_rounds:
-            walkers = self._weighed_anew(walkers)
+            particles = self._weighed_anew(particles)
         for _ in range(config.final_rounds):
-            walkers = self._walked(self._fine, walkers)
-        return self._poses(self._finalists(walkers))
+            particles = self._moved(self._fine, particles)
+        return self._poses(self._finalists(particles))
 
     def _scouted(self, hypotheses: Hypotheses) -> Hypotheses:
         """Return the hypotheses that one rendering each, coarsely compared, speaks for."""
-        seen = self._set_out(self._scout, hypotheses).best(self._config.walkers)
+        seen = self._started(self._scout, hypotheses).best(self._config.particles)
         return self._hypotheses(seen, self._scout)
 
-    def _set_out(self, solver: Solver, hypotheses: Hypotheses) -> _Walkers:
+    def _started(self, solver: Solver, hypotheses: Hypotheses) -> _Particles:
         return self._arrived(
             solver, hypotheses.easting_m, hypotheses.northing_m, solver.start(hypotheses)
         )
 
-    def _weighed_anew(self, walkers: _Walkers) -> _Walkers:
+    def _weighed_anew(self, particles: _Particles) -> _Particles:
         """Judge by correlated errors, until the noise has settled: costs must be comparable."""
-        fit = walkers.fit
+        fit = particles.fit
         for _ in range(_SETTLING):
-            fit = self._fine.improve(walkers.curves, fit, np.zeros(len(walkers)))
-        return replace(walkers, fit=fit, step_m=self._first_steps(len(walkers)))
+            fit = self._fine.improve(particles.curves, fit, np.zeros(len(particles)))
+        return replace(particles, fit=fit, step_m=self._first_steps(len(particles)))
 
-    def _walked(self, solver: Solver, walkers: _Walkers) -> _Walkers:
+    def _moved(self, solver: Solver, particles: _Particles) -> _Particles:
         """Take one step; keep it where the rendering from the new place fits better."""
-        solved = solver.improve(walkers.curves, walkers.fit, walkers.step_m)
+        solved = solver.improve(particles.curves, particles.fit, particles.step_m)
         step = solved.state[:, :HEADING]
         length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
-        step = step * np.minimum(1.0, 2.0 * walkers.step_m / length)[:, np.newaxis]
+        step = step * np.minimum(1.0, 2.0 * particles.step_m / length)[:, np.newaxis]
         new = self._arrived(
-            solver, walkers.easting_m + step[:, 0], walkers.northing_m + step[:, 1], solved
+            solver, particles.easting_m + step[:, 0], particles.northing_m + step[:, 1], solved
         )
-        better = new.fit.cost < walkers.fit.cost
-        step_m = walkers.step_m * np.where(better, _LONGER, _SHORTER)
+        better = new.fit.cost < particles.fit.cost
+        step_m = particles.step_m * np.where(better, _LONGER, _SHORTER)
         return replace(
-            walkers.replaced(better, new), step_m=np.minimum(step_m, self._config.longest_step_m)
+            particles.replaced(better, new), step_m=np.minimum(step_m, self._config.longest_step_m)
         )
 
-    def _restarted(self, walkers: _Walkers) -> _Walkers:
-        """Return walkers that set out from a ring around each place."""
+    def _restarted(self, particles: _Particles) -> _Particles:
+        """Return particles that start from a ring around each place."""
         ring = self._config.restart_m * np.exp(0.25j * np.pi * np.arange(8))
-        around = walkers[np.repeat(np.arange(len(walkers)), len(ring))]
-        offset = np.tile(ring, len(walkers))
+        around = particles[np.repeat(np.arange(len(particles)), len(ring))]
+        offset = np.tile(ring, len(particles))
         around = self._arrived(
             self._rough,
             around.easting_m + offset.real,
@@ -211,13 +210,13 @@ class _Refinement:
             around.fit,
         )
         for _ in range(self._config.restart_rounds - 1):
-            around = self._walked(self._rough, around.best(len(around)))
+            around = self._moved(self._rough, around.best(len(around)))
         return around
 
     def _arrived(
         self, solver: Solver, easting_m: Float64Array, northing_m: Float64Array, fit: Fit
-    ) -> _Walkers:
-        """Return walkers at places, the attitude solved there; without a fit off the map."""
+    ) -> _Particles:
+        """Return particles at places, the attitude solved there; without a fit off the map."""
         state = fit.state.copy()
         state[:, :HEADING] = 0.0
         fit = replace(fit, state=state)
@@ -226,7 +225,7 @@ class _Refinement:
         unjudged = bool(np.isinf(fit.cost).all())
         still = np.zeros(len(state))
         fit = solver.settle(curves, fit) if unjudged else solver.improve(curves, fit, still)
-        return _Walkers(easting_m, northing_m, self._first_steps(len(state)), curves, fit)
+        return _Particles(easting_m, northing_m, self._first_steps(len(state)), curves, fit)
 
     def _seen(
         self,
@@ -263,57 +262,59 @@ class _Refinement:
     def _first_steps(self, count: int) -> Float64Array:
         return np.full(count, self._config.first_step_m)
 
-    def _apart(self, walkers: _Walkers, count: int) -> _Walkers:
+    def _apart(self, particles: _Particles, count: int) -> _Particles:
         """Return the best that stand apart or look elsewhere, best first."""
-        standing = self._hypotheses(walkers, self._rough)
-        return walkers[standing.spread(count, self._config.separation_m, _SAME_VIEW_DEG)]
+        standing = self._hypotheses(particles, self._rough)
+        return particles[
+            standing.suppress_non_maxima(count, self._config.separation_m, _SAME_VIEW_DEG)
+        ]
 
-    def _kept(self, walkers: _Walkers, count: int) -> _Walkers:
+    def _kept(self, particles: _Particles, count: int) -> _Particles:
         """Return the best, and the rivals of the very best where they are not among them."""
-        ordered = walkers.best(len(walkers))
+        ordered = particles.best(len(particles))
         rivals = self._elsewhere(ordered)[: self._config.rivals]
         return ordered[np.union1d(np.arange(min(count, len(ordered))), rivals)]
 
-    def _finalists(self, walkers: _Walkers) -> _Walkers:
+    def _finalists(self, particles: _Particles) -> _Particles:
         """Return the best that stand apart, and rivals that do, best first."""
-        ordered = walkers.best(len(walkers))
+        ordered = particles.best(len(particles))
         standing = self._hypotheses(ordered, self._rough)
         apart = self._config.separation_m, _SAME_VIEW_DEG
-        chosen = standing.spread(self._config.finalists, *apart)
+        chosen = standing.suppress_non_maxima(self._config.finalists, *apart)
         elsewhere = self._elsewhere(ordered)
         if self._config.rivals and len(elsewhere):
-            rivals = elsewhere[standing[elsewhere].spread(self._config.rivals, *apart)]
+            rivals = elsewhere[standing[elsewhere].suppress_non_maxima(self._config.rivals, *apart)]
             chosen = np.union1d(chosen, rivals)
         return ordered[chosen]
 
-    def _elsewhere(self, ordered: _Walkers) -> IntArray:
+    def _elsewhere(self, ordered: _Particles) -> IntArray:
         """Return the indices of those whose answer is not the first one's."""
         place = ordered.easting_m + 1j * ordered.northing_m
         return np.flatnonzero(np.abs(place - place[:1]) > self._config.elsewhere_m)
 
-    def _hypotheses(self, walkers: _Walkers, solver: Solver) -> Hypotheses:
-        easting_m, northing_m = walkers.easting_m, walkers.northing_m
+    def _hypotheses(self, particles: _Particles, solver: Solver) -> Hypotheses:
+        easting_m, northing_m = particles.easting_m, particles.northing_m
         eye_m = self._scene.ground_m(easting_m, northing_m) + self._config.eye_height_m
-        none = np.zeros(len(walkers))
+        none = np.zeros(len(particles))
         places = Hypotheses(easting_m, northing_m, eye_m, none, none, none, none, none)
-        return solver.posed(places, walkers.fit)
+        return solver.posed(places, particles.fit)
 
-    def _poses(self, walkers: _Walkers) -> Poses:
+    def _poses(self, particles: _Particles) -> Poses:
         solver = self._fine if self._config.final_rounds else self._rough
-        linear, judged = solver.judged(walkers.curves, walkers.fit)
+        linear, judged = solver.judged(particles.curves, particles.fit)
         covariance = solver.covariance(linear, judged)
         trust = solver.query.weight
         squares = (trust * judged.odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
         shown = np.maximum((trust * judged.odds).sum(axis=1), 1e-9)
         noise = solver.config.noise
-        hypotheses = self._hypotheses(walkers, solver)
+        hypotheses = self._hypotheses(particles, solver)
         return Poses(
             hypotheses,
             self._spread(hypotheses, covariance[:, :HEADING, :HEADING]),
             np.degrees(np.sqrt(squares / shown)),
             shown / trust.sum(),
             judged.effective_columns,
-            np.array(noise.height_m)[walkers.fit.height],
+            np.array(noise.height_m)[particles.fit.height],
             _margin(hypotheses, self._config.elsewhere_m),
             self._renderings,
         )
@@ -328,16 +329,6 @@ class _Refinement:
         share = odds / odds.sum(axis=1, keepdims=True)
         squares = covariance_m2 + apart[..., np.newaxis] * apart[..., np.newaxis, :]
         return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
-
-
-def _joined(first: _Walkers, second: _Walkers) -> _Walkers:
-    """Return both; the fields of walkers are rows, or rows of rows."""
-    if not len(first) or not len(second):
-        return first if len(first) else second
-    both = np.arange(len(first) + len(second))
-    return first[np.minimum(both, len(first) - 1)].replaced(
-        both >= len(first), second[np.maximum(both - len(first), 0)]
-    )
 
 
 def _margin(hypotheses: Hypotheses, elsewhere_m: float) -> Float64Array:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.camera import DEFAULT_WIDTH, pixel_size
 from skyline.errors import InputError
 from skyline.features import NO_KEYPOINT
@@ -17,9 +18,6 @@ DEFAULT_BINS = 2048
 TANGENT_PER_PX = pixel_size(DEFAULT_WIDTH)
 """Scores are in px of a view of the paper's width, whatever the width of the store."""
 
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 KeypointTable = NDArray[np.uint16]
 
 

@@ -1,13 +1,12 @@
 """The query's skyline as rays, and what it looks like at an assumed pitch and roll."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
-
-Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,12 +116,15 @@ def level(
     y : (...) float64
         Tangent of the elevation angle: up over horizontal distance.
     """
-    pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
+    right, up, forward = level_axes(u, v, np.radians(pitch_deg), np.radians(roll_deg))
+    return np.arctan2(right, forward), up / np.hypot(right, forward)
+
+
+def level_axes(u: Any, v: Any, pitch: Any, roll: Any) -> tuple[Any, Any, Any]:
+    """Return rays (u, v, 1) of a camera as right, up and forward of a level one; radians."""
     right = u * np.cos(roll) + v * np.sin(roll)
     up = v * np.cos(roll) - u * np.sin(roll)
-    forward = np.cos(pitch) - up * np.sin(pitch)
-    up = up * np.cos(pitch) + np.sin(pitch)
-    return np.arctan2(right, forward), up / np.hypot(right, forward)
+    return right, up * np.cos(pitch) + np.sin(pitch), np.cos(pitch) - up * np.sin(pitch)
 
 
 def project(

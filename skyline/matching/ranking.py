@@ -1,19 +1,14 @@
 """What every matcher answers with, and how a list of answers is drawn from all scores."""
 
 from dataclasses import dataclass, fields
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.profiles import Profiles
-from skyline.matching.query import QueryRays
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,29 +116,6 @@ def _as_rows(covariance_m2: Float64Array) -> tuple[tuple[float, float], tuple[fl
     return (a, b), (c, d)
 
 
-class Ranker(Protocol):
-    """Anything that ranks the places of the store it was made for."""
-
-    def rank(self, query: QueryRays, top: int) -> Ranking:
-        """Return up to ``top`` poses, best first, at most one a location.
-
-        Locations nothing fits at are left out, so there may be none.
-        """
-        ...
-
-
-class Matcher(Protocol):
-    """Anything that can rank the places of any store."""
-
-    def prepare(self, profiles: Profiles) -> Ranker:
-        """Return what ranks the places of a store; what queries share is done here, once."""
-        ...
-
-    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> Ranking:
-        """Return what a prepared matcher does, for a single query; see `Ranker.rank`."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Fits:
     """The best pose of a query at each of L locations.
@@ -165,7 +137,7 @@ class Fits:
         """Return no fit at any location."""
         return cls(np.full(locations, np.inf), *np.zeros((3, locations)))
 
-    def spread(self, rows: IntArray, locations: int) -> "Fits":
+    def placed_among(self, rows: IntArray, locations: int) -> "Fits":
         """Return these as the fits of ``rows`` among ``locations``, with none elsewhere."""
         wide = Fits.none(locations)
         for f in fields(self):
@@ -212,4 +184,4 @@ def select(
         np.full(len(profiles), fov_deg),
         fits.score,
     )
-    return Ranking(poses[poses.spread(top, separation_m)])
+    return Ranking(poses[poses.suppress_non_maxima(top, separation_m)])

@@ -16,7 +16,7 @@ class RefineConfig:
     ----------
     shortlist : int
         Hypotheses taken, the best by their scores.
-    walkers : int
+    particles : int
         How many of them set out, the best by one rendering each.
     rounds : int
         Renderings of one that is kept, before the last rounds.
@@ -43,7 +43,7 @@ class RefineConfig:
         What differences of scores are divided by to be log odds: neighbouring columns share
         errors that no model here knows of.
     first_step_m, longest_step_m : float
-        Deviations that damp the steps of a walk.
+        Deviations that damp steps.
     slope_reach_m : float
         Half the distance over which the ground's slope is taken.
     eye_height_m : float
@@ -56,7 +56,7 @@ class RefineConfig:
     """
 
     shortlist: int = 400
-    walkers: int = 128
+    particles: int = 128
     rounds: int = 8
     keep_share: float = 0.9
     keep_least: int = 48
@@ -79,7 +79,7 @@ class RefineConfig:
     fine: SolverConfig = field(default_factory=lambda: SolverConfig(iterations=2, choices=1))
 
     def __post_init__(self) -> None:
-        for name in ("shortlist", "walkers", "rounds", "keep_least", "finalists"):
+        for name in ("shortlist", "particles", "rounds", "keep_least", "finalists"):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}; expected at least 1")
         for name in ("restarts", "restart_rounds", "final_rounds", "rivals", "eye_height_m"):

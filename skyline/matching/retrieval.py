@@ -6,13 +6,12 @@ the best that differ from one another.
 """
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.matching.curve_fit import CurveFit, FitConfig, Rays
 from skyline.matching.hypotheses import Hypotheses
@@ -20,11 +19,8 @@ from skyline.matching.narrowing import Narrowed
 from skyline.matching.query import QueryRays
 from skyline.matching.screening import Alike, Screen, sample_of, screen_places
 from skyline.places import Places, PlaceSource
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-Ground = Callable[[Float64Array, Float64Array], Float64Array]
-"""Heights of the ground at eastings and northings, NaN where there is none."""
+from skyline.rows import Rows
+from skyline.terrain.heightfield import Ground
 
 _FITS_AT_ONCE = 256
 """Poses fitted together; keeps the arrays in the cache."""
@@ -142,7 +138,9 @@ class Retriever:
             fitted = fitted[narrowed.holds(fitted)]
         if not len(fitted):
             return fitted
-        return fitted[fitted.spread(count, self.config.separation_m, self.config.turn_deg)]
+        return fitted[
+            fitted.suppress_non_maxima(count, self.config.separation_m, self.config.turn_deg)
+        ]
 
     def _screen(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         if self._sample is None:
@@ -212,7 +210,7 @@ class Retriever:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Start:
+class _Start(Rows):
     """Places (N), how alike they are, and the headings and zooms that fits set out from."""
 
     places: Places
@@ -222,11 +220,6 @@ class _Start:
 
     def __len__(self) -> int:
         return len(self.score)
-
-    def __getitem__(self, index: slice | NDArray[np.integer]) -> "_Start":
-        return _Start(
-            self.places[index], self.score[index], self.heading_rad[index], self.zoom[index]
-        )
 
 
 def _zoom_bounds(query: QueryRays) -> tuple[float, float]:

@@ -22,15 +22,10 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
 from skyline.places import PHASE_BINS, Places, PlaceSource
 from skyline.places.phases import decode_phases, rise_to_turn
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
-UInt8Array = NDArray[np.uint8]
-BoolArray = NDArray[np.bool_]
 
 Within = Callable[[Places], BoolArray]
 """Which of a block's places (N,) are searched."""

@@ -8,7 +8,7 @@ horizontal distance d move by
     \mathrm{d}a = (n \sin a - e \cos a) / d, \qquad
     \mathrm{d}y = (y\,(e \sin a + n \cos a) - up) / d
 
-and it walks on the ground, whose slope ties up to e and n; so one rendering with its depth gives
+and it moves on the ground, whose slope ties up to e and n; so one rendering with its depth gives
 the derivatives by all six unknowns. The noise starts wide and is narrowed as the fit improves:
 far terrain, which moves least, leads, and near terrain follows.
 """
@@ -17,18 +17,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.noise import HeightErrors, Judged, Noise, judge
 from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import level_with_changes
-from skyline.matching.rows import Rows
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
+from skyline.rows import Rows
 
 EAST, NORTH, HEADING, PITCH, ROLL, LOG_SCALE = range(6)
 """Columns of a state: the eye's displacement, metres; angles, radians; logarithm of the tangent
@@ -90,7 +87,7 @@ class SolverConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves(Rows):
-    """What M eyes see, and how it changes as they walk.
+    """What M eyes see, and how it changes as they move.
 
     Attributes
     ----------
@@ -289,12 +286,12 @@ class Solver:
         )
         azimuth = rays.azimuth_rad + state[:, HEADING, np.newaxis]
         there = curves.at(azimuth)
-        slope, walk = there[..., 1:2], there[..., 2:4]
-        y = there[..., 0] + (walk @ state[:, :HEADING, np.newaxis])[..., 0]
+        slope, move = there[..., 1:2], there[..., 2:4]
+        y = there[..., 0] + (move @ state[:, :HEADING, np.newaxis])[..., 0]
         # Differences of tangents become angles; how that factor changes is left out.
         to_angle = 1.0 / (1.0 + rays.y**2)
         attitude = rays.y_change - slope * rays.azimuth_change
-        jacobian = np.concatenate([-walk, -slope, attitude], axis=-1) * to_angle[..., np.newaxis]
+        jacobian = np.concatenate([-move, -slope, attitude], axis=-1) * to_angle[..., np.newaxis]
         residual = (rays.y - y) * to_angle
         # Next to an unknown column the curve may be known but not its slope.
         known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=-1)

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 from PIL.ExifTags import IFD, Base
 
+from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.photo.exif import fov_from_exif
-from skyline.photo.frame import UInt8Array
 from skyline.photo.projection import Projection, panorama_of_xmp
 
 MAX_DECODED_PIXELS = 100_000_000

@@ -8,10 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from skyline.photo.frame import UInt8Array
-
-Float32Array = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
+from skyline.arrays import BoolArray, Float32Array, UInt8Array
 
 FINE_PIXELS = 2_800_000
 """Photos are reduced to this for their edges, and to a quarter of it for everything else."""

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
 from skyline.photo.evidence import (
     ColourModel,
@@ -24,16 +24,13 @@ from skyline.photo.evidence import (
     gather_evidence,
     to_lab,
 )
-from skyline.photo.frame import Content, UInt8Array, content_of
+from skyline.photo.frame import Content, content_of
 from skyline.photo.occluders import occluded
-from skyline.photo.paths import IntArray, Steps, detours, shortest_path
+from skyline.photo.paths import Steps, detours, shortest_path
 from skyline.photo.query import QuerySkyline
 
 log = logging.getLogger(__name__)
 
-BoolArray = NDArray[np.bool_]
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 
 TRUST_THRESHOLD = 0.25
 """Columns of less confidence are masked."""

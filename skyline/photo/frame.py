@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import UInt8Array
 from skyline.errors import InputError
-
-UInt8Array = NDArray[np.uint8]
 
 MIN_CONTENT_PX = 32
 """Smallest width and height in which a skyline is looked for."""

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import UInt8Array
 from skyline.errors import InputError
-from skyline.photo.frame import UInt8Array
 from skyline.photo.query import QuerySkyline
 
 _NEARLY = 24

@@ -9,14 +9,10 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from skyline.arrays import BoolArray, Float32Array, IntArray
 from skyline.photo.evidence import Evidence
-from skyline.photo.paths import IntArray
-
-BoolArray = NDArray[np.bool_]
-Float32Array = NDArray[np.float32]
 
 _SPIRE_WIDTH_SHARE = 0.02
 _SPIRE_SLOPE = 4.0

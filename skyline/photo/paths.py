@@ -5,9 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
+from skyline.arrays import Float32Array, IntArray
 
 
 @dataclass(frozen=True, slots=True)

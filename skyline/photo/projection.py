@@ -4,11 +4,9 @@ import re
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
-
-Float64Array = NDArray[np.float64]
 
 MIN_FOV_DEG = 1.0
 MAX_FOV_DEG = 179.0

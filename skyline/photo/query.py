@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.photo.projection import MIN_FOV_DEG, Projection
-
-Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,5 +1,6 @@
 """Query files to query skylines, and a picture of what was found."""
 
+import io
 import logging
 from dataclasses import replace
 from pathlib import Path
@@ -8,10 +9,11 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from skyline.arrays import UInt8Array
 from skyline.errors import InputError
+from skyline.files import write_whole
 from skyline.photo.decode import decode_image
 from skyline.photo.extract import extract_skyline
-from skyline.photo.frame import UInt8Array
 from skyline.photo.mask import is_sky_mask, skyline_of_mask
 from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
 from skyline.photo.query import QuerySkyline
@@ -164,16 +166,9 @@ def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> N
     for run in _runs(query):
         points = np.stack([run, np.rint(query.row_px[run])], axis=1).astype(np.int32)
         cv2.polylines(drawn, [points], False, _SKYLINE_RGB, thickness)
-    path = Path(path)
-    partial = path.with_name(path.name + ".partial")
-    try:
-        Image.fromarray(drawn).save(partial, format="PNG", compress_level=1)
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(
-            f"{path} cannot be written ({error.strerror}); name a file in a folder that exists"
-        ) from error
+    picture = io.BytesIO()
+    Image.fromarray(drawn).save(picture, format="PNG", compress_level=1)
+    write_whole(Path(path), picture.getvalue())
 
 
 def _runs(query: QuerySkyline) -> list[np.ndarray]:

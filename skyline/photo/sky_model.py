@@ -15,12 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.errors import InputError, MissingFileError
-from skyline.photo.frame import Content, UInt8Array, content_of
+from skyline.photo.frame import Content, content_of
 from skyline.photo.query import QuerySkyline
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 
 _LONGEST_PX = 1024
 _MULTIPLE_PX = 32

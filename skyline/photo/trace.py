@@ -6,12 +6,11 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError, MissingFileError
+from skyline.files import write_whole
 from skyline.photo.query import QuerySkyline
-
-Float64Array = NDArray[np.float64]
 
 MAX_GAP_SHARE = 0.1
 """Points farther apart than this share of the width are not joined."""
@@ -33,7 +32,7 @@ def write_trace(query: QuerySkyline, path: str | Path) -> None:
     starts_gap[1:] &= trusted[:-1]
     for column in np.flatnonzero(trusted | starts_gap):
         lines.append(f"{column},{float(query.row_px[column])!r}")
-    _write_whole(Path(path), "\n".join(lines) + "\n")
+    write_whole(Path(path), "\n".join(lines) + "\n")
 
 
 def read_trace(path: str | Path, fov_deg: float | None = None) -> QuerySkyline:
@@ -142,16 +141,3 @@ def _joined(column: Float64Array, row: Float64Array, width: int) -> Float64Array
     joined = (1.0 - weight) * row[left] + weight * row[left + 1]
     row_px[between] = np.where(gap <= max(MAX_GAP_SHARE * width, 1.0), joined, np.nan)
     return row_px
-
-
-def _write_whole(path: Path, text: str) -> None:
-    """Write a file at once, so that a failure leaves what was there before."""
-    partial = path.with_name(path.name + ".partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(
-            f"{path} cannot be written ({error.strerror}); name a file in a folder that exists"
-        ) from error

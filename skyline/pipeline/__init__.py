@@ -1,18 +1,19 @@
 """The one place that ties renderer, store, planner, photo and matcher together."""
 
+from skyline.pipeline.batch import QueryReading, match_many
 from skyline.pipeline.build import (
     BuildResult,
     Progress,
     build_uniform,
-    explain,
+    explain_scene,
     render_to_store,
     render_views,
     save_depth_pictures,
 )
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
-from skyline.pipeline.match import FULL, MATCHER_NAMES, MatchConfig, Matcher, MatchResult
-from skyline.pipeline.match_many import QueryReading, match_many
+from skyline.pipeline.match import Matcher, MatchResult
+from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.pipeline.places import PlaceConfig, build_places
 from skyline.pipeline.planned import PlannedResult, build_planned
 from skyline.pipeline.reports import matched, report_matches
@@ -20,9 +21,8 @@ from skyline.pipeline.shards import ShardPlan, build_sharded
 
 __all__ = [
     "FULL",
-    "MATCHER_NAMES",
+    "MATCHERS",
     "BuildResult",
-    "MatchConfig",
     "MatchResult",
     "Matcher",
     "PlaceConfig",
@@ -35,7 +35,7 @@ __all__ = [
     "build_planned",
     "build_sharded",
     "build_uniform",
-    "explain",
+    "explain_scene",
     "local_runner",
     "match_many",
     "matched",

@@ -1,10 +1,11 @@
 """Rendering viewpoints: into memory, into a store, onto pictures."""
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import ClassVar, Protocol, Self
 
 import cv2
 import numpy as np
@@ -26,8 +27,6 @@ from skyline.views import Views
 Progress = Callable[[int, int], None]
 """Called with the rows done and the rows there will be."""
 
-_VIEWPOINTS_A_COMMIT = 64
-
 
 @dataclass(frozen=True, slots=True)
 class BuildResult:
@@ -46,62 +45,58 @@ class BuildResult:
     rendered: int
     seconds: float
 
-    @property
-    def renderings(self) -> int:
-        """The rows of a store of renderings."""
-        return self.rows
+
+class _Renderer(Protocol):
+    def release(self) -> None: ...
 
 
-class RowRenderer(Protocol):
-    """Renders viewpoints as rows of one kind of store."""
+@dataclass(frozen=True)
+class RowRenderer(ABC):
+    """Renders viewpoints as rows of one kind of store.
 
-    @property
-    def header(self) -> StoreHeader:
-        """Of the store that the rows are for."""
-        ...
+    Attributes
+    ----------
+    rows_each : int
+        Rows a viewpoint.
+    viewpoints_a_commit : int
+        How many to render at a time.
+    renderer
+    header : StoreHeader
+        Of the store that the rows are for.
+    """
 
-    @property
-    def rows_each(self) -> int:
-        """Rows a viewpoint."""
-        ...
+    rows_each: ClassVar[int]
+    viewpoints_a_commit: ClassVar[int]
 
-    @property
-    def viewpoints_a_commit(self) -> int:
-        """How many to render at a time."""
-        ...
+    renderer: _Renderer
+    header: StoreHeader
 
+    @abstractmethod
     def render_into(self, writer: StoreWriter, viewpoints: Viewpoints) -> None:
         """Append the rows of viewpoints to a store."""
-        ...
 
-    def release(self) -> None:
-        """Let go of the renderer."""
-        ...
+    def __enter__(self) -> Self:
+        return self
 
-
-@dataclass(frozen=True, slots=True)
-class ViewRows:
-    """Renders viewpoints in all four headings; a `RowRenderer`."""
-
-    renderer: HorizonRenderer
-    header: StoreHeader
-    config: RenderConfig
-
-    rows_each: ClassVar[int] = len(HEADINGS)
-
-    @property
-    def viewpoints_a_commit(self) -> int:
-        """How many to render at a time."""
-        return _VIEWPOINTS_A_COMMIT
-
-    def render_into(self, writer: StoreWriter, viewpoints: Viewpoints) -> None:
-        """Append the views of viewpoints, with their keypoints, to a store."""
-        views = self.renderer.render(viewpoints)
-        writer.append(views, polyline_keypoints(views, self.config.keypoint_tolerance_px))
-
-    def release(self) -> None:
+    def __exit__(self, *error: object) -> None:
         """Let go of the renderer."""
         self.renderer.release()
+
+
+@dataclass(frozen=True)
+class ViewRows(RowRenderer):
+    """Renders viewpoints in all four headings, views and their keypoints."""
+
+    rows_each = len(HEADINGS)
+    viewpoints_a_commit = 64
+
+    renderer: HorizonRenderer
+    config: RenderConfig
+
+    def render_into(self, writer: StoreWriter, viewpoints: Viewpoints) -> None:
+        """See `RowRenderer.render_into`."""
+        views = self.renderer.render(viewpoints)
+        writer.append(views, polyline_keypoints(views, self.config.keypoint_tolerance_px))
 
 
 def view_rows(terrain: HeightField, config: RenderConfig, plan: dict[str, object]) -> ViewRows:
@@ -119,7 +114,7 @@ def render_views(
         return renderer.render(viewpoints)
 
 
-def explain(
+def explain_scene(
     terrain: HeightField, eye: Viewpoints, config: RenderConfig | None = None
 ) -> tuple[SceneNeeds, Views]:
     """Return what one viewpoint's skyline needs, and its views at tolerance 0 and as configured.
@@ -150,14 +145,10 @@ def build_uniform(
         The store at ``path`` was built from another DEM or with another configuration.
     """
     config = config or RenderConfig()
-    viewpoints = uniform_grid(
-        terrain, spacing_m, map_bounds(terrain, bounds_deg), config.eye_height_m
-    )
-    rows = view_rows(terrain, config, uniform_plan(spacing_m, bounds_deg))
-    try:
+    area = map_bounds(terrain, bounds_deg)
+    viewpoints = uniform_grid(terrain, spacing_m, area, config.eye_height_m)
+    with view_rows(terrain, config, uniform_plan(spacing_m, bounds_deg)) as rows:
         return render_missing(path, rows, viewpoints, progress)
-    finally:
-        rows.release()
 
 
 def uniform_plan(
@@ -203,12 +194,11 @@ def render_to_store(
         Something is at ``path`` already.
     """
     config = config or RenderConfig()
-    rows = view_rows(terrain, config, {"planner": "viewpoints"})
-    try:
-        with create_store(path, rows.header) as writer:
-            return _render_into(writer, rows, viewpoints, progress)
-    finally:
-        rows.release()
+    with (
+        view_rows(terrain, config, {"planner": "viewpoints"}) as rows,
+        create_store(path, rows.header) as writer,
+    ):
+        return _render_into(writer, rows, viewpoints, progress)
 
 
 def save_depth_pictures(

@@ -4,7 +4,7 @@ import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from skyline.camera import DEFAULT_WIDTH
 from skyline.errors import InputError, StoreError, StoreMismatchError
@@ -82,20 +82,30 @@ def store_header(
     """Return the header of a store that a renderer, given by its description, fills by a plan."""
     settings = asdict(config)
     coding = RowCoding.within(config.width) if settings.pop("rows") == "compact" else None
+    return header_of(
+        terrain,
+        renderer,
+        {**plan, "rasterizer": "horizon", **settings},
+        width=config.width,
+        shell_edges_m=config.shell_edges_m,
+        coding=coding,
+    )
+
+
+def header_of(
+    terrain: HeightField, renderer: str, config: dict[str, object], **layout: Any
+) -> StoreHeader:
+    """Return the header of a store over a terrain, made by a configuration.
+
+    ``layout`` is what `StoreHeader` says of rows.
+    """
     return StoreHeader(
         frame_wkt=terrain.frame.wkt,
         dem_digest=terrain.digest,
         dem_files=terrain.provenance.files,
-        config={
-            **plan,
-            "rasterizer": "horizon",
-            **settings,
-            "dem_options": dict(terrain.provenance.options),
-        },
+        config={**config, "dem_options": dict(terrain.provenance.options)},
         renderer=renderer,
-        width=config.width,
-        shell_edges_m=config.shell_edges_m,
-        coding=coding,
+        **layout,
     )
 
 

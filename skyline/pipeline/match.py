@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -11,79 +11,27 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.errors import InputError, SkylineError
+from skyline.errors import InputError, SkylineError, named
 from skyline.geodesy import Frame
-from skyline.matching import MATCHERS, Candidate, Profiles, QueryRays, Ranker, Ranking
-from skyline.matching.full import FullConfig, FullMatcher
-from skyline.matching.narrowing import Narrowed, Narrowing
-from skyline.matching.retrieval import RetrievalConfig, Retriever
+from skyline.matching import Candidate, Narrowing, Profiles, QueryRays
+from skyline.matching.match_config import MatchConfig
+from skyline.matching.narrowing import Narrowed
 from skyline.matching.screening import Alike
 from skyline.photo import Projection, QuerySkyline, read_query
 from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
+from skyline.pipeline.matchers import FULL, MATCHERS, check_narrows
 from skyline.pipeline.tables import to_geodataframe
+from skyline.places import PlaceSource
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import Store, StoreHeader, open_store
 from skyline.store.header import PLACES
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import Ground, HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
 _log = logging.getLogger(__name__)
 
-FULL = "full"
-MATCHER_NAMES = (FULL, *MATCHERS)
-
 Dem = str | Path | Sequence[str | Path] | HeightField
-
-
-@dataclass(frozen=True, slots=True)
-class MatchConfig:
-    """How queries are matched; what is not said to be of the full matcher is of all.
-
-    Attributes
-    ----------
-    refine : bool
-        Whether the full matcher renders around what it has retrieved.
-    min_confidence : float
-        Below it there is no answer, only candidates. With the default at least 97 % of
-        the answers to the queries that confidence was learned from are right.
-    min_visible_deg : float
-        Nor is there where a query shows less of a skyline.
-    fov_slack : float
-        A field of view that is given may be wrong by this share.
-    fov_range_deg : (float, float)
-        What is searched where none is given.
-    render_width : int
-        Columns of the views that refinement renders.
-    render_tolerance_px : float
-        How far their skylines may fall short.
-    retrieval : RetrievalConfig
-    full : FullConfig
-    """
-
-    refine: bool = True
-    min_confidence: float = 0.8
-    min_visible_deg: float = 20.0
-    fov_slack: float = 0.1
-    fov_range_deg: tuple[float, float] = (25.0, 100.0)
-    render_width: int = 360
-    render_tolerance_px: float = 0.05
-    retrieval: RetrievalConfig = field(default_factory=RetrievalConfig)
-    full: FullConfig = field(default_factory=FullConfig)
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.min_confidence <= 1.0:
-            raise InputError(
-                f"least confidence is {self.min_confidence}; expected 0 (always answer) to 1"
-            )
-        if not 0.0 <= self.fov_slack < 1.0:
-            raise InputError(f"slack of the field of view is {self.fov_slack}; expected 0 to 1")
-        low, high = self.fov_range_deg
-        if not 0.0 < low < high < 180.0:
-            raise InputError(
-                f"fields of view to search are {low:g} to {high:g} degrees; expected two that "
-                "increase, within 0 to 180"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +76,8 @@ class Matcher:
         matcher takes heights from it, and renders it to refine. Where it is not to be had,
         answers stay unrefined, which is logged.
     matcher : str
-        ``full``, which is ours and searches places, or one of `skyline.matching.MATCHERS`, which
-        compare renderings.
+        One of `skyline.pipeline.matchers.MATCHERS`: ``full``, which is ours and searches places,
+        or one that compares renderings.
     config : MatchConfig, optional
 
     Raises
@@ -149,29 +97,15 @@ class Matcher:
         matcher: str = FULL,
         config: MatchConfig | None = None,
     ) -> None:
-        if matcher not in MATCHER_NAMES:
-            raise InputError(f"matcher is {matcher!r}; expected one of {', '.join(MATCHER_NAMES)}")
+        kind = named("matcher", matcher, MATCHERS)
         self._config = config or MatchConfig()
-        self._matcher: FullMatcher | Ranker
-        self._scene: RenderedScene | None = None
         with open_store(store) as opened:
             self.header = opened.header
             self.rows, self.holds = len(opened), opened.header.holds
             self.viewpoints = _some_eyes(opened)
-            self.terrain = _given_terrain(self.header, dem)
-            if matcher == FULL:
-                places = opened.places()
-                if not len(places):
-                    raise InputError(f"store {store} holds no places; build it first")
-                self.terrain = self.terrain or terrain_at_hand(self.header, "answers unrefined")
-                if self.terrain is not None and self._config.refine:
-                    self._scene = RenderedScene(self.terrain, self.header, self._config)
-                ground = None if self.terrain is None else self.terrain.height_at
-                retriever = Retriever(places, ground, self._config.retrieval)
-                self._matcher = FullMatcher(retriever, self._scene, self._config.full)
-            else:
-                profiles = Profiles.from_views(_chunks(opened))
-                self._matcher = MATCHERS[matcher]().prepare(profiles)
+            source = _OpenedSource(store, opened, _given_terrain(self.header, dem), self._config)
+            self._ranker = kind.open(source)
+        self.terrain, self._scene = source.terrain, source.rendered
         self.frame = Frame(self.header.frame_wkt)
 
     def release(self) -> None:
@@ -229,7 +163,8 @@ class Matcher:
         candidates: tuple[Candidate, ...] = ()
         refusal = too_little(query, self._config)
         if refusal is None:
-            ranking = self._ranking(self._rays(query), top, narrowing, screened)
+            rays, narrowed = self._rays(query), self._narrowed(narrowing)
+            ranking = self._ranker.rank(rays, top, narrowed, screened)
             candidates = ranking.candidates(self.frame)
             refusal = unsure(candidates, self._config)
         return MatchResult(query, candidates, time.perf_counter() - started, refusal)
@@ -242,10 +177,9 @@ class Matcher:
         None where there is nothing to screen: a query that shows too little, or another matcher.
         ``part`` is of the store's blocks of places. Raises as `match`.
         """
-        full = self._matcher
-        if not isinstance(full, FullMatcher) or too_little(query, self._config) is not None:
+        if too_little(query, self._config) is not None:
             return None
-        return full.screened(self._rays(query), self._narrowed(narrowing), part)
+        return self._ranker.screened(self._rays(query), self._narrowed(narrowing), part)
 
     def match_all(
         self,
@@ -256,17 +190,11 @@ class Matcher:
         """Find where several queries were taken, in order; see `match`."""
         return [self.match(query, fov_deg, top) for query in queries]
 
-    def _ranking(
-        self, rays: QueryRays, top: int, narrowing: Narrowing | None, screened: Alike | None
-    ) -> Ranking:
-        if isinstance(self._matcher, FullMatcher):
-            return self._matcher.rank(rays, top, self._narrowed(narrowing), screened)
-        if narrowing not in (None, Narrowing()):
-            raise InputError("only the full matcher can narrow its search; leave it wide")
-        return self._matcher.rank(rays, top)
-
     def _narrowed(self, narrowing: Narrowing | None) -> Narrowed | None:
-        return None if narrowing is None else narrowing.within(self.frame)
+        narrowed = None if narrowing is None else narrowing.within(self.frame)
+        if narrowed is not None:
+            check_narrows(self._ranker)
+        return narrowed
 
     def _rays(self, query: QuerySkyline) -> QueryRays:
         config = self._config
@@ -277,7 +205,7 @@ class Matcher:
         elif fov_deg is not None:
             widest = min(fov_deg * (1.0 + config.fov_slack), 0.5 * (fov_deg + 180.0))
             bounds_deg = (fov_deg * (1.0 - config.fov_slack), widest)
-        elif isinstance(self._matcher, FullMatcher) and query.projection is Projection.PERSPECTIVE:
+        elif self._ranker.finds_fov and query.projection is Projection.PERSPECTIVE:
             fov_deg = float(np.sqrt(bounds_deg[0] * bounds_deg[1]))
         else:
             raise InputError(
@@ -325,6 +253,47 @@ class RenderedScene:
     def release(self) -> None:
         """Free what it holds on the GPU."""
         self._renderer.release()
+
+
+class _OpenedSource:
+    """An open store and its terrain; see `skyline.matching.ranker.Source`."""
+
+    def __init__(
+        self, path: str | Path, store: Store, terrain: HeightField | None, config: MatchConfig
+    ) -> None:
+        self._path, self._store = path, store
+        self.terrain, self.config = terrain, config
+        self.rendered: RenderedScene | None = None
+        self._sought = False
+
+    def places(self) -> PlaceSource:
+        """Return the places of the store."""
+        places = self._store.places()
+        if not len(places):
+            raise InputError(f"store {self._path} holds no places; build it first")
+        return places
+
+    def profiles(self) -> Profiles:
+        """Return the renderings of the store, joined."""
+        return Profiles.from_views(_chunks(self._store))
+
+    def ground(self) -> Ground | None:
+        """Return the heights of the terrain."""
+        terrain = self._found_terrain()
+        return None if terrain is None else terrain.height_at
+
+    def scene(self) -> RenderedScene | None:
+        """Return the terrain to render."""
+        terrain = self._found_terrain()
+        if terrain is not None and self.config.refine:
+            self.rendered = RenderedScene(terrain, self._store.header, self.config)
+        return self.rendered
+
+    def _found_terrain(self) -> HeightField | None:
+        if self.terrain is None and not self._sought:
+            self._sought = True
+            self.terrain = terrain_at_hand(self._store.header, "answers unrefined")
+        return self.terrain
 
 
 def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:

@@ -1,15 +1,13 @@
-"""Building a store of places: eyes, of a grid or given, each with its skyline all round."""
+"""Building a store of places: the eyes of a grid, each with its skyline all round."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import ClassVar
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
+from skyline.arrays import Float32Array
 from skyline.geodesy import Curvature
-from skyline.pipeline.build import BuildResult, Progress, render_missing, uniform_plan
+from skyline.pipeline.build import BuildResult, Progress, RowRenderer, render_missing, uniform_plan
+from skyline.pipeline.config import header_of
 from skyline.places import BINS, Places
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
@@ -18,12 +16,8 @@ from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
-Tolerance = Callable[[Viewpoints], float | NDArray[np.float32]]
-
 DEFAULT_SPACING_M = 80.0
 """Between places of a grid; docs/accuracy.md has what others cost and find."""
-
-_VIEWPOINTS_A_COMMIT = 2048
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,71 +39,43 @@ class PlaceConfig:
     curvature: Curvature = field(default_factory=Curvature)
 
 
-@dataclass(frozen=True, slots=True)
-class PlaceRows:
-    """Renders viewpoints as places; a `skyline.pipeline.build.RowRenderer`.
+@dataclass(frozen=True)
+class PlaceRows(RowRenderer):
+    """Renders viewpoints as places.
 
     Attributes
     ----------
-    renderer : PanoramaRenderer
-    header : StoreHeader
     tolerance_m : callable
         How far from their eyes, east and north, the places of viewpoints stand for.
     """
 
+    rows_each = 1
+    viewpoints_a_commit = 2048
+
     renderer: PanoramaRenderer
-    header: StoreHeader
-    tolerance_m: Tolerance
-
-    rows_each: ClassVar[int] = 1
-
-    @property
-    def viewpoints_a_commit(self) -> int:
-        """How many to render at a time."""
-        return _VIEWPOINTS_A_COMMIT
+    tolerance_m: Callable[[Viewpoints], float | Float32Array]
 
     def render_into(self, writer: StoreWriter, viewpoints: Viewpoints) -> None:
-        """Append the places of viewpoints to a store."""
+        """See `RowRenderer.render_into`."""
         rendered = self.renderer.render(viewpoints)
         writer.append_places(Places.of(rendered, self.tolerance_m(viewpoints)))
-
-    def release(self) -> None:
-        """Let go of the renderer."""
-        self.renderer.release()
 
 
 def place_header(
     terrain: HeightField, renderer: str, config: PlaceConfig, plan: dict[str, object]
 ) -> StoreHeader:
     """Return the header of a store of places that a renderer, given by its description, fills."""
-    return StoreHeader(
-        frame_wkt=terrain.frame.wkt,
-        dem_digest=terrain.digest,
-        dem_files=terrain.provenance.files,
-        config={
-            **plan,
-            "rasterizer": "panorama",
-            **asdict(config),
-            "dem_options": dict(terrain.provenance.options),
-        },
-        renderer=renderer,
-        holds=PLACES,
-    )
+    settings = {**plan, "rasterizer": "panorama", **asdict(config)}
+    return header_of(terrain, renderer, settings, holds=PLACES)
 
 
 def place_rows(
     terrain: HeightField, config: PlaceConfig, spacing_m: float, plan: dict[str, object]
 ) -> PlaceRows:
     """Return what renders the places of a grid; each stands for half the spacing around it."""
-    return _rows(terrain, config, lambda _: spacing_m / 2.0, plan)
-
-
-def _rows(
-    terrain: HeightField, config: PlaceConfig, tolerance_m: Tolerance, plan: dict[str, object]
-) -> PlaceRows:
     renderer = PanoramaRenderer(terrain, BINS, config.curvature, config.tolerance_deg)
     header = place_header(terrain, renderer.description, config, plan)
-    return PlaceRows(renderer, header, tolerance_m)
+    return PlaceRows(renderer, header, lambda _: spacing_m / 2.0)
 
 
 def build_places(
@@ -144,57 +110,7 @@ def build_places(
         configuration.
     """
     config = config or PlaceConfig()
-    viewpoints = uniform_grid(
-        terrain, spacing_m, map_bounds(terrain, bounds_deg), config.eye_height_m
-    )
-    rows = place_rows(terrain, config, spacing_m, uniform_plan(spacing_m, bounds_deg))
-    try:
+    area, plan = map_bounds(terrain, bounds_deg), uniform_plan(spacing_m, bounds_deg)
+    viewpoints = uniform_grid(terrain, spacing_m, area, config.eye_height_m)
+    with place_rows(terrain, config, spacing_m, plan) as rows:
         return render_missing(path, rows, viewpoints, progress)
-    finally:
-        rows.release()
-
-
-def render_places(
-    terrain: HeightField,
-    viewpoints: Viewpoints,
-    tolerance_m: ArrayLike,
-    path: str | Path,
-    config: PlaceConfig | None = None,
-    progress: Progress | None = None,
-) -> BuildResult:
-    """Render given viewpoints as places into a store; an interrupted build goes on.
-
-    Parameters
-    ----------
-    terrain : HeightField
-    viewpoints : Viewpoints
-        N eyes, each at a place of its own.
-    tolerance_m : (N,) or float
-        How far around its eye each stands for.
-    path : str or Path
-        The store.
-    config : PlaceConfig, optional
-        Its height of the eye is that of the viewpoints.
-    progress : callable, optional
-
-    Raises
-    ------
-    StoreMismatchError
-        As `build_places`.
-    """
-    tolerances = np.broadcast_to(np.asarray(tolerance_m, np.float32), len(viewpoints))
-    of_eye = dict(zip(_eyes(viewpoints), tolerances.tolist(), strict=True))
-
-    def tolerance(some: Viewpoints) -> NDArray[np.float32]:
-        return np.array([of_eye[eye] for eye in _eyes(some)], dtype=np.float32)
-
-    rows = _rows(terrain, config or PlaceConfig(), tolerance, {"planner": "viewpoints"})
-    try:
-        return render_missing(path, rows, viewpoints, progress)
-    finally:
-        rows.release()
-
-
-def _eyes(viewpoints: Viewpoints) -> list[complex]:
-    eyes: list[complex] = (viewpoints.easting_m + 1j * viewpoints.northing_m).tolist()
-    return eyes

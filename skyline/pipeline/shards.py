@@ -134,7 +134,7 @@ class Workplace:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._rows.release()
+        self._rows.__exit__()
 
     def build(self, shard: Shard) -> BuildResult:
         """Render what a shard lacks; one that is whole is only looked at.

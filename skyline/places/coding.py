@@ -21,11 +21,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, UInt8Array
+
 _Item = TypeVar("_Item", bound=np.generic)
 
 Int8Array = NDArray[np.int8]
-UInt8Array = NDArray[np.uint8]
-Float32Array = NDArray[np.float32]
 
 BINS = 360
 """Azimuth bins of a place's skyline: twice as many find no more (docs/accuracy.md)."""

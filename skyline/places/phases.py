@@ -14,10 +14,9 @@ matrices. A phase takes a byte.
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, UInt8Array
 from skyline.places.coding import PHASE_BINS, looked_up
 
-Float32Array = NDArray[np.float32]
-UInt8Array = NDArray[np.uint8]
 Complex64Array = NDArray[np.complex64]
 
 PHASES = 255

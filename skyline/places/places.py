@@ -1,13 +1,14 @@
 """Places in memory, or mapped from a store: the same arrays either way."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, Protocol
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.horizons import Horizons, Index
+from skyline.arrays import Float32Array, Float64Array, IntArray
+from skyline.horizons import Horizons
 from skyline.places.coding import (
     decode_distance,
     decode_rises,
@@ -15,14 +16,11 @@ from skyline.places.coding import (
     encode_rises,
 )
 from skyline.places.phases import encode_phases
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
+from skyline.rows import Rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Places:
+class Places(Rows):
     """N places; 692 bytes each.
 
     Attributes
@@ -55,10 +53,6 @@ class Places:
     def __len__(self) -> int:
         return len(self.easting_m)
 
-    def __getitem__(self, index: Index) -> "Places":
-        rows: Any = {f.name: getattr(self, f.name)[index] for f in fields(self)}
-        return Places(**rows)
-
     @classmethod
     def of(cls, horizons: Horizons, tolerance_m: float | Float32Array) -> "Places":
         """Return the places of rendered skylines in 360 bins, each with its tolerance."""
@@ -74,14 +68,6 @@ class Places:
             # Of what the bytes say, so that phases can be made again from a store.
             encode_phases(decode_rises(first, rise)),
         )
-
-    @classmethod
-    def concatenate(cls, parts: Sequence["Places"]) -> "Places":
-        """Join places in order; at least one part."""
-        rows: Any = {
-            f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)
-        }
-        return cls(**rows)
 
     def elevation_tan(self) -> Float32Array:
         """Return the tangents of the skylines' elevation angles (N, 360); NaN where unknown."""

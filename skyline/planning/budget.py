@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Int64Array
 from skyline.camera import HEADINGS
+from skyline.coverage import CandidateGrid
 from skyline.errors import InputError
 from skyline.planning.candidates import CandidateMap, Spacing
-from skyline.planning.coverage import CandidateGrid, Float32Array, IntArray
 from skyline.planning.uniform import MapBounds
 
 AIMS = (0.6, 0.9, 1.0)
@@ -125,7 +126,7 @@ class Outlook:
 
 
 def covering_px(
-    grid: CandidateGrid, viewpoints: IntArray, errors: Float32Array, share: float
+    grid: CandidateGrid, viewpoints: Int64Array, errors: Float32Array, share: float
 ) -> float:
     """Return the lowest threshold at which views (N) with errors (N, K, K) cover a share; or inf.
 

@@ -3,15 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float64Array, Int64Array
+from skyline.coverage import CandidateGrid
 from skyline.errors import InputError
-from skyline.planning.coverage import BoolArray, CandidateGrid, IntArray
 from skyline.planning.uniform import MapBounds
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
-
-Float64Array = NDArray[np.float64]
 
 _MOST_CANDIDATES = 20_000_000
 
@@ -84,11 +82,11 @@ class CandidateMap:
     grid: CandidateGrid
     easting_m: Float64Array
     northing_m: Float64Array
-    square: IntArray
-    coarse: IntArray
+    square: Int64Array
+    coarse: Int64Array
     eye_height_m: float
 
-    def viewpoints(self, candidates: IntArray) -> Viewpoints:
+    def viewpoints(self, candidates: Int64Array) -> Viewpoints:
         """Return viewpoints at candidates (N)."""
         row, col = self.grid.row_col(candidates)
         return stand_on(self.field, self.easting_m[col], self.northing_m[row], self.eye_height_m)

@@ -1,11 +1,9 @@
 """Predicted tolerance areas of all candidates, corrected by what renderings have shown."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.planning.coverage import BoolArray, Float32Array, IntArray, Problem
-
-Float64Array = NDArray[np.float64]
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from skyline.coverage import Problem
 
 _CAP = np.float32(4.0)
 """Errors above this many thresholds are all alike; a cap lets them be interpolated."""
@@ -63,7 +61,7 @@ class Forecast:
         self.areas = self._predict_areas()
         self.sizes = np.count_nonzero(self.areas, axis=(1, 2))
 
-    def learn(self, candidates: IntArray, errors: Float32Array) -> float:
+    def learn(self, candidates: Int64Array, errors: Float32Array) -> float:
         """Compare true errors (N, K, K) of views just rendered with what was predicted.
 
         Returns
@@ -93,7 +91,7 @@ class Forecast:
         areas[chosen, grid.reach, grid.reach] = True
         return areas
 
-    def _interpolate(self, lattice: Float32Array, candidates: IntArray) -> Float32Array:
+    def _interpolate(self, lattice: Float32Array, candidates: Int64Array) -> Float32Array:
         """Return errors of candidates (N) between those of the lattice, (N, K, K) px."""
         row, col = self._problem.grid.row_col(candidates)
         top, bottom, down = _between(self._rows, row)
@@ -105,7 +103,7 @@ class Forecast:
         errors += lattice[bottom, right] * (down * across)
         return np.asarray(errors, dtype=np.float32)
 
-    def _correction(self, candidates: IntArray) -> Float64Array:
+    def _correction(self, candidates: Int64Array) -> Float64Array:
         """Return the logarithm of true over predicted errors to expect at candidates (N)."""
         grid = self._problem.grid
         weight = np.exp(-(grid.apart(candidates, self._seen) ** 2) / (2.0 * grid.reach**2))
@@ -113,7 +111,7 @@ class Forecast:
         slope /= weight @ self._distance**2 + _PRIOR_VIEWS * grid.reach**2
         return np.asarray(slope * self._from_sources(candidates), dtype=np.float64)
 
-    def _from_sources(self, candidates: IntArray) -> Float64Array:
+    def _from_sources(self, candidates: Int64Array) -> Float64Array:
         """Return distances of candidates (N) from the nearest view the prediction went by."""
         if not len(self._sources):
             return np.zeros(len(candidates))
@@ -121,7 +119,7 @@ class Forecast:
         return np.asarray(apart.min(axis=1), dtype=np.float64)
 
 
-def _between(marks: IntArray, value: IntArray) -> tuple[IntArray, IntArray, Float32Array]:
+def _between(marks: Int64Array, value: Int64Array) -> tuple[Int64Array, Int64Array, Float32Array]:
     """Return the marks on either side of values and the share of the way from one to the other."""
     lower = np.clip(np.searchsorted(marks, value, side="right") - 1, 0, max(len(marks) - 2, 0))
     upper = np.minimum(lower + 1, len(marks) - 1)

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.planning.coverage import BoolArray, CandidateGrid, IntArray
+from skyline.arrays import BoolArray, Int64Array
+from skyline.coverage import CandidateGrid
 
 Int32Array = NDArray[np.int32]
 
@@ -84,7 +85,7 @@ class Areas:
         self.scouts = self._scouts()
         self._scout_cells = self.of(self.scouts)
 
-    def _scouts(self) -> IntArray:
+    def _scouts(self) -> Int64Array:
         """Return candidates close enough together for a good place not to be missed.
 
         Where areas are large it makes no difference whether a viewpoint stands on one candidate or
@@ -95,33 +96,33 @@ class Areas:
         chosen = (row % stride == 0) & (col % stride == 0) & (self.length > 0)
         return np.flatnonzero(chosen)
 
-    def scout_sums(self, values: Int32Array) -> IntArray:
+    def scout_sums(self, values: Int32Array) -> Int64Array:
         """Return the sums of values (rows * cols) over the areas of the scouts."""
         return _sums(values[self._scout_cells], self.length[self.scouts])
 
-    def of(self, candidates: IntArray) -> Int32Array:
+    def of(self, candidates: Int64Array) -> Int32Array:
         """Return the cells of the areas of candidates (N), one area after the other."""
         return self.cells[_ranges(self.start[candidates], self.length[candidates])]
 
-    def sums(self, values: Int32Array, candidates: IntArray) -> IntArray:
+    def sums(self, values: Int32Array, candidates: Int64Array) -> Int64Array:
         """Return the sums of values (rows * cols) over the areas of candidates (N)."""
         return _sums(values[self.of(candidates)], self.length[candidates])
 
 
-def _extent(profile: BoolArray) -> IntArray:
+def _extent(profile: BoolArray) -> Int64Array:
     """Return how far profiles (N, K) reach before and after their middle, (N, 2)."""
     reach = profile.shape[1] // 2
     first, last = profile.argmax(axis=1), profile[:, ::-1].argmax(axis=1)
     return np.stack([reach - first, reach - last], axis=1)
 
 
-def _ranges(start: IntArray, length: IntArray) -> IntArray:
+def _ranges(start: Int64Array, length: Int64Array) -> Int64Array:
     """Return start[0] .. start[0] + length[0] - 1, then the next, in one array."""
     before = np.cumsum(length) - length
     return np.repeat(start - before, length) + np.arange(int(length.sum()))
 
 
-def _sums(values: Int32Array, length: IntArray) -> IntArray:
+def _sums(values: Int32Array, length: Int64Array) -> Int64Array:
     """Return the sums of consecutive stretches of values; empty ones are 0."""
     start = np.cumsum(length) - length
     # reduceat would give an empty stretch the value that follows it, which there need not be.
@@ -170,7 +171,7 @@ class Layout:
         """Whether no more is left open than may be."""
         return int(self._open.sum()) <= self._enough
 
-    def place(self, sites: IntArray) -> None:
+    def place(self, sites: Int64Array) -> None:
         """Add given viewpoints (N)."""
         if len(sites):
             self._add(sites)
@@ -197,7 +198,7 @@ class Layout:
                 # What is left lies between the scouts: it is covered from where it is.
                 self.place(np.flatnonzero(self._open)[:1])
 
-    def apart(self) -> IntArray:
+    def apart(self) -> Int64Array:
         """Return the places in `sites` of the largest group of viewpoints that do not touch."""
         return np.sort(max(self._groups(), key=len)) if len(self.sites) else self.sites
 
@@ -223,21 +224,21 @@ class Layout:
         self.sites = fewest
         self._add(fewest)
 
-    def _add(self, sites: IntArray) -> None:
+    def _add(self, sites: Int64Array) -> None:
         cells = self._areas.of(sites)
         self._count += np.bincount(cells, minlength=self._count.size)
         self._open[cells] = 0
 
-    def _remove(self, sites: IntArray) -> None:
+    def _remove(self, sites: Int64Array) -> None:
         cells = self._areas.of(sites)
         self._count -= np.bincount(cells, minlength=self._count.size)
         self._open[cells] = self._areas.weight[cells] * (self._count[cells] == 0)
 
-    def _scout_gains(self) -> IntArray:
+    def _scout_gains(self) -> Int64Array:
         gain = self._areas.scout_sums(self._open)
         return np.where(self._barred[self._areas.scouts], 0, gain)
 
-    def _earned(self) -> IntArray:
+    def _earned(self) -> Int64Array:
         """Return what each viewpoint alone covers."""
         alone = np.where(self._count == 1, self._areas.weight, 0).astype(np.int32)
         return self._areas.sums(alone, self.sites)
@@ -259,7 +260,7 @@ class Layout:
             self.sites[least] = self._areas.scouts[best]
         self._add(self.sites[[least]])
 
-    def _groups(self) -> list[IntArray]:
+    def _groups(self) -> list[Int64Array]:
         """Split the viewpoints into groups whose areas do not touch now, in random order."""
         order = self._generator.permutation(len(self.sites))
         sites = self.sites[order]
@@ -273,7 +274,7 @@ class Layout:
             group[one] = next(number for number in range(len(sites)) if number not in taken)
         return [order[group == number] for number in range(group.max() + 1)]
 
-    def _move(self, group: IntArray, heat: float) -> None:
+    def _move(self, group: Int64Array, heat: float) -> None:
         """Let viewpoints step to one of eight neighbours or stay, by the heat-bath rule."""
         areas, generator = self._areas, self._generator
         rows, cols = areas.shape

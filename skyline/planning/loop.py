@@ -16,21 +16,15 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float32Array, Int64Array
 from skyline.camera import HEADINGS
+from skyline.coverage import AreaModel, Coverage, Problem
 from skyline.errors import InputError
 from skyline.planning.budget import AIMS, ENOUGH, Outlook, check_coarse, covering_px
 from skyline.planning.candidates import CandidateMap, lay_out
-from skyline.planning.coverage import (
-    AreaModel,
-    BoolArray,
-    Coverage,
-    Float32Array,
-    IntArray,
-    Problem,
-)
 from skyline.planning.models import Archive, InterpolatedModel, PredictedModel
 from skyline.planning.plan import Oracles, Plan, PlanConfig, PlanProgress
-from skyline.planning.requests import Headings, in_order, places, rows_by_place
+from skyline.planning.requests import Headings, as_asked, places, rows_by_place
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import MapBounds
 from skyline.terrain.heightfield import HeightField
@@ -41,10 +35,10 @@ _log = logging.getLogger(__name__)
 
 
 class _Model(AreaModel, Protocol):
-    def learn(self, candidates: IntArray, views: Views, errors: Float32Array) -> None: ...
+    def learn(self, candidates: Int64Array, views: Views, errors: Float32Array) -> None: ...
 
 
-_Pending = tuple[Generator[IntArray, Float32Array, None], IntArray]
+_Pending = tuple[Generator[Int64Array, Float32Array, None], Int64Array]
 """A strategy at work and the candidates it is waiting for."""
 
 
@@ -176,7 +170,7 @@ class _Loop:
         made = sum(len(one.viewpoints) for one in self._coverages)
         return None if self._config.budget is None else self._config.budget - made
 
-    def _affordable(self, asked: list[IntArray], headings: list[int]) -> list[IntArray]:
+    def _affordable(self, asked: list[Int64Array], headings: list[int]) -> list[Int64Array]:
         """Return requests, of too many those that are predicted to cover most."""
         left = self._left()
         if left is None or sum(map(len, asked)) <= left:
@@ -241,7 +235,7 @@ class _Loop:
         squares = np.unique(self._candidates.square[valid])
         return [valid & (self._candidates.square == square) for square in squares]
 
-    def _batch(self, asked: list[IntArray], headings: list[int]) -> list[Float32Array]:
+    def _batch(self, asked: list[Int64Array], headings: list[int]) -> list[Float32Array]:
         """Render requests, add their areas to the coverage, and return their errors."""
         heading = np.repeat(np.array(headings, np.uint8), [len(one) for one in asked])
         candidates = np.concatenate(asked)
@@ -278,7 +272,7 @@ class _Loop:
             parts.append(self._oracles.render(viewpoints[~held], heading[~held]))
             self._render_s += _clocks() - started
             self._fresh += int(np.count_nonzero(~held))
-        return in_order(Views.concatenate(parts), asked)
+        return as_asked(Views.concatenate(parts), asked)
 
     def _report(self) -> None:
         self._batches += 1

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from skyline.arrays import Float32Array, Int64Array
 from skyline.planning.candidates import CandidateMap
-from skyline.planning.coverage import Float32Array, IntArray
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
@@ -15,7 +15,7 @@ Measure = Callable[[Views], Float32Array]
 `inf` where a view says nothing; the view's own cell is 0.
 """
 
-Predict = Callable[[Views, IntArray, Viewpoints], Views]
+Predict = Callable[[Views, Int64Array, Viewpoints], Views]
 """Views predicted at viewpoints (M), each from one of the stored views (M indices)."""
 
 _PREDICTED_AT_ONCE = 256
@@ -55,7 +55,7 @@ class InterpolatedModel:
         padded = np.pad(candidates.grid.valid, reach).shape
         self._weight, self._log_rate = np.zeros(padded), np.zeros(padded)
 
-    def learn(self, candidates: IntArray, views: Views, errors: Float32Array) -> None:
+    def learn(self, candidates: Int64Array, views: Views, errors: Float32Array) -> None:
         """Add views rendered at candidates (N) and their errors (N, K, K)."""
         with np.errstate(divide="ignore"):
             inverse = np.float32(1.0) / errors
@@ -70,7 +70,7 @@ class InterpolatedModel:
             self._weight[place] += weight
             self._log_rate[place] += one
 
-    def predict_errors(self, candidates: IntArray) -> Float32Array:
+    def predict_errors(self, candidates: Int64Array) -> Float32Array:
         """Return predicted reprojection errors of views at candidates (N), (N, K, K) px."""
         chosen, apart = self._grid.nearest(candidates, self._viewpoints, self._nearest)
         weight = 1.0 / np.maximum(apart, 0.5)
@@ -84,7 +84,7 @@ class InterpolatedModel:
         mean = np.sqrt(np.minimum(by_shape, _FAR_PX) * by_rate)
         return np.where(np.isnan(mean), by_shape, mean).astype(np.float32)
 
-    def _by_rate(self, candidates: IntArray) -> Float32Array:
+    def _by_rate(self, candidates: Int64Array) -> Float32Array:
         """Return errors (N, K, K) by the rates at both ends, NaN where no view reaches one."""
         reach, window = self._grid.reach, self._grid.window
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -123,11 +123,11 @@ class PredictedModel:
         self._archive = archive
         self._viewpoints = np.zeros(0, dtype=np.int64)
 
-    def learn(self, candidates: IntArray, views: Views, errors: Float32Array) -> None:
+    def learn(self, candidates: Int64Array, views: Views, errors: Float32Array) -> None:
         """Add views rendered at candidates (N)."""
         self._viewpoints = np.concatenate([self._viewpoints, candidates])
 
-    def predict_errors(self, candidates: IntArray) -> Float32Array:
+    def predict_errors(self, candidates: Int64Array) -> Float32Array:
         """Return predicted reprojection errors of views at candidates (N), (N, K, K) px."""
         chosen, _ = self._candidates.grid.nearest(candidates, self._viewpoints, 1)
         source = self._viewpoints[chosen[:, 0]]
@@ -149,12 +149,12 @@ class Archive:
     def __init__(self) -> None:
         self._views: dict[tuple[int, int], Views] = {}
 
-    def add(self, candidates: IntArray, views: Views) -> None:
+    def add(self, candidates: Int64Array, views: Views) -> None:
         """Add views rendered at candidates (N)."""
         for row, key in enumerate(zip(candidates.tolist(), views.heading.tolist(), strict=True)):
             self._views[key] = views[row : row + 1]
 
-    def at(self, candidates: IntArray, heading: int) -> tuple[Views, IntArray]:
+    def at(self, candidates: Int64Array, heading: int) -> tuple[Views, Int64Array]:
         """Return views and, for each candidate (N), the row of its view in a heading.
 
         The other headings rendered there come along: they show what enters at the sides.

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, field
 
-from skyline.errors import InputError
+from skyline.coverage import Coverage, check_target, check_threshold
+from skyline.errors import named
 from skyline.planning.budget import check_budget
 from skyline.planning.candidates import CandidateMap, Spacing
-from skyline.planning.coverage import Coverage, check_target, check_threshold
 from skyline.planning.models import Measure, Predict
 from skyline.planning.requests import Render
 from skyline.planning.strategies import STRATEGIES
@@ -47,10 +47,7 @@ class PlanConfig:
     budget: int | None = None
 
     def __post_init__(self) -> None:
-        if self.strategy not in STRATEGIES:
-            raise InputError(
-                f"strategy is {self.strategy!r}; expected one of {', '.join(STRATEGIES)}"
-            )
+        named("strategy", self.strategy, STRATEGIES)
         check_target(self.coverage)
         check_threshold(self.threshold_px)
         check_budget(self.budget)

@@ -29,7 +29,7 @@ def rows_by_place(views: Views) -> dict[Place, int]:
     return {place: row for row, place in enumerate(places(views, views.heading))}
 
 
-def in_order(views: Views, asked: list[Place]) -> Views:
+def as_asked(views: Views, asked: list[Place]) -> Views:
     """Return views in the order they were asked for, some of them more than once perhaps.
 
     Raises

@@ -1,23 +1,16 @@
 """Tolerance areas: where around a view its skyline still serves (paper 4.2)."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.prediction import PREDICTORS, Predictor, displacements_m
+from skyline.paper.reprojection import AFFINE_MEAN, displacements_m
+from skyline.prediction import Predictor
+from skyline.terrain.heightfield import Ground
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 from skyline.views import Views
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-
-Ground = Callable[[Float64Array, Float64Array], Float64Array]
-"""Heights in metres at eastings and northings, NaN off the map and on holes."""
-
 
 _CAP = np.float32(4.0)
 """Errors above this many thresholds are all alike; a cap lets them be interpolated."""
@@ -34,12 +27,12 @@ class Neighbourhood:
     ----------
     size : int
         K: rows and columns of locations; 10 in the paper. The view is at [K // 2, K // 2].
-    pitch_m : float
+    spacing_m : float
         Distance between neighbouring locations.
     """
 
     size: int = 10
-    pitch_m: float = 30.0
+    spacing_m: float = 30.0
 
     def __post_init__(self) -> None:
         if not 1 <= self.size <= 1001:
@@ -47,9 +40,9 @@ class Neighbourhood:
                 f"neighbourhood is {self.size} locations wide; expected 1 to 1001 (the paper "
                 "takes 10)"
             )
-        if not (np.isfinite(self.pitch_m) and self.pitch_m > 0.0):
+        if not (np.isfinite(self.spacing_m) and self.spacing_m > 0.0):
             raise InputError(
-                f"neighbourhood has a pitch of {self.pitch_m} m; expected a positive number"
+                f"neighbourhood has a spacing of {self.spacing_m} m; expected a positive number"
             )
 
     @property
@@ -62,7 +55,7 @@ class Neighbourhood:
 
         Row 0 is the northernmost, column 0 the westernmost.
         """
-        steps = (np.arange(self.size) - self.centre) * self.pitch_m
+        steps = (np.arange(self.size) - self.centre) * self.spacing_m
         east, south = np.meshgrid(steps, steps)
         return east, -south
 
@@ -88,7 +81,7 @@ class ToleranceMeter:
 
     ground: Ground
     neighbourhood: Neighbourhood = Neighbourhood()
-    predictor: Predictor = PREDICTORS["affine-mean"]
+    predictor: Predictor = AFFINE_MEAN
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
     threshold_px: float | None = None
 
@@ -172,8 +165,3 @@ def _fill_in(errors: Float32Array, known: BoolArray) -> Float32Array:
         own = np.expand_dims(known, (0, 3 - axis))
         errors = np.where(own, errors, np.float32(0.5) * (before + after))
     return errors
-
-
-def area_sizes(areas: BoolArray) -> NDArray[np.intp]:
-    """Return how many locations each of N tolerance areas (N, K, K) holds, (N,)."""
-    return np.asarray(np.count_nonzero(areas, axis=(1, 2)), dtype=np.intp)

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Int64Array
+from skyline.coverage import Coverage
 from skyline.errors import InputError
-from skyline.planning.coverage import Coverage, IntArray
 from skyline.planning.plan import Plan
-from skyline.planning.requests import Headings, Render, in_order, places
+from skyline.planning.requests import Headings, Render, as_asked, places
 from skyline.views import Views
 
 TrueErrors = Callable[[Views, Views], NDArray[np.floating]]
@@ -95,7 +96,7 @@ def wilson_interval(successes: int, trials: int) -> tuple[float, float]:
     return float((middle - half) / scale), float((middle + half) / scale)
 
 
-def _draw(plan: Plan, sample: int, seed: int) -> tuple[Headings, IntArray]:
+def _draw(plan: Plan, sample: int, seed: int) -> tuple[Headings, Int64Array]:
     """Draw headings and covered candidates, each as likely as any other."""
     covered = np.flatnonzero(np.stack([one.counts > 0 for one in plan.coverages]))
     if sample < 1 or not len(covered):
@@ -108,7 +109,7 @@ def _draw(plan: Plan, sample: int, seed: int) -> tuple[Headings, IntArray]:
     return heading.astype(np.uint8), location
 
 
-def _pairs(plan: Plan, heading: Headings, location: IntArray) -> tuple[IntArray, IntArray]:
+def _pairs(plan: Plan, heading: Headings, location: Int64Array) -> tuple[Int64Array, Int64Array]:
     """Return for each pair to compare the place in the sample and the viewpoint that covers it."""
     pair, viewpoint = [], []
     for place, (one, where) in enumerate(zip(heading.tolist(), location.tolist(), strict=True)):
@@ -118,7 +119,7 @@ def _pairs(plan: Plan, heading: Headings, location: IntArray) -> tuple[IntArray,
     return np.array(pair, dtype=np.int64), np.array(viewpoint, dtype=np.int64)
 
 
-def _covering(coverage: Coverage, location: int) -> IntArray:
+def _covering(coverage: Coverage, location: int) -> Int64Array:
     """Return the viewpoints whose areas hold a location, nearest first, the first few."""
     grid = coverage.grid
     row, col = grid.row_col(np.array([location]))
@@ -132,8 +133,8 @@ def _covering(coverage: Coverage, location: int) -> IntArray:
     return np.asarray(coverage.viewpoints[nearest], dtype=np.int64)
 
 
-def _views(source: Render, plan: Plan, candidates: IntArray, heading: Headings) -> Views:
+def _views(source: Render, plan: Plan, candidates: Int64Array, heading: Headings) -> Views:
     """Return views at candidates along headings, in that order; each is asked for once."""
     once = np.unique(np.stack([heading, candidates]), axis=1)
     views = source(plan.candidates.viewpoints(once[1]), once[0].astype(np.uint8))
-    return in_order(views, places(plan.candidates.viewpoints(candidates), heading))
+    return as_asked(views, places(plan.candidates.viewpoints(candidates), heading))

@@ -9,18 +9,15 @@ The drop by curvature and refraction is taken over from the stored view. Moving 
 seen from the new eye, by at most |t| (1 - k) / R in v: 0.013 px for 300 m.
 """
 
-from skyline.prediction.displacement import displacements_m
 from skyline.prediction.predicted import predict
-from skyline.prediction.predictors import PREDICTORS, Predictor, predictor_named
+from skyline.prediction.predictors import PREDICTORS, Predictor
 from skyline.prediction.shells import shell_edges_m
 from skyline.prediction.truth import true_errors_px
 
 __all__ = [
     "PREDICTORS",
     "Predictor",
-    "displacements_m",
     "predict",
-    "predictor_named",
     "shell_edges_m",
     "true_errors_px",
 ]

@@ -15,14 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.camera import columns_u
-from skyline.prediction.displacement import NO_VIEW, Reach, flanks
+from skyline.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from skyline.camera import HEADINGS, columns_u
 from skyline.views import Views
 
-FloatArray = NDArray[np.floating]
-Float32Array = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.intp]
+NO_VIEW = -1
 
 MAX_DEPTH_RATIO = 1.5
 """Neighbouring columns whose depths differ by more are two surfaces, one behind the other.
@@ -36,6 +33,39 @@ MIN_DEPTH_M = 1.0
 
 _STEEPNESS = 0.5
 """How steep in the image a skyline is taken to be where an eye moves sideways along it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """How far some eyes are from a view's own, at most."""
+
+    horizontal_m: float
+    vertical_m: float
+
+    @classmethod
+    def of(cls, displacements_m: NDArray[np.floating]) -> "Reach":
+        """Return the reach of displacements (C, 3), NaN left out; 0 for none."""
+        right, up, forward = np.asarray(displacements_m, dtype=np.float64).T
+        horizontal = np.fmax.reduce(np.hypot(right, forward), initial=0.0)
+        return cls(float(horizontal), float(np.fmax.reduce(np.abs(up), initial=0.0)))
+
+
+def flanks(views: Views) -> IntArray:
+    """Return the views that look left and right from the same eye.
+
+    Returns
+    -------
+    (N, 2) intp
+        Index of the view with heading - 1 and of that with heading + 1, `NO_VIEW` where there is
+        none. Of several, the first.
+    """
+    eyes = np.stack([views.easting_m, views.northing_m, views.eye_elevation_m], axis=1)
+    eye = np.unique(eyes, axis=0, return_inverse=True)[1].reshape(-1)
+    heading = views.heading.astype(np.intp)
+    seen, first = np.unique(eye * len(HEADINGS) + heading, return_index=True)
+    table = np.full((len(views), len(HEADINGS)), NO_VIEW, dtype=np.intp)
+    table.ravel()[seen] = first
+    return np.stack([table[eye, (heading - 1) % 4], table[eye, (heading + 1) % 4]], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,15 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.prediction.curves import Image, Polylines, Scenery
-from skyline.prediction.displacement import Reach, displacements_m
+from skyline.paper.reprojection import displacements_m
+from skyline.prediction.curves import Image, Polylines, Reach, Scenery
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_NO_DATA, Shells, Views
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 _POINTS_AT_ONCE = 1 << 18
 """Points projected together, which bounds the memory in use."""

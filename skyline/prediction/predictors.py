@@ -1,40 +1,33 @@
 """How far the skyline at a displaced eye is from that of a stored view: the reprojection error.
 
-Two kinds, one interface. The paper's move the points of the stored skyline and ask how far a
-warp misses their images; `Reprojection` has its four variants. `Resemblance` predicts the curve
+Two kinds, one interface. The paper's (`skyline.paper.reprojection`, four variants) move the points
+of the stored skyline and ask how far a warp misses their images. `Resemblance` predicts the curve
 the displaced eye sees, the upper envelope of the displaced skyline or distance shells, and warps
 the stored skyline onto it, which is what a matcher will do with the true one.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array, FloatArray
 from skyline.errors import InputError
-from skyline.prediction.affine import (
+from skyline.paper.reprojection import (
+    AFFINE_LEAST_SQUARES,
+    AFFINE_MEAN,
+    AFFINE_MEDIAN,
     IDENTITY,
-    CurveFit,
+    NON_AFFINE,
+    check_displacements,
     equation_4,
-    least_squares,
-    mean_depth_m,
     median_depth_m,
 )
-from skyline.prediction.curves import Scenery, block_means, seen_from
-from skyline.prediction.displacement import Reach, check_displacements
-from skyline.prediction.points import Projected
+from skyline.prediction.curves import Reach, Scenery, block_means, seen_from
+from skyline.prediction.warp_fit import WarpFit
 from skyline.views import Views
-
-FloatArray = NDArray[np.floating]
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-
-_AT_ONCE = 1 << 18
-"""Projected points evaluated together, to stay in the processor's cache."""
 
 _FITS_AT_ONCE = 1600
 """Curves warped together: enough that numpy's calls cost little, few enough for the cache."""
@@ -75,74 +68,6 @@ class Predictor(Protocol):
         """
 
 
-Warp = Callable[[Projected], Float64Array]
-
-
-@dataclass(frozen=True, slots=True)
-class Reprojection:
-    """Mean distance between warped points and their true images, over those in front and in frame.
-
-    Attributes
-    ----------
-    warp : callable
-        Returns the warps (N, C, 2, 3), NaN where there is none.
-    columns : int
-        At most so many points a view, evenly spread. On Davos, 80 decide as 640 do.
-    min_points : int
-        Fewer in frame are no answer.
-    """
-
-    warp: Warp
-    columns: int = 80
-    min_points: int = 3
-
-    @property
-    def needs_shells(self) -> bool:
-        """False: the skyline and its depth suffice."""
-        return False
-
-    def errors_px(
-        self, views: Views, displacements_m: FloatArray, within_px: float | None = None
-    ) -> Float32Array:
-        """See `Predictor.errors_px`."""
-        check_displacements(views, displacements_m)
-        candidates = displacements_m.shape[1]
-        errors = np.empty((len(views), candidates), dtype=np.float32)
-        some = max(1, _AT_ONCE // max(1, candidates * min(self.columns, views.width)))
-        for begin in range(0, len(views), some):
-            part = slice(begin, begin + some)
-            errors[part] = self._errors_px(views[part], displacements_m[part])
-        return errors
-
-    def _errors_px(self, views: Views, displacements_m: FloatArray) -> FloatArray:
-        projected = Projected.of(views, displacements_m, self.columns)
-        affine = self.warp(projected)
-        warped = projected.points_uv[:, np.newaxis] @ np.swapaxes(affine[..., :2], 2, 3)
-        warped += affine[..., np.newaxis, :, 2]
-        usable = projected.usable
-        missed = np.where(usable[..., np.newaxis], warped - projected.there_uv, 0.0)
-        count = usable.sum(axis=2)
-        mean = np.hypot(missed[..., 0], missed[..., 1]).sum(axis=2) / np.maximum(count, 1)
-        answered = (count >= self.min_points) & np.isfinite(mean)
-        return np.where(answered, mean * (views.width / 2.0), np.inf)
-
-
-def _no_warp(projected: Projected) -> Float64Array:
-    return np.broadcast_to(IDENTITY, (*projected.usable.shape[:2], 2, 3))
-
-
-def _mean_depth_warp(projected: Projected) -> Float64Array:
-    return equation_4(mean_depth_m(projected.depth_m), projected.displacements_m)
-
-
-def _median_depth_warp(projected: Projected) -> Float64Array:
-    return equation_4(median_depth_m(projected.depth_m), projected.displacements_m)
-
-
-def _least_squares_warp(projected: Projected) -> Float64Array:
-    return least_squares(projected.points_uv, projected.there_uv, projected.usable)
-
-
 @dataclass(frozen=True, slots=True)
 class Resemblance:
     """Mean distance of the stored skyline, warped as well as can be, from the predicted curve.
@@ -154,12 +79,12 @@ class Resemblance:
     columns : int
         Columns of both curves, means over runs of the view's own. Few are no loss: on two
         terrains 40 decide as well as 320, since a warp finds its way over a smoother curve.
-    fit : CurveFit
+    fit : WarpFit
     """
 
     use_shells: bool
     columns: int = 40
-    fit: CurveFit = field(default_factory=CurveFit)
+    fit: WarpFit = field(default_factory=WarpFit)
 
     @property
     def needs_shells(self) -> bool:
@@ -205,22 +130,12 @@ class Resemblance:
 
 PREDICTORS: Mapping[str, Predictor] = MappingProxyType(
     {
-        "non-affine": Reprojection(_no_warp),
-        "affine-mean": Reprojection(_mean_depth_warp),
-        "affine-median": Reprojection(_median_depth_warp),
-        "affine-least-squares": Reprojection(_least_squares_warp),
+        "non-affine": NON_AFFINE,
+        "affine-mean": AFFINE_MEAN,
+        "affine-median": AFFINE_MEDIAN,
+        "affine-least-squares": AFFINE_LEAST_SQUARES,
         "curve": Resemblance(use_shells=False, columns=80),
         "shells": Resemblance(use_shells=True),
     }
 )
 """Predictors by name; the paper's is ``affine-mean``."""
-
-
-def predictor_named(name: str) -> Predictor:
-    """Return a predictor by its name; raises `InputError` for one that is not known."""
-    try:
-        return PREDICTORS[name]
-    except KeyError as error:
-        raise InputError(
-            f"predictor is {name!r}; expected one of {', '.join(PREDICTORS)}"
-        ) from error

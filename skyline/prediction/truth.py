@@ -1,25 +1,22 @@
 """What predictions are held to: a stored skyline against the one rendered at another eye."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.prediction.affine import (
+from skyline.paper.reprojection import (
     IDENTITY,
-    CurveFit,
+    Projected,
+    displacements_m,
     equation_4,
     least_squares,
     median_depth_m,
 )
 from skyline.prediction.curves import block_means
-from skyline.prediction.displacement import displacements_m
-from skyline.prediction.points import Projected
+from skyline.prediction.warp_fit import WarpFit
 from skyline.views import Views
 
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-
-_FIT = CurveFit(rounds=6)
+_FIT = WarpFit(rounds=6)
 _COLUMNS = (20, 40, 80, 160, 320)
 """Columns of the coarser curves a warp is found on first: a rough skyline has many valleys."""
 
@@ -29,7 +26,7 @@ _AT_ONCE = 64
 def true_errors_px(stored: Views, rendered: Views) -> Float32Array:
     """Return how far stored skylines are from rendered ones after the best affine warp.
 
-    The warp is bounded as `CurveFit` says; the distance is vertical, over the columns that land
+    The warp is bounded as `WarpFit` says; the distance is vertical, over the columns that land
     in frame, which must be half of them.
 
     Parameters

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyrr import matrix44
 
+from skyline.arrays import Float32Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, pixel_size, rotation
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -28,8 +29,6 @@ from skyline.views import (
     FLAG_TRUNCATED,
     Views,
 )
-
-Float32Array = NDArray[np.float32]
 
 TILE_CELLS = 64
 """Cells along a side of the tiles that are drawn or skipped as a whole."""

@@ -6,15 +6,14 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import HEADINGS, rotation
+from skyline.render.march import EYE_DTYPE
 from skyline.render.trees import split_float
-from skyline.render.walks import EYE
 from skyline.render.windows import Window
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 _ROUNDING = 3.0 * 2.0**-24
@@ -22,7 +21,7 @@ _ROUNDING = 3.0 * 2.0**-24
 
 
 class Eyes:
-    """The eyes of N views, sorted so that walks of one kind lie together.
+    """The eyes of N views, sorted so that marches of one kind lie together.
 
     Attributes
     ----------
@@ -66,8 +65,8 @@ class Eyes:
         return blocks[:, back].reshape(values.shape)
 
     def relative_to(self, window: Window) -> NDArray[np.void]:
-        """Return the sorted eyes for the shaders, (N,) of `EYE`."""
-        eyes = np.zeros(len(self), dtype=EYE)
+        """Return the sorted eyes for the shaders, (N,) of `EYE_DTYPE`."""
+        eyes = np.zeros(len(self), dtype=EYE_DTYPE)
         nearest = np.rint(self._place)
         eyes["nearest"] = nearest.astype(np.int64) - (window.row, window.col)
         eyes["offset"], eyes["offset_low"] = split_float(self._place - nearest)

@@ -1,8 +1,8 @@
 """The horizon rasterizer: skylines themselves, exact to float32, without an image.
 
-A column's skyline is the greatest v over the edges that its half-plane crosses. The GPU walks
+A column's skyline is the greatest v over the edges that its half-plane crosses. The GPU marches
 each column's ray over a tree of upper bounds and evaluates only what can still be the greatest
-(`shaders/horizon_walk.glsl`); nothing but v, depth and flags of W columns a view comes back.
+(`shaders/horizon_march.glsl`); nothing but v, depth and flags of W columns a view comes back.
 """
 
 import itertools
@@ -16,27 +16,26 @@ import moderngl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skyline.arrays import Float64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixel_size
 from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import acquire_context
 from skyline.render.eyes import Eyes
-from skyline.render.walks import (
+from skyline.render.march import (
     NOTHING,
-    ComputeWalker,
-    FragmentWalker,
-    Place,
-    Rows,
+    ComputeMarcher,
+    FragmentMarcher,
+    March,
+    RayMarcher,
+    ResultPlace,
+    Results,
     Settings,
-    Walk,
-    Walker,
 )
 from skyline.render.windows import Window, WindowTextures
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_NO_DATA, Shells, Views
-
-Float64Array = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 
@@ -94,18 +93,18 @@ class ColumnRenderer:
             len(_ranges(shell_edges_m)),
             reach_m,
         )
-        self._walker: Walker = (
-            ComputeWalker(self._context, settings)
+        self._marcher: RayMarcher = (
+            ComputeMarcher(self._context, settings)
             if self._context.has_compute
-            else FragmentWalker(self._context, settings)
+            else FragmentMarcher(self._context, settings)
         )
-        self._max_views = self._walker.max_rows // (1 + len(_ranges(self.shell_edges_m)))
+        self._max_views = self._marcher.max_rows // (1 + len(_ranges(self.shell_edges_m)))
         self._windows = Window.all_of(field)
         self._resident: dict[Window, WindowTextures] = {}
 
     def release(self) -> None:
         """Free what this renderer holds on the GPU; the context stays for others."""
-        self._walker.release()
+        self._marcher.release()
         for window in self._resident.values():
             window.release()
         self._resident = {}
@@ -123,7 +122,7 @@ class ColumnRenderer:
 
     def _batches(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8]
-    ) -> Iterator[tuple[slice, Rows]]:
+    ) -> Iterator[tuple[slice, Results]]:
         """Render in batches that fit the GPU; where one does not, in halves of it.
 
         Yields which views, and their rows in order: N skylines, then those of each shell. Without
@@ -151,30 +150,30 @@ class ColumnRenderer:
             "out of GPU memory (%s); going on with %d views a batch", said, self._max_views
         )
 
-    def _batch(self, viewpoints: Viewpoints, heading: NDArray[np.uint8]) -> Rows:
+    def _batch(self, viewpoints: Viewpoints, heading: NDArray[np.uint8]) -> Results:
         """Render one batch; see `_batches`."""
         eyes = Eyes(self.field, viewpoints, heading, self._near_error)
-        walker, shells = self._walker, _ranges(self.shell_edges_m)
-        walker.begin((1 + len(shells)) * len(eyes))
+        marcher, shells = self._marcher, _ranges(self.shell_edges_m)
+        marcher.begin((1 + len(shells)) * len(eyes))
         windows = eyes.nearest_first(self._windows)
         for place, window in enumerate(windows):
             if place == 0 or self._may_rise(window, eyes):
-                self._walk(window, eyes, Walk(first=place == 0))
+                self._march(window, eyes, March(first=place == 0))
         if shells:
             for place, window in enumerate(windows):
                 held = shells if place == 0 else _held(shells, *eyes.depths_m(window))
                 if held:
-                    walk = Walk(shells_m=tuple(held), first=place == 0)
-                    self._walk(window, eyes, walk, shells.index(held[0]))
-        return _in_order(eyes, walker.read())
+                    march = March(shells_m=tuple(held), first=place == 0)
+                    self._march(window, eyes, march, shells.index(held[0]))
+        return _in_order(eyes, marcher.read())
 
-    def _walk(self, window: Window, eyes: Eyes, walk: Walk, shell: int = 0) -> None:
+    def _march(self, window: Window, eyes: Eyes, march: March, shell: int = 0) -> None:
         """Raise the skylines, or shells from a first one on, by one window."""
         textures, near = self._load(window), eyes.relative_to(window)
         for rows, heading, double in eyes.groups():
-            kind = replace(walk, heading=heading, double=double)
-            place = Place(rows.start, (1 + shell) * len(eyes) + rows.start, len(eyes))
-            self._walker.run(kind, textures, near[rows], place)
+            kind = replace(march, heading=heading, double=double)
+            place = ResultPlace(rows.start, (1 + shell) * len(eyes) + rows.start, len(eyes))
+            self._marcher.run(kind, textures, near[rows], place)
 
     def _may_rise(self, window: Window, eyes: Eyes) -> bool:
         """Return whether a window can raise any skyline found so far."""
@@ -183,7 +182,7 @@ class ColumnRenderer:
         highest_m = float(np.fmax.reduce(self.field.heights_m[rows, cols], axis=None))
         if np.isnan(highest_m):
             return False
-        least = self._walker.read().elevation_tan[: len(eyes)].min(axis=1)
+        least = self._marcher.read().elevation_tan[: len(eyes)].min(axis=1)
         bound = eyes.greatest_tan(window, highest_m, self.curvature.drop_per_m2)
         return bool((bound > least).any())
 
@@ -282,7 +281,7 @@ class HorizonRenderer(ColumnRenderer):
             ]
         )
 
-    def _views(self, eyes: Viewpoints, heading: NDArray[np.uint8], rows: Rows) -> Views:
+    def _views(self, eyes: Viewpoints, heading: NDArray[np.uint8], rows: Results) -> Views:
         count = len(eyes)
         shells = None
         if self.shell_edges_m is not None:
@@ -303,13 +302,13 @@ class HorizonRenderer(ColumnRenderer):
         )
 
 
-def _in_order(eyes: Eyes, rows: Rows) -> Rows:
+def _in_order(eyes: Eyes, rows: Results) -> Results:
     """Put the rows of sorted eyes back into order, and mark what met no data."""
     tan, depth = eyes.in_order(rows.elevation_tan), eyes.in_order(rows.depth_m)
     missing = tan == NOTHING
     flags = eyes.in_order(rows.flags) | np.where(missing, np.uint8(FLAG_NO_DATA), np.uint8(0))
     nan = np.float32(np.nan)
-    return Rows(np.where(missing, nan, tan), np.where(missing, nan, depth), flags)
+    return Results(np.where(missing, nan, tan), np.where(missing, nan, depth), flags)
 
 
 def _ranges(edges_m: Float64Array | None) -> list[tuple[float, float]]:

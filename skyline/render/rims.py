@@ -9,14 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import columns_u, rotation
 from skyline.geodesy import Curvature
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.triangles import Rims, Triangles
 from skyline.terrain.viewpoints import Viewpoints
-
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

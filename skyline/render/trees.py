@@ -8,11 +8,11 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array
 from skyline.camera import HEADINGS
 from skyline.terrain.pyramid import MAX_LEVELS, SlabLevel, slab_levels
 from skyline.terrain.triangles import Triangles
 
-Float32Array = NDArray[np.float32]
 Packed = NDArray[np.uint32] | NDArray[np.uint8]
 
 SLOPE_BINS = 16

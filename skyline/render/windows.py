@@ -59,7 +59,7 @@ def _cuts(samples: int, max_cells: int) -> Iterator[tuple[int, int]]:
 
 
 class WindowTextures:
-    """What the shaders read of one window (`horizon_walk.glsl`).
+    """What the shaders read of one window (`horizon_march.glsl`).
 
     Attributes
     ----------

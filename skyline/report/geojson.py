@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.files import write_with_folders
 from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
-from skyline.report.files import write_whole
 from skyline.report.records import describe_candidate
 from skyline.report.shapes import Ellipse, view_wedge_m
 
@@ -55,7 +55,7 @@ def write_geojson(
 ) -> None:
     """Write `match_collection` to a file; raises `InputError` where it cannot be written."""
     text = json.dumps(match_collection(matches, frame), indent=1, allow_nan=False)
-    write_whole(path, text + "\n")
+    write_with_folders(path, text + "\n")
 
 
 def _features(query: str, rank: int, candidate: Candidate, frame: Frame) -> list[Json]:

@@ -9,7 +9,7 @@ from numbers import Real
 from pathlib import Path
 
 from skyline.errors import InputError
-from skyline.report.files import write_whole
+from skyline.files import write_with_folders
 
 _MIME_OF_HEAD = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?")
@@ -85,14 +85,6 @@ class Table:
                     f"a table's row has {len(row)} values; expected {len(self.columns)} for "
                     f"{', '.join(self.columns)}"
                 )
-
-    @classmethod
-    def of_records(
-        cls, rows: Sequence[Mapping[str, object]], columns: Sequence[str] = (), caption: str = ""
-    ) -> "Table":
-        """Make a table of rows by name, of all their names or the ones given."""
-        names = columns or list(dict.fromkeys(name for row in rows for name in row))
-        return cls(names, [[row.get(name) for name in names] for row in rows], caption)
 
     @classmethod
     def of_facts(cls, facts: Mapping[str, object], caption: str = "") -> "Table":
@@ -206,7 +198,7 @@ class Page:
 
     def write(self, path: Path) -> None:
         """Write the page to a file; raises `InputError` where it cannot be written."""
-        write_whole(path, self.html().encode("utf-8", "replace"))
+        write_with_folders(path, self.html().encode("utf-8", "replace"))
 
 
 def _is_numeric(values: Sequence[object]) -> bool:

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS
+from skyline.files import write_with_folders
 from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
 from skyline.photo import QuerySkyline
-from skyline.report.files import write_whole
 from skyline.report.geojson import write_geojson
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
@@ -148,7 +148,7 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
 
 
 def _keep(path: Path, picture: bytes) -> bytes:
-    write_whole(path, picture)
+    write_with_folders(path, picture)
     return picture
 
 

@@ -10,17 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from skyline.arrays import Float64Array, UInt8Array
 from skyline.matching.ranking import Candidate
 from skyline.photo import QuerySkyline
 from skyline.report.labels import Placed, place_labels
 from skyline.report.peaks import Sighting
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, PosedPicture
-
-UInt8Array = NDArray[np.uint8]
-Float64Array = NDArray[np.float64]
 
 FOUND_COLOUR, RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
 

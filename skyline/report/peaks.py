@@ -12,14 +12,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError, MissingFileError
 from skyline.geodesy import Curvature, Frame
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-
-Float64Array = NDArray[np.float64]
 
 SUMMIT_RADIUS_M = 150.0
 """How far from the place named a summit is looked for; terrain this near to it does not hide it."""

@@ -7,20 +7,15 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from PIL import Image
 
 from skyline.camera import HEADINGS
-from skyline.report.files import write_whole
+from skyline.files import write_with_folders
 from skyline.views import Views
 
 _HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
-_DPI = 110
+DPI = 110
 _JPEG = {"quality": 88, "subsampling": 0}
 """Full colour resolution, or thin coloured lines fade."""
-SMALL_BYTES = 150_000
-"""What a picture in a repository may take."""
-_PALETTES = (256, 128)
-_SHRINK = 0.85
 
 
 def save_depth_images(images: NDArray[np.float32], views: Views, path: Path) -> None:
@@ -82,30 +77,12 @@ def save_panorama(views: Views, convergence_deg: float, path: Path) -> None:
 
 def save_figure(figure: Figure, path: Path) -> None:
     """Save a figure as PNG, with the folders it needs; raises `InputError` where it cannot."""
-    write_whole(path, encode_figure(figure))
+    write_with_folders(path, encode_figure(figure))
 
 
-def encode_figure(figure: Figure, kind: str = "png", dpi: float = _DPI) -> bytes:
+def encode_figure(figure: Figure, kind: str = "png", dpi: float = DPI) -> bytes:
     """Return a figure's picture as ``png`` or ``jpeg``."""
     FigureCanvasAgg(figure)
     picture = io.BytesIO()
     figure.savefig(picture, format=kind, dpi=dpi, pil_kwargs=_JPEG if kind == "jpeg" else {})
     return picture.getvalue()
-
-
-def encode_small_png(figure: Figure, dpi: float = _DPI) -> bytes:
-    """Return a figure as a PNG of at most `SMALL_BYTES`: of as many colours as that takes.
-
-    Where a hundred are still too many the picture gets smaller.
-    """
-    while True:
-        with Image.open(io.BytesIO(encode_figure(figure, "png", dpi))) as drawn:
-            whole = drawn.convert("RGB")
-        for colours in _PALETTES:
-            picture = io.BytesIO()
-            # Spread over all colours there are, so that thin lines and marks keep theirs.
-            quantized = whole.quantize(colours, Image.Quantize.MAXCOVERAGE)
-            quantized.save(picture, "png", optimize=True)
-            if picture.tell() <= SMALL_BYTES:
-                return picture.getvalue()
-        dpi *= _SHRINK

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skyline.arrays import Float64Array
 from skyline.matching.query import level, project
 from skyline.matching.ranking import Candidate
 from skyline.photo import QuerySkyline
 from skyline.views import Views
-
-Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

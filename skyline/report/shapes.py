@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.matching.ranking import Candidate
-
-Float64Array = NDArray[np.float64]
 
 _CHI_SQUARE_95 = 5.991464547107979
 """95 % quantile of chi square with two degrees of freedom: -2 ln 0.05."""

@@ -15,6 +15,8 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
+from skyline.arrays import BoolArray, Float32Array, Int64Array
+
 ABSURD_M = 30_000.0
 """No known solid body has a height beyond this above or below its datum (Mars: +21.2, -8.2 km)."""
 
@@ -31,10 +33,6 @@ _LEAST_SURROUNDINGS = 3
 _STRIP_SAMPLES = 1 << 22
 _AROUND = np.array([(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if (r, c) != (0, 0)])
 _BESIDE = np.array([(-1, 0), (0, -1), (0, 1), (1, 0)])
-
-Float32Array = NDArray[np.float32]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 
 def strips(heights_m: Float32Array) -> Iterator[slice]:
@@ -138,7 +136,7 @@ def _remove_absurd(heights_m: Float32Array) -> int:
     return removed
 
 
-def _beside_jumps(heights_m: Float32Array, threshold_m: float) -> IntArray:
+def _beside_jumps(heights_m: Float32Array, threshold_m: float) -> Int64Array:
     """Return flat indices, ascending, of heights a jump away from one beside them."""
     found = []
     for rows in strips(heights_m):
@@ -158,7 +156,7 @@ def _beside_jumps(heights_m: Float32Array, threshold_m: float) -> IntArray:
     return np.concatenate(found)
 
 
-def _are_spikes(heights_m: Float32Array, candidates: IntArray, threshold_m: float) -> BoolArray:
+def _are_spikes(heights_m: Float32Array, candidates: Int64Array, threshold_m: float) -> BoolArray:
     around = _neighbours(candidates, _AROUND, heights_m.shape)
     around_m = _heights(heights_m, around)
     own_m = heights_m.reshape(-1)[candidates].astype(np.float64)
@@ -181,7 +179,7 @@ def _stand_out(own_m: NDArray[np.float64], firm_m: NDArray[np.float64]) -> BoolA
     known = np.count_nonzero(np.isfinite(ranked), axis=1)
     last = np.maximum(known - 1, 0)
 
-    def at(rank: IntArray) -> NDArray[np.float64]:
+    def at(rank: Int64Array) -> NDArray[np.float64]:
         return np.take_along_axis(ranked, rank[:, np.newaxis], axis=1)[:, 0]
 
     median_m = 0.5 * (at(last // 2) + at((last + 1) // 2))
@@ -190,7 +188,7 @@ def _stand_out(own_m: NDArray[np.float64], firm_m: NDArray[np.float64]) -> BoolA
     return np.asarray(far_off & (known >= _LEAST_SURROUNDINGS), dtype=np.bool_)
 
 
-def _small_voids(heights_m: Float32Array, max_void_samples: int) -> IntArray:
+def _small_voids(heights_m: Float32Array, max_void_samples: int) -> Int64Array:
     """Return flat indices, ascending, of the samples of voids that can and may be filled."""
     row, start, stop = _void_runs(heights_m)
     void = _connected_runs(row, start, stop, heights_m.shape[1])
@@ -204,7 +202,7 @@ def _small_voids(heights_m: Float32Array, max_void_samples: int) -> IntArray:
     return np.asarray(samples[has_rim[void]], dtype=np.int64)
 
 
-def _void_runs(heights_m: Float32Array) -> tuple[IntArray, IntArray, IntArray]:
+def _void_runs(heights_m: Float32Array) -> tuple[Int64Array, Int64Array, Int64Array]:
     """Return row, first column and column past the last of each run of voids in a row.
 
     Runs, unlike an image of labels, take memory only where there are voids.
@@ -220,7 +218,7 @@ def _void_runs(heights_m: Float32Array) -> tuple[IntArray, IntArray, IntArray]:
     return row, start, stop
 
 
-def _connected_runs(row: IntArray, start: IntArray, stop: IntArray, cols: int) -> IntArray:
+def _connected_runs(row: Int64Array, start: Int64Array, stop: Int64Array, cols: int) -> Int64Array:
     """Return the number of the void each run belongs to."""
     # Runs ascend by row and column, so those of the row above that touch one are consecutive.
     width = cols + 2
@@ -231,19 +229,19 @@ def _connected_runs(row: IntArray, start: IntArray, stop: IntArray, cols: int) -
     return _connected(lower, upper, row.size)
 
 
-def _expand(first: IntArray, length: IntArray) -> tuple[IntArray, IntArray]:
+def _expand(first: Int64Array, length: Int64Array) -> tuple[Int64Array, Int64Array]:
     """Return the members of ranges of whole numbers, and the range each one is of."""
     of_range = np.repeat(np.arange(first.size), length)
     begins = np.cumsum(length) - length
     return first[of_range] + np.arange(of_range.size) - begins[of_range], of_range
 
 
-def _connected(one: IntArray, other: IntArray, count: int) -> IntArray:
+def _connected(one: Int64Array, other: Int64Array, count: int) -> Int64Array:
     graph = coo_array((np.ones(one.size, dtype=np.int8), (one, other)), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
-def _neighbours(samples: IntArray, steps: IntArray, shape: tuple[int, ...]) -> IntArray:
+def _neighbours(samples: Int64Array, steps: Int64Array, shape: tuple[int, ...]) -> Int64Array:
     """Return (n, steps) flat indices of neighbours, -1 off the grid."""
     row = samples[:, np.newaxis] // shape[1] + steps[:, 0]
     col = samples[:, np.newaxis] % shape[1] + steps[:, 1]
@@ -251,13 +249,13 @@ def _neighbours(samples: IntArray, steps: IntArray, shape: tuple[int, ...]) -> I
     return np.asarray(np.where(inside, row * shape[1] + col, -1), dtype=np.int64)
 
 
-def _heights(heights_m: Float32Array, samples: IntArray) -> NDArray[np.float64]:
+def _heights(heights_m: Float32Array, samples: Int64Array) -> NDArray[np.float64]:
     """Return heights in float64, NaN for voids, for what no file covers and off the grid."""
     heights = heights_m.reshape(-1)[samples].astype(np.float64)
     return np.where((samples >= 0) & np.isfinite(heights), heights, np.nan)
 
 
-def _find(samples: IntArray, wanted: IntArray) -> tuple[IntArray, BoolArray]:
+def _find(samples: Int64Array, wanted: Int64Array) -> tuple[Int64Array, BoolArray]:
     """Return where each wanted index stands among ascending samples, and whether it does."""
     slot = np.minimum(np.searchsorted(samples, wanted), samples.size - 1)
     return slot, samples[slot] == wanted

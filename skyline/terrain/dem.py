@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from skyline.arrays import Float32Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, is_metric
-from skyline.terrain.arrays import read_array
 from skyline.terrain.cleaning import count_voids, fill_voids, remove_spikes, strips
+from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
 from skyline.terrain.tiles import (
     Grid,
@@ -37,7 +37,6 @@ TRUE_SCALE = 0.01
 
 _PROBES = 9
 
-Float32Array = NDArray[np.float32]
 
 _log = logging.getLogger(__name__)
 

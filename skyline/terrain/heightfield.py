@@ -5,7 +5,7 @@ south-east samples. A triangle with a hole (NaN) among its samples is not part o
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 
 if TYPE_CHECKING:
     from skyline.terrain.dem import DemOptions
 
-Float64Array = NDArray[np.float64]
+Ground = Callable[[Float64Array, Float64Array], Float64Array]
+"""Heights in metres at eastings and northings, NaN off the map and on holes."""
 
 
 @dataclass(frozen=True)

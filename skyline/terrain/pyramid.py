@@ -1,4 +1,4 @@
-"""The tree of slabs: upper bounds of the terrain for rays that walk over it.
+"""The tree of slabs: upper bounds of the terrain for rays that march over it.
 
 Seen along one axis, the field is cut across into strips (rows of cells) and these into slabs of
 2, 16, 128, 1024 strips. A ray drifts sideways by its slope, in cells a strip, so it meets only
@@ -15,9 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
+
 Samples = NDArray[Any]
 """float32 heights or uint8 marks."""
-Float64Array = NDArray[np.float64]
 
 SLABS = 8
 """Slabs in a band: the children of a node of the tree."""

@@ -7,15 +7,13 @@ column of every heading.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.camera import pixel_size
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-
-Float64Array = NDArray[np.float64]
 
 BLOCK_CELLS = 16
 COARSER_STEPS = (2, 4, 8)

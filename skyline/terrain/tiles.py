@@ -21,6 +21,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
+from skyline.arrays import Float32Array
 from skyline.errors import InputError, MissingFileError
 from skyline.terrain.cleaning import strips
 
@@ -43,7 +44,6 @@ AGREEMENT_M = 1.0
 _GDAL_CACHE_BYTES = 64 << 20
 _FEET_M = {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us-ft": 1200 / 3937, "ftus": 1200 / 3937}
 
-Float32Array = NDArray[np.float32]
 
 _log = logging.getLogger(__name__)
 

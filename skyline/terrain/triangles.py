@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from skyline.arrays import BoolArray, Int64Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,8 +93,8 @@ class Rims:
         The first and the second sample of each edge.
     """
 
-    row: IntArray
-    col: IntArray
+    row: Int64Array
+    col: Int64Array
 
     @classmethod
     def of(cls, triangles: Triangles) -> "Rims":

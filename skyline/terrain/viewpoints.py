@@ -3,18 +3,18 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError, OffMapError
+from skyline.rows import Rows
 from skyline.terrain.heightfield import HeightField
 
 DEFAULT_EYE_HEIGHT_M = 2.0
 
-Float64Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Viewpoints:
+class Viewpoints(Rows):
     """N eyes in a DEM's frame.
 
     Attributes
@@ -30,11 +30,6 @@ class Viewpoints:
 
     def __len__(self) -> int:
         return len(self.easting_m)
-
-    def __getitem__(self, index: slice | NDArray[np.integer] | NDArray[np.bool_]) -> "Viewpoints":
-        return Viewpoints(
-            self.easting_m[index], self.northing_m[index], self.eye_elevation_m[index]
-        )
 
 
 def stand_on(

@@ -10,11 +10,11 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 from scipy.interpolate import RectBivariateSpline
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.terrain.tiles import MAX_SAMPLES, Grid, full_turn
@@ -29,9 +29,6 @@ _THREADS = 4
 # Target samples this near the outermost source samples are on them, but for rounding.
 _SLACK = 1e-6
 
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Positions = Callable[[Float64Array, Float64Array], tuple[Float64Array, Float64Array]]
 """From rows (n,) and columns (m,) of the target to rows and columns (n, m) in the source."""
 

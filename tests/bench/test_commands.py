@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 import typer
 
-import skyline
 import skyline_bench
 from skyline_bench import cli
 
@@ -29,12 +28,6 @@ def imported(path):
         elif isinstance(node, ast.Import):
             names += [each.name for each in node.names]
     return names
-
-
-def test_skyline_imports_nothing_of_its_benchmarks():
-    files = list(Path(skyline.__file__).parent.rglob("*.py"))
-    assert len(files) > 100
-    assert not [file for file in files if any("skyline_bench" in name for name in imported(file))]
 
 
 def test_folders_import_downward_only():

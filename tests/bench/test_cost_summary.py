@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from skyline.report.pictures import SMALL_BYTES, encode_small_png
+from skyline_bench.figures.small_png import SMALL_BYTES, encode_small_png
 from skyline_bench.figures.uniform_adaptive import draw_costs, save_costs
 from skyline_bench.runs.cost_summary import equal_rows, reached_rows
 

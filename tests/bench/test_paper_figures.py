@@ -9,7 +9,7 @@ from scenes import field_of, fractal
 
 from skyline.errors import InputError
 from skyline.pipeline import PlaceConfig, RenderConfig
-from skyline.report.pictures import SMALL_BYTES, encode_small_png
+from skyline_bench.figures.small_png import SMALL_BYTES, encode_small_png
 from skyline_bench.figures.stores import (
     draw_viewpoints,
     draw_worked_query,

@@ -8,7 +8,7 @@ from scenes import field_of, fractal
 
 from skyline.geodesy import Curvature
 from skyline.render import horizon
-from skyline.render.walks import FragmentWalker
+from skyline.render.march import FragmentMarcher
 from skyline.terrain.viewpoints import stand_on
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
 from skyline_bench.cases.closed_forms import SceneCase
@@ -93,7 +93,7 @@ BELOW_GL_43 = [
 
 @pytest.mark.parametrize("name", BELOW_GL_43)
 def test_hard_case_without_compute_shaders(name, monkeypatch):
-    monkeypatch.setattr(horizon, "ComputeWalker", FragmentWalker)
+    monkeypatch.setattr(horizon, "ComputeMarcher", FragmentMarcher)
     (case,) = (case for case in HARD_CASES if case.name == name)
     (row,) = measure(HORIZON, quick=True, cases=[case])
     assert row["ok"], row

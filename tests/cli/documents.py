@@ -81,17 +81,6 @@ def import_order(document: Path) -> list[set[str]]:
     return [set(re.findall(r"\w+", row)) for row in said.split(">")]
 
 
-def imports_of(path: Path) -> set[str]:
-    """Return the folders, or files beside them, of Skyline that a source file imports from."""
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            first, *rest = node.module.split(".")
-            if first == "skyline":
-                found |= {rest[0]} if rest else {alias.name for alias in node.names}
-    return found
-
-
 def defined_in(path: Path) -> set[str]:
     """Return the names that a source file defines; methods as Class.method."""
     text = path.read_text(encoding="utf-8")

@@ -9,7 +9,7 @@ from skyline.geodesy import Curvature
 from skyline.render import horizon, windows
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
-from skyline.render.walks import ComputeWalker, FragmentWalker
+from skyline.render.march import ComputeMarcher, FragmentMarcher
 from skyline.terrain.viewpoints import stand_on
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED, ROW_FIELDS
 from skyline_bench.truth import oracle
@@ -62,7 +62,7 @@ def test_fragment_and_compute_shaders_agree(rough, monkeypatch):
     field, eyes = rough
     edges = [0.0, 300.0, 900.0, 5000.0]
     with_compute = render(field, eyes, shell_edges_m=edges, reach_m=50.0)
-    monkeypatch.setattr(horizon, "ComputeWalker", FragmentWalker)
+    monkeypatch.setattr(horizon, "ComputeMarcher", FragmentMarcher)
     without = render(field, eyes, shell_edges_m=edges, reach_m=50.0)
     assert error_px(without, with_compute) < EXACT_PX
     np.testing.assert_array_equal(without.flags, with_compute.flags)
@@ -100,7 +100,7 @@ def test_many_columns_a_lane_or_few(rough, monkeypatch):
     field, eyes = rough
     alone = [render(field, eyes[index : index + 1], 640) for index in range(3)]
     together = render(field, eyes, 640)
-    monkeypatch.setattr(ComputeWalker, "_run", lambda self, eyes: 7)
+    monkeypatch.setattr(ComputeMarcher, "_run", lambda self, eyes: 7)
     odd = render(field, eyes, 640)
     assert_same(odd, together)
     for index, views in enumerate(alone):
@@ -205,7 +205,7 @@ def test_no_viewpoints_give_no_views(rough):
 
 def test_out_of_memory_halves_the_batch(rough, monkeypatch, caplog):
     field, eyes = rough
-    begin = ComputeWalker.begin
+    begin = ComputeMarcher.begin
 
     def full(self, rows):
         if rows > 8:
@@ -213,11 +213,11 @@ def test_out_of_memory_halves_the_batch(rough, monkeypatch, caplog):
         begin(self, rows)
 
     whole = render(field, eyes)
-    monkeypatch.setattr(ComputeWalker, "begin", full)
-    monkeypatch.setattr(FragmentWalker, "begin", full)
+    monkeypatch.setattr(ComputeMarcher, "begin", full)
+    monkeypatch.setattr(FragmentMarcher, "begin", full)
     assert_same(render(field, eyes), whole)
     assert "out of GPU memory" in caplog.text
-    monkeypatch.setattr(ComputeWalker, "begin", lambda self, rows: full(self, 9))
+    monkeypatch.setattr(ComputeMarcher, "begin", lambda self, rows: full(self, 9))
     with pytest.raises(ContextError, match="cannot hold one view"):
         render(field, eyes)
 

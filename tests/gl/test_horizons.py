@@ -8,8 +8,8 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.horizons import bin_azimuths_rad, quadrant_azimuths_rad
 from skyline.render import horizon, windows
+from skyline.render.march import FragmentMarcher
 from skyline.render.panorama import PanoramaRenderer
-from skyline.render.walks import FragmentWalker
 from skyline.terrain.viewpoints import stand_on
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
 from skyline_bench.truth import oracle
@@ -143,7 +143,7 @@ def test_neither_the_batch_nor_its_order_matters(rough, monkeypatch):
 def test_fragment_and_compute_shaders_agree(rough, monkeypatch):
     field, eyes = rough
     with_compute = render(field, eyes)
-    monkeypatch.setattr(horizon, "ComputeWalker", FragmentWalker)
+    monkeypatch.setattr(horizon, "ComputeMarcher", FragmentMarcher)
     without = render(field, eyes)
     error = np.abs(without.elevation_tan - with_compute.elevation_tan)
     bound = bound_of(field, with_compute.elevation_tan, with_compute.distance_m)

@@ -1,6 +1,5 @@
 """Queries matched by workers, a store screened in parts: the answers are those of one process."""
 
-import importlib
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,7 @@ from scenes import NORTH_M, WEST_M, fractal, write_dem
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
 from skyline.errors import InputError
 from skyline.photo import write_trace
-from skyline.pipeline import FULL, QueryReading, match_many, remote_runner
+from skyline.pipeline import FULL, QueryReading, batch, match_many, remote_runner
 from skyline.pipeline.jobs import run_here
 from skyline.store import open_store
 from skyline_bench.queries.made import QueryConfig, make_queries
@@ -50,9 +49,7 @@ def traces(tmp_path_factory, terrain):
 @pytest.fixture
 def small_parts(monkeypatch):
     """Screen a block at a time."""
-    # The package has a function of this module's name.
-    module = importlib.import_module("skyline.pipeline.match_many")
-    monkeypatch.setattr(module, "_PART_BLOCKS", 1)
+    monkeypatch.setattr(batch, "_PART_BLOCKS", 1)
 
 
 class Counted:

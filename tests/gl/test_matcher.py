@@ -18,12 +18,13 @@ from skyline import (
     read_dem,
 )
 from skyline.errors import InputError, StoreError, StoreMismatchError
-from skyline.matching.full import FullConfig, FullMatcher
+from skyline.matching.full import FullMatcher
+from skyline.matching.match_config import FullConfig
 from skyline.matching.retrieval import Retriever
 from skyline.photo import Projection, QuerySkyline
+from skyline.pipeline.batch import _opened
 from skyline.pipeline.config import curvature_of, mapped_area_m
 from skyline.pipeline.match import RenderedScene
-from skyline.pipeline.match_many import _opened
 from skyline.store import open_store
 from skyline_bench.queries.made import QueryConfig, make_queries
 

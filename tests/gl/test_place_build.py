@@ -54,7 +54,7 @@ def test_places_are_what_was_rendered(terrain, built):
 
 def test_an_interrupted_build_goes_on(terrain, built, tmp_path, monkeypatch):
     path = tmp_path / "s.h5"
-    monkeypatch.setattr(places, "_VIEWPOINTS_A_COMMIT", 500)
+    monkeypatch.setattr(places.PlaceRows, "viewpoints_a_commit", 500)
 
     def stop(done, _total):
         if done >= 1000:

@@ -181,7 +181,7 @@ def test_no_hypotheses_have_no_poses(scene, rays):
     assert found.covariance_m2.shape == (0, 2, 2)
 
 
-def test_nobody_walks_off_the_map(scene, rays):
+def test_nobody_leaves_the_map(scene, rays):
     west, south, _, north = scene.field.bounds_m
     edge = poses(8, easting_m=west + 3.0, northing_m=np.linspace(south, north, 8), heading_deg=80.0)
     found = refine(edge, rays_of(*rays, 60.0), scene, SHORT).hypotheses

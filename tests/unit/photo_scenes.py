@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-Float64Array = NDArray[np.float64]
+from skyline.arrays import Float64Array
 
 BLUE, PALE, WHITE = (70.0, 120.0, 190.0), (190.0, 210.0, 230.0), (236.0, 238.0, 240.0)
 ROCK, SNOW, FOREST = (95.0, 85.0, 75.0), (238.0, 240.0, 245.0), (45.0, 60.0, 40.0)

@@ -9,12 +9,11 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from skyline.arrays import Float32Array
 from skyline.terrain import cleaning
 from skyline.terrain.cleaning import count_voids, fill_voids, remove_spikes
 
 SPACING_M, SPIKE_M = 30.0, 100.0
-
-Float32Array = NDArray[np.float32]
 
 
 @pytest.fixture(params=[1 << 22, 60], ids=["one strip", "many strips"], autouse=True)

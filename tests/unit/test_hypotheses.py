@@ -1,4 +1,4 @@
-"""Drawing a spread-out few from many hypotheses."""
+"""Non-maximum suppression among hypotheses."""
 
 import numpy as np
 import pytest
@@ -23,18 +23,18 @@ def _hypotheses(easting_m: list[float], heading_deg: list[float], score: list[fl
 
 def test_the_best_of_a_place_stands_for_it() -> None:
     some = _hypotheses([0.0, 10.0, 500.0, 505.0], [0.0, 90.0, 0.0, 0.0], [2.0, 1.0, 3.0, 3.0])
-    assert some.spread(9, separation_m=100.0).tolist() == [1, 2]
+    assert some.suppress_non_maxima(9, separation_m=100.0).tolist() == [1, 2]
 
 
 def test_one_place_may_be_seen_in_two_ways() -> None:
     some = _hypotheses([0.0, 0.0, 0.0], [359.0, 2.0, 90.0], [1.0, 2.0, 3.0])
-    assert some.spread(9, separation_m=100.0, turn_deg=10.0).tolist() == [0, 2]
+    assert some.suppress_non_maxima(9, separation_m=100.0, turn_deg=10.0).tolist() == [0, 2]
 
 
 def test_what_fits_nowhere_is_left_out_and_count_is_kept() -> None:
     some = _hypotheses([0.0, 500.0, 900.0], [0.0, 0.0, 0.0], [np.inf, 1.0, 2.0])
-    assert some.spread(1, separation_m=1.0).tolist() == [1]
-    assert some.spread(5, separation_m=1.0).tolist() == [1, 2]
+    assert some.suppress_non_maxima(1, separation_m=1.0).tolist() == [1]
+    assert some.suppress_non_maxima(5, separation_m=1.0).tolist() == [1, 2]
 
 
 def test_parts_are_joined_in_order() -> None:
@@ -45,4 +45,4 @@ def test_parts_are_joined_in_order() -> None:
 
 def test_no_count_is_refused() -> None:
     with pytest.raises(InputError, match="at least 1"):
-        _hypotheses([0.0], [0.0], [1.0]).spread(0, 1.0)
+        _hypotheses([0.0], [0.0], [1.0]).suppress_non_maxima(0, 1.0)

@@ -6,12 +6,12 @@ from scenes import FRAME, field_of, fractal
 
 from skyline.errors import InputError
 from skyline.features import polyline_keypoints
-from skyline.matching.alignment import align_curves
-from skyline.matching.chamfer import chamfer_px
 from skyline.matching.correlation import CorrelationMatcher
-from skyline.matching.paper import PaperMatcher
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays, level
+from skyline.paper.alignment import align_curves
+from skyline.paper.chamfer import chamfer_px
+from skyline.paper.matcher import PaperMatcher
 from skyline.planning.uniform import uniform_grid
 from skyline_bench.truth import oracle
 
@@ -99,7 +99,7 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, matche
     right = 0
     cases = [(3, 44.9), (9, 315.0), (17, 359.5), (22, 200.0), (30, 100.0), (41, 271.0)]
     for index, heading_deg in cases:
-        best = matcher.rank(profiles, query_at(viewpoints, index, heading_deg), 3).poses
+        best = matcher.prepare(profiles).rank(query_at(viewpoints, index, heading_deg), 3).poses
         right += (
             np.hypot(
                 best.easting_m[0] - viewpoints.easting_m[index],
@@ -114,7 +114,7 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, matche
 
 def test_an_assumed_pitch_is_told_from_the_others(profiles, viewpoints):
     query = query_at(viewpoints, 12, 150.0, pitch_deg=-5.0)
-    best = CorrelationMatcher().rank(profiles, query, 1).poses
+    best = CorrelationMatcher().prepare(profiles).rank(query, 1).poses
     assert best.pitch_deg[0] == -5.0
     assert turned_by(best.heading_deg[0], 150.0) < 1.0
 
@@ -139,7 +139,9 @@ def test_correlation_equals_a_direct_loop(profiles, viewpoints):
 def test_ranking_is_the_same_each_time_and_each_place_once(profiles, viewpoints):
     query = query_at(viewpoints, 15, 20.0)
     for matcher in (PaperMatcher(LEVEL), CorrelationMatcher(LEVEL)):
-        first, again = (matcher.rank(profiles, query, 8).candidates(FRAME) for _ in range(2))
+        first, again = (
+            matcher.prepare(profiles).rank(query, 8).candidates(FRAME) for _ in range(2)
+        )
         assert first == again
         assert [c.score for c in first] == sorted(c.score for c in first)
         assert len({(c.easting_m, c.northing_m) for c in first}) == len(first)
@@ -192,7 +194,7 @@ def test_degenerate_queries_and_stores_have_an_answer(profiles):
             QueryRays.equally_trusted(np.array([0.0]), np.array([0.1]), 60.0),
             QueryRays.equally_trusted(np.array([-0.1, 0.1]), np.array([0.1, 0.2]), 60.0),
         ):
-            assert np.isfinite(matcher.rank(profiles, query, 3).poses.score).all()
+            assert np.isfinite(matcher.prepare(profiles).rank(query, 3).poses.score).all()
         unknown = Profiles(
             profiles.easting_m[:2],
             profiles.northing_m[:2],
@@ -201,7 +203,7 @@ def test_degenerate_queries_and_stores_have_an_answer(profiles):
             np.zeros(0, dtype=np.intp),
             np.zeros(3, dtype=np.intp),
         )
-        assert matcher.rank(unknown, flat_query(), 3).candidates(FRAME) == ()
+        assert matcher.prepare(unknown).rank(flat_query(), 3).candidates(FRAME) == ()
 
 
 def test_queries_and_stores_of_nothing_say_so(profiles):
@@ -210,4 +212,4 @@ def test_queries_and_stores_of_nothing_say_so(profiles):
     with pytest.raises(InputError, match="holds no views"):
         Profiles.from_views([])
     with pytest.raises(InputError, match="top is 0"):
-        CorrelationMatcher(LEVEL).rank(profiles, flat_query(), 0)
+        CorrelationMatcher(LEVEL).prepare(profiles).rank(flat_query(), 0)

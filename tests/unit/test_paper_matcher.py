@@ -7,13 +7,13 @@ import pytest
 
 from skyline.errors import InputError
 from skyline.features import NO_KEYPOINT, polyline_vertices
-from skyline.matching.alignment import _normal_equations
-from skyline.matching.paper import PaperMatcher
-from skyline.matching.patches import QueryCurve
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
-from skyline.matching.ransac import Ransac, proposals
-from skyline.matching.shortlist import Shortlist
+from skyline.paper.alignment import _normal_equations
+from skyline.paper.matcher import PaperMatcher
+from skyline.paper.patches import QueryCurve
+from skyline.paper.ransac import Ransac, proposals
+from skyline.paper.shortlist import Shortlist
 
 BINS = 1024
 OFFSETS = np.arange(-10, 11) * 2

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal
 
+from skyline.coverage import CandidateGrid, Coverage, Problem
 from skyline.errors import InputError
 from skyline.planning.candidates import Spacing, lay_out
-from skyline.planning.coverage import CandidateGrid, Coverage, Problem
 from skyline.planning.loop import plan
 from skyline.planning.plan import Oracles, PlanConfig
 from skyline.planning.strategies import STRATEGIES

@@ -9,15 +9,18 @@ from scenes import field_from
 
 from skyline.camera import columns_u
 from skyline.errors import InputError
-from skyline.prediction import displacements_m, predict
+from skyline.paper.reprojection import displacements_m
+from skyline.prediction import predict
 from skyline.prediction.curves import (
     MAX_DEPTH_RATIO,
     MIN_DEPTH_M,
+    NO_VIEW,
+    Reach,
     Scenery,
     block_means,
+    flanks,
     seen_from,
 )
-from skyline.prediction.displacement import NO_VIEW, Reach, flanks
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import FLAG_NO_DATA, Views
 from skyline_bench.truth import oracle

@@ -9,8 +9,9 @@ from scenes import field_from
 
 from skyline.camera import columns_u
 from skyline.errors import InputError
-from skyline.prediction import PREDICTORS, predictor_named
-from skyline.prediction.affine import IDENTITY, CurveFit, equation_4, least_squares
+from skyline.paper.reprojection import IDENTITY, equation_4, least_squares
+from skyline.prediction import PREDICTORS
+from skyline.prediction.warp_fit import WarpFit
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
@@ -142,7 +143,7 @@ def test_the_fit_finds_the_warp_that_made_a_curve():
     curve = mountains(u)
     x, y = true @ np.stack([finer, mountains(finer), np.ones_like(finer)])
     target = np.interp(u, x, y)
-    distance, found = CurveFit(rounds=20).distances_px(
+    distance, found = WarpFit(rounds=20).distances_px(
         curve[np.newaxis], target[np.newaxis], IDENTITY[np.newaxis, np.newaxis], WIDTH
     )
     assert distance[0] < 0.1
@@ -152,7 +153,7 @@ def test_the_fit_finds_the_warp_that_made_a_curve():
 def test_the_fit_stays_within_its_bounds():
     u = columns_u(80)
     curve, flattened = mountains(u)[np.newaxis], 0.1 * mountains(u)[np.newaxis]
-    fit = CurveFit(rounds=20)
+    fit = WarpFit(rounds=20)
     distance, found = fit.distances_px(curve, flattened, IDENTITY[np.newaxis, np.newaxis], WIDTH)
     assert (np.abs(found[0, :, :2] - np.eye(2)) <= fit.max_change + 1e-9).all()
     assert distance[0] > 3.0
@@ -163,7 +164,7 @@ def test_the_fit_begins_with_the_best_start_and_ignores_missing_ones():
     curve, target = mountains(u), mountains(u + 0.3)
     shifted = IDENTITY + np.array([[0.0, 0.0, -0.3], [0.0, 0.0, 0.0]])
     starts = np.stack([np.full((2, 3), np.nan), IDENTITY, shifted])[np.newaxis]
-    distance, _ = CurveFit(rounds=0).distances_px(
+    distance, _ = WarpFit(rounds=0).distances_px(
         curve[np.newaxis], target[np.newaxis], starts, WIDTH
     )
     assert distance[0] < 0.2
@@ -185,9 +186,6 @@ def test_bad_requests_say_what_is_wrong():
     for name in PREDICTORS:
         with pytest.raises(InputError, match=r"shape \(4, 3\); expected \(1, C, 3\)"):
             PREDICTORS[name].errors_px(view, np.zeros((4, 3)))
-    with pytest.raises(InputError, match="'best'; expected one of non-affine, affine-mean"):
-        predictor_named("best")
-    assert predictor_named("curve") is PREDICTORS["curve"]
 
 
 def test_a_threshold_leaves_what_is_near_it_as_it_is_and_what_is_beyond_beyond():

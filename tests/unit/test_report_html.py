@@ -81,13 +81,6 @@ def test_a_table_shows_numbers_to_the_right_and_dashes_for_nothing():
     assert "<td class=n>-4.50</td><td>x</td><td>–</td>" in html
 
 
-def test_a_table_of_records_has_every_name_once():
-    table = Table.of_records([{"a": 1, "b": 2}, {"b": 3, "c": 4}])
-    assert list(table.columns) == ["a", "b", "c"]
-    assert table.rows == [[1, 2, None], [None, 3, 4]]
-    assert Table.of_records([{"a": 1, "b": 2}], ["b"]).rows == [[2]]
-
-
 def test_what_is_no_table_and_no_picture_is_refused(tmp_path):
     with pytest.raises(InputError, match="2 values; expected 1"):
         Table(("a",), [(1, 2)])

@@ -9,15 +9,14 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from skyline.arrays import Float64Array
 from skyline.camera import pixel_size
 from skyline.geodesy import Curvature, Frame
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline_bench.truth.agreement import Agreement, RenderPath, Scene, Truth, oracle_truth
-
-Float64Array = NDArray[np.float64]
 
 FLAT = Curvature(enabled=False)
 FRAME = Frame.local(9.8, 46.8)

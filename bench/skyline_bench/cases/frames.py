@@ -10,17 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import Geod
 from rasterio.transform import Affine
 
+from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, column_azimuths_deg, columns_u
 from skyline.terrain.dem import read_dem
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench.cases.closed_forms import ClosedForm, SceneCase
 from skyline_bench.truth.agreement import Scene
-
-Float64Array = NDArray[np.float64]
 
 _GEOD = Geod(ellps="WGS84")
 _GROUND_M, _EYE_M = 500.0, 510.0

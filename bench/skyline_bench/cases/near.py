@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, columns_u, ground_directions
 from skyline_bench.cases.closed_forms import (
     FLAT,
@@ -20,8 +20,6 @@ from skyline_bench.cases.closed_forms import (
     spots,
 )
 from skyline_bench.truth.agreement import Scene
-
-Float64Array = NDArray[np.float64]
 
 MAX_DEPTH_WIDTH = 641
 """A depth image of W x W pixels takes long above this."""

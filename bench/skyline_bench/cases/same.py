@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import OffMapError
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -20,8 +21,6 @@ from skyline_bench.cases.closed_forms import (
     rough_heights,
 )
 from skyline_bench.truth.agreement import Agreement, RenderPath, Scene, Truth
-
-Float64Array = NDArray[np.float64]
 
 # --- the same bytes -------------------------------------------------------------------------
 
@@ -244,7 +243,7 @@ SAME_CASES = (
     TurnCase("half turn", "headings differ in more than a sign", _split_terrain, HALF_TURN),
     TurnCase(
         "transposition",
-        "rows and columns are walked by different code",
+        "rows and columns are marched by different code",
         _split_terrain,
         TRANSPOSITION,
     ),

@@ -4,8 +4,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, columns_u
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import Viewpoints
@@ -22,8 +22,6 @@ from skyline_bench.cases.closed_forms import (
 )
 from skyline_bench.truth import oracle
 from skyline_bench.truth.agreement import Scene
-
-Float64Array = NDArray[np.float64]
 
 MARS_RADIUS_M = 3_389_500.0
 

@@ -7,12 +7,12 @@ from matplotlib.figure import Figure
 
 from skyline import __version__
 from skyline.errors import InputError
+from skyline.files import write_with_folders
 from skyline.pipeline import FULL
 from skyline.planning.uniform import map_bounds
-from skyline.report.files import write_whole
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
-from skyline.report.pictures import encode_small_png
 from skyline.store.header import RENDERINGS
+from skyline_bench.figures.small_png import encode_small_png
 from skyline_bench.figures.stores import (
     draw_viewpoints,
     draw_worked_query,
@@ -180,5 +180,5 @@ def _drawn_or_why(path: Path, draw: Callable[[], Drawn]) -> list[Part]:
 
 def _kept(path: Path, figure: Figure, caption: str) -> Picture:
     data = encode_small_png(figure)
-    write_whole(path, data)
+    write_with_folders(path, data)
     return Picture(data, caption)

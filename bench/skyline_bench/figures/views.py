@@ -9,18 +9,18 @@ from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size
 from skyline.errors import InputError
+from skyline.paper.reprojection import IDENTITY
 from skyline.planning.uniform import MapBounds
-from skyline.prediction.affine import IDENTITY, CurveFit
+from skyline.prediction.warp_fit import WarpFit
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import Views
 from skyline_bench.figures.canvas import new_figure
-
-Float64Array = NDArray[np.float64]
 
 ONE, OTHER, WARPED = "#0072B2", "#D55E00", "#009E73"
 """Colours of a view's skyline, another's, and the first one warped."""
@@ -175,7 +175,7 @@ def figure_4(pairs: Pairs) -> tuple[Figure, str]:
 def _aligned(pairs: Pairs, rows: NDArray[np.intp]) -> tuple[Float64Array, Float64Array]:
     """Return the best affine maps (N, 2, 3) from one skyline to the other, and distances (N)."""
     starts = np.broadcast_to(IDENTITY, (len(rows), 1, 2, 3))
-    distance, affine = CurveFit(rounds=20, min_share=_OVERLAP).distances_px(
+    distance, affine = WarpFit(rounds=20, min_share=_OVERLAP).distances_px(
         pairs.one.elevation_tan[rows], pairs.other.elevation_tan[rows], starts, pairs.one.width
     )
     return affine, distance

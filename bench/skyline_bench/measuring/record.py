@@ -11,6 +11,7 @@ import numpy as np
 
 from skyline import __version__
 from skyline.errors import ContextError
+from skyline.files import write_whole
 from skyline.render.context import acquire_context
 from skyline_bench.measuring.timing import core_count
 
@@ -50,9 +51,7 @@ def write_record(
     if summary:
         record["summary"] = {name: _plain(table) for name, table in summary.items()}
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path)
+    write_whole(path, text)
 
 
 def shown(value: object) -> str:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, ground_directions
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -26,11 +27,6 @@ from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_NO_DATA, Views
 from skyline_bench.measuring.timing import core_count, over_cores
-
-Float64Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 STARTS = ("plain", "neighbour")
 
@@ -204,7 +200,7 @@ class _Rays:
     ground: Float32Array
     shear_tan: Float64Array
 
-    def blocked(self, columns: IntArray, tan: Float64Array) -> BoolArray:
+    def blocked(self, columns: Int64Array, tan: Float64Array) -> BoolArray:
         """Return whether the terrain stands in the way of a ray at ordinate ``tan``."""
         directions = np.empty((len(columns), 3), dtype=np.float32)
         directions[:, 0::2] = self.ground[columns]
@@ -213,7 +209,7 @@ class _Rays:
         return np.asarray(hit == 0)
 
 
-def _from_the_field_of_view(rays: _Rays, columns: IntArray, bracket_tan: float) -> Float64Array:
+def _from_the_field_of_view(rays: _Rays, columns: Int64Array, bracket_tan: float) -> Float64Array:
     """Return the skyline of columns by bisecting the field of view."""
     low = np.full(len(columns), -_HALF_FIELD_TAN)
     high = np.full(len(columns), _HALF_FIELD_TAN)
@@ -227,7 +223,7 @@ def _from_the_field_of_view(rays: _Rays, columns: IntArray, bracket_tan: float) 
     return tan
 
 
-def _from_neighbours(rays: _Rays, columns: IntArray, bracket_tan: float) -> Float64Array:
+def _from_neighbours(rays: _Rays, columns: Int64Array, bracket_tan: float) -> Float64Array:
     """Return the skyline of (views, W) columns, every stride's from the coarser stride's."""
     tan = np.full(columns.shape, np.nan)
     first = slice(0, None, _COARSEST_STRIDE)
@@ -253,7 +249,7 @@ def _from_neighbours(rays: _Rays, columns: IntArray, bracket_tan: float) -> Floa
 
 def _around(
     rays: _Rays,
-    columns: IntArray,
+    columns: Int64Array,
     guess: Float64Array,
     step: Float64Array,
     bracket_tan: float,
@@ -283,7 +279,7 @@ def _around(
 
 def _bisected(
     rays: _Rays,
-    columns: IntArray,
+    columns: Int64Array,
     low: Float64Array,
     high: Float64Array,
     bracket_tan: float,

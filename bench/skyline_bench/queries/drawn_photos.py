@@ -10,16 +10,12 @@ from dataclasses import dataclass
 from io import BytesIO
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from PIL import Image
 from scipy import ndimage
 
+from skyline.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from skyline.errors import InputError
-
-UInt8Array = NDArray[np.uint8]
-BoolArray = NDArray[np.bool_]
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 
 RIDGE_KNEE_SHARE = 0.43
 """Where the skylines lie on average, as a share of the rows from the top."""

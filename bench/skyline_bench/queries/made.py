@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from skyline.arrays import Float64Array
 from skyline.camera import check_width
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -24,8 +24,6 @@ from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_o
 from skyline_bench.queries.occluders import Occluder, random_occluders, random_runs
 from skyline_bench.queries.panoramas import Panorama, panoramas
 from skyline_bench.queries.pinhole import Camera
-
-Float64Array = NDArray[np.float64]
 
 _MAX_DRAWS = 10_000
 """Draws of a place before an area counts as a hole."""

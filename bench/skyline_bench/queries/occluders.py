@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Float64Array = NDArray[np.float64]
+from skyline.arrays import Float64Array
+
 Run = tuple[int, int]
 """First column and the one after the last."""
 

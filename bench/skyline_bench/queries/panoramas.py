@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, columns_u
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -13,8 +13,6 @@ from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
-
-Float64Array = NDArray[np.float64]
 
 _VIEWPOINTS_A_BATCH = 64
 _HAZE_SHELLS = 12

@@ -8,15 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, rotation
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.queries.made import MadeQuery
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.scenery import Scenery, ground_rgb, put_in_front, sky_rgb
-
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _BLUR_PX = 0.6
 _NOISE = 3.0

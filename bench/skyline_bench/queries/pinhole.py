@@ -5,10 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 _MIN_FORWARD = 0.05
 """Rays that point further aside of the optical axis are not drawn."""

@@ -4,14 +4,11 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.queries.occluders import Occluder
-
-Float64Array = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 
 _SUN = np.array([-0.55, 0.62, 0.55]) / np.linalg.norm([-0.55, 0.62, 0.55])
 _MEADOW_RGB = np.array([92.0, 112.0, 62.0])

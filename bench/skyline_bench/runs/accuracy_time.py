@@ -18,8 +18,9 @@ import numpy as np
 from skyline import MatchConfig
 from skyline.errors import InputError
 from skyline.matching.confidence import RIGHT_WITHIN_M
-from skyline.matching.full import FullConfig, FullMatcher
+from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.match_config import FullConfig
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.pipeline import Progress
@@ -40,7 +41,7 @@ UNREFINED = "none"
 DEPTHS = {
     "least": (
         RefineConfig(
-            walkers=4, rounds=2, keep_least=2, restarts=0, finalists=3, final_rounds=1, rivals=1
+            particles=4, rounds=2, keep_least=2, restarts=0, finalists=3, final_rounds=1, rivals=1
         ),
         -math.inf,
     ),

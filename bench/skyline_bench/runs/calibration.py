@@ -11,18 +11,15 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.matching import confidence
 from skyline.matching.confidence import RIGHT_WITHIN_M, Logistic
 from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline_bench.queries.made import MadeQuery
-
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 Reliability = tuple[str, Float64Array, BoolArray]
 """A label, probabilities (N,), and whether the answers were right."""

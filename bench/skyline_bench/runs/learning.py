@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from skyline import MatchConfig, read_dem
+from skyline.arrays import Float64Array
 from skyline.matching.confidence import Logistic
 from skyline.matching.full import FullMatcher
 from skyline.matching.retrieval import Retriever
@@ -28,7 +29,6 @@ from skyline_bench.queries.other_dems import perturbed
 from skyline_bench.runs.calibration import (
     MODELS,
     Example,
-    Float64Array,
     Reliability,
     calibration_error,
     examples,

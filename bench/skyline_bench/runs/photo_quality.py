@@ -8,16 +8,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.photo import extract_skyline
 from skyline.pipeline import Progress
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.drawn_photos import CONDITIONS, DrawnPhoto, draw_photo
-
-Float64Array = NDArray[np.float64]
 
 VIEW_COLUMNS = 640
 """Errors are given in px of a photo this wide."""

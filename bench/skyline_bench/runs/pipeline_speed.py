@@ -12,9 +12,8 @@ import numpy as np
 from PIL import Image
 
 from skyline.features import polyline_keypoints
-from skyline.matching import MATCHERS
 from skyline.photo import read_query
-from skyline.pipeline import Matcher, build_uniform
+from skyline.pipeline import FULL, MATCHERS, Matcher, build_uniform
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem
@@ -63,7 +62,7 @@ def measure(folder: Path, repeats: int) -> list[dict[str, object]]:
     with DepthRenderer(terrain, 2048) as renderer:
         Image.fromarray(photograph(renderer, eyes, 0, CAMERA, seed=1)).save(query, quality=92)
     row("photo to skyline", timed(lambda: read_query(query, CAMERA.fov_deg), repeats), 1, "photo")
-    for name in MATCHERS:
+    for name in (name for name in MATCHERS if name != FULL):
         matcher = Matcher(store, matcher=name)
         seconds = timed(partial(matcher.match, query, CAMERA.fov_deg), repeats)
         row(f"match, {name}", seconds, len(matcher.viewpoints), "stored location")

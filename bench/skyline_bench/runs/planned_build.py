@@ -13,7 +13,7 @@ from PIL import Image
 
 from skyline.pipeline import build_planned
 from skyline.planning.plan import PlanConfig
-from skyline.report.coverage import save_coverage_map
+from skyline.report.coverage_map import save_coverage_map
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 

@@ -10,19 +10,16 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import rankdata
 
+from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.prediction import PREDICTORS, Predictor, displacements_m, true_errors_px
+from skyline.paper.reprojection import displacements_m
+from skyline.prediction import PREDICTORS, Predictor, true_errors_px
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import Views
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 _log = logging.getLogger(__name__)
 

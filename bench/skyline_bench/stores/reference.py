@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
 from skyline.pipeline import (
@@ -21,7 +22,8 @@ from skyline.pipeline import (
     build_planned,
     build_uniform,
 )
-from skyline.pipeline.places import render_places
+from skyline.pipeline.build import render_missing
+from skyline.pipeline.places import place_rows
 from skyline.planning.plan import PlanConfig
 from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
 from skyline.store import open_store
@@ -187,7 +189,7 @@ def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) 
     built = _built(
         planned.name,
         path,
-        lambda: render_places(terrain, viewpoints, apart_m / 2.0, path),
+        lambda: _render_places(terrain, viewpoints, apart_m / 2.0, path),
         {},
     )
     return replace(
@@ -195,6 +197,25 @@ def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) 
         build_s=_sum(planned.build_s, built.build_s),
         build_cpu_s=_sum(planned.build_cpu_s, built.build_cpu_s),
     )
+
+
+def _render_places(
+    terrain: HeightField, viewpoints: Viewpoints, tolerance_m: Float64Array, path: Path
+) -> BuildResult:
+    """Render viewpoints as places into a store, each with its own tolerance (N,)."""
+    tolerances = tolerance_m.astype(np.float32).tolist()
+    of_eye = dict(zip(_eyes(viewpoints), tolerances, strict=True))
+
+    def tolerance(some: Viewpoints) -> Float32Array:
+        return np.array([of_eye[eye] for eye in _eyes(some)], dtype=np.float32)
+
+    with place_rows(terrain, PlaceConfig(), 0.0, {"planner": "viewpoints"}) as rows:
+        return render_missing(path, replace(rows, tolerance_m=tolerance), viewpoints)
+
+
+def _eyes(viewpoints: Viewpoints) -> list[complex]:
+    eyes: list[complex] = (viewpoints.easting_m + 1j * viewpoints.northing_m).tolist()
+    return eyes
 
 
 def _built(

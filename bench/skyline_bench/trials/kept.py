@@ -10,6 +10,7 @@ from typing import Any
 
 import skyline
 import skyline_bench
+from skyline.files import write_with_folders
 from skyline.matching import Candidate
 from skyline.render.shaders import SHADER_FOLDERS
 from skyline_bench.measuring.digests import code_files, files_digest
@@ -44,10 +45,7 @@ def save_trials(path: Path, key: Key, trials: Sequence[Trial]) -> None:
         }
         for trial in trials
     ]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps({"key": key, "trials": kept}) + "\n", encoding="utf-8")
-    partial.replace(path)
+    write_with_folders(path, json.dumps({"key": key, "trials": kept}) + "\n")
 
 
 def kept_trials(path: Path, key: Key, queries: Sequence[MadeQuery]) -> list[Trial] | None:

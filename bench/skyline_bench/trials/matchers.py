@@ -6,7 +6,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 from skyline.errors import InputError
-from skyline.pipeline import FULL, MatchConfig, Matcher
+from skyline.matching.match_config import MatchConfig
+from skyline.pipeline import FULL, Matcher
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.queries.made import QueryConfig

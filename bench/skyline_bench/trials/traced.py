@@ -14,10 +14,11 @@ from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Scene
-from skyline.matching.retrieval import Ground, Retriever
+from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike, Screen, sample_of
 from skyline.pipeline.match import too_little, unsure
 from skyline.places import PlaceSource
+from skyline.terrain.heightfield import Ground
 from skyline_bench.queries.made import MadeQuery, Truth
 from skyline_bench.trials.matchers import MATCHING
 from skyline_bench.trials.trials import errors

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skyline.errors import InputError
 from skyline.matching import Candidate
@@ -17,8 +16,6 @@ from skyline.photo import QuerySkyline
 from skyline.pipeline import MatchResult
 from skyline_bench.measuring.record import write_record
 from skyline_bench.queries.made import MadeQuery, Truth
-
-Float64Array = NDArray[np.float64]
 
 _RESAMPLES = 2000
 _INTERVAL = (2.5, 97.5)

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size, project
+from skyline.arrays import BoolArray, Float64Array
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size, project_points
 from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
@@ -22,9 +22,6 @@ from skyline.terrain.triangles import Rims, Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 from skyline_bench.truth import oracle
-
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 EPSILON = 2.0**-24
 """Relative rounding error of a 32-bit float."""
@@ -191,7 +188,7 @@ def float32_bound_px(scene: Scene, views: Views, truth: Views) -> Float64Array:
     A crossing's ordinate is v = y / z with y = (1 - f) h0 + f h1 - drop, heights from the eye,
     f the fraction along the edge crossed, z the depth. With e = 2^-24, D the greatest height
     difference along an edge and its sag, s the finer spacing, r the ratio of the spacings, and
-    roundings counted as `shaders/horizon_walk.glsl` makes them:
+    roundings counted as `shaders/horizon_march.glsl` makes them:
 
     - the weighted heights: 3 roundings each, and (1 - f) |h0| + f |h1| is at most |y| + drop +
       D / 2; the three sums after: 3 of |y| + drop; the drop itself: 6; 1 - f costs D once more;
@@ -280,7 +277,7 @@ def _columns_past_rims(scene: Scene) -> BoolArray:
         offsets[:, 0] = easting - eyes.easting_m[index]
         offsets[:, 2] = northing - eyes.northing_m[index]
         for heading in HEADINGS:
-            uv, depth = project(offsets, heading)
+            uv, depth = project_points(offsets, heading)
             ahead = depth > 0.0
             at, slack = uv[ahead, 0], _ASIDE * (1.0 + field.spacing_m / depth[ahead])
             nearest = np.clip(np.rint((at + 1.0) / pixel_size(scene.width) - 0.5), 0, len(u) - 1)

@@ -14,16 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float64Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, directions_at
 from skyline.geodesy import Curvature
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED, Views
-
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 
 _CROSSINGS_AT_ONCE = 400_000
 """Crossings evaluated together: small enough to stay in the processor's cache."""
@@ -39,8 +36,8 @@ class _Crossings:
     """
 
     depth_m: Float64Array
-    row: IntArray
-    col: IntArray
+    row: Int64Array
+    col: Int64Array
     fraction: Float64Array
     row_step: int
     col_step: int
@@ -278,7 +275,7 @@ class _Scene:
             )
             yield _Crossings(depth, row, col, fraction, 1, 1, near, far)
 
-    def _greatest(self, crossings: _Crossings) -> tuple[IntArray, Float64Array]:
+    def _greatest(self, crossings: _Crossings) -> tuple[Int64Array, Float64Array]:
         """Return, for each ray, the index of its highest crossing and that crossing's v."""
         v = self._v(crossings)
         best = v.argmax(axis=1)
@@ -298,7 +295,7 @@ class _Scene:
         return np.where(exists, up / crossings.depth_m, -np.inf)
 
 
-def _split(position: Float64Array, samples: int) -> tuple[IntArray, Float64Array]:
+def _split(position: Float64Array, samples: int) -> tuple[Int64Array, Float64Array]:
     """Split positions along a grid line into the edge's first sample and the fraction along it.
 
     The first sample is -1 where the position is off the map.
@@ -308,7 +305,7 @@ def _split(position: Float64Array, samples: int) -> tuple[IntArray, Float64Array
     return np.where(on_map, first, -1.0).astype(np.int64), position - first
 
 
-def _lines_ahead(eye: float, rate: Float64Array, first: int, stop: int) -> IntArray:
+def _lines_ahead(eye: float, rate: Float64Array, first: int, stop: int) -> Int64Array:
     """Return the lines first..stop-1 of a family that lie strictly ahead of the eye."""
     if rate[0] > 0.0:
         return np.arange(max(first, int(np.floor(eye)) + 1), stop)

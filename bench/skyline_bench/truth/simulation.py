@@ -17,16 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float32Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, columns_u, pixel_size
-from skyline.planning.coverage import (
-    BoolArray,
-    CandidateGrid,
-    Coverage,
-    Float32Array,
-    IntArray,
-    Problem,
-)
-from skyline.planning.strategies.base import Strategy
+from skyline.coverage import CandidateGrid, Coverage, Problem, Strategy
 
 _CURVE_POINTS = 513
 _FEWEST_POINTS = 3
@@ -138,22 +131,22 @@ class Simulation:
         self._u = columns_u(DEFAULT_WIDTH)[columns.astype(np.int64)].astype(np.float32)
         self._curve = self.mountain.curve(row)
 
-    def corners(self) -> IntArray:
+    def corners(self) -> Int64Array:
         """Return the four corners of the square, which are rendered to begin with."""
         rows, cols = self.grid.shape
         return np.array([0, cols - 1, (rows - 1) * cols, rows * cols - 1])
 
-    def render(self, candidates: IntArray) -> Seen:
+    def render(self, candidates: Int64Array) -> Seen:
         """Render the skyline from candidates (N)."""
         return self.see(
             candidates, np.broadcast_to(self._curve, (len(candidates), *self._curve.shape))
         )
 
-    def see(self, candidates: IntArray, points: Float32Array) -> Seen:
+    def see(self, candidates: Int64Array, points: Float32Array) -> Seen:
         """See curves (N, P, 3) in the simulation's own frame from candidates (N)."""
         return envelope(points - self._eyes(candidates)[:, None, :], self._u)
 
-    def points(self, candidates: IntArray, seen: Seen) -> Float32Array:
+    def points(self, candidates: Int64Array, seen: Seen) -> Float32Array:
         """Return the 3-D skyline points of views in the simulation's own frame, (N, Q, 3)."""
         points = np.stack([self._u * seen.depth, seen.v * seen.depth, seen.depth], axis=2)
         return np.asarray(points + self._eyes(candidates)[:, None, :], dtype=np.float32)
@@ -171,7 +164,7 @@ class Simulation:
         """Return the tolerance areas of views, (N, K, K)."""
         return self.measure(seen) <= self.row.threshold_px
 
-    def _eyes(self, candidates: IntArray) -> Float32Array:
+    def _eyes(self, candidates: Int64Array) -> Float32Array:
         """Return right, up, forward of eyes; row 0 is the front, the square is centred."""
         row, col = self.grid.row_col(candidates)
         half = (self.mountain.size - 1) / 2.0
@@ -198,7 +191,7 @@ class SimulatedModel:
         columns = simulation.mountain.columns
         self._points = np.zeros((0, columns + 1, 3), dtype=np.float32)
 
-    def learn(self, candidates: IntArray, seen: Seen) -> None:
+    def learn(self, candidates: Int64Array, seen: Seen) -> None:
         """Add rendered views."""
         points = self._simulation.points(candidates, seen)
         # A row of NaN ends each view's curve, so that curves are not joined to one another.
@@ -206,7 +199,7 @@ class SimulatedModel:
         self._points = np.concatenate([self._points, np.concatenate([points, ends], axis=1)])
         self._viewpoints = np.concatenate([self._viewpoints, candidates])
 
-    def predict_errors(self, candidates: IntArray) -> Float32Array:
+    def predict_errors(self, candidates: Int64Array) -> Float32Array:
         """Return predicted reprojection errors of views at candidates (N), (N, K, K) px."""
         simulation = self._simulation
         nearest, _ = simulation.grid.nearest(candidates, self._viewpoints, self._sources)
@@ -240,7 +233,7 @@ def envelope(points: Float32Array, u: Float32Array) -> Seen:
 
 def _crossings(
     points: Float32Array, u: Float32Array
-) -> Iterator[tuple[IntArray, Float32Array, Float32Array]]:
+) -> Iterator[tuple[Int64Array, Float32Array, Float32Array]]:
     """Yield where curves cross columns: flat (view, column) places, ordinates, inverse depths.
 
     Each edge meets its first column in the first arrays, its second in the second, and so on.
@@ -354,7 +347,7 @@ def simulate(simulation: Simulation, strategy: Strategy, seed: int) -> Run:
     everywhere = simulation.grid.valid
     problem = Problem(coverage, model, row.threshold_px, row.coverage, everywhere)
 
-    def rendered(candidates: IntArray) -> Float32Array:
+    def rendered(candidates: Int64Array) -> Float32Array:
         seen = simulation.render(candidates)
         model.learn(candidates, seen)
         errors = simulation.measure(seen)

@@ -4,15 +4,11 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.features import NO_KEYPOINT, local_patches, polyline_vertices
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import QueryCurves
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,6 @@
-"""Runs the horizon walk on the GPU: as compute shaders, or as fragment shaders below OpenGL 4.3.
+"""Runs the horizon march on the GPU: as compute shaders, or as fragment shaders below OpenGL 4.3.
 
-Both read the same windows and eyes and give the same skylines: `horizon_walk.glsl` is the walk.
+Both read the same windows and eyes and give the same skylines: `horizon_march.glsl` is the march.
 """
 
 import math
@@ -13,15 +13,13 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.render.context import GlContext
 from skyline.render.shaders import compile_compute, compile_program
 from skyline.render.trees import SLOPE_BINS, split_float
 from skyline.render.windows import WindowTextures
 
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-
-EYE = np.dtype(
+EYE_DTYPE = np.dtype(
     [
         ("nearest", "<i4", 2),
         ("offset", "<f4", 2),
@@ -46,7 +44,7 @@ _Compiler = Callable[[dict[str, str]], _Program]
 
 
 @dataclass(frozen=True, slots=True)
-class Walk:
+class March:
     """What to look for, for eyes that face one way.
 
     Attributes
@@ -58,7 +56,7 @@ class Walk:
     double : bool
         Compute crossings in float64, where the OpenGL has it.
     first : bool
-        Whether nothing was walked for these results before.
+        Whether nothing was marched for these results before.
     """
 
     heading: int = 0
@@ -69,7 +67,7 @@ class Walk:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settings:
-    """What all walks of a renderer share.
+    """What all marches of a renderer share.
 
     Attributes
     ----------
@@ -81,7 +79,7 @@ class Settings:
         East, north.
     drop_per_m2 : float
     shells : int
-        The most shells a walk has.
+        The most shells a march has.
     reach_m : float
         How far an eye may be displaced for which shells are kept.
     """
@@ -105,8 +103,8 @@ class Settings:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """The rows of the result arrays that one walk fills.
+class ResultPlace:
+    """The rows of the result arrays that one march fills.
 
     Attributes
     ----------
@@ -124,7 +122,7 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class Results:
     """Results, (rows, W): elevation_tan (`NOTHING` without data), depth_m float32, flags uint8."""
 
     elevation_tan: Float32Array
@@ -132,26 +130,28 @@ class Rows:
     flags: NDArray[np.uint8]
 
 
-class Walker(Protocol):
-    """Holds rows of results on the GPU and raises them by walks."""
+class RayMarcher(Protocol):
+    """Holds rows of results on the GPU and raises them by marches."""
 
     max_rows: int
 
     def begin(self, rows: int) -> None:
-        """Make room for results; the first walk of each row writes it all."""
+        """Make room for results; the first march of each row writes it all."""
 
-    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], place: Place) -> None:
-        """Walk over a window from every eye; shells are held to the skylines."""
+    def run(
+        self, march: March, window: WindowTextures, eyes: NDArray[np.void], place: ResultPlace
+    ) -> None:
+        """March over a window from every eye; shells are held to the skylines."""
 
-    def read(self) -> Rows:
+    def read(self) -> Results:
         """Return the results."""
 
     def release(self) -> None:
         """Free what is held on the GPU."""
 
 
-class ComputeWalker:
-    """Walks in compute shaders: a lane is a column, many columns a lane."""
+class ComputeMarcher:
+    """Marches in compute shaders: a lane is a column, many columns a lane."""
 
     def __init__(self, context: GlContext, settings: Settings) -> None:
         self.max_rows = _MAX_RESULT_BYTES // (12 * settings.width)
@@ -164,16 +164,18 @@ class ComputeWalker:
         self._rows = 0
 
     def begin(self, rows: int) -> None:
-        """Make room for results; the first walk of each row writes it all."""
+        """Make room for results; the first march of each row writes it all."""
         self._free()
         self._rows = rows
         cells = rows * self._settings.width
         # Zero rows need no memory, but OpenGL knows no empty buffer.
         self._results = [self._ctx.buffer(reserve=max(4 * cells, 4)) for _ in range(3)]
 
-    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], place: Place) -> None:
-        """Walk over a window from every eye; shells are held to the skylines."""
-        program = self._programs.ready(walk, window, eyes)
+    def run(
+        self, march: March, window: WindowTextures, eyes: NDArray[np.void], place: ResultPlace
+    ) -> None:
+        """March over a window from every eye; shells are held to the skylines."""
+        program = self._programs.ready(march, window, eyes)
         buffer = self._ctx.buffer(eyes.tobytes())
         for binding, bound in enumerate((buffer, *self._results)):
             bound.bind_to_storage_buffer(binding)
@@ -193,12 +195,12 @@ class ComputeWalker:
         self._ctx.memory_barrier()
         buffer.release()
 
-    def read(self) -> Rows:
+    def read(self) -> Results:
         """Return the results."""
         shape = (self._rows, self._settings.width)
         size = 4 * self._rows * self._settings.width
         tan, depth, flags = (result.read()[:size] for result in self._results)
-        return Rows(
+        return Results(
             np.frombuffer(tan, np.float32).reshape(shape),
             np.frombuffer(depth, np.float32).reshape(shape),
             np.frombuffer(flags, np.uint32).reshape(shape).astype(np.uint8),
@@ -226,10 +228,10 @@ class ComputeWalker:
         return compile_compute(self._ctx, name, {"LANES": str(self._lanes), **defines})
 
 
-class FragmentWalker:
-    """Walks in fragment shaders: a fragment is a column, a row of the target a view.
+class FragmentMarcher:
+    """Marches in fragment shaders: a fragment is a column, a row of the target a view.
 
-    Results wait in main memory, and go to the GPU and back for each walk.
+    Results wait in main memory, and go to the GPU and back for each march.
     """
 
     def __init__(self, context: GlContext, settings: Settings) -> None:
@@ -240,23 +242,27 @@ class FragmentWalker:
         self._results = _no_rows(0, settings.width)
 
     def begin(self, rows: int) -> None:
-        """Make room for results; the first walk of each row writes it all."""
+        """Make room for results; the first march of each row writes it all."""
         self._results = _no_rows(rows, self._settings.width)
 
-    def run(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], place: Place) -> None:
-        """Walk over a window from every eye; shells are held to the skylines."""
-        if not walk.shells_m:
-            self._walk(walk, window, eyes, place.row, place.row)
-        for index, shell_m in enumerate(walk.shells_m):
+    def run(
+        self, march: March, window: WindowTextures, eyes: NDArray[np.void], place: ResultPlace
+    ) -> None:
+        """March over a window from every eye; shells are held to the skylines."""
+        if not march.shells_m:
+            self._march(march, window, eyes, place.row, place.row)
+        for index, shell_m in enumerate(march.shells_m):
             row = place.shell_row + index * place.rows_a_shell
-            self._walk(replace(walk, shells_m=(shell_m,)), window, eyes, row, place.row)
+            self._march(replace(march, shells_m=(shell_m,)), window, eyes, row, place.row)
 
-    def _walk(
-        self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void], row: int, sky_row: int
+    def _march(
+        self, march: March, window: WindowTextures, eyes: NDArray[np.void], row: int, sky_row: int
     ) -> None:
         """Draw one row an eye: of skylines, or of one shell."""
-        program = self._programs.ready(walk, window, eyes)
-        texels = np.concatenate([eyes[name] for name in EYE.names or ()], axis=1, dtype=np.float32)
+        program = self._programs.ready(march, window, eyes)
+        texels = np.concatenate(
+            [eyes[name] for name in EYE_DTYPE.names or ()], axis=1, dtype=np.float32
+        )
         rows = slice(row, row + len(eyes))
         results = self._results
         known = np.stack([results.elevation_tan[rows], results.depth_m[rows]], axis=-1)
@@ -267,7 +273,7 @@ class FragmentWalker:
                 held.enter_context(self._texture(size, 2, known, "f4")),
                 held.enter_context(self._texture(size, 1, results.flags[rows], "u1")),
             ]
-            if walk.shells_m:
+            if march.shells_m:
                 sky = slice(sky_row, sky_row + len(eyes))
                 lines = np.stack([results.elevation_tan[sky], results.depth_m[sky]], axis=-1)
                 sources.append(held.enter_context(self._texture(size, 2, lines, "f4")))
@@ -282,7 +288,7 @@ class FragmentWalker:
             bits = np.frombuffer(flags.read(alignment=1), np.uint8)
             results.flags[rows] = bits.reshape(len(eyes), -1)
 
-    def read(self) -> Rows:
+    def read(self) -> Results:
         """Return the results."""
         return self._results
 
@@ -319,7 +325,7 @@ class FragmentWalker:
 
 
 class _Programs:
-    """Compiles the variants of the walk as they are asked for, and sets their uniforms."""
+    """Compiles the variants of the march as they are asked for, and sets their uniforms."""
 
     def __init__(self, context: GlContext, settings: Settings, compile_variant: _Compiler) -> None:
         self._has_double = context.version_code >= _DOUBLE_VERSION
@@ -331,12 +337,12 @@ class _Programs:
         )
         self._aims.filter = (moderngl.NEAREST, moderngl.NEAREST)
 
-    def ready(self, walk: Walk, window: WindowTextures, eyes: NDArray[np.void]) -> _Program:
-        """Return the program for a walk, its uniforms set and the window's textures bound."""
-        slope_max = window.slope_max[walk.heading % 2]
-        columns = window.columns[walk.heading % 2]
-        rims = None if walk.shells_m else window.rims
-        defines = self._defines(walk, slope_max, window.dangling, rims is not None)
+    def ready(self, march: March, window: WindowTextures, eyes: NDArray[np.void]) -> _Program:
+        """Return the program for a march, its uniforms set and the window's textures bound."""
+        slope_max = window.slope_max[march.heading % 2]
+        columns = window.columns[march.heading % 2]
+        rims = None if march.shells_m else window.rims
+        defines = self._defines(march, slope_max, window.dangling, rims is not None)
         key = frozenset(defines.items())
         if key not in self._compiled:
             self._compiled[key] = self._compile(defines)
@@ -351,13 +357,13 @@ class _Programs:
             "drop_per_m2": settings.drop_per_m2,
             "slack_m": _slack_m(window, eyes, settings),
             "code_m": (window.code.lowest_m, window.code.step_m),
-            "levels": list(window.slabs.levels[walk.heading]),
+            "levels": list(window.slabs.levels[march.heading]),
             "top_level": window.top_level,
             "bins": SLOPE_BINS,
             "slope_max": slope_max,
             "width": settings.width,
             "aims": 8,
-            **self._shells(walk),
+            **self._shells(march),
             "reach_m": min(settings.reach_m, _ANY_REACH_M),
         }
         set_uniforms(program, values)
@@ -367,7 +373,7 @@ class _Programs:
         self._aims.use(8)
         if rims is not None:
             rims.texture.use(6)
-            set_uniforms(program, {"rims": 6, "rim_levels": list(rims.levels[walk.heading])})
+            set_uniforms(program, {"rims": 6, "rim_levels": list(rims.levels[march.heading])})
         return program
 
     def release(self) -> None:
@@ -377,31 +383,33 @@ class _Programs:
             program.release()
         self._compiled = {}
 
-    def _shells(self, walk: Walk) -> dict[str, object]:
-        if not walk.shells_m:
+    def _shells(self, march: March) -> dict[str, object]:
+        if not march.shells_m:
             return {}
-        edges_m = [walk.shells_m[0][0], *(high_m for _, high_m in walk.shells_m)]
+        edges_m = [march.shells_m[0][0], *(high_m for _, high_m in march.shells_m)]
         # Uniform arrays are set as a whole.
         edges_m += edges_m[-1:] * (self._settings.shells + 1 - len(edges_m))
         return {
-            "shells": len(walk.shells_m),
+            "shells": len(march.shells_m),
             "shell_edges_m": edges_m,
-            "shell_m": walk.shells_m[0],
+            "shell_m": march.shells_m[0],
         }
 
-    def _defines(self, walk: Walk, slope_max: float, dangling: bool, holes: bool) -> dict[str, str]:
+    def _defines(
+        self, march: March, slope_max: float, dangling: bool, holes: bool
+    ) -> dict[str, str]:
         # Rays fall short of slope_max by a column's half: at equal spacings two cells do.
         cells = math.ceil(slope_max * float(np.abs(self._settings.u).max())) + 1
         switches = {
             "HOLES": holes,
             "DANGLING": dangling,
-            "RAISE": not walk.first,
+            "RAISE": not march.first,
         }
         return {
-            "HEADING": str(walk.heading),
+            "HEADING": str(march.heading),
             "CELLS": str(cells),
-            "REAL": "double" if walk.double and self._has_double else "float",
-            **({"SHELLS": str(self._settings.shells)} if walk.shells_m else {}),
+            "REAL": "double" if march.double and self._has_double else "float",
+            **({"SHELLS": str(self._settings.shells)} if march.shells_m else {}),
             **{name: "" for name, on in switches.items() if on},
         }
 
@@ -413,9 +421,9 @@ def set_uniforms(program: _Program, values: dict[str, object]) -> None:
             program[name] = value
 
 
-def _no_rows(rows: int, width: int) -> Rows:
+def _no_rows(rows: int, width: int) -> Results:
     shape = (rows, width)
-    return Rows(
+    return Results(
         np.full(shape, NOTHING), np.zeros(shape, np.float32), np.zeros(shape, dtype=np.uint8)
     )
 

@@ -1,4 +1,4 @@
-// Skyline of one column: walk forward over a tree of slabs and keep the greatest v.
+// Skyline of one column: march forward over a tree of slabs and keep the greatest v.
 //
 // The vertical half-plane of a column meets the surface's edges where its ground ray crosses rows,
 // columns and diagonals of samples; the greatest v over these crossings is the skyline, as in the
@@ -376,10 +376,10 @@ float surfacing_tan(float sky_tan, float sky_depth_m, float at_depth_m) {
 }
 #endif
 
-// Walk a tree, nearest slabs first. Slabs still to be looked into are kept in one word, eight bits
+// March over a tree, nearest slabs first. Slabs still to be looked into are kept in one word, eight bits
 // a level: its lowest bit is the deepest level's nearest slab. OPEN gives the slabs of a band that
 // matter, LEAF looks at two strips.
-#define WALK(OPEN, LEAF)                                                                           \
+#define MARCH(OPEN, LEAF)                                                                           \
     int top = start_level(s_first, s_last), s = (s_first >> (3 * top + 4)) << (3 * top + 4);       \
     uint todo = live ? OPEN(s, 3 * top + 1, top) << uint(8 * top) : 0u;                            \
     while (todo != 0u) {                                                                           \
@@ -399,13 +399,13 @@ float surfacing_tan(float sky_tan, float sky_depth_m, float at_depth_m) {
     }
 
 // Raise best to the column's greatest v, but for the leaf that is done already.
-void walk_heights(
+void march_heights(
     bool live, int bin, int s_first, int s_last, int done, inout float best, inout PLACE place
 ) {
 #define OPEN(s, log_slab, level)                                                                   \
     (higher_slabs(s, log_slab, level, bin, best) & slabs_between(s, log_slab, s_first, s_last)     \
      & ~(level == 0 && ((s ^ done) & ~15) == 0 ? 1u << uint((done & 15) >> 1) : 0u))
-    WALK(OPEN, leaf(s, s_first, s_last, best, place);)
+    MARCH(OPEN, leaf(s, s_first, s_last, best, place);)
 #undef OPEN
 }
 
@@ -429,7 +429,7 @@ bool over_hole(bool live, int bin, int s_first, int s_last) {
     find_rim(s, s >= s_first && s <= s_last, rim);                                                 \
     find_rim(s + 1, s + 1 >= s_first && s + 1 <= s_last, rim);                                     \
     if (rim.v > REAL(0)) todo = 0u;
-    WALK(OPEN, LEAF)
+    MARCH(OPEN, LEAF)
 #undef OPEN
 #undef LEAF
     return rim.v > REAL(0);

@@ -3,11 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
-BoolArray = NDArray[np.bool_]
+from skyline.arrays import BoolArray, Float64Array, IntArray
 
 _SEED = 0
 _JUDGED = 1 << 20

@@ -23,12 +23,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from skyline.matching.patches import QueryCurve, StoredCurves
+from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
-
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
+from skyline.paper.patches import QueryCurve, StoredCurves
 
 _AT_ONCE = 32
 """Locations whose patches are compared together; keeps a product in the cache."""

@@ -1,4 +1,4 @@
-"""Files of a report, whole or not there."""
+"""Files that are whole or not there."""
 
 from pathlib import Path
 
@@ -6,7 +6,7 @@ from skyline.errors import InputError
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write a file at once, with the folders it needs; a failure leaves what was there before.
+    """Write a file at once; a failure leaves what was there before.
 
     Raises
     ------
@@ -15,12 +15,22 @@ def write_whole(path: Path, content: bytes | str) -> None:
     """
     partial = path.with_name(path.name + ".partial")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         partial.write_bytes(content.encode() if isinstance(content, str) else content)
         partial.replace(path)
     except OSError as error:
         if partial.is_file():
             partial.unlink()
         raise InputError(
+            f"{path} cannot be written ({error.strerror}); name a file in a folder that exists"
+        ) from error
+
+
+def write_with_folders(path: Path, content: bytes | str) -> None:
+    """Write a file at once, with the folders it needs; as `write_whole` otherwise."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
             f"{path} cannot be written ({error.strerror}); name another place for it"
         ) from error
+    write_whole(path, content)

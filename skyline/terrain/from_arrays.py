@@ -13,8 +13,9 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.transform import Affine
 
+from skyline.arrays import Float32Array
 from skyline.errors import InputError
-from skyline.terrain.tiles import Float32Array, Said, Tile, crs_of, grid_of, heights_of
+from skyline.terrain.tiles import Said, Tile, crs_of, grid_of, heights_of
 
 EVEN = 0.05
 """How far a coordinate may lie off even steps, in samples: float32 degrees do."""

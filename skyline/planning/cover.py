@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from skyline.planning.coverage import Problem
+from skyline.coverage import Problem, Requests
 from skyline.planning.forecast import Forecast
 from skyline.planning.layout import Annealing, Areas, Layout
-from skyline.planning.strategies.base import Requests
 
 _SKETCH = Annealing(sweeps=20)
 _PLAN = Annealing(sweeps=240)

@@ -1,23 +1,13 @@
-"""Affine warps between two images of a skyline: Equation 4, least squares, and curve to curve.
-
-A warp is (2, 3): it takes (u, v, 1) to the abscissa and ordinate in the other image.
-"""
+"""The affine warp that takes one curve nearest to another; see `skyline.paper.reprojection`."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float64Array, FloatArray
 from skyline.camera import columns_u, pixel_size
-
-FloatArray = NDArray[np.floating]
-Float64Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-
-SAFE_DEPTH_SHARE = 0.05
-"""z + k3T must stay above this share of z: nearer, a skyline has no warp to speak of."""
-
-IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+from skyline.paper.reprojection import IDENTITY
+from skyline.rows import Rows
 
 _DAMPING = 1e-3
 _RIDGE = 1e-9
@@ -29,86 +19,8 @@ _STEEPEST = 0.3
 """Least stretch of the abscissa that the slope of a warped curve is trusted for."""
 
 
-def equation_4(depth_m: FloatArray, displacements_m: FloatArray) -> Float64Array:
-    """Return the paper's warp A = [[s, 0, k1T / (z + k3T)], [0, s, k2T / (z + k3T)]].
-
-    Parameters
-    ----------
-    depth_m : (N,) floating
-        The representative depth z.
-    displacements_m : (N, C, 3) floating
-        Right, up, forward of the other eye; T is its negative.
-
-    Returns
-    -------
-    (N, C, 2, 3) float64
-        s = z / (z + k3T); NaN where z + k3T is not safely positive.
-    """
-    translation = -np.asarray(displacements_m, dtype=np.float64)
-    z = np.asarray(depth_m, dtype=np.float64)[:, np.newaxis]
-    moved = z + translation[..., 2]
-    moved = np.where(moved > SAFE_DEPTH_SHARE * z, moved, np.nan)
-    affine = np.zeros((*moved.shape, 2, 3))
-    affine[..., 0, 0] = affine[..., 1, 1] = z / moved
-    affine[..., 0, 2] = translation[..., 0] / moved
-    affine[..., 1, 2] = translation[..., 1] / moved
-    # A zero would hide that there is no warp.
-    affine[np.isnan(moved)] = np.nan
-    return affine
-
-
-def mean_depth_m(depth_m: FloatArray) -> Float64Array:
-    """Return the mean depth of each view (N, P), NaN where it has none."""
-    known = np.isfinite(depth_m)
-    count = known.sum(axis=1)
-    total = np.where(known, depth_m, 0.0).sum(axis=1)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def median_depth_m(depth_m: FloatArray) -> Float64Array:
-    """Return the median depth of each view (N, P), NaN where it has none."""
-    ordered = np.sort(depth_m, axis=1).astype(np.float64)  # NaN come last
-    count = np.isfinite(ordered).sum(axis=1)
-    row = np.arange(len(ordered))
-    return np.asarray(
-        0.5 * (ordered[row, np.maximum(count - 1, 0) // 2] + ordered[row, count // 2 * (count > 0)])
-    )
-
-
-def least_squares(
-    points_uv: Float64Array, there_uv: Float64Array, usable: BoolArray
-) -> Float64Array:
-    """Return the warps that take points nearest to their images elsewhere.
-
-    Where the points lie on a line, or are fewer than three, the one of the many that is nearest
-    to the identity.
-
-    Parameters
-    ----------
-    points_uv : (N, P, 2) float64
-    there_uv : (N, C, P, 2) float64
-        Finite where usable.
-    usable : (N, C, P) bool
-
-    Returns
-    -------
-    (N, C, 2, 3) float64
-    """
-    design = np.concatenate([points_uv, np.ones((*points_uv.shape[:2], 1))], axis=2)
-    design = np.nan_to_num(design)
-    products = design[:, :, :, np.newaxis] * design[:, :, np.newaxis, :]
-    weight = usable.astype(np.float64)
-    normal = np.einsum("ncp,npij->ncij", weight, products, optimize=True)
-    trace = np.trace(normal, axis1=2, axis2=3)[..., np.newaxis, np.newaxis]
-    normal += _RIDGE * (trace + 1.0) * np.eye(3)
-    moved = np.where(usable[..., np.newaxis], there_uv - points_uv[:, np.newaxis], 0.0)
-    right_side = np.einsum("npi,ncpk->ncik", design, moved, optimize=True)
-    change = np.linalg.solve(normal, right_side)
-    return np.asarray(IDENTITY + np.swapaxes(change, 2, 3), dtype=np.float64)
-
-
 @dataclass(frozen=True, slots=True)
-class CurveFit:
+class WarpFit:
     """How a curve is warped onto another.
 
     Attributes
@@ -176,14 +88,14 @@ class CurveFit:
                 pair, state = pair[open_], state[open_]
             trial = pair.state(pair.step(state, damping))
             better = trial.error < state.error
-            state = state.replaced(trial, better)
+            state = state.replaced(better, trial)
             damping = np.where(better, 0.3 * damping, 8.0 * damping)
             error[left], affine[left] = state.error, state.affine
         return error / pixel, affine.reshape(-1, 2, 3)
 
 
 @dataclass(slots=True, eq=False)
-class _State:
+class _State(Rows):
     """B warps and how the curves miss each other under them; arrays of columns are (B, Q)."""
 
     affine: Float64Array
@@ -192,31 +104,12 @@ class _State:
     slope: Float64Array
     usable: BoolArray
 
-    def __getitem__(self, rows: BoolArray) -> "_State":
-        return _State(
-            self.affine[rows],
-            self.error[rows],
-            self.miss[rows],
-            self.slope[rows],
-            self.usable[rows],
-        )
-
-    def replaced(self, other: "_State", where: BoolArray) -> "_State":
-        rows = where[:, np.newaxis]
-        return _State(
-            np.where(rows, other.affine, self.affine),
-            np.where(where, other.error, self.error),
-            np.where(rows, other.miss, self.miss),
-            np.where(rows, other.slope, self.slope),
-            np.where(rows, other.usable, self.usable),
-        )
-
 
 class _Pair:
     """B curves and what each is warped onto."""
 
     def __init__(
-        self, curves: FloatArray, targets: FloatArray, settings: CurveFit, pixel: float
+        self, curves: FloatArray, targets: FloatArray, settings: WarpFit, pixel: float
     ) -> None:
         self.settings, self.pixel = settings, pixel
         self.columns = curves.shape[1]

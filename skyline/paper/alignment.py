@@ -6,10 +6,8 @@ RANSAC's luck more than the likeness of the skylines.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
+from skyline.arrays import Float32Array, Float64Array
 
 _ROUNDS = 6
 _DAMPING = 1e-3

@@ -1,5 +1,6 @@
-"""Dataclasses of arrays with one row a hypothesis."""
+"""Dataclasses of arrays with one row each for every one of many things."""
 
+from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any, Self, cast
 
@@ -16,6 +17,14 @@ class Rows:
 
     def __getitem__(self, index: Index) -> Self:
         return type(self)(**{name: getattr(self, name)[index] for name in self._names()})
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
+        """Join rows in order; at least one part."""
+        columns = {
+            f.name: [getattr(part, f.name) for part in parts] for f in fields(cast(Any, cls))
+        }
+        return cls(**{name: _concatenated(column) for name, column in columns.items()})
 
     def replaced(self, chosen: NDArray[np.bool_], other: Self) -> Self:
         """Return these rows, with another's where ``chosen`` (M,) is true."""
@@ -34,3 +43,8 @@ def _chosen(chosen: NDArray[np.bool_], new: Any, old: Any) -> Any:
     if isinstance(old, Rows):
         return old.replaced(chosen, new)
     return np.where(chosen.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+
+def _concatenated(column: list[Any]) -> Any:
+    first = column[0]
+    return type(first).concatenate(column) if isinstance(first, Rows) else np.concatenate(column)

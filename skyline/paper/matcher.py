@@ -6,7 +6,7 @@ location with the nearest local skyline; RANSAC finds the affine map that most c
 agree on; the score is the rms distance in px between the warped query skyline and the stored
 one, taken vertically. The affine map also says where the optical axis went: heading, pitch, roll.
 
-Not every location is worth that at every assumed attitude: `skyline.matching.shortlist` says at
+Not every location is worth that at every assumed attitude: `skyline.paper.shortlist` says at
 which of them it is. Without a shortlist every one is tried, which takes seconds a query.
 """
 
@@ -15,18 +15,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.matching.alignment import align_curves
-from skyline.matching.chamfer import mean_squared_px2, nearest_patches
-from skyline.matching.patches import QueryCurve, StoredCurves
+from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
+from skyline.matching.ranker import Ranker, Source
 from skyline.matching.ranking import Fits, Ranking, select
-from skyline.matching.ransac import Ransac
-from skyline.matching.shortlist import Shortlist
-
-Float64Array = NDArray[np.float64]
-IntArray = NDArray[np.intp]
+from skyline.matching.screening import Alike
+from skyline.paper.alignment import align_curves
+from skyline.paper.chamfer import mean_squared_px2, nearest_patches
+from skyline.paper.patches import QueryCurve, StoredCurves
+from skyline.paper.ransac import Ransac
+from skyline.paper.shortlist import Shortlist
 
 _CHUNK = 64
 """Locations at a time."""
@@ -51,7 +52,7 @@ class PaperMatcher:
         Reach of a local skyline to either side of its keypoint and distance of its samples.
     shortlist_poses : int or None
         Pairs of a location and an assumed attitude that are looked at closely, by Chamfer
-        distance, RANSAC and warping: those `skyline.matching.shortlist` finds most alike. None
+        distance, RANSAC and warping: those `skyline.paper.shortlist` finds most alike. None
         looks at all.
     shortlist : int
         Stored patches a query patch is compared with by Chamfer distance.
@@ -107,12 +108,8 @@ class PaperMatcher:
         if not self.max_scale >= 1.0:
             raise InputError(f"greatest scale is {self.max_scale}; expected at least 1")
 
-    def rank(self, profiles: Profiles, query: QueryRays, top: int) -> Ranking:
-        """Return the best poses, best first; see `Matcher.rank`."""
-        return self.prepare(profiles).rank(query, top)
-
     def prepare(self, profiles: Profiles) -> "PreparedPaper":
-        """Do once what is the same for every query; see `Matcher.prepare`."""
+        """Do once what is the same for every query."""
         offsets = self._offsets(profiles.bin_px)
         if self.shortlist_poses is None:
             return PreparedPaper(self, profiles, offsets, None)
@@ -133,7 +130,7 @@ class PaperMatcher:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PreparedPaper:
+class PreparedPaper(Ranker):
     """The paper's matcher with a store it is ready to match to; see `PaperMatcher.prepare`."""
 
     matcher: PaperMatcher
@@ -141,7 +138,18 @@ class PreparedPaper:
     _offsets: IntArray
     _shortlist: Shortlist | None
 
-    def rank(self, query: QueryRays, top: int) -> Ranking:
+    @classmethod
+    def open(cls, source: Source) -> "PreparedPaper":
+        """See `Ranker.open`."""
+        return PaperMatcher().prepare(source.profiles())
+
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        narrowed: Narrowed | None = None,
+        screened: Alike | None = None,
+    ) -> Ranking:
         """Return the best poses, best first; see `Ranker.rank`."""
         separation_m = self.matcher.separation_m
         return select(self.profiles, self.fit(query), query.fov_deg, top, separation_m)
@@ -163,7 +171,7 @@ class PreparedPaper:
                 rows = listed[start : start + _CHUNK]
                 stored = StoredCurves.of(self.profiles, rows, self._offsets)
                 found = self._fit_chunk(stored, query_curve)
-                fits = fits.best_with(found.spread(rows, len(fits.score)))
+                fits = fits.best_with(found.placed_among(rows, len(fits.score)))
         return fits
 
     def _listed(self, assumed: list[QueryCurve]) -> list[IntArray]:

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS
+from skyline.coverage import Coverage
 from skyline.planning.candidates import CandidateMap
-from skyline.planning.coverage import Coverage
 from skyline.planning.plan import Plan
 from skyline.report.pictures import save_figure
 from skyline.report.relief import Area, draw_bearings, draw_relief

@@ -1,10 +1,8 @@
 """Chamfer distance between local skylines, and the stored keypoint nearest to a query's by it."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float32Array = NDArray[np.float32]
-IntArray = NDArray[np.intp]
+from skyline.arrays import Float32Array, IntArray
 
 _PAIRS = 4096
 """Pairs at a time; keeps the arrays of one step in the cache."""

@@ -6,18 +6,15 @@ window of K x K candidates around it, K = 2 * reach + 1, rows southward and colu
 whatever the heading. Strategies see candidates, windows and nothing else: no terrain, no views.
 """
 
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
-
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
-Float32Array = NDArray[np.float32]
-Float64Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,11 +57,11 @@ class CandidateGrid:
         """K, the side of a tolerance area's window in candidates."""
         return 2 * self.reach + 1
 
-    def row_col(self, candidates: IntArray) -> tuple[IntArray, IntArray]:
+    def row_col(self, candidates: Int64Array) -> tuple[Int64Array, Int64Array]:
         """Return the rows and columns of candidate indices."""
         return candidates // self.valid.shape[1], candidates % self.valid.shape[1]
 
-    def apart(self, candidates: IntArray, others: IntArray) -> Float64Array:
+    def apart(self, candidates: Int64Array, others: Int64Array) -> Float64Array:
         """Return distances (N, M) between candidates (N) and others (M), in candidates."""
         row, col = self.row_col(candidates)
         other_row, other_col = self.row_col(others)
@@ -72,8 +69,8 @@ class CandidateGrid:
         return np.asarray(apart, dtype=np.float64)
 
     def nearest(
-        self, candidates: IntArray, others: IntArray, number: int
-    ) -> tuple[IntArray, Float64Array]:
+        self, candidates: Int64Array, others: Int64Array, number: int
+    ) -> tuple[Int64Array, Float64Array]:
         """Return places in others (M) of those nearest to candidates (N), and their distances.
 
         Both are (N, min(number, M)), nearest first.
@@ -86,7 +83,7 @@ class CandidateGrid:
 class AreaModel(Protocol):
     """What is known of tolerance areas without rendering, from the views rendered so far."""
 
-    def predict_errors(self, candidates: IntArray) -> Float32Array:
+    def predict_errors(self, candidates: Int64Array) -> Float32Array:
         """Return predicted reprojection errors of views at candidates (N), shape (N, K, K), px.
 
         ``inf`` where a location is outside whatever the threshold. The view's own cell is 0.
@@ -129,7 +126,7 @@ class Coverage:
         self._areas = np.zeros((16, grid.window, grid.window), dtype=bool)
 
     @property
-    def viewpoints(self) -> IntArray:
+    def viewpoints(self) -> Int64Array:
         """Candidates rendered so far."""
         return self._viewpoints[: self._views]
 
@@ -150,7 +147,7 @@ class Coverage:
         side = self.grid.reach
         return self._count[side:-side, side:-side]
 
-    def add(self, candidates: IntArray, areas: BoolArray) -> None:
+    def add(self, candidates: Int64Array, areas: BoolArray) -> None:
         """Add the tolerance areas (N, K, K) of views rendered at candidates (N)."""
         self._make_room(len(candidates))
         for row, col, area in zip(*self.grid.row_col(candidates), areas, strict=True):
@@ -161,7 +158,7 @@ class Coverage:
             self._viewpoints[self._views] = row * self.grid.shape[1] + col
             self._views += 1
 
-    def gains(self, candidates: IntArray, areas: BoolArray) -> IntArray:
+    def gains(self, candidates: Int64Array, areas: BoolArray) -> Int64Array:
         """Return how many uncovered candidates areas (N, K, K) at candidates (N) would cover."""
         row, col = self.grid.row_col(candidates)
         gained = self._open_windows[row, col] & areas
@@ -231,9 +228,18 @@ class Problem:
         """Whether the region is covered as far as was asked."""
         return self.coverage.fraction(self.region) >= self.target
 
-    def open_candidates(self) -> IntArray:
+    def open_candidates(self) -> Int64Array:
         """Return the uncovered candidates of the region, ascending."""
         return np.flatnonzero(self.coverage.uncovered & self.region)
+
+
+Requests = Generator[Int64Array, Float32Array, None]
+"""Yields candidates to render (n,), is sent the reprojection errors (n, K, K) of those views.
+
+The problem's coverage holds the views' areas before the generator is resumed.
+"""
+
+Strategy = Callable[[Problem, np.random.Generator], Requests]
 
 
 def check_target(target: float) -> float:

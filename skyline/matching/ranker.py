@@ -1,0 +1,79 @@
+"""What a matcher is: it is opened on a store, and ranks the store's places."""
+
+from typing import ClassVar, Protocol, Self
+
+from skyline.matching.match_config import MatchConfig
+from skyline.matching.narrowing import Narrowed
+from skyline.matching.pose import Scene
+from skyline.matching.profiles import Profiles
+from skyline.matching.query import QueryRays
+from skyline.matching.ranking import Ranking
+from skyline.matching.screening import Alike
+from skyline.places import PlaceSource
+from skyline.terrain.heightfield import Ground
+
+
+class Source(Protocol):
+    """A store and its terrain as matchers take them; nothing is read before it is asked for."""
+
+    @property
+    def config(self) -> MatchConfig:
+        """How queries are to be matched."""
+
+    def places(self) -> PlaceSource:
+        """Return the places of a store of places; raises `InputError` for another or none."""
+
+    def profiles(self) -> Profiles:
+        """Return the renderings of a store, joined; raises `InputError` where it has none."""
+
+    def ground(self) -> Ground | None:
+        """Return the heights of the terrain, where that is to be had."""
+
+    def scene(self) -> Scene | None:
+        """Return the terrain to render, where that is to be had and rendering is wanted."""
+
+
+class Ranker(Protocol):
+    """Ranks the places of the store it is opened on.
+
+    Attributes
+    ----------
+    narrows : bool
+        Whether it can search a part of the store alone. One that cannot is never asked to.
+    finds_fov : bool
+        Whether it can match a photo whose field of view is not known.
+    """
+
+    narrows: ClassVar[bool] = False
+    finds_fov: ClassVar[bool] = False
+
+    @classmethod
+    def open(cls, source: Source) -> Self:
+        """Prepare for a store; what queries share is done here, once."""
+        ...
+
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        narrowed: Narrowed | None = None,
+        screened: Alike | None = None,
+    ) -> Ranking:
+        """Return up to ``top`` poses, best first, at most one a location.
+
+        Locations nothing fits at are left out, so there may be none.
+
+        Parameters
+        ----------
+        query : QueryRays
+        top : int
+        narrowed : Narrowed, optional
+            Where to search.
+        screened : Alike, optional
+            What `screened` found in all parts of the store, joined.
+        """
+        ...
+
+    def screened(self, query: QueryRays, narrowed: Narrowed | None, part: slice) -> Alike | None:
+        """Return the places of a part of the store worth ranking; None if all are to be ranked."""
+        return None

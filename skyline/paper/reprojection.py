@@ -1,0 +1,271 @@
+"""The paper's reprojection error (section 4.2), Equations 1 to 4.
+
+The points of a stored skyline are projected from a displaced eye, and a warp of the stored
+skyline is held to their images. A displacement t is (right, up, forward) in the view's own axes,
+metres, and up holds the change of the ground's height; the T of Equation 4 is -t. A warp is
+(2, 3): it takes (u, v, 1) to the abscissa and ordinate in the other image.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray
+from skyline.camera import HEADINGS, columns_u, rotation
+from skyline.errors import InputError
+from skyline.views import Views
+
+IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+_SAFE_DEPTH_SHARE = 0.05
+"""z + k3T must stay above this share of z: nearer, a skyline has no warp to speak of."""
+
+_RIDGE = 1e-9
+
+_AT_ONCE = 1 << 18
+"""Projected points evaluated together, to stay in the processor's cache."""
+
+_ROTATIONS = np.stack([rotation(heading) for heading in HEADINGS])
+
+
+def displacements_m(
+    views: Views, easting_m: ArrayLike, northing_m: ArrayLike, eye_elevation_m: ArrayLike
+) -> Float64Array:
+    """Return where other eyes are, seen from each view, in the view's own axes.
+
+    Parameters
+    ----------
+    views : Views
+        N views.
+    easting_m, northing_m, eye_elevation_m : (N, C) array_like
+        C other eyes a view, in the views' frame.
+
+    Returns
+    -------
+    (N, C, 3) float64
+        Right, up, forward, metres.
+    """
+    own = (views.easting_m, views.eye_elevation_m, views.northing_m)
+    other = (easting_m, eye_elevation_m, northing_m)
+    east_up_north = np.stack(
+        [
+            np.asarray(there, dtype=np.float64) - here[:, np.newaxis]
+            for here, there in zip(own, other, strict=True)
+        ],
+        axis=-1,
+    )
+    # Quarter turns hold zeros, and 0 * NaN is NaN: an unknown height must spoil `up` alone.
+    turned = np.einsum(
+        "nij,ncj->nci", _ROTATIONS[views.heading][:, ::2, ::2], east_up_north[..., ::2]
+    )
+    return np.stack([turned[..., 0], east_up_north[..., 1], turned[..., 1]], axis=-1)
+
+
+def check_displacements(views: Views, displacements_m: NDArray[np.floating]) -> None:
+    """Raise `InputError` unless displacements have one row of (C, 3) a view."""
+    shape = displacements_m.shape
+    if len(shape) != 3 or shape[0] != len(views) or shape[2] != 3:
+        raise InputError(
+            f"displacements have shape {shape}; expected ({len(views)}, C, 3): right, up and "
+            "forward of C eyes for each view"
+        )
+
+
+def equation_4(depth_m: FloatArray, displacements_m: FloatArray) -> Float64Array:
+    """Return the paper's warp A = [[s, 0, k1T / (z + k3T)], [0, s, k2T / (z + k3T)]].
+
+    Parameters
+    ----------
+    depth_m : (N,) floating
+        The representative depth z.
+    displacements_m : (N, C, 3) floating
+        Right, up, forward of the other eye; T is its negative.
+
+    Returns
+    -------
+    (N, C, 2, 3) float64
+        s = z / (z + k3T); NaN where z + k3T is not safely positive.
+    """
+    translation = -np.asarray(displacements_m, dtype=np.float64)
+    z = np.asarray(depth_m, dtype=np.float64)[:, np.newaxis]
+    moved = z + translation[..., 2]
+    moved = np.where(moved > _SAFE_DEPTH_SHARE * z, moved, np.nan)
+    affine = np.zeros((*moved.shape, 2, 3))
+    affine[..., 0, 0] = affine[..., 1, 1] = z / moved
+    affine[..., 0, 2] = translation[..., 0] / moved
+    affine[..., 1, 2] = translation[..., 1] / moved
+    # A zero would hide that there is no warp.
+    affine[np.isnan(moved)] = np.nan
+    return affine
+
+
+def mean_depth_m(depth_m: FloatArray) -> Float64Array:
+    """Return the mean depth of each view (N, P), NaN where it has none."""
+    known = np.isfinite(depth_m)
+    count = known.sum(axis=1)
+    total = np.where(known, depth_m, 0.0).sum(axis=1)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def median_depth_m(depth_m: FloatArray) -> Float64Array:
+    """Return the median depth of each view (N, P), NaN where it has none."""
+    ordered = np.sort(depth_m, axis=1).astype(np.float64)  # NaN come last
+    count = np.isfinite(ordered).sum(axis=1)
+    row = np.arange(len(ordered))
+    return np.asarray(
+        0.5 * (ordered[row, np.maximum(count - 1, 0) // 2] + ordered[row, count // 2 * (count > 0)])
+    )
+
+
+def least_squares(
+    points_uv: Float64Array, there_uv: Float64Array, usable: BoolArray
+) -> Float64Array:
+    """Return the warps that take points nearest to their images elsewhere.
+
+    Where the points lie on a line, or are fewer than three, the one of the many that is nearest
+    to the identity.
+
+    Parameters
+    ----------
+    points_uv : (N, P, 2) float64
+    there_uv : (N, C, P, 2) float64
+        Finite where usable.
+    usable : (N, C, P) bool
+
+    Returns
+    -------
+    (N, C, 2, 3) float64
+    """
+    design = np.concatenate([points_uv, np.ones((*points_uv.shape[:2], 1))], axis=2)
+    design = np.nan_to_num(design)
+    products = design[:, :, :, np.newaxis] * design[:, :, np.newaxis, :]
+    weight = usable.astype(np.float64)
+    normal = np.einsum("ncp,npij->ncij", weight, products, optimize=True)
+    trace = np.trace(normal, axis1=2, axis2=3)[..., np.newaxis, np.newaxis]
+    normal += _RIDGE * (trace + 1.0) * np.eye(3)
+    moved = np.where(usable[..., np.newaxis], there_uv - points_uv[:, np.newaxis], 0.0)
+    right_side = np.einsum("npi,ncpk->ncik", design, moved, optimize=True)
+    change = np.linalg.solve(normal, right_side)
+    return np.asarray(IDENTITY + np.swapaxes(change, 2, 3), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Projected:
+    """P skyline points of N views and their images at C displaced eyes.
+
+    Attributes
+    ----------
+    points_uv : (N, P, 2) float64
+        Abscissa and ordinate in the view, NaN where it has no skyline.
+    there_uv : (N, C, P, 2) float64
+        The same from the displaced eyes; finite where usable.
+    usable : (N, C, P) bool
+        Whether a point is safely in front of the displaced eye and in its frame. A frame has
+        sides, but neither top nor bottom.
+    depth_m : (N, P) float64
+    displacements_m : (N, C, 3) float64
+    """
+
+    points_uv: Float64Array
+    there_uv: Float64Array
+    usable: BoolArray
+    depth_m: Float64Array
+    displacements_m: Float64Array
+
+    @classmethod
+    def of(cls, views: Views, displacements_m: FloatArray, columns: int) -> "Projected":
+        """Project at most so many evenly spread points of each view."""
+        # Points of the skyline itself, not means: a mean of two ridges is on neither.
+        stride = slice(0, None, -(-views.width // columns))
+        u = columns_u(views.width)[stride]
+        v = views.elevation_tan[:, stride].astype(np.float64)
+        depth = views.depth_m[:, stride].astype(np.float64)
+        moved = np.asarray(displacements_m, dtype=np.float64)
+        right, up, forward = np.moveaxis(moved, 2, 0)[..., np.newaxis]
+        z = depth[:, np.newaxis]
+        ahead = z - forward
+        usable = (ahead > _SAFE_DEPTH_SHARE * z) & np.isfinite(v[:, np.newaxis] - up - right)
+        ahead = np.where(usable, ahead, 1.0)
+        abscissa = (u * z - right) / ahead
+        ordinate = (v[:, np.newaxis] * z - up) / ahead
+        usable &= np.abs(abscissa) <= 1.0
+        points = np.stack([np.broadcast_to(u, v.shape), v], axis=-1)
+        return cls(points, np.stack([abscissa, ordinate], axis=-1), usable, depth, moved)
+
+
+Warp = Callable[[Projected], Float64Array]
+
+
+@dataclass(frozen=True, slots=True)
+class Reprojection:
+    """Mean distance between warped points and their true images, over those in front and in frame.
+
+    Attributes
+    ----------
+    warp : callable
+        Returns the warps (N, C, 2, 3), NaN where there is none.
+    columns : int
+        At most so many points a view, evenly spread. On Davos, 80 decide as 640 do.
+    min_points : int
+        Fewer in frame are no answer.
+    """
+
+    warp: Warp
+    columns: int = 80
+    min_points: int = 3
+
+    @property
+    def needs_shells(self) -> bool:
+        """False: the skyline and its depth suffice."""
+        return False
+
+    def errors_px(
+        self, views: Views, displacements_m: FloatArray, within_px: float | None = None
+    ) -> Float32Array:
+        """Return errors; see `skyline.prediction.Predictor.errors_px`."""
+        check_displacements(views, displacements_m)
+        candidates = displacements_m.shape[1]
+        errors = np.empty((len(views), candidates), dtype=np.float32)
+        some = max(1, _AT_ONCE // max(1, candidates * min(self.columns, views.width)))
+        for begin in range(0, len(views), some):
+            part = slice(begin, begin + some)
+            errors[part] = self._errors_px(views[part], displacements_m[part])
+        return errors
+
+    def _errors_px(self, views: Views, displacements_m: FloatArray) -> FloatArray:
+        projected = Projected.of(views, displacements_m, self.columns)
+        affine = self.warp(projected)
+        warped = projected.points_uv[:, np.newaxis] @ np.swapaxes(affine[..., :2], 2, 3)
+        warped += affine[..., np.newaxis, :, 2]
+        usable = projected.usable
+        missed = np.where(usable[..., np.newaxis], warped - projected.there_uv, 0.0)
+        count = usable.sum(axis=2)
+        mean = np.hypot(missed[..., 0], missed[..., 1]).sum(axis=2) / np.maximum(count, 1)
+        answered = (count >= self.min_points) & np.isfinite(mean)
+        return np.where(answered, mean * (views.width / 2.0), np.inf)
+
+
+def _no_warp(projected: Projected) -> Float64Array:
+    return np.broadcast_to(IDENTITY, (*projected.usable.shape[:2], 2, 3))
+
+
+def _mean_depth_warp(projected: Projected) -> Float64Array:
+    return equation_4(mean_depth_m(projected.depth_m), projected.displacements_m)
+
+
+def _median_depth_warp(projected: Projected) -> Float64Array:
+    return equation_4(median_depth_m(projected.depth_m), projected.displacements_m)
+
+
+def _least_squares_warp(projected: Projected) -> Float64Array:
+    return least_squares(projected.points_uv, projected.there_uv, projected.usable)
+
+
+NON_AFFINE = Reprojection(_no_warp)
+AFFINE_MEAN = Reprojection(_mean_depth_warp)
+"""The paper's own; the others are what it is compared with."""
+
+AFFINE_MEDIAN = Reprojection(_median_depth_warp)
+AFFINE_LEAST_SQUARES = Reprojection(_least_squares_warp)

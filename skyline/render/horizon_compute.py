@@ -1,1 +1,0 @@
-"""The horizon walk as compute shaders (OpenGL 4.3)."""
