@@ -64,7 +64,8 @@ Dems = Annotated[
 Output = Annotated[Path, typer.Option("--output", "-o", help="The store to write (HDF5).")]
 Width = Annotated[int, typer.Option(help="Columns of a 90 degree view.")]
 Tolerance = Annotated[
-    float, typer.Option("--tolerance-px", help="Pixels a skyline may fall short; 0 is exact.")
+    float,
+    typer.Option("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact."),
 ]
 RefractionK = Annotated[float, typer.Option("--k", help="Refraction coefficient.")]
 NoCurvature = Annotated[bool, typer.Option("--no-curvature", help="Take the Earth as flat.")]
@@ -135,7 +136,7 @@ def build(
         float | None,
         typer.Option(
             help="Metres between places; with a planner, between viewpoints of its coarse grid.",
-            show_default=f"{DEFAULT_SPACING_M:g}, with a planner {_PLANNED.spacing.coarse_m:g}",
+            show_default=f"{DEFAULT_SPACING_M:g}; {_PLANNED.spacing.coarse_m:g} with a planner",
         ),
     ] = None,
     bounds: Bounds = None,
@@ -207,7 +208,7 @@ def build(
         float | None,
         typer.Option(
             "--tolerance-px",
-            help="Renderings: pixels a skyline may fall short.",
+            help="Renderings: pixels by which a skyline may lie too low.",
             show_default=f"{_DEFAULTS.tolerance_px:g}",
         ),
     ] = None,
@@ -328,7 +329,7 @@ def info(
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
-    """Describe a DEM, a store, or the OpenGL at hand."""
+    """Describe a DEM, a store, or the OpenGL in use."""
     if not path and not gl:
         raise InputError("nothing to describe; name a DEM or a store, or give --gl")
     facts: dict[str, object] = describe_gl() if gl else {}
@@ -352,7 +353,7 @@ def explain(
     reproject: Reproject = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say what a viewpoint's skyline needs of the DEM, what is left out, and the error of that."""
+    """Show which terrain a skyline depends on, what is left out, and what that costs."""
     config = _render_config(width, tolerance_px, k, no_curvature)
     easting, northing = _parse_place(at)
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))

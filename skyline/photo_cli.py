@@ -38,7 +38,7 @@ FieldOfView = Annotated[
 ]
 PhotoProjection = Annotated[
     Projection | None,
-    typer.Option("--projection", help="Projection of a panorama, mostly cylindrical."),
+    typer.Option("--projection", help="Projection of a panorama, usually cylindrical."),
 ]
 SkyModel = Annotated[
     Path | None, typer.Option(metavar="ONNX", help="Your own sky segmentation model.")
@@ -60,7 +60,7 @@ def match(
     ] = None,
     matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHERS)}.")] = FULL,
     no_refine: Annotated[
-        bool, typer.Option("--no-refine", help="Do not render around the best poses.")
+        bool, typer.Option("--no-refine", help="Skip refinement: faster, less exact.")
     ] = False,
     near: Annotated[
         str | None,
@@ -73,7 +73,7 @@ def match(
         str | None,
         typer.Option(
             metavar="DEG,SLACK",
-            help="The camera looked this way from true north, or SLACK degrees beside it at most.",
+            help="Camera heading from true north, within SLACK degrees.",
         ),
     ] = None,
     elevation: Annotated[
@@ -83,7 +83,7 @@ def match(
         ),
     ] = None,
     min_confidence: Annotated[
-        float, typer.Option(help="Below this there are candidates but no answer.")
+        float, typer.Option(help="Least confidence for an answer.")
     ] = _DEFAULTS.min_confidence,
     top: Annotated[int, typer.Option(help="Number of candidates to print.")] = 5,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,

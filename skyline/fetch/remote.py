@@ -136,7 +136,10 @@ def _failure(url: str, reason: str, attempts: int) -> str:
             "give the same command: what was fetched is kept"
         )
     if "not recognized as being in" in reason:
-        return f"{where}: not a GeoTIFF; check the address and the source's template"
+        return (
+            f"{where}: not a GeoTIFF, or the server does not answer HTTP range requests; check the "
+            "address and the source's template"
+        )
     return (
         f"{where}: the file breaks off or is damaged ({reason.rpartition('; ')[2]}), {times}; give "
         "the same command again: what was fetched is kept"

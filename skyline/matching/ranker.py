@@ -61,7 +61,9 @@ class Ranker(Protocol):
     ) -> Ranking:
         """Return up to ``top`` poses, best first, at most one a location.
 
-        Locations nothing fits at are left out, so there may be none.
+        Locations nothing fits at are left out, so there may be none. Azimuths, those of a place's
+        bins (`skyline.horizons.bin_azimuths_rad`) and those of poses (`Hypotheses`), are from grid
+        north. A ranking without confidence always counts as an answer.
 
         Parameters
         ----------

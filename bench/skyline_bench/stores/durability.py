@@ -37,6 +37,9 @@ from skyline_bench.measuring.workers import fork, outcome_of
 Say = Callable[[int], None]
 """Called with the number of rows that are committed."""
 
+_LONGER = 1.5
+"""A build is killed at some time within so many times what it has left."""
+
 Build = Callable[[Path, Say], None]
 """Builds a store at a path, or goes on with the one that is there."""
 
@@ -160,14 +163,18 @@ def kill_test(build: Build, folder: Path, kills: int, seed: int = 0) -> dict[str
         started = time.perf_counter()
         _finish(*_start(build, whole))
         lasts_s = min(lasts_s, time.perf_counter() - started)
+    started = time.perf_counter()
+    _finish(*_start(build, whole))  # Nothing is left to do.
+    starts_s = time.perf_counter() - started
     total = _committed(whole)
     compacted = _compacted(whole)
     tally = Counter(kills=0, opened=0, lost=0, builds=0, equal=0)
     path, said = folder / "killed.h5", 0
     while tally["kills"] < kills:
         child, pipe = _start(build, path)
-        # What is resumed is sooner done; a part of each run is its start.
-        time.sleep(generator.uniform(0.0, lasts_s * max(1.0 - said / total, 0.3)))
+        # Some runs end before they are killed, so that resumed builds are seen to end as well.
+        left_s = starts_s + lasts_s * (1.0 - said / total)
+        time.sleep(generator.uniform(0.0, _LONGER * left_s))
         os.kill(child, signal.SIGKILL)
         code, committed = _finish(child, pipe)
         said = max(said, committed)
