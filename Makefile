@@ -6,17 +6,20 @@ IN_VENV := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check docs bench clean
+.PHONY: help setup demo test test-all check docs bench clean
 
 help: ## List the targets
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
 setup: $(INSTALLED) ## Install system packages (as root), a virtual environment, Skyline and its benchmarks
 
 demo: setup ## Build a store over a real DEM, match images to it, write out/demo
 	$(IN_VENV)/python examples/demo.py --out out/demo
 
-test: setup ## Run all tests
+test: setup ## Run the tests but for the slowest
+	$(IN_VENV)/python -m pytest -m "not slow"
+
+test-all: setup ## Run all tests
 	$(IN_VENV)/python -m pytest
 
 docs: setup ## Build the documentation into build/site; a broken link fails

@@ -148,6 +148,7 @@ def test_ctrl_c_ends_in_one_line(run_bench, dem, monkeypatch):
     assert done.err == "error: stopped; nothing was written\n"
 
 
+@pytest.mark.slow
 def test_table1_compares_the_strategies(run_bench, tmp_path):
     done = run_bench("table1", "--seeds", 1, "--json", tmp_path / "record.json")
     assert done.code == 0, done.err

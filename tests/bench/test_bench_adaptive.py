@@ -60,6 +60,7 @@ def made(kept):
     return {}
 
 
+@pytest.mark.slow
 def test_stores_matchers_and_groups_are_compared(compare, kept, made, tmp_path):
     plot, report = tmp_path / "plot.png", kept / "report"
     matchers = ("paper", "retrieved", "full")
@@ -142,6 +143,7 @@ def test_a_browser_shows_the_report(kept, made, tmp_path):
         assert seen[begin : begin + 800].std() > 10.0
 
 
+@pytest.mark.slow
 def test_what_is_there_is_not_done_again(compare, kept, made):
     assert made
     trials = sorted((kept / "trials").iterdir())
@@ -162,6 +164,7 @@ def test_what_is_there_is_not_done_again(compare, kept, made):
     assert {path for path in trials if path.stat().st_mtime_ns != before[path]} == {stale, gone}
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_table(compare):
     first, again, other = (
         without_times(compare("--matcher", "retrieved", "--workers", workers, "--seed", seed)[0])

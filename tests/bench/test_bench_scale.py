@@ -3,8 +3,10 @@
 import json
 
 import cv2
+import pytest
 
 
+@pytest.mark.slow
 def test_areas_are_built_and_searched(run_bench, dem, tmp_path):
     record, plot = tmp_path / "record.json", tmp_path / "plot.png"
     done = run_bench(

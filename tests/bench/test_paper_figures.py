@@ -117,6 +117,7 @@ def test_viewpoints_are_drawn_for_each_heading(terrain, store):
     drawn(figure)
 
 
+@pytest.mark.slow
 def test_a_query_is_worked_from_its_photograph(terrain, tmp_path):
     store = place_store(terrain, tmp_path, 300.0, None, PlaceConfig())
     config = QueryConfig(width_px=360, height_px=540, render_width=1280)

@@ -74,12 +74,13 @@ def test_every_item_is_done_elsewhere_with_one_thread(monkeypatch):
 
 
 def test_an_error_is_raised_here_and_nobody_is_left_at_work():
+    others = set(multiprocessing.active_children())
     with pytest.raises(InputError, match="item 5 cannot"), crew(None, 1) as run:
         list(run(fail, [5]))
     with pytest.raises(KeyboardInterrupt), crew(None, 2) as run:
         # One is done at once, the other is left asleep.
         stop_after(run(sleep, [0.0, 600.0]))
-    assert not multiprocessing.active_children()
+    assert set(multiprocessing.active_children()) <= others
 
 
 def test_a_worker_that_dies_is_one_line():

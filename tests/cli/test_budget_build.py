@@ -49,6 +49,7 @@ def test_shells_reach_as_far_as_areas_do(valley, tmp_path):
     assert header.config["reach_m"] == header.config["plan"]["spacing"]["reach_m"] > 500.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strategy", ["lpov", "cover"])
 @pytest.mark.parametrize("batches", [1, 3])
 def test_a_stopped_build_goes_on_to_the_same_store(valley, tmp_path, strategy, batches):

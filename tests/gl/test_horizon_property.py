@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scenes import field_of
@@ -86,6 +87,7 @@ def scene_of(recipe):
     return Scene(field, viewpoints, recipe.width, recipe.curvature)
 
 
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None)
 @given(recipes)
 def test_horizon_equals_the_oracle(recipe):

@@ -73,6 +73,7 @@ def asked(store, config=BOLD):
     return str(store), None, FULL, config
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("narrowing", [None, SOUTH], ids=["wide", "narrowed"])
 @pytest.mark.parametrize("refine", [True, False], ids=["refined", "retrieved"])
 def test_two_workers_find_what_one_process_finds(

@@ -97,6 +97,7 @@ def test_queries_are_found_where_they_were_taken(store, terrain, queries):
             assert abs(turn) < 1.0
 
 
+@pytest.mark.slow
 def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
     found = {}
     with open_store(store) as opened:

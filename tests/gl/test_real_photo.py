@@ -1,6 +1,7 @@
 """A real photo against real terrain: place and heading, where the store is of its surroundings."""
 
 import numpy as np
+import pytest
 
 from skyline import DemOptions, Matcher, Narrowing, build_places, read_dem
 
@@ -8,6 +9,7 @@ FITTED_HEADING_DEG = 275.96
 """From true north: a fit of all of the camera's angles with its place held."""
 
 
+@pytest.mark.slow
 def test_heading_of_the_webcam_is_found(shared_data, tmp_path):
     terrain = read_dem(
         [shared_data / "rofental" / "dem_rofental_50.asc"], DemOptions(crs="EPSG:32632")

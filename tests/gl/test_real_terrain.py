@@ -27,6 +27,7 @@ def random_viewpoints(field, count, bounds_deg=None):
     return stand_on(field, easting[standing][:count], northing[standing][:count])
 
 
+@pytest.mark.slow
 def test_davos_depth_path_lies_within_a_pixel_of_the_oracle(shared_data):
     field = read_dem([shared_data / "davos" / "davos_srtm1_30m.tif"])
     viewpoints = random_viewpoints(field, 20, (9.7, 46.6, 10.1, 47.0))
@@ -58,6 +59,7 @@ def lakes(shared_data):
         return field, published["horizon_elev_deg"][cardinal]
 
 
+@pytest.mark.slow
 def test_lakes_horizons_agree_with_published_ones(lakes):
     field, published_deg = lakes
     generator = np.random.default_rng(SEED)
@@ -76,6 +78,7 @@ def test_lakes_horizons_agree_with_published_ones(lakes):
     assert (np.abs(np.nanmedian(difference_deg, axis=0)) < 0.1).all()
 
 
+@pytest.mark.slow
 def test_everest_voids_are_counted_and_make_no_phantom_skyline(shared_data):
     field = read_dem([shared_data / "everest" / "mt_everest_90m.tif"])
     counts = field.provenance

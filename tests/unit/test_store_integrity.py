@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from store_rows import HEADER, WIDTH, rows
 
+from skyline import __version__
 from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
 from skyline.store import (
     RowCoding,
@@ -47,7 +48,7 @@ def version_1(path: Path, count: int) -> Path:
         file.attrs["frame"], file.attrs["dem_digest"] = HEADER.frame_wkt, HEADER.dem_digest
         file.attrs["dem_files"] = json.dumps(HEADER.dem_files)
         file.attrs["config"] = json.dumps(HEADER.config)
-        file.attrs["renderer"], file.attrs["package_version"] = HEADER.renderer, "0.1.0"
+        file.attrs["renderer"], file.attrs["package_version"] = HEADER.renderer, __version__
         named = {
             "views/easting": views.easting_m,
             "views/northing": views.northing_m,
