@@ -104,6 +104,7 @@ def test_stores_matchers_and_groups_are_compared(compare, kept, made, tmp_path):
     assert pixels(plot.read_bytes()).std() > 20.0
 
 
+@pytest.mark.slow
 def test_the_report_is_one_page_and_small_pictures(kept, made):
     assert made
     report = kept / "report"

@@ -76,10 +76,10 @@ def crew(held: object, workers: int) -> Iterator[Crew]:
                 "kept, run it again with fewer workers"
             ) from error
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
-                process.join()
+            # The pool's own thread waits for them: two that wait for a process lose track of it.
+            pool.shutdown(cancel_futures=True)
 
 
 def _start(held: object) -> None:
