@@ -8,8 +8,16 @@ from typing import Annotated
 
 import typer
 
-from skyline import __version__, dem_cli, photo_cli
-from skyline.console import Scheduler, Workers, parse_bounds, progress_bar, run_app, runner_of
+from skyline import dem_cli, photo_cli
+from skyline.console import (
+    Scheduler,
+    Workers,
+    command_line,
+    parse_bounds,
+    progress_bar,
+    run_app,
+    runner_of,
+)
 from skyline.describe import (
     describe_gl,
     describe_scene,
@@ -49,12 +57,7 @@ from skyline.terrain.viewpoints import stand_on
 _DEFAULTS = RenderConfig()
 _PLANNED = PlanConfig()
 
-app = typer.Typer(
-    name="skyline",
-    help="A photo of mountains in, a place on the map out.",
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
+app = command_line("skyline", "A photo of mountains in, a place on the map out.")
 app.add_typer(dem_cli.app)
 app.add_typer(store_app, name="store")
 
@@ -360,20 +363,6 @@ def explain(
     eye = stand_on(terrain, easting, northing, config.eye_height_m)
     needs, views = explain_scene(terrain, eye, config)
     _say_facts(describe_scene(eye, config, needs, views), as_json)
-
-
-@app.callback(invoke_without_command=True)
-def options(
-    context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-) -> None:
-    """A photo of mountains in, a place on the map out."""
-    if version:
-        typer.echo(f"skyline {__version__}")
-        raise typer.Exit
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
-        raise typer.Exit(2)
 
 
 def main() -> None:

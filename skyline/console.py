@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
 
+from skyline import __version__
 from skyline.errors import InputError, SkylineError
 from skyline.pipeline import Progress, local_runner, remote_runner
 from skyline.pipeline.jobs import Runner
@@ -30,6 +31,32 @@ Scheduler = Annotated[
         metavar="ADDRESS", help="Spread the work over a dask cluster, e.g. tcp://host:8786."
     ),
 ]
+
+
+def command_line(name: str, about: str) -> typer.Typer:
+    """Return a command line that says, without a command, its help or the version.
+
+    Parameters
+    ----------
+    name : str
+    about : str
+        What its help says first.
+    """
+    app = typer.Typer(name=name, pretty_exceptions_enable=False, add_completion=False)
+
+    @app.callback(invoke_without_command=True, help=about)
+    def options(
+        context: typer.Context,
+        version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    ) -> None:
+        if version:
+            typer.echo(f"skyline {__version__}")
+            raise typer.Exit
+        if context.invoked_subcommand is None:
+            typer.echo(context.get_help())
+            raise typer.Exit(2)
+
+    return app
 
 
 def run_app(app: typer.Typer, stopped: str) -> None:

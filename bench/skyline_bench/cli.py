@@ -2,12 +2,8 @@
 
 import inspect
 from collections.abc import Callable, Mapping
-from typing import Annotated
 
-import typer
-
-from skyline import __version__
-from skyline.console import run_app
+from skyline.console import command_line, run_app
 from skyline_bench.commands.adaptive import uniform_adaptive
 from skyline_bench.commands.matching import matching
 from skyline_bench.commands.photos import photo, photo_quality, readme_picture
@@ -58,11 +54,9 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
 }
 """Commands by what they measure, and about how long each takes on 2 cores without a GPU."""
 
-app = typer.Typer(
-    name="skyline-bench",
-    help="Measure Skyline on this machine. Times are of 2 cores without a GPU; see --quick.",
-    pretty_exceptions_enable=False,
-    add_completion=False,
+app = command_line(
+    "skyline-bench",
+    "Measure Skyline on this machine. Times are of 2 cores without a GPU; see --quick.",
 )
 for subject, commands in COMMANDS.items():
     for command, takes in commands.items():
@@ -72,20 +66,6 @@ for subject, commands in COMMANDS.items():
             short_help=f"{told} ({takes}).",
             rich_help_panel=subject,
         )(command)
-
-
-@app.callback(invoke_without_command=True)
-def options(
-    context: typer.Context,
-    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
-) -> None:
-    """Measure Skyline on this machine. Times are of 2 cores without a GPU; see --quick."""
-    if version:
-        typer.echo(f"skyline {__version__}")
-        raise typer.Exit
-    if context.invoked_subcommand is None:
-        typer.echo(context.get_help())
-        raise typer.Exit(2)
 
 
 def main() -> None:

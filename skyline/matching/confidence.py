@@ -1,7 +1,7 @@
 r"""How likely an answer is right: within 200 m of where the query was taken.
 
-A logistic model of a few figures that a match leaves behind, learned from made queries on other
-terrain than any result is reported on (`skyline-bench calibrate`, which also draws the
+A logistic model of a few figures that a match leaves behind, learned from synthetic queries on
+other terrain than any result is reported on (`skyline-bench calibrate`, which also draws the
 reliability diagram):
 
 .. math::

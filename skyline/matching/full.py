@@ -20,6 +20,7 @@ from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike
 from skyline.matching.threads import one_blas_thread
+from skyline.store.header import PLACES
 
 
 class FullMatcher(Ranker):
@@ -35,6 +36,7 @@ class FullMatcher(Ranker):
 
     narrows = True
     finds_fov = True
+    searches = PLACES
 
     def __init__(
         self, retriever: Retriever, scene: Scene | None = None, config: FullConfig | None = None

@@ -10,6 +10,7 @@ from skyline.matching.query import QueryRays
 from skyline.matching.ranking import Ranking
 from skyline.matching.screening import Alike
 from skyline.places import PlaceSource
+from skyline.store.header import RENDERINGS
 from skyline.terrain.heightfield import Ground
 
 
@@ -42,10 +43,13 @@ class Ranker(Protocol):
         Whether it can search a part of the store alone. One that cannot is never asked to.
     finds_fov : bool
         Whether it can match a photo whose field of view is not known.
+    searches : str
+        What a store must hold for it, `PLACES` or `RENDERINGS` of `skyline.store.header`.
     """
 
     narrows: ClassVar[bool] = False
     finds_fov: ClassVar[bool] = False
+    searches: ClassVar[str] = RENDERINGS
 
     @classmethod
     def open(cls, source: Source) -> Self:

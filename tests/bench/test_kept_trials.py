@@ -9,7 +9,7 @@ from scenes import candidate_at
 
 from skyline.photo import QuerySkyline
 from skyline.pipeline import MatchResult
-from skyline_bench.queries.made import MadeQuery, Truth
+from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 from skyline_bench.trials.kept import (
     MEASURED_CODE,
     kept_trials,
@@ -21,7 +21,7 @@ from skyline_bench.trials.trials import summarize, trial_of
 
 SKYLINE = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 QUERIES = [
-    MadeQuery(
+    SyntheticQuery(
         SKYLINE, 60.0, (57.0, 63.0), Truth(100.0 * i, 0.0, 1e3, 10.0, 0, 0, 60.0),
         SKYLINE.row_px, 4000.0, (),
     )
@@ -73,7 +73,7 @@ def test_answers_depend_on_code_learned_models_and_shaders():
         assert all((Path(package.__file__).parent / name).exists() for name in names)
     assert len(measured_code_digest()) == 64
     names = {file.name for file in measured_files()}
-    assert {"retrieval.py", "confidence.json", "horizon_march.glsl", "made.py"} <= names
+    assert {"retrieval.py", "confidence.json", "horizon_march.glsl", "synthetic.py"} <= names
     assert not {"adaptive.py", "uniform_adaptive.py"} & names
 
 

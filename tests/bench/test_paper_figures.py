@@ -17,7 +17,7 @@ from skyline_bench.figures.stores import (
     work_query,
 )
 from skyline_bench.figures.views import draw_pairs, figure_1, figure_2, figure_4
-from skyline_bench.queries.made import QueryConfig, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_bench.stores.reference import place_store, uniform_store
 
 pytestmark = pytest.mark.usefixtures("no_gl_error")

@@ -10,9 +10,9 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline.photo import extract_photo
 from skyline.render.depth import DepthRenderer
-from skyline_bench.queries.made import QueryConfig, make_queries
 from skyline_bench.queries.photographs import draw_photo
 from skyline_bench.queries.scenery import Scenery
+from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
 pytestmark = pytest.mark.usefixtures("no_gl_error")
 

@@ -1,4 +1,4 @@
-"""Made queries against the oracle, and what their seed and their options decide."""
+"""Synthetic queries against the oracle, and what their seed and their options decide."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline.matching.query import level
 from skyline.terrain.viewpoints import Viewpoints
-from skyline_bench.queries.made import QueryConfig, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_bench.truth import oracle
 
 pytestmark = pytest.mark.usefixtures("no_gl_error")

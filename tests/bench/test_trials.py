@@ -10,7 +10,7 @@ from scenes import candidate_at
 from skyline.errors import InputError
 from skyline.photo import QuerySkyline
 from skyline.pipeline import MatchResult
-from skyline_bench.queries.made import MadeQuery, Truth
+from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 from skyline_bench.trials.trials import candidate_rows, run_trials, summarize, write_rows
 
 MISS_M = 5000.0
@@ -19,7 +19,7 @@ SKYLINE = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 
 def query_at(easting_m, heading_deg):
     truth = Truth(easting_m, 0.0, 1000.0, heading_deg, 0.0, 0.0, 60.0)
-    return MadeQuery(SKYLINE, 60.0, (57.0, 63.0), truth, SKYLINE.row_px, 4000.0, ())
+    return SyntheticQuery(SKYLINE, 60.0, (57.0, 63.0), truth, SKYLINE.row_px, 4000.0, ())
 
 
 class Nearby:

@@ -10,23 +10,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
+from commands import assert_refused, csv_of
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
-from skyline import Matcher, Narrowing, build_places, build_uniform, cli, read_dem, stand_on
+from skyline import build_places, build_uniform, cli, read_dem, stand_on
 from skyline.pipeline import places
-from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
-from skyline_bench.queries.photographs import photograph
-from skyline_bench.queries.pinhole import Camera
 from skyline_bench.truth import oracle
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-
-
-def csv_of(path, rows, header="easting,northing"):
-    path.write_text("\n".join([header, *rows]) + "\n")
-    return path
 
 
 @pytest.fixture
@@ -35,18 +27,6 @@ def viewpoints_csv(tmp_path):
         tmp_path / "viewpoints.csv",
         [f"{WEST_M + 900 + 300 * i},{NORTH_M - 1500}" for i in range(3)],
     )
-
-
-@pytest.fixture(scope="session")
-def photo(dem, tmp_path_factory):
-    """A photograph from a stored viewpoint, heading 140 degrees."""
-    terrain = read_dem([dem])
-    eye = stand_on(terrain, 601_800.0, 5_178_000.0)
-    with DepthRenderer(terrain, 1600) as renderer:
-        picture = photograph(renderer, eye, 0, Camera(140.0, fov_deg=60.0), seed=3)
-    path = tmp_path_factory.mktemp("photo") / "photo.jpg"
-    Image.fromarray(picture).save(path, quality=92)
-    return path
 
 
 def test_version_and_help(run):
@@ -238,233 +218,12 @@ def test_info_gl_says_what_was_chosen_and_why(run):
     assert facts["renderer"] in shown.out
 
 
-def test_extract_then_match_the_trace(run, store, photo, tmp_path):
-    trace, overlay = tmp_path / "trace.csv", tmp_path / "overlay.png"
-    done = run("extract", photo, "-o", trace, "--overlay", overlay)
-    assert done.code == 0, done.err
-    assert trace.read_text().startswith("# width=960 height=640\n")
-    assert cv2.imread(str(overlay)).shape == (640, 960, 3)
-    found = run("match", store, trace, "--fov-deg", "60", "--min-confidence", "0", "--json")
-    assert found.code == 0, found.err
-    record = json.loads(found.out)
-    assert set(record) == {"query", "answer", "candidates", "seconds"}
-    assert set(record["answer"]) == {
-        "easting", "northing", "lon", "lat", "heading_deg", "pitch_deg", "roll_deg", "fov_deg",
-        "score", "confidence", "refined",
-    }  # fmt: skip
-    assert record["answer"] == record["candidates"][0]
-    assert record["answer"]["refined"] is True
-    found = run("match", store, trace, "--fov-deg", "60", "--min-confidence", "1", "--json")
-    record = json.loads(found.out)
-    assert record["answer"] is None
-    assert "confidence" in record["refusal"]
-
-
-@pytest.mark.parametrize("matcher", ["paper", "correlation"])
-def test_match_finds_the_stored_place_of_a_photo(run, renderings, photo, matcher):
-    found = run("match", renderings, photo, "--fov-deg", "60", "--matcher", matcher, "--json")
-    answer = json.loads(found.out)["answer"]
-    assert abs(answer["easting"] - 601_800.0) < 1.0
-    assert abs(answer["northing"] - 5_178_000.0) < 1.0
-    terrain_turn = 0.95  # grid convergence near 10.33 E in UTM 32, degrees
-    assert abs(answer["heading_deg"] - 140.0 - terrain_turn) < 1.5
-    plain = run("match", renderings, photo, "--fov-deg", "60", "--matcher", matcher)
-    assert "unrefined" in plain.out
-    narrowed = run(
-        *("match", renderings, photo, "--fov-deg", "60", "--matcher", matcher),
-        *("--heading", "140,10"),
-    )
-    assert_refused(narrowed, "only the full matcher can narrow its search")
-    assert_refused(
-        run("match", renderings, photo, "--fov-deg", "60"), "holds renderings, not places"
-    )
-
-
-@pytest.mark.parametrize("matcher", ["paper", "correlation"])
-def test_the_papers_matchers_take_renderings_alone(run, store, photo, matcher):
-    done = run("match", store, photo, "--fov-deg", "60", "--matcher", matcher)
-    assert_refused(done, "holds places, not renderings")
-
-
-def lonlat_of(dem, easting_m, northing_m):
-    lon, lat = read_dem([dem]).frame.to_lonlat(easting_m, northing_m)
-    return float(lon), float(lat)
-
-
-CELL_M = 40.0 * math.sqrt(2.0)
-"""No place of a grid of 80 m is farther off than this."""
-
-
-def retrieved(run, store, photo, *options):
-    """Return what was found for a photo taken at (601800, 5178000), looking 141 degrees."""
-    found = run(
-        *("match", store, photo, "--fov-deg", "60", "--no-refine", "--min-confidence", "0"),
-        *("--json", *options),
-    )
-    assert found.code == 0, found.err
-    record = json.loads(found.out)
-    assert record["candidates"]
-    return record["candidates"]
-
-
-def off_m(place, easting_m=601_800.0, northing_m=5_178_000.0):
-    return math.hypot(place["easting"] - easting_m, place["northing"] - northing_m)
-
-
-def test_match_near_a_place(run, store, dem, photo):
-    lon, lat = lonlat_of(dem, 602_000.0, 5_178_100.0)
-    found = retrieved(run, store, photo, "--near", f"{lon},{lat},0.4")
-    assert off_m(found[0]) < CELL_M
-    assert max(off_m(place, 602_000.0, 5_178_100.0) for place in found) < 401.0
-    lon, lat = lonlat_of(dem, 601_000.0, 5_179_000.0)
-    found = retrieved(run, store, photo, "--near", f"{lon},{lat},0.4")
-    assert max(off_m(place, 601_000.0, 5_179_000.0) for place in found) < 401.0
-
-
-def test_match_within_bounds(run, store, dem, photo):
-    west, south = lonlat_of(dem, 600_800.0, 5_177_500.0)
-    east, north = lonlat_of(dem, 601_500.0, 5_178_500.0)
-    for place in retrieved(run, store, photo, "--bounds", f"{west},{south},{east},{north}"):
-        # Meridians are not parallel to the map's north.
-        assert 600_800.0 - 20.0 < place["easting"] < 601_500.0 + 20.0
-        assert 5_177_500.0 - 20.0 < place["northing"] < 5_178_500.0 + 20.0
-
-
-@pytest.mark.parametrize("heading", [141.0, 300.0])
-def test_match_along_a_heading(run, store, photo, heading):
-    found = retrieved(run, store, photo, "--heading", f"{heading},8")
-    for place in found:
-        assert abs(place["heading_deg"] - heading) <= 8.0
-    assert (off_m(found[0]) < CELL_M) == (heading == 141.0)
-
-
-def test_match_between_elevations(run, store, dem, photo):
-    ground_m = read_dem([dem]).height_at
-    true_m = float(ground_m(601_800.0, 5_178_000.0))
-    found = retrieved(run, store, photo, "--elevation", f"{true_m - 20},{true_m + 20}")
-    assert off_m(found[0]) < CELL_M
-    # A retrieved eye stands where the slope of its place says that the ground is.
-    for place in retrieved(run, store, photo, "--elevation", f"{true_m + 40},{true_m + 400}"):
-        assert ground_m(place["easting"], place["northing"]) > true_m + 30.0
-
-
-def test_refined_places_stay_within_bounds(run, store, dem, photo):
-    west, south = lonlat_of(dem, 600_800.0, 5_177_500.0)
-    east, north = lonlat_of(dem, 601_500.0, 5_178_500.0)
-    found = run(
-        *("match", store, photo, "--fov-deg", "60", "--json"),
-        *("--bounds", f"{west},{south},{east},{north}"),
-    )
-    for place in json.loads(found.out)["candidates"]:
-        assert 600_800.0 - 20.0 < place["easting"] < 601_500.0 + 20.0
-
-
-def test_a_search_narrowed_to_nothing_is_one_line(run, store, photo, tmp_path):
-    command = ["match", store, photo, "--fov-deg", "60"]
-    for options in (
-        ("--bounds", "9.0,46.0,9.1,46.1"),
-        ("--near", "9.0,46.0,5"),
-        ("--elevation", "8000,9000"),
-    ):
-        done = run(*command, *options)
-        assert_refused(done, "no place within what the search is narrowed to")
-    done = run(*command, "--elevation", "8000,9000", "--report", tmp_path / "report")
-    assert done.code == 2
-    assert not (tmp_path / "report").exists()
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--near", "10.3,46.7"), "--near is `10.3,46.7`; expected 3 numbers LON,LAT,KM"),
-        (("--near", "10.3,46.7,0"), "a radius above 0 km"),
-        (("--near", "10.3,95,3"), "longitude and latitude"),
-        (("--bounds", "1,2,3"), "bounds are `1,2,3`"),
-        (("--heading", "140"), "--heading is `140`; expected 2 numbers DEG,SLACK"),
-        (("--heading", "north,5"), "--heading is `north,5`"),
-        (("--heading", "140,0"), "expected a slack above 0"),
-        (("--elevation", "900,100"), "expected two that increase"),
-        (("--elevation", "nan,100"), "expected two that increase"),
-    ],
-)
-def test_a_narrowing_that_is_none_is_one_line(run, store, photo, options, said):
-    assert_refused(run("match", store, photo, "--fov-deg", "60", *options), said)
-
-
-def test_a_dem_that_is_not_the_stores_is_one_line(run, store, photo, tmp_path):
-    other = write_dem(tmp_path / "other.tif", fractal(110, 120, seed=99))
-    done = run("match", store, photo, "--fov-deg", "60", "--dem", other)
-    assert_refused(done, "digest")
-
-
-@pytest.mark.parametrize("workers", [(), ("--workers", "1")])
-def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path, workers):
-    text, geojson = tmp_path / "text.jpg", tmp_path / "found.geojson"
-    text.write_text("no photo")
-    command = ["match", store, photo, text, photo, "--fov-deg", "60", "--no-refine"]
-    done = run(*command, "--json", "--geojson", geojson, *workers)
-    assert done.code == 2
-    assert [json.loads(line)["query"] for line in done.out.splitlines()] == [str(photo)] * 2
-    assert re.fullmatch(r"error: .*text\.jpg.*\n", done.err)
-    assert json.loads(geojson.read_text())["features"]
-
-
-def test_what_is_read_is_not_written_over(run, store, photo):
-    before = photo.read_bytes(), store.read_bytes()
-    for command in (
-        ("extract", photo, "-o", photo),
-        ("extract", photo, "-o", photo.with_suffix(".csv"), "--overlay", photo),
-        ("match", store, photo, "--fov-deg", "60", "--geojson", store),
-        ("match", store, photo, "--fov-deg", "60", "--geojson", photo),
-    ):
-        done = run(*command)
-        assert done.code == 2
-        assert "choose another name" in done.err
-    assert (photo.read_bytes(), store.read_bytes()) == before
-
-
 @pytest.mark.parametrize("group", ["store", "dem"])
 def test_a_group_without_a_command_prints_its_help_alone(run, group):
     done = run(group)
     assert done.code == 2
     assert "Usage" in done.out + done.err
     assert "error:" not in done.err
-
-
-def test_match_writes_a_report_and_geojson_beside_the_same_json(run, store, photo, tmp_path):
-    peaks = csv_of(tmp_path / "peaks.csv", ["Top,601900,5177000"], "name,easting,northing")
-    folder, geojson = tmp_path / "report", tmp_path / "found.geojson"
-    query = ["match", store, photo, "--fov-deg", "60", "--json"]
-    plain = json.loads(run(*query).out)
-    done = run(*query, "--report", folder, "--peaks", peaks, "--geojson", geojson)
-    assert done.code == 0, done.err
-    record = json.loads(done.out)
-    assert record["candidates"] == plain["candidates"]
-    html = (folder / "index.html").read_text()
-    assert f"{record['answer']['lat']:.5f}" in html
-    assert "the skyline rendered at the best candidate" in html
-    assert cv2.imread(str(folder / "01-overlay.jpg")).std() > 20.0
-    features = json.loads(geojson.read_text())["features"]
-    points = [f for f in features if f["properties"]["shape"] == "candidate"]
-    ranks = [point["properties"]["rank"] for point in points]
-    assert ranks == list(range(1, len(record["candidates"]) + 1))
-    assert points[0]["properties"]["query"] == str(photo)
-    assert_refused(run(*query, "--peaks", peaks), "--report")
-    assert_refused(run(*query, "--report", folder, "--peaks", photo), "cannot be read")
-    unwritable = run(*query, "--geojson", photo / "a.json")
-    assert unwritable.code == 2
-    assert "cannot be written" in unwritable.err
-
-
-def test_a_report_goes_without_relief_where_the_dem_is_gone(run, dem, photo, tmp_path, caplog):
-    moved, store = tmp_path / "moved.tif", tmp_path / "store.h5"
-    moved.write_bytes(dem.read_bytes())
-    assert run("build", moved, "-o", store, "--spacing", "300").code == 0
-    moved.unlink()
-    done = run("match", store, photo, "--fov-deg", "60", "--report", tmp_path / "report")
-    assert done.code == 0, done.err
-    assert "no relief: the store's DEM is not at" in caplog.text
-    assert "no elevation model" in (tmp_path / "report" / "index.html").read_text()
 
 
 def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
@@ -514,14 +273,6 @@ def test_bad_viewpoints_are_one_line_and_write_nothing(run, dem, tmp_path, case)
     done = run("render", dem, "--viewpoints", path, "-o", out)
     assert_refused(done, message)
     assert not list(tmp_path.glob("out.h5*"))
-
-
-def assert_refused(done, message):
-    assert done.code == 2, done
-    assert message in done.err
-    assert done.err.startswith("error: ")
-    assert done.err.count("\n") == 1
-    assert done.out == ""
 
 
 def test_bad_dems_are_one_line(run, tmp_path):
@@ -581,17 +332,6 @@ def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
     assert not out.exists()
 
 
-def test_bad_queries_are_one_line(run, store, photo, tmp_path):
-    sky = tmp_path / "sky.png"
-    Image.new("RGB", (320, 240), (120, 160, 220)).save(sky)
-    corrupt = tmp_path / "corrupt.jpg"
-    corrupt.write_bytes(photo.read_bytes()[:2000])
-    for path, message in [(sky, "no skyline"), (corrupt, "corrupt.jpg")]:
-        assert_refused(run("match", store, path, "--fov-deg", "60"), message)
-        assert_refused(run("extract", path, "-o", tmp_path / "trace.csv"), message)
-    assert not (tmp_path / "trace.csv").exists()
-
-
 @pytest.mark.parametrize("kind", ["store", "renderings"])
 def test_a_store_of_another_dem_is_refused_and_kept(run, kind, tmp_path, request):
     other = write_dem(tmp_path / "other.tif", fractal(110, 120, seed=99))
@@ -601,22 +341,6 @@ def test_a_store_of_another_dem_is_refused_and_kept(run, kind, tmp_path, request
     done = run("build", other, "-o", store, *planner)
     assert_refused(done, "digest")
     assert store.read_bytes() == before
-
-
-def test_a_truncated_store_is_refused(run, store, photo, tmp_path):
-    cut = tmp_path / "cut.h5"
-    cut.write_bytes(store.read_bytes()[:900_000])
-    for arguments in (["match", cut, photo, "--fov-deg", "60"], ["info", cut]):
-        assert_refused(run(*arguments), "cut.h5")
-
-
-def test_the_python_interface_of_the_documents(store, photo):
-    result = Matcher(store).match(photo, fov_deg=60.0)
-    assert result.answer is not None
-    assert result.answer == result.candidates[0]
-    above = Narrowing(elevation_m=(result.answer.eye_elevation_m + 30.0, 9000.0))
-    other = Matcher(store).match(photo, fov_deg=60.0, narrowing=above)
-    assert result.answer not in other.candidates
 
 
 def test_explain_says_what_was_modelled_and_what_it_costs(dem, run):

@@ -12,7 +12,7 @@ from skyline.photo import write_trace
 from skyline.pipeline import FULL, QueryReading, batch, match_many, remote_runner
 from skyline.pipeline.jobs import run_here
 from skyline.store import open_store
-from skyline_bench.queries.made import QueryConfig, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
 SPACING_M = 40.0
 AREA = (WEST_M + 800.0, NORTH_M - 2400.0, WEST_M + 2400.0, NORTH_M - 800.0)

@@ -11,7 +11,7 @@ import pytest
 from scenes import FRAME, fractal
 
 from skyline import HeightField, MatchConfig, Matcher, build_places
-from skyline_bench.queries.made import QueryConfig, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
 SIZE, SPACING_M = 200, 30.0
 HALF_M = (SIZE - 1) / 2.0 * SPACING_M

@@ -71,7 +71,7 @@ def matching(
     quick: Quick = False,
     crs: Crs = None,
 ) -> None:
-    """Matchers on uniform stores: how often, how far off and how fast made queries are found.
+    """Matchers on uniform stores: how often, how far off and how fast synthetic queries are found.
 
     The paper's matcher and correlation search renderings, ours searches places; stores are built
     where a matcher searches them. Where a spacing or a store is given, no others are built. A

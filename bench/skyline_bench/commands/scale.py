@@ -89,7 +89,7 @@ def scale(
     quick: Quick = False,
     crs: Crs = None,
 ) -> None:
-    """Size: a store of places built, and made queries found in squares of it that grow.
+    """Size: a store of places built, and synthetic queries found in squares of it that grow.
 
     A query's place lies anywhere in its squares. Of screened, fitted, retrieved and refined
     places, the share of queries is told that have one within one spacing of the truth, looking

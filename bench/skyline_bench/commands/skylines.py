@@ -73,9 +73,6 @@ def speed_error(
 def stability(
     json_file: JsonFile = None,
     plot: PlotFile = None,
-    seed: Annotated[
-        int, typer.Option(help="For uniformity: the cases are fixed, nothing is drawn.")
-    ] = 0,
     quick: Quick = False,
 ) -> None:
     """Every hard case along every path that promises something there; exit code 1 if one fails."""

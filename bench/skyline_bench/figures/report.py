@@ -23,7 +23,7 @@ from skyline_bench.figures.tables import EQUAL, REACHED, STORES, in_megabytes, s
 from skyline_bench.figures.uniform_adaptive import draw_costs
 from skyline_bench.figures.views import draw_pairs, figure_1, figure_2, figure_4
 from skyline_bench.measuring.record import Row, machine, shown
-from skyline_bench.queries.made import MadeQuery
+from skyline_bench.queries.synthetic import SyntheticQuery
 from skyline_bench.runs.cost_summary import UNIFORM, equal_rows, reached_rows
 from skyline_bench.runs.uniform_adaptive import Measured, UniformAdaptive
 from skyline_bench.trials.matchers import WHAT
@@ -77,7 +77,7 @@ def write_report(folder: Path, compared: UniformAdaptive) -> Path:
     ]
     west, south, east, north = map_bounds(compared.terrain, compared.bounds_deg)
     lead = (
-        f"{len(compared.queries)} made queries in {(east - west) / 1e3:.1f} x "
+        f"{len(compared.queries)} synthetic queries in {(east - west) / 1e3:.1f} x "
         f"{(north - south) / 1e3:.1f} km, bounds "
         f"{','.join(f'{degrees:.4f}' for degrees in compared.bounds_deg)}, seed {compared.seed}. "
         "Errors are metres from where a query was taken to the best candidate; a query without "
@@ -142,7 +142,7 @@ def _example(measured: Sequence[Measured]) -> Measured:
     return (refined or list(measured))[-1]
 
 
-def _typical(measured: Measured, queries: Sequence[MadeQuery]) -> int:
+def _typical(measured: Measured, queries: Sequence[SyntheticQuery]) -> int:
     """Return the number of the query of median error: neither a good one nor a bad one.
 
     Of those whose skyline a landscape photograph shows whole.

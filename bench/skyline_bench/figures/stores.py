@@ -24,8 +24,8 @@ from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.figures.canvas import new_figure
-from skyline_bench.queries.made import MadeQuery
 from skyline_bench.queries.photographs import draw_photo
+from skyline_bench.queries.synthetic import SyntheticQuery
 from skyline_bench.stores.reference import ReferenceStore
 from skyline_bench.trials.matchers import open_matcher
 from skyline_bench.trials.trials import errors
@@ -68,7 +68,7 @@ class WorkedQuery:
 
     Attributes
     ----------
-    query : MadeQuery
+    query : SyntheticQuery
         Its truth.
     photo : (H, W, 3) uint8
         RGB.
@@ -79,14 +79,14 @@ class WorkedQuery:
     store : ReferenceStore
     """
 
-    query: MadeQuery
+    query: SyntheticQuery
     photo: NDArray[np.uint8]
     found: QuerySkyline
     candidates: tuple[Candidate, ...]
     store: ReferenceStore
 
 
-def fits_landscape(query: MadeQuery) -> bool:
+def fits_landscape(query: SyntheticQuery) -> bool:
     """Whether a query's skyline is wholly inside the photograph that `work_query` draws."""
     shown = np.arange(query.skyline.height_px)[_landscape(query)]
     row = query.row_px
@@ -94,7 +94,7 @@ def fits_landscape(query: MadeQuery) -> bool:
     return bool(((row > shown[0] + room) & (row < shown[-1] - room)).all())
 
 
-def _landscape(query: MadeQuery) -> slice:
+def _landscape(query: SyntheticQuery) -> slice:
     """Return the middle rows of a query's picture that make it two thirds as high as wide."""
     height = min(query.skyline.height_px, round(query.skyline.width_px / 1.5))
     # As many rows are left out above as below, so that the optical axis stays in the middle.
@@ -105,7 +105,7 @@ def _landscape(query: MadeQuery) -> slice:
 def work_query(
     terrain: HeightField,
     store: ReferenceStore,
-    query: MadeQuery,
+    query: SyntheticQuery,
     seed: int,
     matcher: str = FULL,
 ) -> WorkedQuery:

@@ -1,1 +1,1 @@
-"""Made queries with known answers: skylines, photographs, and the terrain they show."""
+"""Synthetic queries with known answers: skylines, photographs, and the terrain they show."""

@@ -12,9 +12,9 @@ from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, rotation
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.viewpoints import Viewpoints
-from skyline_bench.queries.made import MadeQuery
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.scenery import Scenery, ground_rgb, put_in_front, sky_rgb
+from skyline_bench.queries.synthetic import SyntheticQuery
 
 _BLUR_PX = 0.6
 _NOISE = 3.0
@@ -43,9 +43,9 @@ def photograph(
 
 
 def draw_photo(
-    renderer: DepthRenderer, query: MadeQuery, seed: int, scenery: Scenery | None = None
+    renderer: DepthRenderer, query: SyntheticQuery, seed: int, scenery: Scenery | None = None
 ) -> NDArray[np.uint8]:
-    """Return the RGB photograph (H, W, 3) of a made query, its occluders in front.
+    """Return the RGB photograph (H, W, 3) of a synthetic query, its occluders in front.
 
     Sky and ground meet exactly at ``query.row_px``, the border pixels mixed from both; the depth
     images behind decide only what the ground looks like. ``renderer`` must draw the terrain the

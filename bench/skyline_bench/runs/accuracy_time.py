@@ -28,7 +28,7 @@ from skyline.pipeline.config import mapped_area_m, read_dem_of
 from skyline.pipeline.match import RenderedScene
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
-from skyline_bench.queries.made import MadeQuery, QueryConfig, Truth, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth, make_queries
 
 T = TypeVar("T")
 
@@ -92,7 +92,7 @@ class _Bench:
         }
         self._miss_m = miss_m
 
-    def outcomes(self, query: MadeQuery) -> Iterator[tuple[Setting, Outcome]]:
+    def outcomes(self, query: SyntheticQuery) -> Iterator[tuple[Setting, Outcome]]:
         """Yield what became of a query in every setting."""
         try:
             rays = query.rays()
@@ -155,7 +155,7 @@ def _summary(setting: Setting, outcomes: Sequence[Outcome]) -> dict[str, object]
 def measure(
     path: Path, dem: Sequence[str], queries: int, seed: int, progress: Progress | None = None
 ) -> list[dict[str, object]]:
-    """Match made queries to a store of places in every setting; return a row a setting."""
+    """Match synthetic queries to a store of places in every setting; return a row a setting."""
     with open_store(path) as store:
         terrain = read_dem_of(store.header, dem)
         west, south, east, north = mapped_area_m(store.header, terrain) or map_bounds(terrain, None)

@@ -1,6 +1,6 @@
 """Learning how far a match can be believed, and showing that it can.
 
-Made queries of many kinds, some taken outside the mapped area, are matched on terrain that no
+Synthetic queries of many kinds, some taken outside the mapped area, are matched on terrain that no
 result is reported on. For each the figures of the best pose (`matching.confidence`) and whether
 it is right are an example; a logistic model is fitted to them with a small ridge.
 """
@@ -19,7 +19,7 @@ from skyline.matching import confidence
 from skyline.matching.confidence import RIGHT_WITHIN_M, Logistic
 from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
-from skyline_bench.queries.made import MadeQuery
+from skyline_bench.queries.synthetic import SyntheticQuery
 
 Reliability = tuple[str, Float64Array, BoolArray]
 """A label, probabilities (N,), and whether the answers were right."""
@@ -38,7 +38,9 @@ class Example:
     right: bool
 
 
-def examples(matcher: FullMatcher, queries: Sequence[MadeQuery]) -> Iterator[dict[str, Example]]:
+def examples(
+    matcher: FullMatcher, queries: Sequence[SyntheticQuery]
+) -> Iterator[dict[str, Example]]:
     """Yield an example for each model and query; queries that nothing fits give none."""
     for query in queries:
         try:
@@ -57,7 +59,7 @@ def examples(matcher: FullMatcher, queries: Sequence[MadeQuery]) -> Iterator[dic
         yield told
 
 
-def _example(figures: dict[str, Float64Array], poses: Hypotheses, query: MadeQuery) -> Example:
+def _example(figures: dict[str, Float64Array], poses: Hypotheses, query: SyntheticQuery) -> Example:
     best = int(np.argmin(poses.score))
     east_m = poses.easting_m[best] - query.truth.easting_m
     north_m = poses.northing_m[best] - query.truth.northing_m

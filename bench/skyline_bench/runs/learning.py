@@ -24,8 +24,8 @@ from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.workers import crew
-from skyline_bench.queries.made import MadeQuery, QueryConfig, make_queries
 from skyline_bench.queries.other_dems import perturbed
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
 from skyline_bench.runs.calibration import (
     MODELS,
     Example,
@@ -92,7 +92,7 @@ def _middle_of(terrain: HeightField) -> tuple[Float64Array, float]:
     return middle, 0.5 * min(SIDE_M, 0.7 * (east - west), 0.7 * (north - south))
 
 
-def _strangers(terrain: HeightField, queries: int, seed: int) -> list[tuple[MadeQuery, ...]]:
+def _strangers(terrain: HeightField, queries: int, seed: int) -> list[tuple[SyntheticQuery, ...]]:
     """Make queries of every kind, and plain ones, in a terrain's middle."""
     middle, half = _middle_of(terrain)
     area = (*(middle - half), *(middle + half))
@@ -104,7 +104,7 @@ def _strangers(terrain: HeightField, queries: int, seed: int) -> list[tuple[Made
 
 def _all_queries(
     terrain: HeightField, middle: Float64Array, half: float, queries: int, seed: int
-) -> list[tuple[MadeQuery, ...]]:
+) -> list[tuple[SyntheticQuery, ...]]:
     """Make queries of every kind, of this elevation model and of one that differs."""
     area = (*(middle - half), *(middle + half))
     return [

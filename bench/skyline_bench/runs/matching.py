@@ -1,4 +1,4 @@
-"""Matchers compared: how often, how far off and how fast they find made queries in stores."""
+"""Matchers compared: how often, how far off and how fast they find synthetic queries in stores."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,8 +12,8 @@ from skyline.pipeline import PlaceConfig, Progress, RenderConfig
 from skyline.planning.uniform import map_bounds
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.queries.made import MadeQuery, QueryConfig, make_queries
 from skyline_bench.queries.other_dems import perturbed, resampled
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
 from skyline_bench.stores.reference import (
     ReferenceStore,
     check_spacing,
@@ -209,7 +209,7 @@ def _stores(
 
 def _queries(
     terrain: HeightField, config: MatchingConfig, bounds_deg: BoundsDeg, kind: str
-) -> Sequence[MadeQuery]:
+) -> Sequence[SyntheticQuery]:
     seen, query = terrain, config.query
     if kind == OTHER_DEM:
         other = resampled(terrain, _OTHER_SPACING * terrain.spacing_m, _OTHER_PHASE)

@@ -13,9 +13,10 @@ from PIL import Image
 
 from skyline.features import polyline_keypoints
 from skyline.photo import read_query
-from skyline.pipeline import FULL, MATCHERS, Matcher, build_uniform
+from skyline.pipeline import MATCHERS, Matcher, build_places, build_uniform
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
+from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.dem import read_dem
 from skyline_bench.queries.photographs import photograph
 from skyline_bench.queries.pinhole import Camera
@@ -23,6 +24,7 @@ from skyline_bench.queries.sample import write_sample_dem
 from skyline_bench.truth import oracle
 
 BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
+SPACING_M = 500.0
 CAMERA = Camera(140.0, fov_deg=60.0)
 
 
@@ -56,14 +58,15 @@ def measure(folder: Path, repeats: int) -> list[dict[str, object]]:
     with DepthRenderer(terrain) as renderer:
         views = renderer.render(eyes)
     row("keypoints", timed(lambda: polyline_keypoints(views, 1.0), repeats), len(views), "view")
-    store = folder / "store.h5"
-    build_uniform(terrain, store, 500.0, BOUNDS_DEG)
+    stores = {RENDERINGS: folder / "renderings.h5", PLACES: folder / "places.h5"}
+    build_uniform(terrain, stores[RENDERINGS], SPACING_M, BOUNDS_DEG)
+    build_places(terrain, stores[PLACES], SPACING_M, BOUNDS_DEG)
     query = folder / "query.jpg"
     with DepthRenderer(terrain, 2048) as renderer:
         Image.fromarray(photograph(renderer, eyes, 0, CAMERA, seed=1)).save(query, quality=92)
     row("photo to skyline", timed(lambda: read_query(query, CAMERA.fov_deg), repeats), 1, "photo")
-    for name in (name for name in MATCHERS if name != FULL):
-        matcher = Matcher(store, matcher=name)
-        seconds = timed(partial(matcher.match, query, CAMERA.fov_deg), repeats)
-        row(f"match, {name}", seconds, len(matcher.viewpoints), "stored location")
+    for name, kind in MATCHERS.items():
+        with Matcher(stores[kind.searches], terrain, name) as matcher:
+            seconds = timed(partial(matcher.match, query, CAMERA.fov_deg), repeats)
+            row(f"match, {name}", seconds, len(matcher.viewpoints), "stored location")
     return rows

@@ -22,7 +22,7 @@ from skyline.places import BINS, DISTANCE_BINS, Places
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline_bench.measuring.memory import own_bytes
-from skyline_bench.queries.made import QueryConfig, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
 STEEPER = (0.6, 1.5)
 """Tangents of made-up places are those of the store's times a number between these."""
@@ -93,7 +93,7 @@ def measure(
     seed: int,
     progress: Progress | None = None,
 ) -> list[dict[str, object]]:
-    """Look for made queries among a store's places, and among so many in all; a row for each."""
+    """Look for synthetic queries among a store's places, then among many; a row for each."""
     with open_store(path) as store:
         terrain = read_dem_of(store.header, dem)
         area_m = mapped_area_m(store.header, terrain) or map_bounds(terrain, None)

@@ -1,6 +1,6 @@
 """Size measured: one store of places, searched in squares that grow to all of it.
 
-Each made query is looked for in squares that hold its place anywhere, so that the same queries
+Each synthetic query is looked for in squares that hold its place anywhere, so that the same queries
 tell what a larger area costs and how much of the accuracy it takes. Results are kept after each
 search, so that a run that was killed goes on.
 """
@@ -30,7 +30,7 @@ from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.memory import own_bytes, peak_bytes, reset_peak
-from skyline_bench.queries.made import MadeQuery, QueryConfig, Truth, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth, make_queries
 from skyline_bench.runs.matching import BoundsDeg, middle_deg
 from skyline_bench.stores.reference import (
     ReferenceStore,
@@ -321,7 +321,7 @@ def _digest(terrain: HeightField, config: ScaleConfig, store: ReferenceStore) ->
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def _distance_m(query: MadeQuery) -> float:
+def _distance_m(query: SyntheticQuery) -> float:
     return query.distance_m if np.isfinite(query.distance_m) else 0.0
 
 

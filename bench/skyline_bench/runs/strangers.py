@@ -11,7 +11,7 @@ import numpy as np
 from skyline import MatchConfig, Matcher
 from skyline.pipeline import Progress
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.queries.made import QueryConfig, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
 HALF_SIDE_M = 4_000.0
 

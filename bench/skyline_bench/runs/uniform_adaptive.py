@@ -19,7 +19,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.digests import file_digest
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.measuring.workers import Crew, crew
-from skyline_bench.queries.made import MadeQuery, QueryConfig, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
 from skyline_bench.runs.cost_summary import UNIFORM
 from skyline_bench.runs.matching import BoundsDeg, middle_deg
 from skyline_bench.stores.reference import (
@@ -184,7 +184,7 @@ class UniformAdaptive:
     terrain : HeightField
     bounds_deg : tuple
         Of the area.
-    queries : tuple of MadeQuery
+    queries : tuple of SyntheticQuery
     groups : tuple of DistanceGroup
         Close, medium, far and all.
     measured : tuple of Measured
@@ -194,7 +194,7 @@ class UniformAdaptive:
 
     terrain: HeightField
     bounds_deg: BoundsDeg
-    queries: tuple[MadeQuery, ...]
+    queries: tuple[SyntheticQuery, ...]
     groups: tuple[DistanceGroup, ...]
     measured: tuple[Measured, ...]
     seed: int
@@ -210,7 +210,7 @@ class _Bench:
 
     terrain: HeightField
     bounds_deg: BoundsDeg
-    queries: tuple[MadeQuery, ...]
+    queries: tuple[SyntheticQuery, ...]
     miss_m: float
     holds: frozenset[str]
     folder: Path

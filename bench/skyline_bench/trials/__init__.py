@@ -1,1 +1,1 @@
-"""Trials: matchers run on made queries, and how wrong their answers are."""
+"""Trials: matchers run on synthetic queries, and how wrong their answers are."""

@@ -14,7 +14,7 @@ from skyline.files import write_with_folders
 from skyline.matching import Candidate
 from skyline.render.shaders import SHADER_FOLDERS
 from skyline_bench.measuring.digests import code_files, files_digest
-from skyline_bench.queries.made import MadeQuery
+from skyline_bench.queries.synthetic import SyntheticQuery
 from skyline_bench.trials.trials import Trial
 
 Key = Mapping[str, object]
@@ -26,7 +26,8 @@ MEASURED_CODE: Mapping[ModuleType, Sequence[str]] = {
         "pipeline", "places", "planning/uniform.py", "render", "store", "terrain",
     ),
     skyline_bench: (
-        "queries/made.py", "queries/occluders.py", "queries/panoramas.py", "queries/pinhole.py",
+        "queries/synthetic.py", "queries/occluders.py", "queries/panoramas.py",
+        "queries/pinhole.py",
         "trials/matchers.py", "trials/traced.py", "trials/trials.py",
     ),
 }  # fmt: skip
@@ -48,7 +49,7 @@ def save_trials(path: Path, key: Key, trials: Sequence[Trial]) -> None:
     write_with_folders(path, json.dumps({"key": key, "trials": kept}) + "\n")
 
 
-def kept_trials(path: Path, key: Key, queries: Sequence[MadeQuery]) -> list[Trial] | None:
+def kept_trials(path: Path, key: Key, queries: Sequence[SyntheticQuery]) -> list[Trial] | None:
     """Return the trials of these queries that were kept under a key; None where there are none.
 
     A file that holds others, or cannot be read, counts as none: it will be written again.

@@ -7,14 +7,14 @@ from types import MappingProxyType
 
 from skyline.errors import InputError
 from skyline.matching.match_config import MatchConfig
-from skyline.pipeline import FULL, Matcher
-from skyline.store.header import PLACES, RENDERINGS
+from skyline.pipeline import FULL, MATCHERS, Matcher
+from skyline.store.header import RENDERINGS
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.queries.made import QueryConfig
+from skyline_bench.queries.synthetic import QueryConfig
 
 PAPER, CORRELATION, RETRIEVED = "paper", "correlation", "retrieved"
 MATCHING = MatchConfig(fov_slack=QueryConfig().fov_error)
-"""The field of view of made queries is known to 5 %."""
+"""The field of view of synthetic queries is known to 5 %."""
 
 WHAT: Mapping[str, str] = MappingProxyType(
     {
@@ -29,7 +29,7 @@ WHAT: Mapping[str, str] = MappingProxyType(
 
 def searched_by(name: str) -> str:
     """Return what a store must hold for a matcher to search it: places or renderings."""
-    return PLACES if name in (RETRIEVED, FULL) else RENDERINGS
+    return MATCHERS[FULL if name == RETRIEVED else name].searches
 
 
 def open_matcher(name: str, store: Path, terrain: HeightField) -> Matcher:

@@ -19,7 +19,7 @@ from skyline.matching.screening import Alike, Screen, sample_of
 from skyline.pipeline.match import too_little, unsure
 from skyline.places import PlaceSource
 from skyline.terrain.heightfield import Ground
-from skyline_bench.queries.made import MadeQuery, Truth
+from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 from skyline_bench.trials.matchers import MATCHING
 from skyline_bench.trials.trials import errors
 
@@ -80,7 +80,7 @@ class Traced:
         self.spacing_m = 2.0 * float(np.median(sample_of(places).tolerance_m))
         """Between places."""
 
-    def match(self, query: MadeQuery, narrowed: Narrowed | None = None) -> Outcome:
+    def match(self, query: SyntheticQuery, narrowed: Narrowed | None = None) -> Outcome:
         """Match a query, and say how far it came."""
         if too_little(query.skyline, MATCHING):
             return Outcome()

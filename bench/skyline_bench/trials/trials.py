@@ -1,4 +1,4 @@
-"""Trials: one matcher's answers to made queries, how wrong they are, and their summary."""
+"""Trials: one matcher's answers to synthetic queries, how wrong they are, and their summary."""
 
 import csv
 import time
@@ -15,7 +15,7 @@ from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.photo import QuerySkyline
 from skyline.pipeline import MatchResult
 from skyline_bench.measuring.record import write_record
-from skyline_bench.queries.made import MadeQuery, Truth
+from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 
 _RESAMPLES = 2000
 _INTERVAL = (2.5, 97.5)
@@ -68,7 +68,7 @@ class Trial:
 
 
 def run_trials(
-    matcher: QueryMatcher, queries: Sequence[MadeQuery], miss_m: float, top: int
+    matcher: QueryMatcher, queries: Sequence[SyntheticQuery], miss_m: float, top: int
 ) -> Iterator[Trial]:
     """Yield a trial of each query; a query without any candidate is wrong by ``miss_m``."""
     for index, query in enumerate(queries):
@@ -82,7 +82,7 @@ def run_trials(
 
 
 def trial_of(
-    index: int, query: MadeQuery, result: MatchResult | None, seconds: float, miss_m: float
+    index: int, query: SyntheticQuery, result: MatchResult | None, seconds: float, miss_m: float
 ) -> Trial:
     """Return what a result, None for a refusal, makes of the query of that number."""
     candidates = result.candidates if result else ()

@@ -1,6 +1,6 @@
 """The query maker: what photos taken at random places would show, and where they were taken.
 
-A made query is what a matcher is given for a photo: the skyline's row in each column of an
+A synthetic query is what a matcher is given for a photo: the skyline's row in each column of an
 image, with the errors of an extraction, and a field of view that is nearly right. All is drawn
 from a seed, each query by itself: query k of a seed is the same whatever the number of queries,
 and its place and pose are the same whatever the noise, the occluders or the elevation model.
@@ -133,7 +133,7 @@ class Truth:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MadeQuery:
+class SyntheticQuery:
     """One query and the truth about it.
 
     Attributes
@@ -179,7 +179,7 @@ def make_queries(
     count: int,
     seed: int = 0,
     config: QueryConfig | None = None,
-) -> tuple[MadeQuery, ...]:
+) -> tuple[SyntheticQuery, ...]:
     """Make queries at places drawn evenly from an area, looking anywhere.
 
     Parameters
@@ -208,7 +208,7 @@ def make_queries(
 
 def _queries(
     terrain: HeightField, bounds_m: MapBounds, count: int, seed: int, config: QueryConfig
-) -> Iterator[MadeQuery]:
+) -> Iterator[SyntheticQuery]:
     held = [_hold(terrain, bounds_m, [seed, index], config) for index in range(count)]
     easting_m, northing_m = np.array([place for place, _ in held]).T
     eyes = stand_on(terrain, easting_m, northing_m, config.eye_height_m)
@@ -255,7 +255,7 @@ def _truth(eyes: Viewpoints, index: int, camera: Camera) -> Truth:
 
 def _photographed(
     panorama: Panorama, camera: Camera, truth: Truth, entropy: list[int], config: QueryConfig
-) -> MadeQuery:
+) -> SyntheticQuery:
     """Return what an extraction finds in a photo of a panorama."""
     masks = np.random.default_rng([*entropy, _MASKS])
     errors = np.random.default_rng([*entropy, _ERRORS])
@@ -273,7 +273,7 @@ def _photographed(
     for run in random_runs(masks, camera.width_px, config.masked_share, config.masked_runs):
         found[slice(*run)] = np.nan
     given = camera.fov_deg * (1.0 + errors.uniform(-config.fov_error, config.fov_error))
-    return MadeQuery(
+    return SyntheticQuery(
         QuerySkyline(
             found,
             np.isfinite(found).astype(np.float64),
