@@ -112,8 +112,9 @@ def read_dem(
 
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS keeps that
-    grid. One in degrees (or feet) is warped once, cubic, to the transverse Mercator frame centred
-    on it; samples of the box around it that lie outside the DEM are NaN and counted nowhere.
+    grid. One in degrees (or feet) is warped once to the transverse Mercator frame centred on it,
+    with every summit as high as it was (`skyline.terrain.warp.warp`); samples of the box around it
+    that lie outside the DEM are NaN and counted nowhere.
 
     Parameters
     ----------
@@ -207,8 +208,8 @@ def _height_field(heights: Float32Array, raster: _Raster, options: DemOptions) -
     spacing_m = square_spacing_m(ground_spacing)
     heights, warped_grid = warp(heights, grid, crs, frame, spacing_m)
     resampling = (
-        f"cubic, once, from {crs.name} ({ground_spacing[0]:.2f} x {ground_spacing[1]:.2f} m at "
-        f"the centre) to {spacing_m:g} m in the local conformal frame"
+        f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "
+        f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal frame"
     )
     provenance = Provenance(raster.files, resampling, *counts, options.to_json())
     return _field(heights, warped_grid, frame, provenance)
