@@ -15,7 +15,14 @@ from pyproj.exceptions import CRSError
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, is_metric
-from skyline.terrain.cleaning import count_voids, fill_voids, remove_spikes, strips
+from skyline.terrain.cleaning import (
+    STEEPEST,
+    count_voids,
+    fill_voids,
+    remove_spikes,
+    strips,
+)
+from skyline.terrain.fill import void_undeclared
 from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
 from skyline.terrain.tiles import (
@@ -238,11 +245,20 @@ def _check_kind(tile: Tile) -> None:
 
 def _clean(
     heights: Float32Array, source: str, spacing_m: float, options: DemOptions
-) -> tuple[int, int, int]:
-    """Remove spikes and fill voids in place; return how many were filled, hollow, despiked."""
+) -> tuple[int, int, int, int]:
+    """Clean heights in place; return how many were filled, hollow, despiked and undeclared."""
     if not any(np.isfinite(heights[rows]).any() for rows in strips(heights)):
         raise InputError(
             f"{source} holds no height: all samples are nodata; check the file and its nodata value"
+        )
+    threshold_m = max(options.spike_m, STEEPEST * spacing_m)
+    undeclared, values_m = void_undeclared(heights, threshold_m)
+    if values_m:
+        _log.warning(
+            "%s: samples of exactly %s m with walls round them are taken as voids, since no shore "
+            "is so steep; declare them to be nodata (gdal_edit.py -a_nodata)",
+            source,
+            " and ".join(f"{value:g}" for value in values_m),
         )
     despiked = remove_spikes(heights, spacing_m, options.spike_m)
     filled = fill_voids(heights, options.max_void_samples)
@@ -250,7 +266,7 @@ def _clean(
     for rows in strips(heights):
         strip = heights[rows]
         strip[np.isinf(strip)] = np.nan
-    return filled, hollow, despiked
+    return filled, hollow, despiked, undeclared
 
 
 def _field(heights: Float32Array, grid: Grid, frame: Frame, provenance: Provenance) -> HeightField:

@@ -36,6 +36,8 @@ class Provenance:
         ``"none"`` where the file's own grid is used, else the method and the source CRS.
     filled, hollow, despiked : int
         Void samples filled by interpolation, left as holes, and spikes removed.
+    undeclared : int
+        Of the void samples, those that the files do not declare (`skyline.terrain.fill`).
     options : mapping
         How the files were read: `skyline.terrain.dem.DemOptions.to_json`.
     """
@@ -45,6 +47,7 @@ class Provenance:
     filled: int = 0
     hollow: int = 0
     despiked: int = 0
+    undeclared: int = 0
     options: Mapping[str, object] = field(default_factory=dict)
 
 
