@@ -206,12 +206,12 @@ def _height_field(heights: Float32Array, raster: _Raster, options: DemOptions) -
     if is_metric(crs) and not options.reproject:
         frame = Frame.from_crs(crs)
         _warn_of_distortion(grid, frame)
-        counts = _clean(heights, raster.source, max(grid.step_east, grid.step_north), options)
+        counts = clean(heights, raster.source, max(grid.step_east, grid.step_north), options)
         provenance = Provenance(raster.files, "none", *counts, options.to_json())
         return _field(heights, grid, frame, provenance)
     frame = local_frame(grid, crs)
     ground_spacing = ground_spacing_m(grid, crs, frame)
-    counts = _clean(heights, raster.source, max(ground_spacing), options)
+    counts = clean(heights, raster.source, max(ground_spacing), options)
     spacing_m = square_spacing_m(ground_spacing)
     heights, warped_grid = warp(heights, grid, crs, frame, spacing_m)
     resampling = (
@@ -243,10 +243,31 @@ def _check_kind(tile: Tile) -> None:
         )
 
 
-def _clean(
+def clean(
     heights: Float32Array, source: str, spacing_m: float, options: DemOptions
 ) -> tuple[int, int, int, int]:
-    """Clean heights in place; return how many were filled, hollow, despiked and undeclared."""
+    """Void what is fill, remove spikes and fill small voids, in place, as `read_dem` does.
+
+    Parameters
+    ----------
+    heights : (rows, cols) float32
+        As `skyline.terrain.tiles.read_mosaic` returns them; after this NaN marks every hole.
+    source : str
+        What errors and warnings call it.
+    spacing_m : float
+        The coarser of the two sample spacings, metres on the ground.
+    options : DemOptions
+
+    Returns
+    -------
+    filled, hollow, despiked, undeclared : int
+        As `Provenance` counts them.
+
+    Raises
+    ------
+    InputError
+        No height at all.
+    """
     if not any(np.isfinite(heights[rows]).any() for rows in strips(heights)):
         raise InputError(
             f"{source} holds no height: all samples are nodata; check the file and its nodata value"
