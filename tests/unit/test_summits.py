@@ -95,9 +95,9 @@ def test_the_rest_is_neither_raised_nor_filled(tmp_path: Path, north: float) -> 
     lowest, highest = country.heights.min(), country.heights.max()
     assert surface[both].min() >= lowest
     assert surface[both].max() == highest
-    # Valleys, a twentieth of all, stay as low as the file has them.
+    # The lowest twentieth stays as low as the file has it, or lower: a cubic cuts no hollow.
     valley = bilinear[both] < np.quantile(bilinear[both], 0.05)
-    assert abs(np.median(off[valley])) < 0.3
+    assert np.median(off[valley]) < 0.0
 
 
 def test_samples_of_the_surface_lie_between_those_of_the_file_around(tmp_path: Path) -> None:

@@ -1,8 +1,8 @@
 """The summits of a DEM's file against those of the surface that skylines are rendered from.
 
-The surface is what `read_dem` makes of the file. Beside a surface that was warped stand two others:
-the same on the file's coarser spacing, which is cheaper, and plain bilinear interpolation at the
-same samples, which keeps no summit.
+The surface is what `read_dem` makes of the file. Beside a surface that was warped stand others:
+the same on the file's coarser spacing, which is cheaper; on half of its own spacing, where that is
+not too large; and plain bilinear interpolation at its own samples, which keeps no summit.
 """
 
 import math
@@ -34,6 +34,7 @@ EXACT_M = 1.0
 _APART_M = 1000.0
 """A summit is the highest sample so far around."""
 
+_MOST_SAMPLES = 1 << 25
 _LATTICE = np.linspace(-1.0, 1.0, 17)
 _SIGHT_STEPS = 200
 _EYE_M = 2.0
@@ -161,6 +162,8 @@ def measure(
     surfaces = {"as read": field}
     if field.provenance.resampling != "none":
         surfaces["as read, on the coarser spacing"] = _warped(file, field, max(file.spacing_m))
+        if 4 * field.heights_m.size <= _MOST_SAMPLES:
+            surfaces["as read, on half the spacing"] = _warped(file, field, 0.5 * field.spacing_m)
         surfaces["bilinear"] = _bilinear(file, field)
     rows: list[Row] = []
     for name, surface in surfaces.items():
