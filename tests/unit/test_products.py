@@ -14,7 +14,7 @@ from skyline.terrain.products import GROUND, SURFACE, UNKNOWN, model_of
     [
         ("davos_srtm1_30m.tif", f"{SURFACE}, SRTM"),
         ("Copernicus_DSM_COG_10_N46_00_E009_00_DEM.tif", f"{SURFACE}, Copernicus"),
-        ("ALPSMLC30_N046E009_DSM.tif", f"{SURFACE}, ALOS World 3D"),
+        ("ALPSMLC30_N046E009_DSM.tif", f"{SURFACE}, AW3D"),
         ("N046E009_AVE_DSM.tif", SURFACE),
         ("USGS_13_n37w119.tif", f"{GROUND}, 3DEP"),
         ("swissalti3d_2019_2780-1180_2_2056_5728.tif", f"{GROUND}, swissALTI3D"),
