@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from skyline.arrays import Float64Array, IntArray
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.panoramas import Panoramas
+from skyline.matching.progress import tell
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import thinned
 from skyline.matching.refine_config import RefineConfig
@@ -144,7 +145,9 @@ class _Refinement:
         self._scout = Solver(thinned(query, config.scout_bins), config.rough)
         query = thinned(query, config.bins)
         self._rough, self._fine = Solver(query, config.rough), Solver(query, config.fine)
-        self._renderings = 0
+        self._renderings = self._seen_times = 0
+        rounds = config.rounds + config.restart_rounds + config.final_rounds
+        self._rounds = rounds + (config.shortlist > config.particles)
 
     def run(self, hypotheses: Hypotheses) -> Poses:
         config = self._config
@@ -237,6 +240,8 @@ class _Refinement:
     ) -> Curves:
         """Render what M eyes on the ground see along the query."""
         config = self._config
+        tell("refining", min(1.0, self._seen_times / self._rounds))
+        self._seen_times += 1
         ground_m = self._scene.ground_m(easting_m, northing_m)
         turn = np.degrees(heading_rad)[:, np.newaxis] - 90.0 * np.arange(4)
         off = np.abs((turn + 180.0) % 360.0 - 180.0)

@@ -4,8 +4,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from skyline.photo import read_picture
-from skyline.pipeline.config import RenderConfig, curvature_of, make_renderer
+from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher, MatchResult
+from skyline.pipeline.scene import RenderedScene
 from skyline.report import Matched, Peaks, Surroundings, write_match_report
 from skyline.store.header import package_version
 from skyline.terrain.heightfield import HeightField
@@ -45,9 +46,12 @@ def report_matches(
         return write_match_report(folder, told, Surroundings(frame, places), made_by)
     curvature = curvature_of(matcher.header)
     config = RenderConfig(width=_PICTURE_WIDTH, curvature=curvature)
-    with make_renderer(terrain, config) as renderer:
-        around = Surroundings(frame, places, terrain, renderer.render, peaks, curvature)
+    scene = RenderedScene(terrain, config, matcher.render_thread)
+    try:
+        around = Surroundings(frame, places, terrain, scene.render, peaks, curvature)
         return write_match_report(folder, told, around, made_by)
+    finally:
+        scene.release()
 
 
 def matched(path: str | Path, result: MatchResult, done: Sequence[str] = ()) -> Matched:

@@ -17,8 +17,8 @@ from skyline.matching.confidence import Logistic
 from skyline.matching.full import FullMatcher
 from skyline.matching.retrieval import Retriever
 from skyline.pipeline import Progress, build_places
-from skyline.pipeline.match import RenderedScene
 from skyline.pipeline.places import DEFAULT_SPACING_M
+from skyline.pipeline.scene import RenderedScene
 from skyline.store import open_store
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
@@ -71,7 +71,7 @@ def _told_by(
     build_places(terrain, store, DEFAULT_SPACING_M, bounds_deg)
     told: dict[str, list[Example]] = {name: [] for name in MODELS}
     with open_store(store) as opened:
-        scene = RenderedScene(terrain, opened.header, MatchConfig())
+        scene = RenderedScene.of_store(terrain, opened.header, MatchConfig())
         matcher = FullMatcher(Retriever(opened.places(), terrain.height_at), scene)
     for made in _all_queries(terrain, middle, OUTSIDE * half, queries, seed):
         for example in examples(matcher, made):
