@@ -38,8 +38,8 @@ _DEEP_MODES = ("I", "F")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DecodedImage:
-    """An image file's pixels.
+class Photo:
+    """An image file's pixels, and what the file notes of them.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class DecodedImage:
     place: NotedPlace
 
 
-def decode_image(path: str | Path) -> DecodedImage:
+def decode_image(path: str | Path) -> Photo:
     """Read an image file.
 
     Raises
@@ -92,7 +92,7 @@ def decode_image(path: str | Path) -> DecodedImage:
         ) from error
 
 
-def _decode(path: Path) -> DecodedImage:
+def _decode(path: Path) -> Photo:
     with Image.open(path, formats=_formats()) as image:
         exif = image.getexif()
         turned = exif.get(Base.Orientation) in _TURNED_ORIENTATIONS
@@ -101,7 +101,7 @@ def _decode(path: Path) -> DecodedImage:
         projection, fov_deg = panorama or (Projection.PERSPECTIVE, fov_deg)
         _require_bounded(path, image)
         place = place_from_exif(exif.get_ifd(IFD.GPSInfo))
-        return DecodedImage(_to_rgb(ImageOps.exif_transpose(image)), fov_deg, projection, place)
+        return Photo(_to_rgb(ImageOps.exif_transpose(image)), fov_deg, projection, place)
 
 
 def _formats() -> list[str]:
