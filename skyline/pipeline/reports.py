@@ -54,8 +54,10 @@ def report_matches(
         scene.release()
 
 
-def matched(path: str | Path, result: MatchResult, done: Sequence[str] = ()) -> Matched:
-    """Return a match as a report takes it, the photo read again for its pixels.
+def matched(
+    path: str | Path, result: MatchResult, done: Sequence[str] = (), with_photo: bool = True
+) -> Matched:
+    """Return a match as reports and exports take it.
 
     Parameters
     ----------
@@ -64,6 +66,8 @@ def matched(path: str | Path, result: MatchResult, done: Sequence[str] = ()) -> 
     result : MatchResult
     done : sequence of str
         What was done, a sentence each.
+    with_photo : bool
+        Whether the photo is read again for its pixels.
     """
     return Matched(
         str(path),
@@ -71,6 +75,6 @@ def matched(path: str | Path, result: MatchResult, done: Sequence[str] = ()) -> 
         result.candidates,
         result.seconds,
         result.answer is not None,
-        read_picture(path),
+        read_picture(path) if with_photo else None,
         done,
     )
