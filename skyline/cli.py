@@ -1,4 +1,4 @@
-"""The command line: ``skyline render build match extract info explain store dem`` ."""
+"""The command line: ``skyline render build match extract serve info explain store dem`` ."""
 
 import json
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from skyline import dem_cli, photo_cli
+from skyline import dem_cli, page_cli, photo_cli
 from skyline.console import (
     Scheduler,
     Workers,
@@ -319,6 +319,7 @@ def _refuse_given(options: Mapping[str, object], why: str) -> None:
 
 app.command()(photo_cli.match)
 app.command()(photo_cli.extract)
+app.command()(page_cli.serve)
 
 
 @app.command()
