@@ -72,7 +72,7 @@ function row(one, index) {
   const sure = one.confidence === null ? "" : `${Math.round(100 * one.confidence)} %`;
   return element("li", {}, element("button", { "aria-current": String(index === state.chosen && !state.byHand), "data-rank": index, onclick: () => choose(index) },
     element("span", {}, String(index + 1)), element("span", {}, sure),
-    element("span", {}, degrees(one.lon, one.lat)), element("span", { class: "way", title: "Direction" }, `${one.heading.toFixed(0)}°`)));
+    element("span", {}, degrees(one.lon, one.lat, 4)), element("span", { class: "way", title: "Direction" }, `${one.heading.toFixed(0)}°`)));
 }
 
 function progressed(told) {

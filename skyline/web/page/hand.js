@@ -10,7 +10,7 @@ const SLIDERS = [
   ["fov", "Field of view °", 10, 120, 0.1],
   ["eyeHeight", "Eye height m", 0, 300, 0.5],
 ];
-const PLACES = [["lat", "Latitude °", -90, 90], ["lon", "Longitude °", -180, 180]];
+const PLACES = [["lat", "Latitude, degrees", -90, 90], ["lon", "Longitude, degrees", -180, 180]];
 export const live = { shown: 0, latency: [] };
 let flying = null, next = null, number = 0;
 
@@ -138,9 +138,10 @@ function makeForm() {
   const places = PLACES.map(([name, label, min, max]) => {
     const value = element("input", { id: `hand-${name}`, type: "number", min, max, step: 0.0001, "aria-label": label, class: "place" });
     value.onchange = () => Number.isFinite(value.valueAsNumber) && moveTo({ [name]: value.valueAsNumber });
-    return element("div", { class: "row" }, element("label", { for: `hand-${name}` }, label), value);
+    return value;
   });
-  $("hand-form").append(...rows, ...places);
+  const where = element("label", { for: "hand-lat" }, "Lat., long. °");
+  $("hand-form").append(...rows, element("div", { class: "row" }, where, ...places));
   $("hand-form").onsubmit = (event) => event.preventDefault();
 }
 

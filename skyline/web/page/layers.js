@@ -10,7 +10,7 @@ const y = (view, row) => (row + 0.5) * view.scale + view.top;
 function stroke(ctx, path, colour, width, dash = []) {
   ctx.setLineDash([]);
   ctx.strokeStyle = DARK;
-  ctx.lineWidth = width + 2.5;
+  ctx.lineWidth = width + 2;
   if (!dash.length) ctx.stroke(path);
   ctx.setLineDash(dash);
   ctx.strokeStyle = colour;
@@ -38,7 +38,7 @@ export function drawFound(ctx, view, rows, trust) {
     last = kind;
   }
   stroke(ctx, paths.doubtful, FOUND, 1.5, [5, 4]);
-  stroke(ctx, paths.sure, FOUND, 2);
+  stroke(ctx, paths.sure, FOUND, 1.5);
 }
 
 export function drawLeftOut(ctx, view, rows, height) {
@@ -85,8 +85,8 @@ export function drawRendered(ctx, view, sight) {
     else path.moveTo(...at);
     pen = path;
   }
-  stroke(ctx, sure, RENDERED, 2);
-  stroke(ctx, unsure, RENDERED, 1.5, [2, 4]);
+  stroke(ctx, sure, RENDERED, 4.5);
+  stroke(ctx, unsure, RENDERED, 3, [2, 4]);
 }
 
 // Light blue through violet to vermilion: told apart by lightness, too.

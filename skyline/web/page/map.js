@@ -152,6 +152,7 @@ function showWhere() {
   };
   map.on("mousemove", (event) => at(event.latlng));
   map.on("moveend", () => at(map.getCenter()));
+  at(map.getCenter());
   on("height", (told) => {
     waiting = false;
     if (told.height !== null && told.height !== undefined) where.textContent += `  ${Math.round(told.height)} m`;

@@ -41,5 +41,5 @@ export function alertUser(text) {
   while ($("alerts").children.length > 3) $("alerts").firstChild.remove();
 }
 
-export const degrees = (lon, lat) =>
-  `${Math.abs(lat).toFixed(5)}° ${lat < 0 ? "S" : "N"}  ${Math.abs(lon).toFixed(5)}° ${lon < 0 ? "W" : "E"}`;
+export const degrees = (lon, lat, decimals = 5) =>
+  `${Math.abs(lat).toFixed(decimals)}° ${lat < 0 ? "S" : "N"}  ${Math.abs(lon).toFixed(decimals)}° ${lon < 0 ? "W" : "E"}`;

@@ -82,15 +82,14 @@ function paint(target, at, ratio) {
   const { width, height } = state.photo;
   ctx.imageSmoothingEnabled = at.scale < 2;
   ctx.drawImage(image, at.left, at.top, width * at.scale, height * at.scale);
-  if (state.rows) {
-    layers.drawLeftOut(ctx, at, state.rows, height);
-    if (state.sight) layers.drawGaps(ctx, at, state.sight, state.rows);
-    layers.drawFound(ctx, at, state.rows, state.trust);
-  }
+  if (state.rows) layers.drawLeftOut(ctx, at, state.rows, height);
   if (state.sight) {
+    if (state.rows) layers.drawGaps(ctx, at, state.sight, state.rows);
     layers.drawRendered(ctx, at, state.sight);
-    if (state.sight.summits) layers.drawSummits(ctx, at, state.sight.summits);
   }
+  // The thin line over the broad one: where they agree, both are seen.
+  if (state.rows) layers.drawFound(ctx, at, state.rows, state.trust);
+  if (state.sight?.summits) layers.drawSummits(ctx, at, state.sight.summits);
   if (marks.stroke) layers.drawStroke(ctx, at, marks.stroke);
   const cross = marks.cross || (marks.brush ? marks.pointer : null);
   if (cross) layers.drawCross(ctx, at, cross, marks.brush * at.scale);
