@@ -33,7 +33,7 @@ from skyline.web.sessions import (
 _PAGE = Path(__file__).parent / "page"
 _MAX_JSON_BYTES = 8_000_000
 _MAX_TRACE_BYTES = 8_000_000
-_SWEEP_S = 2.0
+_SWEEP_S = 1.0
 _MEGABYTE = 1_000_000
 
 Answer = Callable[[Request], Awaitable[Response]]

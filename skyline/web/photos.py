@@ -159,7 +159,8 @@ def _read(photo: PagePhoto) -> tuple[Photo, Correction]:
         read = read_photo(photo.path)
         return read, Correction(read)
     except SkylineError as error:
-        raise InputError(str(error).replace(str(photo.path), photo.name)) from error
+        said = str(error).replace(str(photo.path), photo.name)
+        raise InputError(said if photo.name in said else f"{photo.name}: {said}") from error
 
 
 def _check_size(photo: PagePhoto) -> None:

@@ -43,6 +43,7 @@ def serve(given: Given, host: str, port: int) -> None:
             ws_max_size=_MAX_MESSAGE_BYTES,
             timeout_graceful_shutdown=_ENDS_S,
         )
+        listening.listen()  # who opens the address at once must wait, and not be refused
         name = f"[{host}]" if ":" in host else host
         print(f"The page is at http://{name}:{port}/ (Ctrl-C ends it)", flush=True)
         with contextlib.suppress(KeyboardInterrupt):

@@ -16,7 +16,7 @@ MAX_PHOTOS = 300
 MAX_SESSIONS = 50
 _GONE_S = 900.0
 """How long photos are kept for somebody whose page is closed: it may be opened again."""
-_UNATTENDED_S = 5.0
+_UNATTENDED_S = 3.0
 """How long a match goes on for nobody."""
 _NAME_LENGTH = 100
 

@@ -4,6 +4,7 @@ import base64
 import http.client
 import json
 import time
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from subprocess import Popen
@@ -25,13 +26,10 @@ class Served:
 
     def ask(self, method, path, body=None, headers=None):
         """Return the status and the body of an answer, JSON read where it is JSON."""
-        connection = http.client.HTTPConnection(self.address, timeout=PATIENCE_S)
-        if isinstance(body, dict):
-            body = json.dumps(body)
-        connection.request(method, path, body, headers or {})
-        answer = connection.getresponse()
-        content = answer.read()
-        connection.close()
+        with closing(http.client.HTTPConnection(self.address, timeout=PATIENCE_S)) as connection:
+            connection.request(method, path, body, headers or {})
+            answer = connection.getresponse()
+            content = answer.read()
         if answer.headers.get_content_type() == "application/json":
             content = json.loads(content)
         return answer.status, content

@@ -55,7 +55,7 @@ function fill() {
       if (document.activeElement !== $(id) || !state.typing) $(id).value = round(state.pose[name], step);
     }
   }
-  for (const [name] of PLACES) if (!state.typing) $(`hand-${name}`).value = state.pose[name].toFixed(6);
+  for (const [name] of PLACES) if (!state.typing) $(`hand-${name}`).value = state.pose[name].toFixed(5);
 }
 
 const round = (value, step) => (Math.round(value / step) * step).toFixed(step < 0.1 ? 2 : 1);
@@ -136,7 +136,7 @@ function makeForm() {
     return element("div", { class: "row" }, element("label", { for: `hand-${name}` }, label), range, value);
   });
   const places = PLACES.map(([name, label, min, max]) => {
-    const value = element("input", { id: `hand-${name}`, type: "number", min, max, step: 0.0001, "aria-label": label, class: "place" });
+    const value = element("input", { id: `hand-${name}`, type: "number", min, max, step: "any", "aria-label": label, class: "place" });
     value.onchange = () => Number.isFinite(value.valueAsNumber) && moveTo({ [name]: value.valueAsNumber });
     return value;
   });
