@@ -9,6 +9,7 @@ import queue
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
@@ -87,7 +88,8 @@ class RenderThread:
         while True:
             _, _, future, task = self._tasks.get()
             if task is None:
-                release_context()
+                with suppress(ContextError):  # Nothing was rendered here, but elsewhere.
+                    release_context()
                 return
             try:
                 future.set_result(task())
