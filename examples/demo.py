@@ -91,13 +91,10 @@ def main() -> None:
     console.print(f"all in {time.perf_counter() - started:.0f} s; pictures in {out}:")
     for path in sorted(out.rglob("*.png")):
         console.print(f"  {path}")
+    console.print("\nTo find them with the mouse, run this and open the address that it prints:")
+    skyline = os.path.relpath(Path(sys.executable).parent / "skyline")
     photos = " ".join(str(query.path) for query in queries)
-    console.print(
-        "\nTo find them yourself, with the mouse, open the address that this prints:", style="bold"
-    )
-    console.print(
-        f"  {Path(sys.executable).parent / 'skyline'} serve {places} {photos}", soft_wrap=True
-    )
+    console.print(f"  {skyline} serve {places} {photos}", soft_wrap=True)
 
 
 def take_pictures(terrain: HeightField, folder: Path) -> list[Query]:

@@ -19,7 +19,7 @@ BEST = candidate_at(
     100.0, 200.0, 30.0, 4.0, -3.0, 50.0, eye_elevation_m=1234.5, confidence=0.93
 )  # fmt: skip
 OTHER = candidate_at(900.0, -300.0, 300.0)
-NAME = "photos/Grat & <Tal>\x07.jpg"
+NAME = "photos/Horn & <Tal>\x07.jpg"
 PHOTO = np.full((30, 40, 3), 99, np.uint8)
 
 
@@ -33,7 +33,7 @@ def test_kml_has_places_views_and_the_photo_in_the_landscape(tmp_path):
     export_matches(path, matches(), FRAME)
     kml = Xml.parse(path)
     names = [mark.findtext("{*}name") for mark in kml.iterfind(".//{*}Placemark")]
-    assert names == ["Grat & <Tal>\ufffd.jpg: candidate 1", "Grat & <Tal>\ufffd.jpg: candidate 2"]
+    assert names == ["Horn & <Tal>\ufffd.jpg: candidate 1", "Horn & <Tal>\ufffd.jpg: candidate 2"]
     (overlay,) = kml.findall(".//{*}PhotoOverlay")
     camera = {one.tag.split("}")[1]: one.text for one in overlay.find("{*}Camera")}
     assert float(camera["longitude"]) == pytest.approx(BEST.lon, abs=1e-6)
