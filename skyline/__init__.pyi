@@ -40,7 +40,7 @@ from .places import Places
 from .render.thread import RenderThread
 from .report.exports import export_matches
 from .report.located import write_located
-from .report.matches import Matched
+from .report.matched import Matched
 from .report.peaks import Peaks, read_peaks
 from .report.tiles import ReliefTiles
 from .store import Locations, PlaceMap, RowCoding, Store, StoreHeader, open_store

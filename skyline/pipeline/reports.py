@@ -3,11 +3,14 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from skyline import report
 from skyline.photo import read_picture
 from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher, MatchResult
 from skyline.pipeline.scene import RenderedScene
-from skyline.report import Matched, Peaks, Surroundings, write_match_report
+from skyline.report.matched import Matched
+from skyline.report.peaks import Peaks
+from skyline.report.surroundings import Surroundings
 from skyline.store.header import package_version
 from skyline.terrain.heightfield import HeightField
 
@@ -43,13 +46,13 @@ def report_matches(
     frame, places, told = matcher.frame, matcher.viewpoints, list(matches)
     made_by = f"skyline {package_version()}"
     if terrain is None:
-        return write_match_report(folder, told, Surroundings(frame, places), made_by)
+        return report.write_match_report(folder, told, Surroundings(frame, places), made_by)
     curvature = curvature_of(matcher.header)
     config = RenderConfig(width=_PICTURE_WIDTH, curvature=curvature)
     scene = RenderedScene(terrain, config, matcher.render_thread)
     try:
         around = Surroundings(frame, places, terrain, scene.render, peaks, curvature)
-        return write_match_report(folder, told, around, made_by)
+        return report.write_match_report(folder, told, around, made_by)
     finally:
         scene.release()
 

@@ -9,7 +9,7 @@ from skyline.geodesy import Frame
 from skyline.report.geojson import write_geojson
 from skyline.report.gpx import write_gpx
 from skyline.report.kml import write_kml
-from skyline.report.matches import Matched
+from skyline.report.matched import Matched
 
 Writer = Callable[[Path, Sequence[Matched], Frame], None]
 

@@ -6,7 +6,7 @@ from xml.etree import ElementTree as Xml
 
 from skyline.files import write_with_folders
 from skyline.report.kml import described
-from skyline.report.matches import Matched
+from skyline.report.matched import Matched
 from skyline.report.xml import child, document
 
 _NAMESPACE = "http://www.topografix.com/GPX/1/1"

@@ -15,7 +15,7 @@ from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
 from skyline.photo import Projection, QuerySkyline
 from skyline.report.geojson import VIEW_REACH_M, lonlat_of
-from skyline.report.matches import Matched
+from skyline.report.matched import Matched
 from skyline.report.shapes import view_wedge_m
 from skyline.report.xml import child, document
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.report.relief import DARKEST, TINT
+from skyline.report.tints import DARKEST, tint_table
 from skyline.terrain.heightfield import HeightField
 
 TILE_PX = 256
@@ -21,7 +21,7 @@ MAX_ZOOM = 20
 _MESH = 9
 """Points along a tile's side at which the map's projection is computed; it is smooth between."""
 _NOWHERE = -1e6
-_TINTS = (255.0 * TINT(np.linspace(0.0, 1.0, 256))[:, 2::-1]).astype(np.float32)
+_TINTS = tint_table(256)[:, ::-1].astype(np.float32)
 """Blue, green, red from the lowest to the highest."""
 _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
 """Towards the light, east, north and up: from the north-west, halfway up."""
