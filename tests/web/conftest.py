@@ -1,33 +1,11 @@
 """A server in a process of its own, and a browser whose network ends at this machine."""
 
 import shutil
-import subprocess
-import sys
-from contextlib import contextmanager
 
 import pytest
-from pages import Served
+from pages import serving
 from selenium import webdriver
 from selenium.webdriver.chrome.service import Service
-
-_SERVE = "from skyline.cli import main; main()"
-SIZES = {"wide": (1280, 800), "tall": (800, 1100)}
-
-
-@contextmanager
-def serving(*arguments):
-    """Run ``skyline serve`` on any free port."""
-    command = [sys.executable, "-c", _SERVE, "serve", *map(str, arguments), "--port", "0"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as run:
-        try:
-            line = run.stdout.readline()
-            assert "http://" in line, run.stderr.read()
-            yield Served(line.split("http://")[1].split("/")[0], run)
-        finally:
-            run.terminate()
-            run.wait(20)
 
 
 @pytest.fixture(scope="session")

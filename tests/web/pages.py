@@ -3,8 +3,10 @@
 import base64
 import http.client
 import json
+import subprocess
+import sys
 import time
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from subprocess import Popen
@@ -13,6 +15,7 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
+from websockets.sync.client import connect
 
 PATIENCE_S = 60
 
@@ -48,6 +51,61 @@ class Served:
         """Return the memory of the process that lies in no file."""
         lines = Path(f"/proc/{self.process.pid}/status").read_text().splitlines()
         return 1024 * int(next(line for line in lines if line.startswith("RssAnon")).split()[1])
+
+
+_SERVE = "from skyline.cli import main; main()"
+SIZES = {"wide": (1280, 800), "tall": (800, 1100)}
+
+
+@contextmanager
+def serving(*arguments):
+    """Run ``skyline serve`` on any free port."""
+    command = [sys.executable, "-c", _SERVE, "serve", *map(str, arguments), "--port", "0"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        try:
+            line = run.stdout.readline()
+            assert "http://" in line, run.stderr.read()
+            yield Served(line.split("http://")[1].split("/")[0], run)
+        finally:
+            run.terminate()
+            run.wait(20)
+
+
+TINY = b'{"fov": 60}'
+
+
+def ready(served, photo):
+    """Return a session's path and the record of a photo in it."""
+    session = served.begin()
+    status, record = served.upload(session, "photo.jpg", photo.read_bytes())
+    assert (status, record["state"]) == (200, "ready")
+    return session, f"{session}/photos/{record['id']}"
+
+
+def live(served, session, **options):
+    """Open the live channel of a session."""
+    return connect(f"ws://{served.address}{session}/live", open_timeout=PATIENCE_S, **options)
+
+
+def told(socket, kind):
+    """Return the next message of a kind."""
+    while True:
+        message = json.loads(socket.recv(timeout=PATIENCE_S))
+        if message["type"] == kind:
+            return message
+
+
+POSE = {"lon": 10.3327, "lat": 46.7478, "heading": 141, "fov": 60} | {
+    "pitch": 0,
+    "roll": 0,
+    "eyeHeight": 2,
+}
+
+
+def look(path, pose=POSE, seq=1):
+    return json.dumps({"type": "look", "photo": path.split("/")[-1], "pose": pose, "seq": seq})
 
 
 _DROP = """

@@ -2,18 +2,20 @@
 
 import json
 import math
+import re
 import xml.etree.ElementTree as Xml
 import zipfile
+from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
-from conftest import SIZES
-from pages import Page
+from pages import SIZES, Page
 from PIL import Image
 from PIL.ExifTags import GPS, IFD
 from selenium.webdriver.common.keys import Keys
 
-from skyline import read_dem, read_trace
+from skyline import read_dem, read_trace, web
 
 NAMED = "({0}.id || {0}.name || {0}.className || {0}.textContent)".format
 
@@ -270,3 +272,27 @@ def test_a_photo_that_cannot_be_used_is_one_line_on_the_page(page, photo, tmp_pa
     page.browser.refresh()
     page.until(lambda: page.state("state.rows && state.rows.length"))
     assert page.state("state.photo.name") == "photo.jpg"
+
+
+_CONFUSED = {
+    "deutan": ((0.367, 0.861, -0.228), (0.280, 0.673, 0.047), (-0.012, 0.043, 0.969)),
+    "protan": ((0.152, 1.053, -0.205), (0.115, 0.786, 0.099), (-0.004, -0.048, 1.052)),
+    "tritan": ((1.256, -0.077, -0.179), (-0.078, 0.931, 0.148), (0.005, 0.691, 0.304)),
+}
+"""What linear red, green and blue look like (Machado, Oliveira, Fernandes 2009, severity 1)."""
+
+
+@pytest.mark.parametrize("kind", _CONFUSED)
+def test_the_lines_are_told_apart_by_the_colour_blind(kind):
+    layers = (Path(web.__file__).parent / "page" / "layers.js").read_text()
+    names = dict(re.findall(r'(FOUND|RENDERED) = "#(\w{6})"', layers))
+    found, rendered = ([int(names[n][k : k + 2], 16) for k in (0, 2, 4)] for n in names)
+    near, far = [155, 231, 255], [255, 77, 0]
+    assert f"[{near[0]}, {near[1]}, {near[2]}]" in layers
+    assert f"[{far[0]}, {far[1]}, {far[2]}]" in layers
+    for one, other in ((found, rendered), (near, far)):
+        linear = (np.array([one, other]) / 255.0) ** 2.2
+        seen = np.clip(linear @ np.array(_CONFUSED[kind]).T, 0.0, 1.0) ** (1.0 / 2.2)
+        lab = cv2.cvtColor(seen.astype(np.float32)[np.newaxis], cv2.COLOR_RGB2LAB)[0]
+        # 10 is a difference at a glance.
+        assert np.linalg.norm(lab[0] - lab[1]) > 25.0

@@ -11,45 +11,10 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 import pytest
-from pages import PATIENCE_S
+from pages import PATIENCE_S, POSE, TINY, live, look, ready, told
 from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
 
 from skyline.web.guard import Guard
-
-TINY = b'{"fov": 60}'
-
-
-def ready(served, photo):
-    """Return a session's path and the record of a photo in it."""
-    session = served.begin()
-    status, record = served.upload(session, "photo.jpg", photo.read_bytes())
-    assert (status, record["state"]) == (200, "ready")
-    return session, f"{session}/photos/{record['id']}"
-
-
-def live(served, session, **options):
-    """Open the live channel of a session."""
-    return connect(f"ws://{served.address}{session}/live", open_timeout=PATIENCE_S, **options)
-
-
-def told(socket, kind):
-    """Return the next message of a kind."""
-    while True:
-        message = json.loads(socket.recv(timeout=PATIENCE_S))
-        if message["type"] == kind:
-            return message
-
-
-POSE = {"lon": 10.3327, "lat": 46.7478, "heading": 141, "fov": 60} | {
-    "pitch": 0,
-    "roll": 0,
-    "eyeHeight": 2,
-}
-
-
-def look(path, pose=POSE, seq=1):
-    return json.dumps({"type": "look", "photo": path.split("/")[-1], "pose": pose, "seq": seq})
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,9 @@
 import json
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -31,6 +33,9 @@ _PHOTO_PX = (4000, 3000)
 _FOCAL_LENGTH_35MM = 31
 _WARM_MATCHES = 5
 _PATIENCE_S = 120.0
+_CROWD = 3
+_KNOWN = b'{"fov": 60}'
+_POSE = {"lon": -84.25, "lat": 36.58, "pitch": 0, "roll": 0, "fov": 60, "eyeHeight": 2}
 _DRAG_HZ = 60.0
 
 _STROKES = "return performance.getEntriesByName('stroke').map((one) => one.duration)"
@@ -59,6 +64,7 @@ def measure(folder: Path, matches: int, drag_s: float, progress: Progress) -> li
         with browser() as chromium:
             rows += _in_browser(chromium, served, photo, drag_s)
         progress(4, 5)
+        rows += _crowd(served, photo)
         rows += _memory(served, photo, matches)
         progress(5, 5)
     return rows
@@ -155,22 +161,13 @@ def _drag(chromium: Any, drag_s: float) -> list[Row]:
 
 def _memory(served: ServedPage, photo: Path, matches: int) -> list[Row]:
     """Match again and again, and return what the server holds before and after."""
-    session = _post(served, "session", b"")["session"]
-    record = _post(served, f"session/{session}/photos?name=photo.jpg", photo.read_bytes())
-    # A person who looks on, without whom matches end.
-    from websockets.sync.client import connect  # noqa: PLC0415  (an extra)
-
-    channel = served.address.replace("http", "ws") + f"session/{session}/live"
-    asked = f"session/{session}/photos/{record['id']}/match"
     seconds = []
-    with connect(channel) as onlooker:
-        # What is told must be heard, or the channel takes its listener for dead.
-        threading.Thread(target=lambda: [None for _ in onlooker], daemon=True).start()
+    with _person(served, photo) as asked:
         for count in range(_WARM_MATCHES + matches):
             if count == _WARM_MATCHES:
                 before = served.own_bytes()
             began = time.perf_counter()
-            _post(served, asked, json.dumps({"fov": 60}).encode())
+            _post(served, f"{asked}/match", _KNOWN)
             seconds.append(time.perf_counter() - began)
         after = served.own_bytes()
     return [
@@ -179,6 +176,50 @@ def _memory(served: ServedPage, photo: Path, matches: int) -> list[Row]:
         {"figure": f"memory after {matches} matches", "value": after / 1e6, "unit": "MB"},
         {"figure": "memory a match", "value": (after - before) / 1e6 / matches, "unit": "MB"},
     ]
+
+
+def _crowd(served: ServedPage, photo: Path) -> list[Row]:
+    """Let three people match at once, and return what a fourth waits for skylines meanwhile."""
+    from websockets.sync.client import connect  # noqa: PLC0415  (an extra)
+
+    with ExitStack() as people:
+        asked = [people.enter_context(_person(served, photo)) for _ in range(_CROWD + 1)]
+        pool = people.enter_context(ThreadPoolExecutor(_CROWD))
+        matches = [pool.submit(_post, served, f"{one}/match", _KNOWN) for one in asked[1:]]
+        session, _, photo_id = asked[0].rpartition("/photos/")
+        waits: list[float] = []
+        with connect(_channel(served, session)) as channel:
+            while not all(match.done() for match in matches):
+                turn = len(waits) % 360
+                pose = {**_POSE, "heading": turn}
+                began = time.perf_counter()
+                channel.send(json.dumps({"type": "look", "photo": photo_id, "pose": pose}))
+                while json.loads(channel.recv())["type"] != "look":
+                    pass
+                waits.append(1000.0 * (time.perf_counter() - began))
+    return [
+        {"figure": f"skyline while {_CROWD} match, median", "value": float(np.median(waits)),
+         "unit": "ms"},
+        {"figure": f"skyline while {_CROWD} match, 95 %", "unit": "ms",
+         "value": float(np.percentile(waits, 95)), "at most": 150},
+    ]  # fmt: skip
+
+
+@contextmanager
+def _person(served: ServedPage, photo: Path) -> Iterator[str]:
+    """Put a photo onto a page that is open, and give the photo's address."""
+    from websockets.sync.client import connect  # noqa: PLC0415  (an extra)
+
+    session = f"session/{_post(served, 'session', b'')['session']}"
+    record = _post(served, f"{session}/photos?name=photo.jpg", photo.read_bytes())
+    with connect(_channel(served, session)) as onlooker:
+        # What is told must be heard, or the channel takes its listener for dead.
+        threading.Thread(target=lambda: [None for _ in onlooker], daemon=True).start()
+        yield f"{session}/photos/{record['id']}"
+
+
+def _channel(served: ServedPage, session: str) -> str:
+    return served.address.replace("http", "ws") + f"{session}/live"
 
 
 def _post(served: ServedPage, path: str, body: bytes) -> Any:

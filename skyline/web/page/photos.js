@@ -11,7 +11,7 @@ function list() {
   $("photos").replaceChildren(...state.photos.map((photo) => {
     const remove = element("button", { "aria-label": `Remove ${photo.name}`, title: "Remove", onclick: () => drop(photo) }, "×");
     if (photo.state === "unusable") {
-      return element("li", {}, element("span", { class: "why" }, photo.error), remove);
+      return element("li", {}, element("span", { class: "why", title: photo.error }, element("span", { class: "name" }, photo.name), "✗ not used"), remove);
     }
     const pick = element("button", { class: "pick", "aria-current": String(photo === state.photo), onclick: () => choose(photo) },
       element("span", { class: "name", title: photo.name }, photo.name),
