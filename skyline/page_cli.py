@@ -22,7 +22,9 @@ def serve(
         Path | None,
         typer.Option(metavar="FILE.csv", help="Peaks to name: name,lon,lat[,height_m]."),
     ] = None,
-    port: Annotated[int, typer.Option(help="Port of the page; 0 takes any that is free.")] = 8765,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the page; 0 takes any that is free.")
+    ] = 8765,
     host: Annotated[
         str, typer.Option(help="Address to listen on; another lets other machines in.")
     ] = "127.0.0.1",

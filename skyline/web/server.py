@@ -32,7 +32,7 @@ def serve(given: Given, host: str, port: int) -> None:
     SkylineError
         The store cannot be used; see `Engine`.
     """
-    with _listening(host, port) as listening:
+    with _listening(host, port) as listening, contextlib.suppress(KeyboardInterrupt):
         port = listening.getsockname()[1]
         app = Guard(make_app(Engine(given)), host, port)
         config = uvicorn.Config(
@@ -46,8 +46,7 @@ def serve(given: Given, host: str, port: int) -> None:
         listening.listen()  # who opens the address at once must wait, and not be refused
         name = f"[{host}]" if ":" in host else host
         print(f"The page is at http://{name}:{port}/ (Ctrl-C ends it)", flush=True)
-        with contextlib.suppress(KeyboardInterrupt):
-            uvicorn.Server(config).run(sockets=[listening])
+        uvicorn.Server(config).run(sockets=[listening])
 
 
 def _listening(host: str, port: int) -> socket.socket:
@@ -56,9 +55,13 @@ def _listening(host: str, port: int) -> socket.socket:
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
         listening = socket.socket(family, kind, protocol)
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind(address)
-    except (OSError, OverflowError) as error:
+        try:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind(address)
+        except OSError:
+            listening.close()
+            raise
+    except OSError as error:
         raise InputError(
             f"{host} port {port} cannot be listened on ({error}); name another with --port"
         ) from error
