@@ -19,7 +19,7 @@ from skyline import InputError, SkylineError, read_trace
 from skyline.web.asked import narrowing_of, pose_of, query_of, strokes_of
 from skyline.web.engine import Engine
 from skyline.web.live import LiveChannel
-from skyline.web.matches import Match, candidate_json, outcome
+from skyline.web.matches import Match
 from skyline.web.photos import PagePhoto
 from skyline.web.saving import KINDS, Saving
 from skyline.web.sessions import (
@@ -29,6 +29,7 @@ from skyline.web.sessions import (
     Sessions,
     shown_name,
 )
+from skyline.web.told import candidate_json, outcome
 
 _PAGE = Path(__file__).parent / "page"
 _MAX_JSON_BYTES = 8_000_000

@@ -3,7 +3,7 @@
 import threading
 from typing import Any
 
-from skyline import Matcher, MatchResult, Narrowing, QuerySkyline, SkylineError
+from skyline import Matcher, Narrowing, QuerySkyline, SkylineError
 from skyline.web.photos import PagePhoto
 
 _STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
@@ -72,30 +72,3 @@ class Match:
     def _check(self) -> None:
         if self._cancelled.is_set():
             raise _CancelledError
-
-
-def outcome(result: MatchResult) -> dict[str, Any]:
-    """Return a result as the page shows it."""
-    return {
-        "candidates": [candidate_json(one) for one in result.candidates],
-        "answered": result.answer is not None,
-        "refusal": result.refusal,
-        "seconds": result.seconds,
-    }
-
-
-def candidate_json(candidate: Any) -> dict[str, Any]:
-    """Return a candidate as the page takes it."""
-    return {
-        "lon": candidate.lon,
-        "lat": candidate.lat,
-        "heading": candidate.heading_deg,
-        "pitch": candidate.pitch_deg,
-        "roll": candidate.roll_deg,
-        "fov": candidate.fov_deg,
-        "elevation": candidate.eye_elevation_m,
-        "confidence": candidate.confidence,
-        "refined": candidate.refined,
-        "covariance": candidate.covariance_m2,
-        "convergence": candidate.convergence_deg,
-    }

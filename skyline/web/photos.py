@@ -23,6 +23,7 @@ from skyline import (
     Stroke,
     read_photo,
 )
+from skyline.web.told import outcome, stroke_json
 
 MAX_PIXELS = 120_000_000
 """A browser shows no larger picture."""
@@ -74,8 +75,9 @@ class PagePhoto:
                 "lonlat": seen.place.lonlat_deg,
                 "elevation": seen.place.elevation_m,
                 "heading": seen.place.heading_deg,
-                "strokes": [_told(stroke) for stroke in self.strokes],
+                "strokes": [stroke_json(stroke) for stroke in self.strokes],
                 "trusted": float(query.trusted.mean()),
+                "result": self.result and outcome(self.result),
             }
         return said
 
@@ -180,7 +182,3 @@ def _too_large(name: str, pixels: str) -> str:
         f"{name} has {pixels} pixels; the page takes at most {MAX_PIXELS // 1_000_000} million: "
         "scale it down, 12 million are plenty"
     )
-
-
-def _told(stroke: Stroke) -> dict[str, Any]:
-    return {"kind": str(stroke.kind), "radius": stroke.radius_px, "points": stroke.points_px}

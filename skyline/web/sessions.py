@@ -93,9 +93,12 @@ class Sessions:
         self.opened = Opened()
 
     def begin(self) -> Session:
-        """Return a new person's session."""
+        """Return a new person's session; where there are too many, who left first must go."""
         if len(self._sessions) >= MAX_SESSIONS:
-            raise InputError(f"{MAX_SESSIONS} pages are open; close some, or wait a while")
+            gone = max(list(self._sessions.values()), key=lambda session: session.unattended_s)
+            if gone.pages:
+                raise InputError(f"{MAX_SESSIONS} pages are open; close some of them")
+            self._end(gone)
         session = Session(self._folder / secrets.token_urlsafe(24))
         self._sessions[session.id] = session
         return session

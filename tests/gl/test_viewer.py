@@ -9,7 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skyline import Matcher, OffMapError, Viewer, read_dem, read_peaks, read_query
+from skyline import (
+    InputError,
+    Matcher,
+    Narrowing,
+    OffMapError,
+    Viewer,
+    read_dem,
+    read_peaks,
+    read_query,
+)
 from skyline.camera import HEADINGS
 from skyline.pipeline.config import curvature_of
 from skyline.render.horizon import HorizonRenderer
@@ -141,6 +150,17 @@ def test_a_match_tells_how_far_it_is_and_ends_when_told(matcher, query):
         with pytest.raises(KeyboardInterrupt, match=wanted):
             matcher.match(query, told=stop)
     assert matcher.match(query).candidates == plain.candidates
+
+
+def test_an_eye_stands_as_high_as_is_known(matcher, query):
+    high = matcher.match(query, narrowing=Narrowing(eye_height_m=25.0)).candidates[0]
+    ground_m = float(matcher.terrain.height_at(high.easting_m, high.northing_m))
+    assert high.eye_elevation_m == pytest.approx(ground_m + 25.0, abs=1e-6)
+    fitted = matcher.fit(query, high)
+    ground_m = float(matcher.terrain.height_at(fitted.easting_m, fitted.northing_m))
+    assert fitted.eye_elevation_m == pytest.approx(ground_m + 25.0, abs=1e-6)
+    with pytest.raises(InputError, match="expected 0 or more"):
+        Narrowing(eye_height_m=-1.0)
 
 
 IN_THREADS = """

@@ -261,7 +261,7 @@ def test_a_narrowed_search_a_cancelled_one_and_one_without_an_answer(page, photo
     page.until(lambda: page.find("#status").text == "Cancelled")
 
 
-def test_a_photo_that_cannot_be_used_is_one_line_on_the_page(page, photo, tmp_path):
+def test_a_bad_photo_is_one_line_and_a_reload_keeps_the_good_one(page, photo, tmp_path):
     text = tmp_path / "letter.jpg"
     text.write_text("no photo")
     page.drop(text)
@@ -269,9 +269,14 @@ def test_a_photo_that_cannot_be_used_is_one_line_on_the_page(page, photo, tmp_pa
     assert len(said) == 1
     assert said[0].startswith("letter.jpg is not an image that can be read")
     page.open(photo)
+    page.match()
+    page.draw("line", [(100, 50), (400, 50)])
+    answer, rows = page.find("#answer").text, page.rows()
     page.browser.refresh()
     page.until(lambda: page.state("state.rows && state.rows.length"))
     assert page.state("state.photo.name") == "photo.jpg"
+    assert page.rows() == rows
+    page.until(lambda: page.find("#answer").text == answer)
 
 
 _CONFUSED = {

@@ -75,8 +75,12 @@ def test_there_are_limits(sessions, monkeypatch):
     session.remove(first)
     assert session.bytes == 100
     assert not first.path.exists()
+    session.came()
     with pytest.raises(InputError, match="pages are open"):
         sessions.begin()
+    session.left()
+    assert sessions.begin().folder.exists()
+    assert not session.folder.exists()
 
 
 def test_all_files_go_with_the_server(sessions):

@@ -133,7 +133,9 @@ export async function start(kept) {
   dropping();
   on("states", list);
   const given = state.store.given.map((name, index) => ({ name, given: index, state: "ready" }));
-  state.photos = kept?.length ? kept : given;
+  for (const photo of kept ?? []) if (photo.result) state.results.set(photo.id, photo.result);
+  const opened = new Set(kept?.map((photo) => photo.name));
+  state.photos = [...(kept ?? []), ...given.filter((photo) => !opened.has(photo.name))];
   list();
   if (state.photos.length) await choose(state.photos[0]);
 }
