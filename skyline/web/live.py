@@ -6,6 +6,7 @@ last question is not answered: the skyline stays with the hand.
 
 import asyncio
 import contextlib
+import logging
 from collections.abc import Mapping
 from math import isfinite
 from typing import Any
@@ -17,6 +18,8 @@ from skyline import SkylineError
 from skyline.web.asked import number, pose_of
 from skyline.web.engine import Engine
 from skyline.web.sessions import Session
+
+_log = logging.getLogger(__name__)
 
 _TOLD_S = 0.15
 """How often a page is told how far its matches have come."""
@@ -70,7 +73,13 @@ class LiveChannel:
             self._news.clear()
             while self._asked:
                 _, asked = self._asked.popitem()
-                answer = await self._engine.work("live", self._answered, asked)
+                try:
+                    answer = await self._engine.work("live", self._answered, asked)
+                except Exception:
+                    # The page opens the channel again, which a silent one would not bring about.
+                    _log.exception("the page asked for %s", asked.get("type"))
+                    await self._socket.close(1011)
+                    return
                 await self._socket.send_json(answer)
 
     async def _tell(self) -> None:

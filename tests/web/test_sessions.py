@@ -28,7 +28,7 @@ def test_files_lie_below_the_servers_own_folder_under_names_of_its_own(sessions)
         assert path.parent == session.folder
         assert path.stem.isalnum()
     assert shown_name("../../etc/passwd") == "passwd"
-    assert shown_name("C:\\photos\\Grat.jpg") == "Grat.jpg"
+    assert shown_name("C:\\photos\\Horn.jpg") == "Horn.jpg"
     assert shown_name("") == "photo"
 
 
