@@ -13,9 +13,10 @@ import pytest
 from pages import SIZES, Page
 from PIL import Image
 from PIL.ExifTags import GPS, IFD
+from scenes import candidate_at
 from selenium.webdriver.common.keys import Keys
 
-from skyline import read_dem, read_trace, web
+from skyline import read_dem, read_trace, web, write_located
 
 NAMED = "({0}.id || {0}.name || {0}.className || {0}.textContent)".format
 
@@ -277,6 +278,31 @@ def test_a_bad_photo_is_one_line_and_a_reload_keeps_the_good_one(page, photo, tm
     assert page.state("state.photo.name") == "photo.jpg"
     assert page.rows() == rows
     page.until(lambda: page.find("#answer").text == answer)
+
+
+def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem, tmp_path):
+    frame = read_dem([dem]).frame
+    lon, lat = (float(one) for one in frame.to_lonlat(602_500.0, 5_178_500.0))
+    told = tmp_path / "told.jpg"
+    write_located(photo, told, candidate_at(602_500.0, 5_178_500.0, 33.0, frame=frame))
+    page.open(photo)
+    page.drop(told)
+    states = ".map((one) => one.state)"
+    page.until(lambda: page.state(f"state.photos{states}") == ["ready", "ready"])
+    page.until(lambda: page.find("#find-all").is_displayed())
+    page.click("#find-all")
+    page.until(lambda: page.state(f"state.photos{states}") == ["answered", "answered"])
+    assert page.state("state.photo.name") == "told.jpg"
+    page.click("#known summary")
+    page.click("#near-known")
+    near = page.of("known", "it.known().near")
+    assert (near["lon"], near["lat"]) == pytest.approx((lon, lat), abs=1e-5)
+    page.click("#photos li:first-child .pick")
+    page.until(lambda: page.state("state.photo.name") == "photo.jpg")
+    page.settled()
+    page.click("#photos li:first-child [aria-label^=Remove]")
+    page.until(lambda: page.find("#welcome").is_displayed())
+    assert page.state("state.photos.length") == 1
 
 
 _CONFUSED = {

@@ -110,14 +110,14 @@ export const circled = () =>
   circle && map.hasLayer(circle) ? { lon: circle.getLatLng().lng, lat: circle.getLatLng().lat, km: circle.getRadius() / 1000 } : null;
 
 export function showCircle(km, place = null) {
+  if (place) {
+    circle.setLatLng(place);
+    centre.setLatLng(place);
+  }
   if (km === null) {
     circle.remove();
     centre.remove();
     return;
-  }
-  if (place) {
-    circle.setLatLng(place);
-    centre.setLatLng(place);
   }
   circle.setRadius(1000 * km).addTo(map);
   centre.addTo(map);
