@@ -61,8 +61,15 @@ def osmesa_loads():
     return load("libOSMesa.so.8", "libOSMesa.so.6") is not None
 
 
+def browser_starts():
+    """Whether there is a browser that tests of the page can drive."""
+    return shutil.which("chromium") is not None and shutil.which("chromedriver") is not None
+
+
 NEEDS = {
     "python3-venv": venv_works,
+    "chromium": browser_starts,
+    "chromium-driver": browser_starts,
     "libegl1": egl_loads,
     "libgl1-mesa-dri": egl_has_driver,
     "libosmesa6": osmesa_loads,

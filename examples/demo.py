@@ -6,6 +6,8 @@ searches a store of places, the paper's matcher and plain correlation a store of
 """
 
 import argparse
+import os
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,6 +91,10 @@ def main() -> None:
     console.print(f"all in {time.perf_counter() - started:.0f} s; pictures in {out}:")
     for path in sorted(out.rglob("*.png")):
         console.print(f"  {path}")
+    console.print("\nTo find them with the mouse, run this and open the address that it prints:")
+    skyline = os.path.relpath(Path(sys.executable).parent / "skyline")
+    photos = " ".join(str(query.path) for query in queries)
+    console.print(f"  {skyline} serve {places} {photos}", soft_wrap=True)
 
 
 def take_pictures(terrain: HeightField, folder: Path) -> list[Query]:

@@ -16,13 +16,33 @@ from .matching.ranking import Candidate
 from .matching.refine_config import RefineConfig
 from .matching.retrieval import RetrievalConfig
 from .matching.screening import Alike
-from .photo import Projection, QuerySkyline, read_query
+from .photo import (
+    Correction,
+    NotedPlace,
+    Photo,
+    Projection,
+    QuerySkyline,
+    Stroke,
+    StrokeKind,
+    read_photo,
+    read_query,
+    read_trace,
+    write_trace,
+)
 from .pipeline.build import BuildResult, build_uniform, render_to_store, render_views
 from .pipeline.config import RenderConfig
 from .pipeline.match import Matcher, MatchResult
 from .pipeline.places import PlaceConfig, build_places
+from .pipeline.reports import report_matches
 from .pipeline.tables import to_geodataframe
+from .pipeline.viewer import SeenPeak, Sight, Viewer
 from .places import Places
+from .render.thread import RenderThread
+from .report.exports import export_matches
+from .report.located import write_located
+from .report.matched import Matched
+from .report.peaks import Peaks, read_peaks
+from .report.tiles import ReliefTiles
 from .store import Locations, PlaceMap, RowCoding, Store, StoreHeader, open_store
 from .terrain.dem import DemOptions, read_dem
 from .terrain.heightfield import HeightField, Provenance
@@ -37,6 +57,7 @@ __all__ = [
     "BuildResult",
     "Candidate",
     "ContextError",
+    "Correction",
     "Curvature",
     "DemOptions",
     "FetchError",
@@ -47,10 +68,14 @@ __all__ = [
     "Locations",
     "MatchConfig",
     "MatchResult",
+    "Matched",
     "Matcher",
     "MissingFileError",
     "Narrowing",
+    "NotedPlace",
     "OffMapError",
+    "Peaks",
+    "Photo",
     "PlaceConfig",
     "PlaceMap",
     "Places",
@@ -58,24 +83,38 @@ __all__ = [
     "Provenance",
     "QuerySkyline",
     "RefineConfig",
+    "ReliefTiles",
     "RenderConfig",
+    "RenderThread",
     "RetrievalConfig",
     "RowCoding",
+    "SeenPeak",
     "Shells",
+    "Sight",
     "SkylineError",
     "Store",
     "StoreError",
     "StoreHeader",
     "StoreMismatchError",
+    "Stroke",
+    "StrokeKind",
+    "Viewer",
     "Viewpoints",
     "Views",
     "build_places",
     "build_uniform",
+    "export_matches",
     "open_store",
     "read_dem",
+    "read_peaks",
+    "read_photo",
     "read_query",
+    "read_trace",
     "render_to_store",
     "render_views",
+    "report_matches",
     "stand_on",
     "to_geodataframe",
+    "write_located",
+    "write_trace",
 ]

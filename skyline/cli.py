@@ -1,4 +1,4 @@
-"""The command line: ``skyline render build match extract info explain store dem`` ."""
+"""The command line: ``skyline render build match extract serve info explain store dem`` ."""
 
 import json
 from collections.abc import Mapping
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from skyline import dem_cli, photo_cli
+from skyline import dem_cli, page_cli, photo_cli, report
 from skyline.console import (
     Scheduler,
     Workers,
@@ -47,7 +47,6 @@ from skyline.planning.plan import PlanConfig
 from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
 from skyline.prediction import shell_edges_m
-from skyline.report.coverage_map import save_coverage_map
 from skyline.store import is_store
 from skyline.store_cli import store_app
 from skyline.terrain.dem import DemOptions, read_dem
@@ -307,7 +306,7 @@ def build(
     _say_built(done.built, output)
     _say_planned(done)
     if coverage_map is not None:
-        save_coverage_map(done.plan, coverage_map)
+        report.save_coverage_map(done.plan, coverage_map)
 
 
 def _refuse_given(options: Mapping[str, object], why: str) -> None:
@@ -319,6 +318,7 @@ def _refuse_given(options: Mapping[str, object], why: str) -> None:
 
 app.command()(photo_cli.match)
 app.command()(photo_cli.extract)
+app.command()(page_cli.serve)
 
 
 @app.command()

@@ -26,7 +26,7 @@ from skyline.pipeline import (
     report_matches,
 )
 from skyline.pipeline.match import terrain_at_hand
-from skyline.report.geojson import write_geojson
+from skyline.report.exports import EXPORTS, check_export, export_matches
 from skyline.report.peaks import read_peaks
 from skyline.report.records import CandidateRecord, MatchRecord
 
@@ -82,6 +82,14 @@ def match(
             metavar="LOW,HIGH", help="The camera stood between these elevations, in metres."
         ),
     ] = None,
+    fov_slack: Annotated[
+        float,
+        typer.Option(help="Standard deviation of the field of view, as a share of it."),
+    ] = _DEFAULTS.fov_slack,
+    eye_height: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="Camera above the ground; by default it is found."),
+    ] = None,
     min_confidence: Annotated[
         float, typer.Option(help="Least confidence for an answer.")
     ] = _DEFAULTS.min_confidence,
@@ -96,18 +104,27 @@ def match(
             metavar="FILE.csv", help="Peaks to name in the report: name,lon,lat[,height_m]."
         ),
     ] = None,
-    geojson: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the candidates as GeoJSON.")
+    export: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help=f"Write the candidates, by the suffix: {', '.join(EXPORTS)}; may be repeated.",
+        ),
     ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
 ) -> None:
     """Find where photos were taken and in which direction the camera looked."""
-    _check_outputs([geojson], [store, *query])
+    exports = export or []
+    _check_outputs(exports, [store, *query])
+    for path in exports:
+        check_export(path)
     if peaks is not None and report is None:
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
-    config = replace(_DEFAULTS, refine=not no_refine, min_confidence=min_confidence)
-    narrowing = _narrowing(near, bounds, heading, elevation)
+    config = replace(
+        _DEFAULTS, refine=not no_refine, min_confidence=min_confidence, fov_slack=fov_slack
+    )
+    narrowing = replace(_narrowing(near, bounds, heading, elevation), eye_height_m=eye_height)
     # Workers may have another working directory.
     tiles = tuple(str(Path(one).absolute()) if Path(one).is_file() else one for one in dem or ())
     asked = (str(store), tiles or None, matcher, config)
@@ -131,9 +148,10 @@ def match(
                 typer.echo(json.dumps(record))
             else:
                 _say_match(record)
-    if geojson is not None and results:
-        candidates = [(str(path), result.candidates) for path, result in results]
-        write_geojson(geojson, candidates, matching.frame)
+    for path in exports if results else ():
+        packed = path.suffix.lower() == ".kmz"
+        told_of = [matched(one, result, with_photo=packed) for one, result in results]
+        export_matches(path, told_of, matching.frame)
     if report is not None and results:
         done = [f"The matcher `{matcher}` searched a store of {matching.rows} {matching.holds}."]
         told = (matched(path, result, done) for path, result in results)

@@ -4,11 +4,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from PIL import Image
 from scenes import fractal, write_dem
 
-from skyline import build_places, build_uniform, read_dem
+from skyline import build_places, build_uniform, read_dem, stand_on
 from skyline.pipeline.cluster import local_cluster
 from skyline.render.context import acquire_context
+from skyline.render.depth import DepthRenderer
+from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.pinhole import Camera
 
 
 @dataclass(frozen=True)
@@ -79,4 +83,16 @@ def renderings(dem, tmp_path_factory):
     """A store of renderings over that DEM."""
     path = tmp_path_factory.mktemp("renderings") / "renderings.h5"
     build_uniform(read_dem([dem]), path, 600.0)
+    return path
+
+
+@pytest.fixture(scope="session")
+def photo(dem, tmp_path_factory):
+    """A photograph from a stored viewpoint, heading 140 degrees."""
+    terrain = read_dem([dem])
+    eye = stand_on(terrain, 601_800.0, 5_178_000.0)
+    with DepthRenderer(terrain, 1600) as renderer:
+        picture = photograph(renderer, eye, 0, Camera(140.0, fov_deg=60.0), seed=3)
+    path = tmp_path_factory.mktemp("photo") / "photo.jpg"
+    Image.fromarray(picture).save(path, quality=92)
     return path

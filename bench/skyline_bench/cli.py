@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from skyline.console import command_line, run_app
 from skyline_bench.commands.adaptive import uniform_adaptive
 from skyline_bench.commands.matching import matching
+from skyline_bench.commands.page import page
 from skyline_bench.commands.photos import photo, photo_quality, readme_picture
 from skyline_bench.commands.planning import planned_build, prediction_quality, table1
 from skyline_bench.commands.scale import scale
@@ -52,6 +53,9 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         photo_quality: "15 minutes",
         photo: "5 minutes",
         readme_picture: "a minute",
+    },
+    "The page": {
+        page: "3 minutes",
     },
 }
 """Commands by what they measure, and about how long each takes on 2 cores without a GPU."""

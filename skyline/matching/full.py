@@ -79,7 +79,8 @@ class FullMatcher(Ranker):
         found = self.retrieve(query, top, narrowed, screened)
         if not len(found):
             return Ranking(found)
-        poses = self.refine(found, query, top)
+        height_m = None if narrowed is None else narrowed.narrowing.eye_height_m
+        poses = self.refine(found, query, top, height_m)
         if poses is None:
             sure = self._sure("retrieved", confidence.retrieved_figures(found, query))
             chosen = self._chosen(found, top)
@@ -107,20 +108,41 @@ class FullMatcher(Ranker):
         with one_blas_thread():
             return self._retriever.shortlist(query, count, narrowed, screened)
 
-    def refine(self, found: Hypotheses, query: QueryRays, least: int = 1) -> Poses | None:
+    def refine(
+        self,
+        found: Hypotheses,
+        query: QueryRays,
+        least: int = 1,
+        eye_height_m: float | None = None,
+    ) -> Poses | None:
         """Return retrieved poses refined, as far as it takes; None without a scene.
 
         Most skylines fit one place far better than any other, and those show it at once.
         """
         if self._scene is None:
             return None
+        quick = _naming(self._config.quick, least, eye_height_m)
         with one_blas_thread():
-            poses = refine(found, query, self._scene, _naming(self._config.quick, least))
+            poses = refine(found, query, self._scene, quick)
             if len(poses) and poses.margin[0] > self._config.sure_margin:
                 return poses
             spent = poses.renderings
-            poses = refine(found, query, self._scene, _naming(self._config.refine, least))
+            whole = _naming(self._config.refine, least, eye_height_m)
+            poses = refine(found, query, self._scene, whole)
         return replace(poses, renderings=spent + poses.renderings)
+
+    def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking | None:
+        """See `Ranker.fit_from`."""
+        if self._scene is None:
+            return None
+        ground_m = self._scene.ground_m(start.easting_m, start.northing_m)
+        above_m = np.maximum(start.eye_elevation_m - ground_m, 0.0)
+        if not np.isfinite(above_m).all():
+            raise InputError("the pose to fit from is off the map or on a hole; move it")
+        config = _held_at(replace(self._config.refine, restarts=1), float(above_m[0]))
+        with one_blas_thread():
+            poses = refine(start, query, self._scene, config)
+        return Ranking(poses.hypotheses[:1], None, poses.covariance_m2[:1])
 
     def _sure(self, model: str, figures: dict[str, Float64Array]) -> Float64Array:
         return self._models[model].probability(figures)
@@ -134,6 +156,12 @@ def _held(poses: Hypotheses, narrowed: Narrowed) -> Hypotheses:
     return replace(poses, score=np.where(narrowed.holds(poses), poses.score, np.inf))
 
 
-def _naming(config: RefineConfig, least: int) -> RefineConfig:
-    """Return a refinement that has room for at least so many places at its end."""
-    return replace(config, finalists=max(config.finalists, least))
+def _naming(config: RefineConfig, least: int, eye_height_m: float | None) -> RefineConfig:
+    """Return a refinement with room for so many places at its end, of eyes so high up."""
+    config = replace(config, finalists=max(config.finalists, least))
+    return config if eye_height_m is None else _held_at(config, eye_height_m)
+
+
+def _held_at(config: RefineConfig, eye_height_m: float) -> RefineConfig:
+    """Return a refinement of eyes at just that height above the ground."""
+    return replace(config, eye_height_m=eye_height_m, eye_height_known=True)

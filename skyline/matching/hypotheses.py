@@ -35,6 +35,11 @@ class Hypotheses(Rows):
     fov_deg: Float64Array
     score: Float64Array
 
+    @classmethod
+    def of_pose(cls, *pose: float) -> "Hypotheses":
+        """Return one pose, given in the order of the attributes, that nothing has scored."""
+        return cls(*(np.array([float(value)]) for value in (*pose, 0.0)))
+
     def __len__(self) -> int:
         return len(self.score)
 

@@ -32,6 +32,8 @@ class Narrowing:
         Of the optical axis from true north, and how far it may be off, degrees.
     elevation_m : (float, float), optional
         The lowest and the highest the camera may have stood, above the DEM's datum.
+    eye_height_m : float, optional
+        How high above the ground the camera stood; by default it is found with the pose.
 
     Raises
     ------
@@ -43,6 +45,7 @@ class Narrowing:
     bounds_deg: tuple[float, float, float, float] | None = None
     heading_deg: tuple[float, float] | None = None
     elevation_m: tuple[float, float] | None = None
+    eye_height_m: float | None = None
 
     def __post_init__(self) -> None:
         if self.near is not None:
@@ -65,6 +68,10 @@ class Narrowing:
                 raise InputError(
                     f"elevations are {low:g} to {high:g} m; expected two that increase"
                 )
+        if self.eye_height_m is not None and not 0.0 <= self.eye_height_m < np.inf:
+            raise InputError(
+                f"the eye is {self.eye_height_m:g} m above the ground; expected 0 or more"
+            )
 
     def within(self, frame: Frame) -> "Narrowed | None":
         """Return this as a test of places in a frame; None where nothing is known."""

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from skyline.arrays import Float64Array, IntArray
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.panoramas import Panoramas
+from skyline.matching.progress import tell
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import thinned
 from skyline.matching.refine_config import RefineConfig
@@ -152,7 +153,9 @@ class _Refinement:
         self._scout = Solver(scouting, config.rough, eye, height_sd_m)
         self._rough = Solver(query, config.rough, eye, height_sd_m)
         self._fine = Solver(query, config.fine, eye, height_sd_m)
-        self._renderings = 0
+        self._renderings = self._seen_times = 0
+        rounds = config.rounds + config.restart_rounds + config.final_rounds
+        self._rounds = rounds + (config.shortlist > config.particles)
 
     def run(self, hypotheses: Hypotheses) -> Poses:
         config = self._config
@@ -244,6 +247,8 @@ class _Refinement:
         bins: int,
     ) -> Curves:
         """Render what M eyes, each as high above the ground as its state says, see of the query."""
+        tell("refining", min(1.0, self._seen_times / self._rounds))
+        self._seen_times += 1
         ground_m, height_m = self._scene.ground_m(easting_m, northing_m), state[:, EYE_HEIGHT]
         turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
         off = np.abs((turn + 180.0) % 360.0 - 180.0)

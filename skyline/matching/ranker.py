@@ -2,6 +2,7 @@
 
 from typing import ClassVar, Protocol, Self
 
+from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Scene
@@ -79,6 +80,13 @@ class Ranker(Protocol):
             What `screened` found in all parts of the store, joined.
         """
         ...
+
+    def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking | None:
+        """Return the pose that one pose becomes by rendering; None from who does not render.
+
+        The eye keeps its height above the ground. The ranking is empty where nothing fits.
+        """
+        return None
 
     def screened(self, query: QueryRays, narrowed: Narrowed | None, part: slice) -> Alike | None:
         """Return the places of a part of the store worth ranking; None if all are to be ranked."""

@@ -16,6 +16,7 @@ from skyline.errors import InputError
 from skyline.matching.curve_fit import CurveFit, FitConfig, Rays
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.narrowing import Narrowed
+from skyline.matching.progress import tell
 from skyline.matching.query import QueryRays
 from skyline.matching.screening import Alike, Screen, sample_of, screen_places
 from skyline.places import Places, PlaceSource
@@ -183,10 +184,18 @@ class Retriever:
                 fits.score - self.config.alike_weight * some.score.astype(np.float64),
             )
 
+        parts = range(0, max(len(start), 1), _FITS_AT_ONCE)
+        found = []
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            return Hypotheses.concatenate(
-                list(pool.map(fitted, range(0, max(len(start), 1), _FITS_AT_ONCE)))
-            )
+            try:
+                for fit in pool.map(fitted, parts):
+                    found.append(fit)
+                    tell("fitting", len(found) / len(parts))
+            except BaseException:
+                # Whoever is told may end the match: what has not begun is not waited for.
+                pool.shutdown(cancel_futures=True)
+                raise
+        return Hypotheses.concatenate(found)
 
     def _slope(self, places: Places) -> Float32Array:
         """Return the ground's rise (N, 2) to the east and to the north; 0 beside a hole."""

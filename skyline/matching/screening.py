@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
+from skyline.matching.progress import tell
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
 from skyline.places import PHASE_BINS, Places, PlaceSource
 from skyline.places.phases import decode_phases, rise_to_turn
@@ -252,18 +253,21 @@ def screen_places(
     """
     kept = Alike.joined([])
 
-    def scored(numbered: tuple[int, Places]) -> Alike:
+    def scored(numbered: tuple[int, Places]) -> tuple[Alike, int]:
         start, places = numbered
         chosen = np.arange(len(places)) if within is None else np.flatnonzero(within(places))
         if not len(chosen):
-            return Alike.joined([])
+            return Alike.joined([]), len(places)
         phase = places.phase if len(chosen) == len(places) else places.phase[chosen]
-        return Alike(start + chosen, screen.scores(phase))
+        return Alike(start + chosen, screen.scores(phase)), len(places)
 
     waiting: list[Alike] = []
+    seen, last = 0, max(len(source), 1)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for found in _a_few_ahead(pool, scored, _numbered(source, part)):
+        for found, places in _a_few_ahead(pool, scored, _numbered(source, part)):
             waiting.append(found)
+            seen += places
+            tell("screening", seen / last)
             if sum(map(len, waiting)) > _SLACK * count:
                 kept = Alike.joined([kept, *waiting]).best(count)
                 waiting = []
@@ -282,9 +286,9 @@ def _numbered(source: PlaceSource, part: slice) -> Iterator[tuple[int, Places]]:
 
 def _a_few_ahead(
     pool: ThreadPoolExecutor,
-    work: Callable[[tuple[int, Places]], Alike],
+    work: Callable[[tuple[int, Places]], tuple[Alike, int]],
     items: Iterator[tuple[int, Places]],
-) -> Iterator[Alike]:
+) -> Iterator[tuple[Alike, int]]:
     """Yield results in order, never with more than a few blocks on their way."""
     ahead = [pool.submit(work, item) for item in islice(items, 2 * (os.cpu_count() or 1))]
     while ahead:

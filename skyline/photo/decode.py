@@ -20,7 +20,7 @@ from PIL.ExifTags import IFD, Base
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
-from skyline.photo.exif import fov_from_exif
+from skyline.photo.exif import NotedPlace, fov_from_exif, place_from_exif
 from skyline.photo.projection import Projection, panorama_of_xmp
 
 MAX_DECODED_PIXELS = 100_000_000
@@ -30,14 +30,16 @@ MAX_JPEG_PIXELS = 400_000_000
 
 _size_limit = Lock()
 
+_FORMATS = ("JPEG", "MPO", "PNG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "JPEG2000", "AVIF")
+"""What Pillow may decode, as far as it can: others run programs, or are no pictures."""
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
 _TURNED_ORIENTATIONS = (5, 6, 7, 8)
 _DEEP_MODES = ("I", "F")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DecodedImage:
-    """An image file's pixels.
+class Photo:
+    """An image file's pixels, and what the file notes of them.
 
     Attributes
     ----------
@@ -47,14 +49,17 @@ class DecodedImage:
         Horizontal field of view, up to 360, where EXIF or XMP has it.
     projection : Projection
         Perspective, unless XMP says that it is a panorama.
+    place : NotedPlace
+        Where it was taken and which way, as far as EXIF has it.
     """
 
     rgb: UInt8Array
     fov_deg: float | None
     projection: Projection
+    place: NotedPlace
 
 
-def decode_image(path: str | Path) -> DecodedImage:
+def decode_image(path: str | Path) -> Photo:
     """Read an image file.
 
     Raises
@@ -87,15 +92,21 @@ def decode_image(path: str | Path) -> DecodedImage:
         ) from error
 
 
-def _decode(path: Path) -> DecodedImage:
-    with Image.open(path) as image:
+def _decode(path: Path) -> Photo:
+    with Image.open(path, formats=_formats()) as image:
         exif = image.getexif()
         turned = exif.get(Base.Orientation) in _TURNED_ORIENTATIONS
         fov_deg = fov_from_exif({**exif, **exif.get_ifd(IFD.Exif)}, image.size, turned)
         panorama = panorama_of_xmp(_xmp(image))
         projection, fov_deg = panorama or (Projection.PERSPECTIVE, fov_deg)
         _require_bounded(path, image)
-        return DecodedImage(_to_rgb(ImageOps.exif_transpose(image)), fov_deg, projection)
+        place = place_from_exif(exif.get_ifd(IFD.GPSInfo))
+        return Photo(_to_rgb(ImageOps.exif_transpose(image)), fov_deg, projection, place)
+
+
+def _formats() -> list[str]:
+    Image.init()
+    return [name for name in (*_FORMATS, "HEIF") if name in Image.OPEN]
 
 
 @contextmanager

@@ -1,10 +1,11 @@
-"""Field of view of a photo from what its camera noted in EXIF."""
+"""Field of view, place and direction of a photo from what its camera noted in EXIF."""
 
 import logging
 from collections.abc import Mapping
+from dataclasses import dataclass
 from math import atan, degrees, hypot, isfinite
 
-from PIL.ExifTags import Base
+from PIL.ExifTags import GPS, Base
 
 from skyline.photo.projection import MAX_FOV_DEG, MIN_FOV_DEG
 
@@ -52,6 +53,56 @@ def fov_from_exif(
     return fov_deg if MIN_FOV_DEG <= fov_deg <= MAX_FOV_DEG else None
 
 
+@dataclass(frozen=True, slots=True)
+class NotedPlace:
+    """Where a photo says that it was taken; what is None it does not say.
+
+    Attributes
+    ----------
+    lonlat_deg : (float, float), optional
+        Longitude and latitude, WGS 84.
+    elevation_m : float, optional
+        Above sea level.
+    heading_deg : float, optional
+        Of the optical axis, clockwise from north, in [0, 360): true north, unless the camera
+        could tell magnetic north only.
+    """
+
+    lonlat_deg: tuple[float, float] | None = None
+    elevation_m: float | None = None
+    heading_deg: float | None = None
+
+
+def place_from_exif(gps: Mapping[int, object]) -> NotedPlace:
+    """Return what a photo's GPS directory (EXIF 2.32, 4.6.6) says of where it was taken."""
+    lon = _degrees(gps, GPS.GPSLongitude, GPS.GPSLongitudeRef, "W", 180.0)
+    lat = _degrees(gps, GPS.GPSLatitude, GPS.GPSLatitudeRef, "S", 90.0)
+    # Cameras without a fix write zeros.
+    lonlat = None if lon is None or lat is None or lon == lat == 0.0 else (lon, lat)
+    height = _number(gps.get(GPS.GPSAltitude))
+    if height is not None and gps.get(GPS.GPSAltitudeRef) in (1, b"\x01"):
+        height = -height
+    heading = _number(gps.get(GPS.GPSImgDirection))
+    return NotedPlace(lonlat, height, None if heading is None else heading % 360.0)
+
+
+def _degrees(
+    gps: Mapping[int, object], tag: int, ref_tag: int, negative: str, greatest: float
+) -> float | None:
+    """Return an angle given as degrees, minutes and seconds, and by a letter its side."""
+    parts = gps.get(tag)
+    if not isinstance(parts, tuple) or len(parts) != 3:
+        return None
+    numbers = [_number(part) for part in parts]
+    if None in numbers:
+        return None
+    whole, minutes, seconds = (float(number or 0.0) for number in numbers)
+    value = whole + minutes / 60.0 + seconds / 3600.0
+    if not 0.0 <= value <= greatest:
+        return None
+    return -value if str(gps.get(ref_tag, "")).upper().startswith(negative) else value
+
+
 def _focal_px(
     tags: Mapping[int, object], stored_size: tuple[int, int], sensor_width: float
 ) -> float | None:
@@ -84,9 +135,15 @@ def _aspect(width: float, height: float) -> float:
 
 
 def _positive(value: object) -> float | None:
-    """Return a tag's number where it is one above 0: a rational may be 0/0."""
+    """Return a tag's number where it is one above 0."""
+    number = _number(value)
+    return number if number is not None and number > 0.0 else None
+
+
+def _number(value: object) -> float | None:
+    """Return a tag's number where it is one: a rational may be 0/0."""
     try:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, ZeroDivisionError):
         return None
-    return number if isfinite(number) and number > 0.0 else None
+    return number if isfinite(number) else None

@@ -11,6 +11,7 @@ is found at about 0.7 million pixels, then refined to sub-pixel in a narrow band
 import logging
 from dataclasses import dataclass, replace
 from math import ceil
+from typing import Self
 
 import numpy as np
 from scipy import ndimage
@@ -51,7 +52,7 @@ _COLOUR_PRICE = 0.04
 _GROUND_BAND_SHARE = 0.12
 """Share of the rows, just below the path, that should have ground colours; deeper, lakes and
 glaciers may look like sky."""
-_STEPS = Steps(reach_rows=12, price_per_row=0.07, jump_price=3.0)
+STEPS = Steps(reach_rows=12, price_per_row=0.07, jump_price=3.0)
 _NO_SKY_SHARE = 0.9
 """Share of the columns without any sky at which daylight has misled."""
 _MAX_ROUNDS = 6
@@ -65,7 +66,7 @@ _CLEAR_MARGIN = 1.0
 _OUTCROP_SHARE = 0.006
 """Share of the rows by which the path may have settled on rock just below a snowy skyline."""
 _TOPMOST_STEPS = Steps(reach_rows=12, price_per_row=0.15, jump_price=3.0)
-_FORBIDDEN = 1e3
+FORBIDDEN = 1e3
 
 _REFINE_STEPS = Steps(reach_rows=2, price_per_row=0.05, jump_price=1.0)
 _REFINE_REACH = 1.5
@@ -73,7 +74,7 @@ _REFINE_REACH = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Border:
+class Border:
     """The path at working size, with what its confidence rests on.
 
     Attributes
@@ -115,67 +116,108 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
         raise InputError(
             f"image has shape {image.shape} and type {image.dtype}; expected (H, W, 3) uint8 RGB"
         )
-    content = content_of(image)
-    photo = content.crop(image)
-    evidence = gather_evidence(photo)
-    border, agreed = _find_border(evidence)
-    at_work = _to_work_columns(photo.shape[1], evidence)
-    sure = np.where(agreed, _confidence(evidence, border), 0.0)
-    confidence = np.interp(at_work, np.arange(len(sure)), sure)
-    row_px = _refine(photo, _to_photo_rows(border.row, evidence, at_work), evidence.row_scale)
-    query = _masked(row_px, confidence, content, image.shape[:2])
-    _require_skyline(query, content)
+    extraction = Extraction.of(image)
+    query = extraction.query(extraction.row_px, extraction.confidence)
+    _require_skyline(query, extraction.content)
     return query
 
 
-def _find_border(evidence: Evidence) -> tuple[_Border, BoolArray]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Extraction:
+    """A photo's skyline with what it was found from, so that it can be found again.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Height and width of the image.
+    content : Content
+        What of the image is photo.
+    photo : (H, W, 3) uint8
+        That part.
+    evidence : Evidence
+    border : Border
+        The path found at working size.
+    row_px, confidence : (W,) float64
+        Of the photo's columns, whether trusted or not.
+    """
+
+    shape: tuple[int, int]
+    content: Content
+    photo: UInt8Array
+    evidence: Evidence
+    border: Border
+    row_px: Float64Array
+    confidence: Float64Array
+
+    @classmethod
+    def of(cls, image: UInt8Array) -> Self:
+        """Find the skyline of an image (H, W, 3) uint8; raises as `content_of`."""
+        content = content_of(image)
+        photo = content.crop(image)
+        evidence = gather_evidence(photo)
+        border, agreed = _find_border(evidence)
+        at_work = to_work_columns(photo.shape[1], evidence)
+        sure = np.where(agreed, _confidence(evidence, border), 0.0)
+        confidence = np.interp(at_work, np.arange(len(sure)), sure)
+        row = to_photo_rows(border.row, evidence, at_work)
+        row_px = refine_rows(photo, row, evidence.row_scale)
+        return cls(
+            (image.shape[0], image.shape[1]), content, photo, evidence, border, row_px, confidence
+        )
+
+    def query(self, row_px: Float64Array, confidence: Float64Array) -> QuerySkyline:
+        """Return rows of the photo's columns as a query of the image, doubtful ones masked."""
+        return _within(row_px, confidence, self.content, self.shape)
+
+
+def _find_border(evidence: Evidence) -> tuple[Border, BoolArray]:
     """Find the border at working size, and the columns where it does not hang on one price."""
     colours = ColourModel(evidence.lab)
     start = _first_path(evidence)
     strict = _settle(evidence, colours, start, _STRICT_CROSSING_PRICE)
     for price in _CROSSING_PRICES:
         border = _settle(evidence, colours, start, price)
-        agreed = np.abs(border.row - strict.row) <= _rival_distance(len(evidence.edges))
+        agreed = np.abs(border.row - strict.row) <= rival_distance(len(evidence.edges))
         if agreed.mean() >= _MIN_AGREEMENT:
-            return replace(border, row=_topmost(evidence.edges, border.row)), agreed
+            return replace(border, row=topmost(evidence.edges, border.row)), agreed
     return strict, np.zeros(len(start), dtype=bool)
 
 
 def _first_path(evidence: Evidence) -> IntArray:
     """Return the path along sharp edges under nothing but smoothness and daylight."""
     cost = _edge_cost(evidence.edges, _STRICT_CROSSING_PRICE)
-    row = shortest_path(cost + _colour_cost(daylight_groundness(evidence.lab)), _STEPS)
+    row = shortest_path(cost + _colour_cost(daylight_groundness(evidence.lab)), STEPS)
     # Under a dark sky over snow everything up to the top would be ground.
     no_sky = np.mean(row <= 2) > _NO_SKY_SHARE
-    return shortest_path(cost, _STEPS) if no_sky else row
+    return shortest_path(cost, STEPS) if no_sky else row
 
 
 def _settle(
     evidence: Evidence, colours: ColourModel, start: IntArray, crossing_price: float
-) -> _Border:
+) -> Border:
     """Learn the colours on the path's two sides and find the path, in turns, until it settles."""
     rows = np.arange(len(evidence.edges))[:, np.newaxis]
     edge_cost = _edge_cost(evidence.edges, crossing_price)
-    border = _Border(start, edge_cost, np.zeros_like(evidence.edges))
+    border = Border(start, edge_cost, np.zeros_like(evidence.edges))
     for _ in range(_MAX_ROUNDS):
         groundness = colours.groundness(rows < border.row, rows > border.row)
         cost = edge_cost + _colour_cost(groundness)
-        before, border = border, _Border(shortest_path(cost, _STEPS), cost, groundness)
+        before, border = border, Border(shortest_path(cost, STEPS), cost, groundness)
         if np.mean(np.abs(border.row - before.row) > 1) < _SETTLED_SHARE:
             break
     return border
 
 
-def _topmost(edges: Float32Array, row: IntArray) -> IntArray:
+def topmost(edges: Float32Array, row: IntArray) -> IntArray:
     """Return the path moved to the topmost clear edge near it: rock outcrops lie under snow."""
     height = len(edges)
     away = np.abs(np.arange(height)[:, np.newaxis] - row)
     near = away <= max(2, round(_OUTCROP_SHARE * height))
     cost = _edge_cost(np.where(near, edges, np.float32(0.0)), _STRICT_CROSSING_PRICE)
-    return shortest_path(np.where(near, cost, np.float32(_FORBIDDEN)), _TOPMOST_STEPS)
+    return shortest_path(np.where(near, cost, np.float32(FORBIDDEN)), _TOPMOST_STEPS)
 
 
-def _rival_distance(height: int) -> int:
+def rival_distance(height: int) -> int:
     """Return the rows beyond which another path is not the same skyline."""
     return max(3, round(_RIVAL_DISTANCE_SHARE * height))
 
@@ -201,21 +243,27 @@ def _colour_cost(groundness: Float32Array) -> Float32Array:
     return np.asarray(_COLOUR_PRICE * (ground_above[:height] + sky_below), dtype=np.float32)
 
 
-def _confidence(evidence: Evidence, border: _Border) -> Float64Array:
+def _confidence(evidence: Evidence, border: Border) -> Float64Array:
     """Return each working column's confidence, 0 to 1: edge x no rival x colours apart."""
     height = len(evidence.edges)
     away = np.abs(np.arange(height)[:, np.newaxis] - border.row)
-    edge = np.sqrt(np.where(away <= 1, evidence.edges, 0.0).max(axis=0))
-    detour = detours(border.cost, _STEPS)
-    rival = np.where(away > _rival_distance(height), detour, np.inf).min(axis=0)
+    detour = detours(border.cost, STEPS)
+    rival = np.where(away > rival_distance(height), detour, np.inf).min(axis=0)
     margin = 1.0 - np.exp(-rival / _CLEAR_MARGIN)
-    confidence = ndimage.median_filter(edge * margin * _colour_contrast(border), 5, mode="nearest")
+    confidence = ndimage.median_filter(clearness(evidence, border) * margin, 5, mode="nearest")
     outside = (border.row <= 2) | (border.row >= height - 3)
     confidence[outside | occluded(evidence, border.row)] = 0.0
     return np.asarray(confidence, dtype=np.float64)
 
 
-def _colour_contrast(border: _Border) -> Float64Array:
+def clearness(evidence: Evidence, border: Border) -> Float64Array:
+    """Return 0 to 1 per column: how sharp the edge is, times how far the colours are apart."""
+    away = np.abs(np.arange(len(evidence.edges))[:, np.newaxis] - border.row)
+    edge = np.sqrt(np.where(away <= 1, evidence.edges, 0.0).max(axis=0))
+    return np.asarray(edge * _colour_contrast(border), dtype=np.float64)
+
+
+def _colour_contrast(border: Border) -> Float64Array:
     """Return how far the colours just above and just below are apart, 0 to 1 per column."""
     height = len(border.groundness)
     band = max(4, round(_GROUND_BAND_SHARE * height / 2.0))
@@ -232,18 +280,18 @@ def _colour_contrast(border: _Border) -> Float64Array:
     return np.asarray(np.clip(below - above, 0.0, 1.0), dtype=np.float64)
 
 
-def _to_work_columns(width: int, evidence: Evidence) -> Float64Array:
+def to_work_columns(width: int, evidence: Evidence) -> Float64Array:
     """Return where each photo column's centre lies at working size."""
     at_work = (np.arange(width) + 0.5) * evidence.edges.shape[1] / width - 0.5
     return np.asarray(at_work, dtype=np.float64)
 
 
-def _to_photo_rows(row: IntArray, evidence: Evidence, at_work: Float64Array) -> Float64Array:
+def to_photo_rows(row: IntArray, evidence: Evidence, at_work: Float64Array) -> Float64Array:
     """Return a working path's row in each photo column, photo pixels."""
     return (np.interp(at_work, np.arange(len(row)), row) + 0.5) / evidence.row_scale - 0.5
 
 
-def _refine(photo: UInt8Array, row: Float64Array, scale: float) -> Float64Array:
+def refine_rows(photo: UInt8Array, row: Float64Array, scale: float) -> Float64Array:
     """Return the rows of the steepest change near a path, to sub-pixel.
 
     Within a band around the path a second shortest path follows the greatest difference between
@@ -269,7 +317,7 @@ def _refine(photo: UInt8Array, row: Float64Array, scale: float) -> Float64Array:
     return np.asarray(centre - reach + inner - 0.5 + np.clip(shift, -0.5, 0.5), dtype=np.float64)
 
 
-def _masked(
+def _within(
     row_px: Float64Array, confidence: Float64Array, content: Content, shape: tuple[int, ...]
 ) -> QuerySkyline:
     """Return the query of the whole image, doubtful columns and borders masked."""

@@ -68,6 +68,18 @@ class Projection(StrEnum):
         up = above * half if self is Projection.CYLINDRICAL else np.tan(above * half)
         return np.tan(azimuth), up / np.cos(azimuth)
 
+    def places(
+        self, u: Float64Array, v: Float64Array, fov_deg: float
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return where rays (u, v, 1) lie in a photo, across and above: the inverse of `rays`."""
+        half = np.radians(fov_deg) / 2.0
+        if self is Projection.PERSPECTIVE:
+            return u / np.tan(half), v / np.tan(half)
+        azimuth = np.arctan(u)
+        up = v * np.cos(azimuth)
+        above = up if self is Projection.CYLINDRICAL else np.arctan(up)
+        return azimuth / half, above / half
+
     def column_deg(self, width: int, fov_deg: float) -> Float64Array:
         """Return the degrees of azimuth that each of ``width`` columns spans, (width,)."""
         edges = np.linspace(-1.0, 1.0, width + 1)

@@ -12,7 +12,7 @@ from PIL import Image
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError
 from skyline.files import write_whole
-from skyline.photo.decode import decode_image
+from skyline.photo.decode import Photo, decode_image
 from skyline.photo.extract import extract_skyline
 from skyline.photo.mask import is_sky_mask, skyline_of_mask
 from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
@@ -78,6 +78,37 @@ def extract_photo(
         degrees its middle.
     query : QuerySkyline
     """
+    photo = read_photo(path, fov_deg, projection=projection)
+    try:
+        query = _find(photo.rgb, sky_model)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return photo.rgb, replace(query, fov_deg=photo.fov_deg, projection=photo.projection)
+
+
+def read_photo(
+    path: str | Path, fov_deg: float | None = None, *, projection: Projection | None = None
+) -> Photo:
+    """Read a photo or a sky mask: its pixels, upright, and what its file notes of them.
+
+    Parameters
+    ----------
+    path : str or Path
+    fov_deg, projection
+        As of `read_query`.
+
+    Returns
+    -------
+    Photo
+        Of a panorama wider than 160 degrees the middle.
+
+    Raises
+    ------
+    MissingFileError
+        There is no such file.
+    InputError
+        It cannot be decoded, or is a sliver.
+    """
     _check_fov(fov_deg, projection)
     decoded = decode_image(path)
     fov_deg = decoded.fov_deg if fov_deg is None else fov_deg
@@ -86,11 +117,7 @@ def extract_photo(
     if min(image.shape[:2]) < 2:
         height, width = image.shape[:2]
         raise InputError(f"{path} has {width} x {height} px; expected a photo or a sky mask")
-    try:
-        query = _find(image, sky_model)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    return image, replace(query, fov_deg=fov_deg, projection=projection)
+    return Photo(image, fov_deg, projection, decoded.place)
 
 
 def _check_fov(fov_deg: float | None, projection: Projection | None) -> None:
@@ -142,8 +169,7 @@ def read_picture(path: str | Path) -> UInt8Array | None:
     """
     if Path(path).suffix.lower() == ".csv":
         return None
-    decoded = decode_image(path)
-    image, _ = _with_rays(decoded.rgb, decoded.fov_deg, decoded.projection)
+    image = read_photo(path).rgb
     return None if is_sky_mask(image) else image
 
 

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline import report
 from skyline.camera import HEADINGS
 from skyline.features import polyline_keypoints
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
-from skyline.report import save_depth_images
 from skyline.store import StoreHeader, StoreWriter, create_store, open_for_append, open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.scene import SceneNeeds, scene_needs
@@ -220,7 +220,7 @@ def save_depth_pictures(
             for heading in HEADINGS:
                 cv2.imwrite(str(folder / f"{index:04d}_heading_{heading}.tif"), images[heading])
             views = renderer.render(viewpoints[index : index + 1])
-            save_depth_images(images, views, folder / f"{index:04d}.png")
+            report.save_depth_images(images, views, folder / f"{index:04d}.png")
 
 
 def _render_into(

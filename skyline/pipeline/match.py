@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -13,16 +13,18 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError, SkylineError, named
 from skyline.geodesy import Frame
-from skyline.matching import Candidate, Narrowing, Profiles, QueryRays
+from skyline.matching import Candidate, Hypotheses, Narrowing, Profiles, QueryRays
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed
+from skyline.matching.progress import telling
 from skyline.matching.screening import Alike
 from skyline.photo import Projection, QuerySkyline, read_query
-from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
+from skyline.pipeline.config import check_dem, read_dem_of
 from skyline.pipeline.matchers import FULL, MATCHERS, check_narrows
+from skyline.pipeline.scene import RenderedScene
 from skyline.pipeline.tables import to_geodataframe
 from skyline.places import PlaceSource
-from skyline.render.horizon import HorizonRenderer
+from skyline.render.thread import RenderThread
 from skyline.store import Store, StoreHeader, open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import Ground, HeightField
@@ -79,6 +81,9 @@ class Matcher:
         One of `skyline.pipeline.matchers.MATCHERS`: ``full``, which is ours and searches places,
         or one that compares renderings.
     config : MatchConfig, optional
+    render_thread : RenderThread, optional
+        Renders, so that any thread may match, and several at a time; by default the thread that
+        makes the matcher renders, and it alone may match.
 
     Raises
     ------
@@ -96,6 +101,7 @@ class Matcher:
         dem: Dem | None = None,
         matcher: str = FULL,
         config: MatchConfig | None = None,
+        render_thread: RenderThread | None = None,
     ) -> None:
         kind = named("matcher", matcher, MATCHERS)
         self._config = config or MatchConfig()
@@ -103,9 +109,11 @@ class Matcher:
             self.header = opened.header
             self.rows, self.holds = len(opened), opened.header.holds
             self.viewpoints = _some_eyes(opened)
-            source = _OpenedSource(store, opened, _given_terrain(self.header, dem), self._config)
+            terrain = _given_terrain(self.header, dem)
+            source = _OpenedSource(store, opened, terrain, self._config, render_thread)
             self._ranker = kind.open(source)
         self.terrain, self._scene = source.terrain, source.rendered
+        self.render_thread = render_thread
         self.frame = Frame(self.header.frame_wkt)
 
     def release(self) -> None:
@@ -131,6 +139,7 @@ class Matcher:
         top: int = 5,
         narrowing: Narrowing | None = None,
         screened: Alike | None = None,
+        told: Callable[[str, float], None] | None = None,
     ) -> MatchResult:
         """Find where a photo, a sky mask, a trace or a query skyline was taken.
 
@@ -146,6 +155,9 @@ class Matcher:
         screened : Alike, optional
             What `screen` found in all parts of the store, joined; by default the store is
             screened here.
+        told : callable, optional
+            Called, in this thread, with the step that the match is at and the share of the step
+            that is done, 0 to 1. What it raises ends the match.
 
         Raises
         ------
@@ -164,10 +176,41 @@ class Matcher:
         refusal = too_little(query, self._config)
         if refusal is None:
             rays, narrowed = self._rays(query), self._narrowed(narrowing)
-            ranking = self._ranker.rank(rays, top, narrowed, screened)
+            with telling(told):
+                ranking = self._ranker.rank(rays, top, narrowed, screened)
             candidates = ranking.candidates(self.frame)
-            refusal = unsure(candidates, self._config)
+            refusal = unsure(candidates, self._config) or at_bound(candidates, rays)
         return MatchResult(query, candidates, time.perf_counter() - started, refusal)
+
+    def fit(self, query: QuerySkyline, start: Candidate) -> Candidate | None:
+        """Return the pose that a pose nearby becomes by rendering; None where nothing fits.
+
+        Parameters
+        ----------
+        query : QuerySkyline
+        start : Candidate
+            Some 100 m from the place and 5 degrees from the heading at most; the field of view is
+            taken to be right within the matcher's slack. The eye keeps its height above the
+            ground.
+
+        Raises
+        ------
+        InputError
+            The matcher does not render, or the pose is off the map.
+        """
+        pose = Hypotheses.of_pose(
+            start.easting_m,
+            start.northing_m,
+            start.eye_elevation_m,
+            start.grid_heading_deg,
+            start.pitch_deg,
+            start.roll_deg,
+            start.fov_deg,
+        )
+        ranking = self._ranker.fit_from(self._rays(query.with_fov(start.fov_deg)), pose)
+        if ranking is None:
+            raise InputError("this matcher does not render; a fit needs the full one and the DEM")
+        return next(iter(ranking.candidates(self.frame)), None)
 
     def screen(
         self, query: QuerySkyline, narrowing: Narrowing | None = None, part: slice = slice(None)
@@ -235,32 +278,30 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
     return f"the best place has confidence {sure:.2f}, {least:.2f} is needed"
 
 
-class RenderedScene:
-    """The terrain of a store as refinement needs it; see `skyline.matching.pose.Scene`."""
-
-    def __init__(self, terrain: HeightField, header: StoreHeader, config: MatchConfig) -> None:
-        self.ground_m = terrain.height_at
-        self.height_sd_m = terrain.height_sd_m
-        self._renderer = HorizonRenderer(
-            terrain, config.render_width, curvature_of(header), config.render_tolerance_px
-        )
-
-    def render(self, viewpoints: Viewpoints, headings: NDArray[np.uint8]) -> Views:
-        """Render one view an eye, each along its heading, in order."""
-        return self._renderer.render(viewpoints, headings)
-
-    def release(self) -> None:
-        """Free what it holds on the GPU."""
-        self._renderer.release()
+def at_bound(candidates: Sequence[Candidate], rays: QueryRays) -> str | None:
+    """Say that the field of view of the best candidate is the least or greatest searched, if so."""
+    low_deg, high_deg = rays.fov_bounds_deg
+    found_deg = candidates[0].fov_deg
+    if low_deg == high_deg or low_deg + _AT_BOUND_DEG < found_deg < high_deg - _AT_BOUND_DEG:
+        return None
+    return (
+        f"the best place needs a field of view of {found_deg:.1f} degrees, and {low_deg:.1f} to "
+        f"{high_deg:.1f} were searched; give another one (--fov-deg)"
+    )
 
 
 class _OpenedSource:
     """An open store and its terrain; see `skyline.matching.ranker.Source`."""
 
     def __init__(
-        self, path: str | Path, store: Store, terrain: HeightField | None, config: MatchConfig
+        self,
+        path: str | Path,
+        store: Store,
+        terrain: HeightField | None,
+        config: MatchConfig,
+        thread: RenderThread | None,
     ) -> None:
-        self._path, self._store = path, store
+        self._path, self._store, self._thread = path, store, thread
         self.terrain, self.config = terrain, config
         self.rendered: RenderedScene | None = None
         self._sought = False
@@ -285,7 +326,8 @@ class _OpenedSource:
         """Return the terrain to render."""
         terrain = self._found_terrain()
         if terrain is not None and self.config.refine:
-            self.rendered = RenderedScene(terrain, self._store.header, self.config)
+            header = self._store.header
+            self.rendered = RenderedScene.of_store(terrain, header, self.config, self._thread)
         return self.rendered
 
     def _found_terrain(self) -> HeightField | None:
@@ -326,6 +368,7 @@ def _given_terrain(header: StoreHeader, dem: Dem | None) -> HeightField | None:
 
 
 _SHOWN_EYES = 20_000
+_AT_BOUND_DEG = 0.05
 
 
 def _some_eyes(store: Store) -> Viewpoints:

@@ -3,10 +3,14 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from skyline import report
 from skyline.photo import read_picture
-from skyline.pipeline.config import RenderConfig, curvature_of, make_renderer
+from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher, MatchResult
-from skyline.report import Matched, Peaks, Surroundings, write_match_report
+from skyline.pipeline.scene import RenderedScene
+from skyline.report.matched import Matched
+from skyline.report.peaks import Peaks
+from skyline.report.surroundings import Surroundings
 from skyline.store.header import package_version
 from skyline.terrain.heightfield import HeightField
 
@@ -42,16 +46,21 @@ def report_matches(
     frame, places, told = matcher.frame, matcher.viewpoints, list(matches)
     made_by = f"skyline {package_version()}"
     if terrain is None:
-        return write_match_report(folder, told, Surroundings(frame, places), made_by)
+        return report.write_match_report(folder, told, Surroundings(frame, places), made_by)
     curvature = curvature_of(matcher.header)
     config = RenderConfig(width=_PICTURE_WIDTH, curvature=curvature)
-    with make_renderer(terrain, config) as renderer:
-        around = Surroundings(frame, places, terrain, renderer.render, peaks, curvature)
-        return write_match_report(folder, told, around, made_by)
+    scene = RenderedScene(terrain, config, matcher.render_thread)
+    try:
+        around = Surroundings(frame, places, terrain, scene.render, peaks, curvature)
+        return report.write_match_report(folder, told, around, made_by)
+    finally:
+        scene.release()
 
 
-def matched(path: str | Path, result: MatchResult, done: Sequence[str] = ()) -> Matched:
-    """Return a match as a report takes it, the photo read again for its pixels.
+def matched(
+    path: str | Path, result: MatchResult, done: Sequence[str] = (), with_photo: bool = True
+) -> Matched:
+    """Return a match as reports and exports take it.
 
     Parameters
     ----------
@@ -60,6 +69,8 @@ def matched(path: str | Path, result: MatchResult, done: Sequence[str] = ()) -> 
     result : MatchResult
     done : sequence of str
         What was done, a sentence each.
+    with_photo : bool
+        Whether the photo is read again for its pixels.
     """
     return Matched(
         str(path),
@@ -67,6 +78,6 @@ def matched(path: str | Path, result: MatchResult, done: Sequence[str] = ()) -> 
         result.candidates,
         result.seconds,
         result.answer is not None,
-        read_picture(path),
+        read_picture(path) if with_photo else None,
         done,
     )

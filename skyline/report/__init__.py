@@ -1,26 +1,9 @@
-"""What a person sees: pictures, maps, pages that need no network, and GeoJSON."""
+"""What a person sees: pictures, maps, pages that need no network, and GeoJSON.
 
-from skyline.report.html import Page, Picture, Section, Table, Text
-from skyline.report.maps import Found, save_map
-from skyline.report.matches import Matched, write_match_geojson, write_match_report
-from skyline.report.peaks import Peaks, read_peaks
-from skyline.report.pictures import save_depth_images, save_panorama
-from skyline.report.surroundings import Surroundings
+Names are loaded when they are first used (`__init__.pyi` says from where): what draws takes half
+a second to load.
+"""
 
-__all__ = [
-    "Found",
-    "Matched",
-    "Page",
-    "Peaks",
-    "Picture",
-    "Section",
-    "Surroundings",
-    "Table",
-    "Text",
-    "read_peaks",
-    "save_depth_images",
-    "save_map",
-    "save_panorama",
-    "write_match_geojson",
-    "write_match_report",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -84,10 +84,11 @@ def _feature(geometry: Json, properties: Json) -> Json:
 
 
 def _polygon(outline_m: NDArray[np.float64], frame: Frame) -> Json:
-    return {"type": "Polygon", "coordinates": [_lonlat(outline_m, frame)]}
+    return {"type": "Polygon", "coordinates": [lonlat_of(outline_m, frame)]}
 
 
-def _lonlat(places_m: NDArray[np.float64], frame: Frame) -> list[list[float]]:
+def lonlat_of(places_m: NDArray[np.float64], frame: Frame) -> list[list[float]]:
+    """Return longitudes and latitudes to a centimetre of places (P, 2), metres."""
     lon, lat = frame.to_lonlat(places_m[:, 0], places_m[:, 1])
     degrees = np.round(np.stack([lon, lat], axis=1), _DECIMALS)
     pairs: list[list[float]] = degrees.tolist()

@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
 from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
-from skyline.photo import QuerySkyline
 from skyline.report.geojson import write_geojson
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
+from skyline.report.matched import Matched
 from skyline.report.overlay import Overlay
 from skyline.report.peaks import HIDDEN_DEG, Sighting, visible_peaks
 from skyline.report.pictures import encode_figure
@@ -26,35 +25,6 @@ from skyline.report.surroundings import Surroundings
 _MAP_DPI = 150.0
 _DETAIL_SHARE = 0.4
 """A second map is drawn where it shows less than this share of the first one's side."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Matched:
-    """One query and what was found for it.
-
-    Attributes
-    ----------
-    name : str
-        What the user calls the query: its file.
-    query : QuerySkyline
-    candidates : sequence of Candidate
-        Best first.
-    seconds : float
-    is_answered : bool
-        Whether the best candidate is given as the answer.
-    photo : (H, W, 3) uint8, optional
-        RGB, of the query's size; None for a trace or a mask.
-    done : sequence of str
-        What was done to find it, a sentence each.
-    """
-
-    name: str
-    query: QuerySkyline
-    candidates: Sequence[Candidate]
-    seconds: float
-    is_answered: bool = True
-    photo: NDArray[np.uint8] | None = None
-    done: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -63,7 +63,8 @@ class Overlay:
         """The picture as the candidate takes it."""
         if self.candidate is None:
             return None
-        return PosedPicture(self.query.width_px, self.query.height_px, self.candidate)
+        query = self.query
+        return PosedPicture(query.width_px, query.height_px, self.candidate, query.projection)
 
     def jpeg(self) -> bytes:
         """Return the drawn picture, the query's at most 1600 px wide and high in it."""

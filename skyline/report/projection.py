@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from skyline.arrays import Float64Array
 from skyline.matching.query import level, project
 from skyline.matching.ranking import Candidate
-from skyline.photo import QuerySkyline
+from skyline.photo import Projection, QuerySkyline
 from skyline.views import Views
 
 
@@ -20,16 +20,13 @@ class PosedPicture:
     ----------
     width_px, height_px : int
     candidate : Candidate
+    projection : Projection
     """
 
     width_px: int
     height_px: int
     candidate: Candidate
-
-    @property
-    def _px_per_unit(self) -> float:
-        """Pixels per unit of u or v."""
-        return self.width_px / 2.0 / float(np.tan(np.radians(self.candidate.fov_deg) / 2.0))
+    projection: Projection = Projection.PERSPECTIVE
 
     def pixels(
         self, azimuth_deg: ArrayLike, elevation_tan: ArrayLike
@@ -47,9 +44,11 @@ class PosedPicture:
         turn = np.radians(np.asarray(azimuth_deg, dtype=np.float64) - pose.grid_heading_deg)
         y = np.asarray(elevation_tan, dtype=np.float64)
         u, v = project(turn, y, pose.pitch_deg, pose.roll_deg)
+        across, above = self.projection.places(u, v, pose.fov_deg)
+        half_px = self.width_px / 2.0
         return (
-            u * self._px_per_unit + (self.width_px - 1.0) / 2.0,
-            (self.height_px - 1.0) / 2.0 - v * self._px_per_unit,
+            across * half_px + (self.width_px - 1.0) / 2.0,
+            (self.height_px - 1.0) / 2.0 - above * half_px,
         )
 
     def directions(self, query: QuerySkyline) -> tuple[Float64Array, Float64Array]:

@@ -11,12 +11,11 @@ from matplotlib.offsetbox import AnchoredText
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.geodesy import Frame
+from skyline.report.tints import DARKEST, TINTS
 from skyline.terrain.heightfield import HeightField
 
 _MOST_SAMPLES = 900
-_TINTS = ("#7fa87a", "#a9bd8b", "#d3c79b", "#c4a983", "#b59f8d", "#d9d5d1", "#ffffff")
-_TINT = LinearSegmentedColormap.from_list("height", _TINTS).with_extremes(bad="#e8eef5")
-_DARKEST = 0.35
+_TINT = LinearSegmentedColormap.from_list("height", TINTS).with_extremes(bad="#e8eef5")
 _NO_TERRAIN = "#eef0ee"
 _EDGE_POINTS = 65
 
@@ -93,7 +92,7 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: Area) -> None:
         dx=terrain.spacing_east_m * step,
         dy=terrain.spacing_north_m * step,
     )
-    light = (_DARKEST + (1.0 - _DARKEST) * shade)[..., np.newaxis]
+    light = (DARKEST + (1.0 - DARKEST) * shade)[..., np.newaxis]
     rgb = _TINT(tint(np.ma.masked_invalid(heights)))[..., :3]
     picture = np.where(np.isnan(heights)[..., np.newaxis], rgb, rgb * light)
     limits = axis.axis()

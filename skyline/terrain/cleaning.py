@@ -12,9 +12,6 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import spsolve
 
 from skyline.arrays import BoolArray, Float32Array, Int64Array
 
@@ -115,6 +112,9 @@ def fill_voids(heights_m: Float32Array, max_void_samples: int) -> int:
     count = voids.size
     degree = np.count_nonzero(is_void | np.isfinite(rim_m), axis=1).astype(np.float64)
     diagonal = np.arange(count)
+    from scipy.sparse import csr_array  # noqa: PLC0415  (a fifth of a second, seldom needed)
+    from scipy.sparse.linalg import spsolve  # noqa: PLC0415
+
     laplacian = csr_array(
         (
             np.concatenate([degree, np.full(row.size, -1.0)]),
@@ -239,6 +239,12 @@ def _expand(first: Int64Array, length: Int64Array) -> tuple[Int64Array, Int64Arr
 
 
 def _connected(one: Int64Array, other: Int64Array, count: int) -> Int64Array:
+    """Return the number of the part of a graph that each of its nodes belongs to."""
+    if not count:
+        return np.zeros(0, dtype=np.int64)
+    from scipy.sparse import coo_array  # noqa: PLC0415  (a fifth of a second, seldom needed)
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+
     graph = coo_array((np.ones(one.size, dtype=np.int8), (one, other)), shape=(count, count))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 

@@ -12,7 +12,6 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
-from scipy.interpolate import RectBivariateSpline
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
@@ -162,6 +161,8 @@ def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
 
 def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> Positions:
     """Return positions in the source, interpolated between nodes where that is good enough."""
+    from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  (a fifth of a second, seldom needed)
+
     to_source = _transformer(frame.crs, crs)
     turn = full_turn(crs)
 

@@ -62,7 +62,7 @@ SMALLER = {
 """What the documents say -> what is run."""
 
 LEFT = {
-    "queries.md": ("report/index.html", "candidates.geojson"),
+    "queries.md": ("report/index.html", "candidates.geojson", "candidates.kml"),
     "scripts.md": ("pictures/0000.png", "python.h5"),
 }
 """Page -> files that its commands leave."""

@@ -177,7 +177,7 @@ def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path
     text, geojson = tmp_path / "text.jpg", tmp_path / "found.geojson"
     text.write_text("no photo")
     command = ["match", store, photo, text, photo, "--fov-deg", "60", "--no-refine"]
-    done = run(*command, "--json", "--geojson", geojson, *workers)
+    done = run(*command, "--json", "--export", geojson, *workers)
     assert done.code == 2
     assert [json.loads(line)["query"] for line in done.out.splitlines()] == [str(photo)] * 2
     assert re.fullmatch(r"error: .*text\.jpg.*\n", done.err)
@@ -189,8 +189,8 @@ def test_what_is_read_is_not_written_over(run, store, photo):
     for command in (
         ("extract", photo, "-o", photo),
         ("extract", photo, "-o", photo.with_suffix(".csv"), "--overlay", photo),
-        ("match", store, photo, "--fov-deg", "60", "--geojson", store),
-        ("match", store, photo, "--fov-deg", "60", "--geojson", photo),
+        ("match", store, photo, "--fov-deg", "60", "--export", store),
+        ("match", store, photo, "--fov-deg", "60", "--export", photo),
     ):
         done = run(*command)
         assert done.code == 2
@@ -203,7 +203,7 @@ def test_match_writes_a_report_and_geojson_beside_the_same_json(run, store, phot
     folder, geojson = tmp_path / "report", tmp_path / "found.geojson"
     query = ["match", store, photo, "--fov-deg", "60", "--json"]
     plain = json.loads(run(*query).out)
-    done = run(*query, "--report", folder, "--peaks", peaks, "--geojson", geojson)
+    done = run(*query, "--report", folder, "--peaks", peaks, "--export", geojson)
     assert done.code == 0, done.err
     record = json.loads(done.out)
     assert record["candidates"] == plain["candidates"]
@@ -218,7 +218,7 @@ def test_match_writes_a_report_and_geojson_beside_the_same_json(run, store, phot
     assert points[0]["properties"]["query"] == str(photo)
     assert_refused(run(*query, "--peaks", peaks), "--report")
     assert_refused(run(*query, "--report", folder, "--peaks", photo), "cannot be read")
-    unwritable = run(*query, "--geojson", photo / "a.json")
+    unwritable = run(*query, "--export", photo / "a.json")
     assert unwritable.code == 2
     assert "cannot be written" in unwritable.err
 

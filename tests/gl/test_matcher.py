@@ -24,7 +24,7 @@ from skyline.matching.retrieval import Retriever
 from skyline.photo import Projection, QuerySkyline
 from skyline.pipeline.batch import _opened
 from skyline.pipeline.config import curvature_of, mapped_area_m
-from skyline.pipeline.match import RenderedScene
+from skyline.pipeline.scene import RenderedScene
 from skyline.store import open_store
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
@@ -101,7 +101,7 @@ def test_queries_are_found_where_they_were_taken(store, terrain, queries):
 def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
     found = {}
     with open_store(store) as opened:
-        scene = RenderedScene(terrain, opened.header, BOLD)
+        scene = RenderedScene.of_store(terrain, opened.header, BOLD)
     for sure_margin in (0.0, 75.0, np.inf):
         with open_store(store) as opened:
             retriever = Retriever(opened.places(), terrain.height_at)

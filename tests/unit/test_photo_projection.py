@@ -34,6 +34,15 @@ def test_rays_of_a_panorama_point_where_it_looks(projection, fov_deg):
     assert_allclose(np.degrees(np.arctan(v / np.hypot(u, 1.0))), elevation, atol=1e-9)
 
 
+@pytest.mark.parametrize("projection", Projection)
+@pytest.mark.parametrize("fov_deg", [5.0, 60.0, 150.0])
+def test_places_are_where_rays_come_from(projection, fov_deg):
+    across, above = np.linspace(-1.0, 1.0, 41), np.linspace(-0.6, 0.6, 41)
+    rays = projection.rays(across, above, fov_deg)
+    back = projection.places(*rays, fov_deg)
+    assert_allclose(back, (across, above), atol=1e-12)
+
+
 def test_narrow_panorama_is_nearly_a_photo():
     rows = np.linspace(30.0, 60.0, 200)
     flat = QuerySkyline(rows, np.ones(200), 200, 100, 4.0)

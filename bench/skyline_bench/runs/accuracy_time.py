@@ -25,7 +25,7 @@ from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import RetrievalConfig, Retriever
 from skyline.pipeline import Progress
 from skyline.pipeline.config import mapped_area_m, read_dem_of
-from skyline.pipeline.match import RenderedScene
+from skyline.pipeline.scene import RenderedScene
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth, make_queries
@@ -159,7 +159,7 @@ def measure(
     with open_store(path) as store:
         terrain = read_dem_of(store.header, dem)
         west, south, east, north = mapped_area_m(store.header, terrain) or map_bounds(terrain, None)
-        places, scene = store.places(), RenderedScene(terrain, store.header, MatchConfig())
+        places, scene = store.places(), RenderedScene.of_store(terrain, store.header, MatchConfig())
     retrievers = {
         fitted: Retriever(places, terrain.height_at, RetrievalConfig(fitted=fitted))
         for fitted in FITTED

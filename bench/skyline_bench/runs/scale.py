@@ -24,8 +24,8 @@ from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.pipeline import Matcher, PlaceConfig, Progress
 from skyline.pipeline.config import mapped_area_m
-from skyline.pipeline.match import RenderedScene
 from skyline.pipeline.places import DEFAULT_SPACING_M
+from skyline.pipeline.scene import RenderedScene
 from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
@@ -223,7 +223,7 @@ def measure(
         queries = make_queries(terrain, area, config.queries, config.seed, config.query)
         with open_store(store.path) as opened:
             places, header = opened.places(), opened.header
-        scene = RenderedScene(terrain, header, MATCHING)
+        scene = RenderedScene.of_store(terrain, header, MATCHING)
         traced = Traced(places, terrain.height_at, scene, terrain.frame)
         traced.match(queries[0])  # The first compiles shaders.
         for number, search in missing:

@@ -1,0 +1,247 @@
+"""The page measured: how soon it is ready, how the skyline follows a hand, what matches leave."""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from skyline.errors import BuildError
+from skyline.pipeline import Progress, build_places
+from skyline.render.depth import DepthRenderer
+from skyline.terrain.dem import read_dem
+from skyline.terrain.viewpoints import stand_on
+from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.served import ServedPage, browser, served_page
+from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.pinhole import Camera
+from skyline_bench.queries.sample import write_sample_dem
+
+_BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
+_SPACING_M = 120.0
+_PHOTO_PX = (4000, 3000)
+_FOCAL_LENGTH_35MM = 31
+_WARM_MATCHES = 5
+_PATIENCE_S = 120.0
+_CROWD = 3
+_KNOWN = b'{"fov": 60}'
+_POSE = {"lon": -84.25, "lat": 36.58, "pitch": 0, "roll": 0, "fov": 60, "eyeHeight": 2}
+_DRAG_HZ = 60.0
+
+_STROKES = "return performance.getEntriesByName('stroke').map((one) => one.duration)"
+_STATE = "const done = arguments[0]; import('/page/{}.js').then((it) => done({}));"
+
+
+def measure(folder: Path, matches: int, drag_s: float, progress: Progress) -> list[Row]:
+    """Serve the sample terrain's page and measure it.
+
+    Parameters
+    ----------
+    folder : Path
+        Where the store and the photo are made.
+    matches : int
+        Over which memory is compared.
+    drag_s : float
+        For how long the camera is dragged.
+    progress : callable
+    """
+    store, photo = _made(folder)
+    progress(1, 5)
+    rows: list[Row] = []
+    with served_page([store]) as served:
+        rows.append({"figure": "server ready", "value": served.ready_s, "unit": "s", "at most": 3})
+        progress(2, 5)
+        with browser() as chromium:
+            rows += _in_browser(chromium, served, photo, drag_s)
+        progress(4, 5)
+        rows += _crowd(served, photo)
+        rows += _memory(served, photo, matches)
+        progress(5, 5)
+    return rows
+
+
+def _made(folder: Path) -> tuple[Path, Path]:
+    """Return a store of the sample terrain, and a photo of 12 megapixels."""
+    terrain = read_dem([write_sample_dem(folder / "sample.tif")])
+    store, photo = folder / "places.h5", folder / "photo.jpg"
+    build_places(terrain, store, _SPACING_M, _BOUNDS_DEG)
+    easting, northing = terrain.frame.from_lonlat(-84.25, 36.58)
+    eye = stand_on(terrain, easting, northing)
+    fov_deg = float(2.0 * np.degrees(np.arctan(18.0 / _FOCAL_LENGTH_35MM)))
+    with DepthRenderer(terrain, 2048) as renderer:
+        picture = photograph(renderer, eye, 0, Camera(60.0, fov_deg=fov_deg), seed=1)
+    large = cv2.resize(picture, _PHOTO_PX, interpolation=cv2.INTER_CUBIC)
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = _FOCAL_LENGTH_35MM
+    Image.fromarray(large).save(photo, quality=92, exif=exif)
+    return store, photo
+
+
+def _in_browser(chromium: Any, served: ServedPage, photo: Path, drag_s: float) -> list[Row]:
+    """Measure what a person at the page waits for."""
+    chromium.get(served.address)
+    _until(lambda: chromium.execute_script("return document.documentElement.dataset.ready"))
+    began = time.perf_counter()
+    chromium.find_element("id", "files").send_keys(str(photo))
+    _until(lambda: _ask(chromium, "state", "Boolean(it.state.rows)"))
+    shown_s = time.perf_counter() - began
+    began = time.perf_counter()
+    chromium.execute_script("document.getElementById('find').click()")
+    _until(lambda: _ask(chromium, "state", "Boolean(it.state.sight)"))
+    found_s = time.perf_counter() - began
+    strokes = _strokes(chromium)
+    return [
+        {"figure": "photo shown with its skyline", "value": shown_s, "unit": "s"},
+        {"figure": "place found", "value": found_s, "unit": "s"},
+        {"figure": "stroke to new skyline, median", "value": float(np.median(strokes)),
+         "unit": "ms", "at most": 300},
+        {"figure": "stroke to new skyline, slowest", "value": max(strokes), "unit": "ms"},
+        *_drag(chromium, drag_s),
+    ]  # fmt: skip
+
+
+def _strokes(chromium: Any) -> list[float]:
+    """Paint over the skyline at ten places, and return how long each took, ms."""
+    chromium.execute_script("document.querySelector('input[value=sky]').click()")
+    box = chromium.find_element("id", "photo").rect
+    for count in range(10):
+        column = box["x"] + box["width"] * (0.3 + 0.04 * count)
+        row = box["y"] + box["height"] * 0.55
+        _mouse(chromium, "mousePressed", column, row)
+        for step in range(8):
+            _mouse(chromium, "mouseMoved", column + 3.0 * step, row)
+        _mouse(chromium, "mouseReleased", column + 24.0, row)
+        _until(partial(_solved_again, chromium, count))
+    return [float(duration) for duration in chromium.execute_script(_STROKES)]
+
+
+def _solved_again(chromium: Any, before: int) -> bool:
+    return len(chromium.execute_script(_STROKES)) > before
+
+
+def _drag(chromium: Any, drag_s: float) -> list[Row]:
+    """Drag the camera about the map, and return how the skyline follows."""
+    box = chromium.find_element("css selector", ".camera").rect
+    column, row = box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0
+    _mouse(chromium, "mousePressed", column, row)
+    _mouse(chromium, "mouseMoved", column + 6.0, row)
+    time.sleep(0.5)
+    chromium.execute_async_script(_STATE.format("hand", "it.live.latency.length = 0"))
+    shown = _ask(chromium, "hand", "it.live.shown")
+    began = time.perf_counter()
+    moves = 0
+    while time.perf_counter() - began < drag_s:
+        moves += 1
+        turn = moves / _DRAG_HZ
+        _mouse(chromium, "mouseMoved", column + 25 * np.cos(turn), row + 20 * np.sin(turn))
+        time.sleep(max(0.0, began + moves / _DRAG_HZ - time.perf_counter()))
+    seconds = time.perf_counter() - began
+    shown = _ask(chromium, "hand", "it.live.shown") - shown
+    latency = _ask(chromium, "hand", "it.live.latency")
+    _mouse(chromium, "mouseReleased", column, row)
+    return [
+        {"figure": "renderings shown a second", "value": shown / seconds, "unit": "1/s",
+         "at least": 10},
+        {"figure": "moves of the mouse a second", "value": moves / seconds, "unit": "1/s"},
+        {"figure": "hand to skyline, median", "value": float(np.median(latency)), "unit": "ms"},
+        {"figure": "hand to skyline, 95 %", "value": float(np.percentile(latency, 95)),
+         "unit": "ms", "at most": 150},
+    ]  # fmt: skip
+
+
+def _memory(served: ServedPage, photo: Path, matches: int) -> list[Row]:
+    """Match again and again, and return what the server holds before and after."""
+    seconds = []
+    with _person(served, photo) as asked:
+        for count in range(_WARM_MATCHES + matches):
+            if count == _WARM_MATCHES:
+                before = served.own_bytes()
+            began = time.perf_counter()
+            _post(served, f"{asked}/match", _KNOWN)
+            seconds.append(time.perf_counter() - began)
+        after = served.own_bytes()
+    return [
+        {"figure": "match, median", "value": float(np.median(seconds)), "unit": "s"},
+        {"figure": "memory before", "value": before / 1e6, "unit": "MB"},
+        {"figure": f"memory after {matches} matches", "value": after / 1e6, "unit": "MB"},
+        {"figure": "memory a match", "value": (after - before) / 1e6 / matches, "unit": "MB"},
+    ]
+
+
+def _crowd(served: ServedPage, photo: Path) -> list[Row]:
+    """Let three people match at once, and return what a fourth waits for skylines meanwhile."""
+    from websockets.sync.client import connect  # noqa: PLC0415  (an extra)
+
+    with ExitStack() as people:
+        asked = [people.enter_context(_person(served, photo)) for _ in range(_CROWD + 1)]
+        pool = people.enter_context(ThreadPoolExecutor(_CROWD))
+        matches = [pool.submit(_post, served, f"{one}/match", _KNOWN) for one in asked[1:]]
+        session, _, photo_id = asked[0].rpartition("/photos/")
+        waits: list[float] = []
+        with connect(_channel(served, session)) as channel:
+            while not all(match.done() for match in matches):
+                turn = len(waits) % 360
+                pose = {**_POSE, "heading": turn}
+                began = time.perf_counter()
+                channel.send(json.dumps({"type": "look", "photo": photo_id, "pose": pose}))
+                while json.loads(channel.recv())["type"] != "look":
+                    pass
+                waits.append(1000.0 * (time.perf_counter() - began))
+    return [
+        {"figure": f"skyline while {_CROWD} match, median", "value": float(np.median(waits)),
+         "unit": "ms"},
+        {"figure": f"skyline while {_CROWD} match, 95 %", "unit": "ms",
+         "value": float(np.percentile(waits, 95)), "at most": 150},
+    ]  # fmt: skip
+
+
+@contextmanager
+def _person(served: ServedPage, photo: Path) -> Iterator[str]:
+    """Put a photo onto a page that is open, and give the photo's address."""
+    from websockets.sync.client import connect  # noqa: PLC0415  (an extra)
+
+    session = f"session/{_post(served, 'session', b'')['session']}"
+    record = _post(served, f"{session}/photos?name=photo.jpg", photo.read_bytes())
+    with connect(_channel(served, session)) as onlooker:
+        # What is told must be heard, or the channel takes its listener for dead.
+        threading.Thread(target=lambda: [None for _ in onlooker], daemon=True).start()
+        yield f"{session}/photos/{record['id']}"
+
+
+def _channel(served: ServedPage, session: str) -> str:
+    return served.address.replace("http", "ws") + f"{session}/live"
+
+
+def _post(served: ServedPage, path: str, body: bytes) -> Any:
+    try:
+        with urlopen(Request(served.address + path, body, method="POST")) as answer:
+            return json.loads(answer.read())
+    except HTTPError as error:
+        raise BuildError(f"the page says: {error.read().decode()[:200]}") from error
+
+
+def _ask(chromium: Any, module: str, code: str) -> Any:
+    return chromium.execute_async_script(_STATE.format(module, code))
+
+
+def _mouse(chromium: Any, kind: str, column: float, row: float) -> None:
+    event = {"type": kind, "x": column, "y": row, "button": "left", "buttons": 1, "clickCount": 1}
+    chromium.execute_cdp_cmd("Input.dispatchMouseEvent", event)
+
+
+def _until(true: Callable[[], object]) -> None:
+    began = time.perf_counter()
+    while not true():
+        if time.perf_counter() - began > _PATIENCE_S:
+            raise BuildError("the page did not get to where it is measured; look at it")
+        time.sleep(0.01)

@@ -1,0 +1,247 @@
+"""A photo's skyline, mended by a person's strokes and found again after each.
+
+What speaks for sky and ground is gathered once. A stroke of the brush says of pixels that they are
+sky, or ground; the skyline is then the cheapest path that keeps to that. A drawn line is taken as
+it is. What no stroke changes stays as it was found.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from skyline.arrays import BoolArray, Float64Array, IntArray, UInt8Array
+from skyline.errors import InputError
+from skyline.photo.decode import Photo
+from skyline.photo.extract import (
+    FORBIDDEN,
+    STEPS,
+    Extraction,
+    clearness,
+    refine_rows,
+    to_photo_rows,
+    to_work_columns,
+    topmost,
+)
+from skyline.photo.mask import is_sky_mask, skyline_of_mask
+from skyline.photo.paths import shortest_path
+from skyline.photo.query import QuerySkyline
+
+_PAINTED_CONFIDENCE = 0.6
+"""Least confidence of a column that a brush has touched: a person has looked at it."""
+_HULL_PX = 64
+"""Photo columns beside changed ones that are found again with them."""
+
+
+class StrokeKind(StrEnum):
+    """What a stroke says of what it touches.
+
+    Attributes
+    ----------
+    SKY, GROUND
+        Its pixels are sky, or ground.
+    LINE
+        The skyline runs along it.
+    ERASE
+        Its columns show no skyline.
+    """
+
+    SKY = "sky"
+    GROUND = "ground"
+    LINE = "line"
+    ERASE = "erase"
+
+
+@dataclass(frozen=True, slots=True)
+class Stroke:
+    """One stroke of a person's hand over a photo.
+
+    Attributes
+    ----------
+    kind : StrokeKind
+    points_px : tuple of (float, float)
+        Columns and rows, joined by straight lines; pixel centres are at whole numbers.
+    radius_px : float
+        Of the brush; a line has none.
+
+    Raises
+    ------
+    InputError
+        No points, a coordinate that is not finite, or a radius below 0.
+    """
+
+    kind: StrokeKind
+    points_px: tuple[tuple[float, float], ...]
+    radius_px: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.points_px or not np.isfinite(self.points_px).all():
+            raise InputError(
+                f"a stroke has {len(self.points_px)} points; expected at least one, all finite"
+            )
+        if not 0.0 <= self.radius_px < np.inf:
+            raise InputError(f"a brush has a radius of {self.radius_px:g} px; expected 0 or more")
+
+
+class Correction:
+    """A photo whose skyline is found again after each stroke.
+
+    Parameters
+    ----------
+    photo : Photo
+    found : QuerySkyline, optional
+        The skyline to begin with, a trace for example; by default what the extractor finds, or
+        what the photo shows where it is a sky mask.
+
+    Raises
+    ------
+    InputError
+        The photo is too small or a sliver, or the skyline is of an image of another size.
+    """
+
+    def __init__(self, photo: Photo, found: QuerySkyline | None = None) -> None:
+        self._photo = photo
+        self._extraction = Extraction.of(photo.rgb)
+        if found is None and is_sky_mask(photo.rgb):
+            found = skyline_of_mask(photo.rgb)
+        self._row_px, self._confidence = self._began(found)
+
+    def restarted(self, found: QuerySkyline) -> "Correction":
+        """Return the same photo's correction that begins with a skyline, such as a trace."""
+        again = object.__new__(Correction)
+        again._photo, again._extraction = self._photo, self._extraction
+        again._row_px, again._confidence = again._began(found)
+        return again
+
+    def solve(self, strokes: Sequence[Stroke] = ()) -> QuerySkyline:
+        """Return the skyline under all strokes given, a later one over an earlier.
+
+        It may have no trusted column. Its field of view and projection are the photo's.
+        """
+        content = self._extraction.content
+        row_px, confidence = self._row_px.copy(), self._confidence.copy()
+        height, width = self._extraction.photo.shape[:2]
+        inside = [_moved(stroke, -content.left, -content.top) for stroke in strokes]
+        labels = _labels(inside, self._extraction)
+        if labels.any():
+            self._solve_again(labels, row_px, confidence)
+        for stroke in inside:
+            columns = _columns(stroke, width)
+            if stroke.kind is StrokeKind.LINE:
+                row_px[columns] = np.clip(_along(stroke, columns), -0.5, height - 0.5)
+                confidence[columns] = 1.0
+            elif stroke.kind is StrokeKind.ERASE:
+                confidence[columns] = 0.0
+            else:
+                touched = columns[np.isfinite(row_px[columns])]
+                confidence[touched] = np.maximum(confidence[touched], _PAINTED_CONFIDENCE)
+        known = np.isfinite(row_px)
+        query = self._extraction.query(row_px, np.where(known, confidence, 0.0))
+        return replace(query, fov_deg=self._photo.fov_deg, projection=self._photo.projection)
+
+    def _began(self, found: QuerySkyline | None) -> tuple[Float64Array, Float64Array]:
+        extraction = self._extraction
+        if found is None:
+            return extraction.row_px, extraction.confidence
+        if (found.height_px, found.width_px) != extraction.shape:
+            height, width = extraction.shape
+            raise InputError(
+                f"the skyline is of an image of {found.width_px} x {found.height_px} px, the photo "
+                f"has {width} x {height}; expected the same image"
+            )
+        inside = slice(extraction.content.left, extraction.content.right)
+        return found.row_px[inside] - extraction.content.top, found.confidence[inside].copy()
+
+    @cached_property
+    def _unpainted(self) -> IntArray:
+        """The path at working size under no stroke."""
+        return shortest_path(self._extraction.border.cost, STEPS)
+
+    def _solve_again(
+        self, labels: UInt8Array, row_px: Float64Array, confidence: Float64Array
+    ) -> None:
+        """Write the rows and the confidence of the columns that painted pixels change."""
+        extraction = self._extraction
+        evidence, border = extraction.evidence, extraction.border
+        forbidden = _forbidden(labels)
+        cost = np.where(forbidden, border.cost + np.float32(FORBIDDEN), border.cost)
+        path = shortest_path(cost, STEPS)
+        changed = (path != self._unpainted) | (labels != 0).any(axis=0)
+        first, last = np.flatnonzero(changed)[[0, -1]]
+        hull = slice(max(int(first) - _HULL_PX, 0), int(last) + _HULL_PX + 1)
+        edges = np.where(forbidden[:, hull], np.float32(0.0), evidence.edges[:, hull])
+        path[hull] = topmost(edges, path[hull])
+        at_work = to_work_columns(len(row_px), evidence)
+        near = np.rint(at_work).astype(np.intp).clip(0, len(path) - 1)
+        columns = np.flatnonzero(changed[near])
+        around = slice(max(columns[0] - _HULL_PX, 0), columns[-1] + _HULL_PX + 1)
+        guess = to_photo_rows(path, evidence, at_work)[around]
+        refined = refine_rows(extraction.photo[:, around], guess, evidence.row_scale)
+        sure = clearness(evidence, replace(border, row=path))
+        sure[_on_the_edge(path, len(cost))] = 0.0
+        row_px[columns] = refined[columns - around.start]
+        confidence[columns] = np.interp(at_work[columns], np.arange(len(sure)), sure)
+
+
+def _moved(stroke: Stroke, right_px: float, down_px: float) -> Stroke:
+    points = tuple((column + right_px, row + down_px) for column, row in stroke.points_px)
+    return replace(stroke, points_px=points)
+
+
+def _columns(stroke: Stroke, width: int) -> IntArray:
+    """Return the columns of a photo that a stroke spans."""
+    across = [column for column, _ in stroke.points_px]
+    first = max(0, round(min(across) - stroke.radius_px))
+    last = min(width - 1, round(max(across) + stroke.radius_px))
+    return np.arange(first, last + 1)
+
+
+def _along(stroke: Stroke, columns: IntArray) -> Float64Array:
+    """Return a line's row at columns; where it runs back over itself the last row counts."""
+    rows: dict[int, float] = {}
+    before = stroke.points_px[0]
+    for here in stroke.points_px:
+        low, high = sorted((round(before[0]), round(here[0])))
+        span = np.arange(low, high + 1)
+        share = (span - before[0]) / (here[0] - before[0]) if here[0] != before[0] else span * 0.0
+        between = before[1] + np.clip(share, 0.0, 1.0) * (here[1] - before[1])
+        rows.update(zip(span.tolist(), between.tolist(), strict=True))
+        before = here
+    rows[round(before[0])] = before[1]
+    known = sorted(rows)
+    return np.interp(columns, known, [rows[column] for column in known])
+
+
+_SKY_LABEL, _GROUND_LABEL = 1, 2
+
+
+def _labels(strokes: Sequence[Stroke], extraction: Extraction) -> UInt8Array:
+    """Return what is painted at working size, (h, w): 0 nothing, 1 sky, 2 ground."""
+    evidence = extraction.evidence
+    (work_height, work_width), photo = evidence.edges.shape, extraction.photo
+    labels = np.zeros((work_height, work_width), dtype=np.uint8)
+    scale = np.array([work_width / photo.shape[1], work_height / photo.shape[0]])
+    for stroke in strokes:
+        if stroke.kind not in {StrokeKind.SKY, StrokeKind.GROUND}:
+            continue
+        points = (np.array(stroke.points_px) + 0.5) * scale - 0.5
+        limit = 4 * max(work_height, work_width)
+        whole = np.rint(np.clip(points, -limit, limit)).astype(np.int32)
+        colour = _SKY_LABEL if stroke.kind is StrokeKind.SKY else _GROUND_LABEL
+        thickness = max(1, round(2.0 * min(stroke.radius_px * float(scale[0]), limit)))
+        cv2.polylines(labels, [whole], False, colour, thickness)
+    return labels
+
+
+def _forbidden(labels: UInt8Array) -> BoolArray:
+    """Return where the skyline cannot be, (h, w): in painted sky and above, in ground and below."""
+    sky_here_or_below = np.logical_or.accumulate((labels == _SKY_LABEL)[::-1], axis=0)[::-1]
+    ground_here_or_above = np.logical_or.accumulate(labels == _GROUND_LABEL, axis=0)
+    return np.asarray(sky_here_or_below | ground_here_or_above)
+
+
+def _on_the_edge(path: IntArray, height: int) -> BoolArray:
+    return np.asarray((path <= 2) | (path >= height - 3))

@@ -1,0 +1,190 @@
+"""What a camera at any pose sees: the skyline in its photo, while the pose is still moving."""
+
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.arrays import Float64Array
+from skyline.camera import HEADINGS
+from skyline.errors import InputError, OffMapError
+from skyline.matching import Hypotheses, Ranking
+from skyline.matching.ranking import Candidate
+from skyline.photo import QuerySkyline
+from skyline.pipeline.config import RenderConfig, curvature_of
+from skyline.pipeline.match import Matcher
+from skyline.pipeline.scene import RenderedScene
+from skyline.report.peaks import Peaks, visible_peaks
+from skyline.report.projection import Panorama, PosedPicture
+from skyline.report.surroundings import Surroundings
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
+
+_WIDTH = 1024
+"""Columns of a view: more than a screen shows of it."""
+_MARGIN_DEG = 8.0
+"""A view is rendered where the photo comes this near to it: a camera may be tilted."""
+_AROUND = 0.52
+"""How far from the photo's middle, in widths, a skyline is drawn: a little beyond its border."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sight:
+    """The skyline that a pose sees, in pixels of its photo, and how the photo's differs.
+
+    Attributes
+    ----------
+    column_px, row_px : (N,) float64
+        The rendered skyline from left to right; NaN where there is no data.
+    is_sure : (N,) bool
+        False where the data's border or a hole may hide what is farther.
+    gap_deg : (W,) float64
+        The photo's skyline above the rendered one in each of the photo's columns; NaN where
+        either is not known.
+    """
+
+    column_px: Float64Array
+    row_px: Float64Array
+    is_sure: NDArray[np.bool_]
+    gap_deg: Float64Array
+
+    @property
+    def median_gap_deg(self) -> float | None:
+        """The median of the gap's size; None where no column is known."""
+        known = self.gap_deg[np.isfinite(self.gap_deg)]
+        return float(np.median(np.abs(known))) if len(known) else None
+
+
+@dataclass(frozen=True, slots=True)
+class SeenPeak:
+    """A summit in a photo.
+
+    Attributes
+    ----------
+    label : str
+    column_px, row_px : float
+    distance_m : float
+    """
+
+    label: str
+    column_px: float
+    row_px: float
+    distance_m: float
+
+
+class Viewer:
+    """Renders what poses see on a matcher's terrain, before whatever the matcher renders.
+
+    Parameters
+    ----------
+    matcher : Matcher
+        Its render thread, if it has one, renders for this too: any thread may ask.
+    peaks : Peaks, optional
+        Names to put to summits.
+
+    Raises
+    ------
+    InputError
+        The matcher has no elevation model.
+    """
+
+    def __init__(self, matcher: Matcher, peaks: Peaks | None = None) -> None:
+        if matcher.terrain is None:
+            raise InputError("the store's DEM is not at hand, so that nothing can be rendered")
+        self.frame, self.terrain, self.peaks = matcher.frame, matcher.terrain, peaks
+        self.curvature = curvature_of(matcher.header)
+        config = RenderConfig(width=_WIDTH, curvature=self.curvature)
+        self._scene = RenderedScene(self.terrain, config, matcher.render_thread)
+        self._around = Surroundings(self.frame, matcher.viewpoints, self.terrain)
+
+    def release(self) -> None:
+        """Free what this holds on the GPU."""
+        self._scene.release()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.release()
+
+    def pose(
+        self,
+        lon: float,
+        lat: float,
+        heading_deg: float,
+        *,
+        pitch_deg: float = 0.0,
+        roll_deg: float = 0.0,
+        fov_deg: float = 60.0,
+        eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
+    ) -> Candidate:
+        """Return the candidate of a camera that stands at a place; headings are from true north.
+
+        Raises
+        ------
+        OffMapError
+            The place is off the map or on a hole, or the eye is below the ground.
+        """
+        easting, northing = self.frame.from_lonlat(lon, lat)
+        eye = stand_on(self.terrain, easting, northing, eye_height_m)
+        convergence_deg = float(self.frame.convergence_deg(easting, northing))
+        pose = Hypotheses.of_pose(
+            float(easting),
+            float(northing),
+            float(eye.eye_elevation_m[0]),
+            (heading_deg - convergence_deg) % 360.0,
+            pitch_deg,
+            roll_deg,
+            fov_deg,
+        )
+        return Ranking(pose).candidates(self.frame)[0]
+
+    def look(self, pose: Candidate, query: QuerySkyline) -> Sight:
+        """Return the skyline that a pose sees in the photo that a query is of.
+
+        Raises
+        ------
+        OffMapError
+            The pose is off the map or on a hole.
+        """
+        eye = self._around.eye_of(pose)
+        if eye is None:
+            raise OffMapError("the pose is off the map or on a hole; move it")
+        off_deg = 90.0 * np.array(HEADINGS) - pose.grid_heading_deg
+        away_deg = np.abs((off_deg + 180.0) % 360.0 - 180.0)
+        headings = np.flatnonzero(away_deg < 45.0 + 0.5 * pose.fov_deg + _MARGIN_DEG)
+        views = self._scene.render(eye[np.zeros(len(headings), np.intp)], headings, urgent=True)
+        panorama = Panorama.of(views)
+        picture = PosedPicture(query.width_px, query.height_px, pose, query.projection)
+        ahead = panorama.from_azimuth(pose.grid_heading_deg + 180.0)
+        column, row = picture.pixels(ahead.azimuth_deg, ahead.elevation_tan)
+        near = np.abs(column - query.width_px / 2.0) <= _AROUND * query.width_px
+        gap_deg = np.full(query.width_px, np.nan)
+        azimuth_deg, y = picture.directions(query)
+        gap = np.arctan(y) - np.arctan(panorama.at(azimuth_deg))
+        gap_deg[query.trusted] = np.degrees(gap)
+        return Sight(column[near], row[near], ahead.is_sure[near], gap_deg)
+
+    def summits(self, pose: Candidate, query: QuerySkyline) -> list[SeenPeak]:
+        """Return the summits that a pose sees in its photo, the highest first."""
+        eye = self._around.eye_of(pose)
+        if eye is None or self.peaks is None:
+            return []
+        seen = visible_peaks(self.terrain, eye, self.peaks, self.curvature)
+        picture = PosedPicture(query.width_px, query.height_px, pose, query.projection)
+        column, row = picture.pixels(
+            [one.azimuth_deg for one in seen], [one.elevation_tan for one in seen]
+        )
+        inside = (column >= 0.0) & (column < query.width_px) & (row >= 0.0)
+        inside &= row < query.height_px
+        return [
+            SeenPeak(one.label, float(column[index]), float(row[index]), one.distance_m)
+            for index, one in enumerate(seen)
+            if inside[index]
+        ]

@@ -1,0 +1,27 @@
+from .coverage_map import save_coverage_map
+from .html import Page, Picture, Section, Table, Text
+from .maps import Found, save_map
+from .matched import Matched
+from .matches import write_match_geojson, write_match_report
+from .peaks import Peaks, read_peaks
+from .pictures import save_depth_images, save_panorama
+from .surroundings import Surroundings
+
+__all__ = [
+    "Found",
+    "Matched",
+    "Page",
+    "Peaks",
+    "Picture",
+    "Section",
+    "Surroundings",
+    "Table",
+    "Text",
+    "read_peaks",
+    "save_coverage_map",
+    "save_depth_images",
+    "save_map",
+    "save_panorama",
+    "write_match_geojson",
+    "write_match_report",
+]

@@ -1,0 +1,156 @@
+"""Shaded relief as the square tiles that map viewers ask for, made from the elevation model.
+
+A tile is a part of the Web Mercator map (EPSG:3857): 2**zoom tiles span the world, x counts from
+the west and y from the north.
+"""
+
+import threading
+import warnings
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.arrays import Float32Array, Float64Array
+from skyline.errors import InputError
+from skyline.report.tints import DARKEST, tint_table
+from skyline.terrain.heightfield import HeightField
+
+TILE_PX = 256
+MAX_ZOOM = 20
+_MESH = 9
+"""Points along a tile's side at which the map's projection is computed; it is smooth between."""
+_NOWHERE = -1e6
+_TINTS = tint_table(256)[:, ::-1].astype(np.float32)
+"""Blue, green, red from the lowest to the highest."""
+_LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
+"""Towards the light, east, north and up: from the north-west, halfway up."""
+
+
+class ReliefTiles:
+    """Draws tiles of one elevation model; any thread may ask.
+
+    Parameters
+    ----------
+    terrain : HeightField
+    """
+
+    def __init__(self, terrain: HeightField) -> None:
+        self._terrain = terrain
+        self._levels: list[Float32Array] = [np.asarray(terrain.heights_m, dtype=np.float32)]
+        self._reducing = threading.Lock()
+        coarse = self._level(max(0, int(np.log2(max(terrain.rows, terrain.cols) / 512.0))))
+        low, high = np.nanpercentile(coarse, [0.5, 99.5])
+        self._range_m = float(low), max(float(high), float(low) + 1.0)
+        west, south, east, north = terrain.bounds_m
+        share = np.linspace(0.0, 1.0, 33)
+        edge_east = west + (east - west) * np.concatenate([share, share, 0 * share, 0 * share + 1])
+        edge_north = south + (north - south) * np.concatenate(
+            [0 * share, 0 * share + 1, share, share]
+        )
+        lon, lat = terrain.frame.to_lonlat(edge_east, edge_north)
+        self.bounds_deg = float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max())
+        """West, south, east, north of what there is, degrees."""
+
+    def png(self, zoom: int, x: int, y: int) -> bytes:
+        """Return a tile as PNG, transparent where there is no terrain.
+
+        Raises
+        ------
+        InputError
+            There is no such tile.
+        """
+        if not (0 <= zoom <= MAX_ZOOM and 0 <= x < 2**zoom and 0 <= y < 2**zoom):
+            raise InputError(
+                f"tile {zoom}/{x}/{y}; expected a zoom of 0 to {MAX_ZOOM}, x and y below 2**zoom"
+            )
+        heights, pixel_m = self._heights(zoom, x, y)
+        picture = self._drawn(heights, pixel_m)
+        return bytes(cv2.imencode(".png", picture, [cv2.IMWRITE_PNG_COMPRESSION, 3])[1])
+
+    def _heights(self, zoom: int, x: int, y: int) -> tuple[Float32Array, float]:
+        """Return the heights (T + 2, T + 2) at a tile's pixels and one beyond, and their size."""
+        lon, lat = _lonlat(zoom, x, y)
+        easting, northing = self._terrain.frame.from_lonlat(lon, lat)
+        row, col = self._terrain.to_grid(easting, northing)
+        # Far away from its middle a frame may have no place for a point.
+        row, col = (np.where(np.isfinite(at), at, _NOWHERE) for at in (row, col))
+        step = (TILE_PX + 2) / (_MESH - 1)
+        across = np.hypot(np.diff(easting, axis=1), np.diff(northing, axis=1)).mean() / step
+        pixel_m = float(across) if np.isfinite(across) else 1e6
+        level = int(np.clip(np.log2(max(pixel_m / self._terrain.spacing_m, 1.0)), 0, 16))
+        heights = self._level(level)
+        scale = 2.0**-level
+        rows, cols = (_on_pixels((at + 0.5) * scale - 0.5) for at in (row, col))
+        return _sampled(heights, rows, cols), pixel_m
+
+    def _level(self, level: int) -> Float32Array:
+        """Return the heights with every 2**level by 2**level samples averaged."""
+        with self._reducing:
+            while len(self._levels) <= level and min(self._levels[-1].shape) >= 4:
+                self._levels.append(_halved(self._levels[-1]))
+        return self._levels[min(level, len(self._levels) - 1)]
+
+    def _drawn(self, heights: Float32Array, pixel_m: float) -> NDArray[np.uint8]:
+        """Return the picture (T, T, 4) uint8, BGRA."""
+        # Rows run south, so that the rise to the north is upwards in the picture.
+        east = (heights[1:-1, 2:] - heights[1:-1, :-2]) / np.float32(2.0 * pixel_m)
+        north = (heights[:-2, 1:-1] - heights[2:, 1:-1]) / np.float32(2.0 * pixel_m)
+        up = 1.0 / np.sqrt(1.0 + east**2 + north**2)
+        lit = (_LIGHT[2] - _LIGHT[0] * east - _LIGHT[1] * north) * up
+        inner = heights[1:-1, 1:-1]
+        low, high = self._range_m
+        known = np.isfinite(inner)
+        share = np.clip((np.where(known, inner, low) - low) / (high - low), 0.0, 1.0)
+        tinted = _TINTS[np.rint(share * (len(_TINTS) - 1)).astype(np.uint8)]
+        shade = DARKEST + (1.0 - DARKEST) * np.clip(np.nan_to_num(lit, nan=0.7), 0.0, 1.0)
+        picture = np.empty((TILE_PX, TILE_PX, 4), dtype=np.uint8)
+        picture[..., :3] = np.rint(tinted * shade[..., np.newaxis])
+        picture[..., 3] = np.where(known, 255, 0)
+        return picture
+
+
+def _lonlat(zoom: int, x: int, y: int) -> tuple[Float64Array, Float64Array]:
+    """Return longitude and latitude (M, M) of a mesh over a tile and one pixel beyond it."""
+    along = (np.linspace(-1.0, TILE_PX, _MESH) + 0.5) / TILE_PX
+    east, south = np.meshgrid((x + along) / 2.0**zoom, (y + along) / 2.0**zoom)
+    lat = np.degrees(np.arctan(np.sinh(np.pi * (1.0 - 2.0 * south))))
+    return 360.0 * east - 180.0, lat
+
+
+def _on_pixels(mesh: Float64Array) -> Float32Array:
+    """Return values (T + 2, T + 2) at pixels, linear between those of the mesh (M, M)."""
+    position = np.linspace(0.0, _MESH - 1.0, TILE_PX + 2)
+    weight = np.maximum(0.0, 1.0 - np.abs(position[:, np.newaxis] - np.arange(_MESH)))
+    return np.asarray(weight @ mesh @ weight.T, dtype=np.float32)
+
+
+def _sampled(heights: Float32Array, rows: Float32Array, cols: Float32Array) -> Float32Array:
+    """Return heights at fractional rows and columns, NaN beyond what there is."""
+    top = int(np.clip(rows.min() - 2, 0, heights.shape[0]))
+    left = int(np.clip(cols.min() - 2, 0, heights.shape[1]))
+    bottom = int(np.clip(rows.max() + 3, 0, heights.shape[0]))
+    right = int(np.clip(cols.max() + 3, 0, heights.shape[1]))
+    if bottom - top < 2 or right - left < 2:
+        return np.full(rows.shape, np.nan, dtype=np.float32)
+    part = np.ascontiguousarray(heights[top:bottom, left:right])
+    return np.asarray(
+        cv2.remap(
+            part,
+            cols - left,
+            rows - top,
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=float("nan"),
+        ),
+        dtype=np.float32,
+    )
+
+
+def _halved(heights: Float32Array) -> Float32Array:
+    """Return the means of 2 by 2 samples, of those that are known."""
+    rows, cols = heights.shape[0] // 2 * 2, heights.shape[1] // 2 * 2
+    blocks = heights[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of four that are all unknown
+        return np.asarray(np.nanmean(blocks, axis=(1, 3)), dtype=np.float32)

@@ -1,0 +1,117 @@
+"""What all people at the page share: the store, what renders it, and the threads that work."""
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from skyline import (
+    Matcher,
+    Peaks,
+    ReliefTiles,
+    RenderThread,
+    SkylineError,
+    Viewer,
+    read_peaks,
+)
+
+T = TypeVar("T")
+
+_WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
+"""Threads by what they do, so that no kind of work waits for another."""
+
+
+@dataclass(frozen=True, slots=True)
+class Given:
+    """What the page is opened on.
+
+    Attributes
+    ----------
+    store : Path
+    dem : tuple of str
+        Where the store's DEM lies now; empty where it lies where it lay.
+    photos : tuple of Path
+        Photos that everybody's list begins with.
+    peaks : Path, optional
+        A gazetteer.
+    """
+
+    store: Path
+    dem: tuple[str, ...] = ()
+    photos: tuple[Path, ...] = ()
+    peaks: Path | None = None
+
+
+class Engine:
+    """A store, opened for many people at a time.
+
+    Parameters
+    ----------
+    given : Given
+
+    Raises
+    ------
+    SkylineError
+        The store, its DEM or the gazetteer cannot be used.
+    """
+
+    def __init__(self, given: Given) -> None:
+        self.given = given
+        self.thread = RenderThread()
+        try:
+            self.matcher = Matcher(given.store, given.dem or None, render_thread=self.thread)
+            peaks = given.peaks and read_peaks(given.peaks, self.matcher.frame)
+            self.viewer = self._viewer(peaks or None)
+            terrain = self.matcher.terrain
+            self.relief = None if terrain is None else ReliefTiles(terrain)
+        except SkylineError:
+            self.thread.close()
+            raise
+        self._pools = {
+            name: ThreadPoolExecutor(count, thread_name_prefix=name)
+            for name, count in _WORKERS.items()
+        }
+
+    def _viewer(self, peaks: Peaks | None) -> Viewer | None:
+        return None if self.matcher.terrain is None else Viewer(self.matcher, peaks)
+
+    async def work(self, kind: str, task: Callable[..., T], *arguments: Any) -> T:
+        """Run a task on one of the threads for its kind of work."""
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._pools[kind], task, *arguments)
+
+    def about(self) -> dict[str, Any]:
+        """Return what a page shows of the store."""
+        eyes = self.matcher.viewpoints
+        lon, lat = self.matcher.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
+        area = [float(edge) for edge in (lon.min(), lat.min(), lon.max(), lat.max())]
+        return {
+            "store": self.given.store.name,
+            "places": self.matcher.rows,
+            "area": area,
+            "terrain": self.relief and list(self.relief.bounds_deg),
+            "rendering": self.viewer is not None,
+            "peaks": self.given.peaks is not None,
+            "given": [path.name for path in self.given.photos],
+        }
+
+    def height_m(self, lon: float, lat: float) -> float | None:
+        """Return the terrain's height at a place; None off the map."""
+        terrain = self.matcher.terrain
+        if terrain is None:
+            return None
+        height = float(terrain.height_at(*self.matcher.frame.from_lonlat(lon, lat)))
+        return height if np.isfinite(height) else None
+
+    def close(self) -> None:
+        """End all work and free what was held."""
+        for pool in self._pools.values():
+            pool.shutdown(cancel_futures=True)
+        if self.viewer is not None:
+            self.viewer.release()
+        self.matcher.release()
+        self.thread.close()

@@ -1,0 +1,100 @@
+"""Who may ask the server, and what answers tell a browser: a page elsewhere gets nothing.
+
+A web page from anywhere can make a browser send requests to this machine. Such a request names
+another origin, or, where a name was made to lead here, another host.
+"""
+
+import ipaddress
+import socket
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Any
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+_LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+_POLICY = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
+        "connect-src 'self'; form-action 'none'; frame-ancestors 'none'; base-uri 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+
+
+class Guard:
+    """Refuses requests under a foreign host or from a foreign origin.
+
+    Parameters
+    ----------
+    app : ASGI application
+    host : str
+        What the server listens on.
+    port : int
+    """
+
+    def __init__(self, app: App, host: str, port: int) -> None:
+        self._app, self._port = app, port
+        self._names = set(_LOOPBACK)
+        self._open = not _is_loopback(host)
+        if self._open:
+            self._names |= {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Pass on what may be asked, and answer the rest with 403."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        if not self.allows(headers.getlist("host"), headers.getlist("origin")):
+            await _refuse(scope, receive, send)
+            return
+
+        async def with_policy(message: MutableMapping[str, Any]) -> None:
+            if message["type"] == "http.response.start":
+                MutableHeaders(scope=message).update(_POLICY)
+            await send(message)
+
+        await self._app(scope, receive, with_policy)
+
+    def allows(self, hosts: list[str], origins: list[str]) -> bool:
+        """Whether a request under these hosts, from these origins, is one of our page's."""
+        if len(hosts) != 1 or not self._is_ours(hosts[0]):
+            return False
+        return all(origin == f"http://{hosts[0]}" for origin in origins)
+
+    def _is_ours(self, host: str) -> bool:
+        name, colon, port = host.lower().rpartition(":")
+        if not colon or port != str(self._port):
+            return False
+        # A number cannot be made to lead here, as a name can.
+        return name in self._names or (self._open and _is_address(name))
+
+
+async def _refuse(scope: Scope, receive: Receive, send: Send) -> None:
+    if scope["type"] == "websocket":
+        await receive()
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    text = "This server answers its own page only: open the address that it printed.\n"
+    await PlainTextResponse(text, status_code=403)(scope, receive, send)
+
+
+def _is_loopback(host: str) -> bool:
+    return host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name.strip("[]"))
+    except ValueError:
+        return False
+    return True

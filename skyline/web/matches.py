@@ -1,0 +1,74 @@
+"""Matches on the page: each runs in a thread, tells how far it has come, and can be ended."""
+
+import threading
+from typing import Any
+
+from skyline import Matcher, Narrowing, QuerySkyline, SkylineError
+from skyline.web.photos import PagePhoto
+
+_STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
+"""Where each step of a match begins and ends, as shares of all of it."""
+_TOP = 8
+
+
+class _CancelledError(Exception):
+    """Somebody has ended the match."""
+
+
+class Match:
+    """One match of one photo.
+
+    Parameters
+    ----------
+    photo : PagePhoto
+    query : QuerySkyline
+    narrowing : Narrowing
+    """
+
+    def __init__(self, photo: PagePhoto, query: QuerySkyline, narrowing: Narrowing) -> None:
+        self.photo = photo
+        self._query, self._narrowing = query, narrowing
+        self._cancelled = threading.Event()
+        self.step, self.share = "waiting", 0.0
+        self.error: str | None = None
+        self.done = False
+
+    def cancel(self) -> None:
+        """End the match at its next step; it leaves no result."""
+        self._cancelled.set()
+
+    def run(self, matcher: Matcher) -> None:
+        """Match; the photo has the result, or this the error, when it is done."""
+        try:
+            self._check()
+            result = matcher.match(
+                self._query, top=_TOP, narrowing=self._narrowing, told=self._told
+            )
+        except _CancelledError:
+            self.error = "cancelled"
+        except SkylineError as error:
+            self.error = str(error)
+        except MemoryError:
+            self.error = "there is not enough memory for this match; narrow the search"
+        else:
+            self.photo.result, self.photo.candidates = result, result.candidates
+            self.photo.state = "answered" if result.answer else "no answer"
+        finally:
+            if self.error is not None:
+                self.photo.state = "ready"
+            self.step, self.share, self.done = "done", 1.0, True
+
+    def told(self) -> dict[str, Any]:
+        """Return how far the match has come."""
+        return {"photo": self.photo.id, "step": self.step, "share": self.share, "done": self.done}
+
+    def _told(self, step: str, share: float) -> None:
+        self._check()
+        begins, ends = _STEPS.get(step, (0.0, 1.0))
+        # A step may be taken twice, and a bar that runs back looks broken.
+        self.share = max(self.share, begins + (ends - begins) * min(share, 1.0))
+        self.step = step
+
+    def _check(self) -> None:
+        if self._cancelled.is_set():
+            raise _CancelledError

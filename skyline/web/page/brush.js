@@ -1,0 +1,199 @@
+// A person's strokes over the photo; the skyline is found again after each.
+import * as server from "./server.js";
+import { $, alertUser, say, state, tell } from "./state.js";
+import { draw, fit, inPhoto, keepInView, marks, pan, view, zoom } from "./view.js";
+import { turnBy } from "./hand.js";
+
+const canvas = $("photo");
+const PAINTS = ["sky", "ground", "line", "erase"];
+const KEYS = { m: "move", s: "sky", g: "ground", l: "line", e: "erase", t: "turn" };
+const undone = [];
+let solving = false, again = false;
+
+const tool = () => document.querySelector("input[name=tool]:checked").value;
+const radius = () => (tool() === "line" ? 0 : Number($("brush").value) / view.scale / 2);
+
+export function choose(name) {
+  document.querySelector(`input[name=tool][value=${name}]`).checked = true;
+  chosen();
+}
+
+function chosen() {
+  marks.brush = PAINTS.includes(tool()) ? Math.max(radius(), 2 / view.scale) : 0;
+  canvas.style.cursor = marks.brush ? "crosshair" : tool() === "turn" ? "ew-resize" : "grab";
+  draw();
+}
+
+function begin(at) {
+  marks.stroke = { kind: tool(), radius: radius(), points: [at] };
+}
+
+function finish() {
+  const stroke = marks.stroke;
+  marks.stroke = null;
+  if (!stroke) return;
+  undone.length = 0;
+  state.photo.strokes.push(stroke);
+  solve();
+}
+
+export function undo() {
+  const stroke = state.photo?.strokes.pop();
+  if (!stroke) return;
+  undone.push(stroke);
+  solve();
+}
+
+export function redo() {
+  const stroke = undone.pop();
+  if (!stroke) return;
+  state.photo.strokes.push(stroke);
+  solve();
+}
+
+// One question at a time; what was drawn meanwhile goes with the next.
+async function solve() {
+  buttons();
+  if (solving) {
+    again = true;
+    return;
+  }
+  solving = true;
+  do {
+    again = false;
+    const photo = state.photo;
+    const began = performance.now();
+    try {
+      const lines = await server.skyline(photo, photo.strokes);
+      if (photo === state.photo) showSkyline(lines);
+      performance.measure("stroke", { start: began, end: performance.now() });
+      say(`Skyline in ${Math.round(100 * share())} % of the columns`);
+    } catch (error) {
+      alertUser(error.message);
+    }
+  } while (again);
+  solving = false;
+}
+
+const share = () => state.rows.reduce((sum, row) => sum + !Number.isNaN(row), 0) / state.rows.length;
+
+export function showSkyline({ rows, trust }) {
+  state.rows = rows;
+  state.trust = trust;
+  buttons();
+  tell("skyline");
+}
+
+export function buttons() {
+  $("undo").disabled = !state.photo?.strokes?.length;
+  $("redo").disabled = !undone.length;
+}
+
+export function forget() {
+  undone.length = 0;
+}
+
+function dragging(event) {
+  canvas.setPointerCapture(event.pointerId);
+  let last = [event.clientX, event.clientY];
+  const paints = marks.brush && event.button === 0;
+  if (paints) begin(inPhoto(event));
+  const move = (next) => {
+    const by = [next.clientX - last[0], next.clientY - last[1]];
+    last = [next.clientX, next.clientY];
+    if (paints) {
+      const all = next.getCoalescedEvents?.() ?? [next];
+      marks.stroke.points.push(...(all.length ? all : [next]).map(inPhoto));
+      draw();
+    } else if (tool() === "turn" && event.button === 0) turnBy(by[0] / view.scale, by[1] / view.scale, true);
+    else pan(...by);
+  };
+  const end = () => {
+    canvas.removeEventListener("pointermove", move);
+    if (paints) finish();
+    else if (tool() === "turn") turnBy(0, 0, false);
+  };
+  canvas.addEventListener("pointermove", move);
+  canvas.addEventListener("pointerup", end, { once: true });
+}
+
+const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+function moveCross([across, down], event) {
+  const step = (event.shiftKey ? 40 : 6) / view.scale;
+  if (tool() === "turn") return turnBy(across * step, down * step, false);
+  if (!marks.brush) return pan(-across * step * view.scale * 5, -down * step * view.scale * 5);
+  const { width, height } = state.photo;
+  const at = marks.cross || [width / 2, height / 2];
+  marks.cross = [
+    Math.min(width - 1, Math.max(0, at[0] + across * step)),
+    Math.min(height - 1, Math.max(0, at[1] + down * step)),
+  ];
+  marks.stroke?.points.push(marks.cross);
+  keepInView(marks.cross);
+}
+
+function pressed(event) {
+  if (event.altKey || !state.photo) return;
+  const control = event.ctrlKey || event.metaKey;
+  if (control && event.key.toLowerCase() === "z") event.shiftKey ? redo() : undo();
+  else if (control) return;
+  else if (ARROWS[event.key]) moveCross(ARROWS[event.key], event);
+  else if (KEYS[event.key.toLowerCase()]) choose(KEYS[event.key.toLowerCase()]);
+  else if (event.key === "+" || event.key === "=") zoom(1.5);
+  else if (event.key === "-") zoom(1 / 1.5);
+  else if (event.key === "0") fit();
+  else if (event.key === "1") zoom(1 / view.scale);
+  else if (event.key === "[" || event.key === "]") {
+    $("brush").value = Number($("brush").value) * (event.key === "]" ? 1.25 : 0.8);
+    chosen();
+  } else if ((event.key === "Enter" || event.key === " ") && marks.brush) {
+    if (marks.stroke) finish();
+    else {
+      marks.cross ||= [state.photo.width / 2, state.photo.height / 2];
+      begin(marks.cross);
+      draw();
+    }
+  } else if (event.key === "Escape") {
+    marks.stroke = marks.cross = null;
+    draw();
+  } else return;
+  event.preventDefault();
+}
+
+async function loadTrace() {
+  const file = $("trace-file").files[0];
+  $("trace-file").value = "";
+  if (file) await traceFrom(file);
+}
+
+export async function traceFrom(file) {
+  if (!state.photo) return alertUser(`${file.name} is a trace; add the photo that it is of first`);
+  try {
+    const lines = await server.loadTrace(state.photo, file);
+    state.photo.strokes = [];
+    forget();
+    showSkyline(lines);
+    say(`${file.name} loaded`);
+  } catch (error) {
+    alertUser(error.message);
+  }
+}
+
+export function start() {
+  for (const input of document.querySelectorAll("input[name=tool]")) input.onchange = chosen;
+  $("brush").oninput = chosen;
+  canvas.addEventListener("pointerdown", (event) => state.photo && dragging(event));
+  canvas.addEventListener("pointermove", () => {
+    if (marks.brush) marks.brush = Math.max(radius(), 2 / view.scale);
+  });
+  canvas.addEventListener("keydown", pressed);
+  document.addEventListener("keydown", (event) => {
+    if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && event.target === document.body) pressed(event);
+  });
+  $("undo").onclick = undo;
+  $("redo").onclick = redo;
+  $("load-trace").onclick = () => $("trace-file").click();
+  $("trace-file").onchange = loadTrace;
+  chosen();
+}

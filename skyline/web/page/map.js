@@ -1,0 +1,182 @@
+// The map: relief from the elevation model, candidates and their views, the camera, the circle.
+import * as server from "./server.js";
+import { $, degrees, element, on, say, state, tell } from "./state.js";
+import { moveTo, release } from "./hand.js";
+
+const L = window.L;
+const REACH_M = 2000, HANDLE_PX = 74, EARTH_M = 6371008.8;
+let map, camera, handle, cone, spots, circle, centre, where;
+
+const icon = (name, size, text = "") =>
+  L.divIcon({ className: name, iconSize: [size, size], html: text });
+
+// Along a great circle, as far as a map shows it.
+function away([lat, lon], headingDeg, metres) {
+  const turn = (headingDeg * Math.PI) / 180, step = (metres / EARTH_M) * (180 / Math.PI);
+  return [lat + step * Math.cos(turn), lon + (step * Math.sin(turn)) / Math.cos((lat * Math.PI) / 180)];
+}
+
+function view(pose, reach) {
+  const from = [pose.lat, pose.lon], points = [from];
+  for (let k = 0; k <= 16; k++) points.push(away(from, pose.heading + pose.fov * (k / 16 - 0.5), reach));
+  return points;
+}
+
+function ellipse(candidate) {
+  const [[a, b], [, d]] = candidate.covariance, middle = (a + d) / 2;
+  const apart = Math.hypot((a - d) / 2, b), turn = Math.atan2(2 * b, a - d) / 2;
+  const [long, short] = [middle + apart, middle - apart].map((one) => Math.sqrt(5.991 * Math.max(one, 0)));
+  const points = [];
+  for (let k = 0; k < 48; k++) {
+    const [p, q] = [long * Math.cos((k * Math.PI) / 24), short * Math.sin((k * Math.PI) / 24)];
+    const [east, north] = [p * Math.cos(turn) - q * Math.sin(turn), p * Math.sin(turn) + q * Math.cos(turn)];
+    const heading = (Math.atan2(east, north) * 180) / Math.PI + candidate.convergence;
+    points.push(away([candidate.lat, candidate.lon], heading, Math.hypot(east, north)));
+  }
+  return points;
+}
+
+function showCandidates() {
+  spots.clearLayers();
+  const result = state.results.get(state.photo?.id);
+  (result?.candidates ?? []).forEach((one, index) => {
+    const best = index === 0 && result.answered, chosen = index === state.chosen;
+    const sure = one.confidence === null ? "" : `: ${Math.round(100 * one.confidence)} %`;
+    const share = one.confidence ?? 0.3;
+    L.polygon(view(one, REACH_M), { color: best ? "#ffd23f" : "#cfe8f5", weight: 1.5, opacity: 0.4 + 0.6 * share,
+      fillOpacity: 0.06 + 0.22 * share, interactive: false }).addTo(spots);
+    if (one.covariance && chosen) L.polygon(ellipse(one), { color: "#fff", weight: 1.5, fill: false, interactive: false }).addTo(spots);
+    L.marker([one.lat, one.lon], { icon: icon(`spot${best ? " best" : ""}${chosen ? " chosen" : ""}`, 26, String(index + 1)),
+      title: `Candidate ${index + 1}${sure}`, alt: `Candidate ${index + 1}${sure}`, zIndexOffset: 1000 - 10 * index })
+      .on("click keypress", () => tell("choose", index)).addTo(spots);
+  });
+}
+
+function showCamera() {
+  const pose = state.pose;
+  for (const layer of [camera, handle, cone]) pose ? layer.addTo(map) : layer.remove();
+  if (!pose) return;
+  const at = L.latLng(pose.lat, pose.lon);
+  camera.setLatLng(at);
+  const turn = (pose.heading * Math.PI) / 180;
+  const end = map.latLngToContainerPoint(at).add([HANDLE_PX * Math.sin(turn), -HANDLE_PX * Math.cos(turn)]);
+  handle.setLatLng(map.containerPointToLatLng(end));
+  cone.setLatLngs(view(pose, REACH_M));
+}
+
+function turning() {
+  const from = map.latLngToContainerPoint(camera.getLatLng()), to = map.latLngToContainerPoint(handle.getLatLng());
+  const heading = (Math.atan2(to.x - from.x, from.y - to.y) * 180) / Math.PI;
+  moveTo({ heading: (heading + 360) % 360 }, true);
+}
+
+function keys(marker, moved) {
+  marker.on("add", () => {
+    const node = marker.getElement();
+    if (node.dataset.keys) return;
+    node.dataset.keys = "yes";
+    node.addEventListener("keydown", (event) => {
+      const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+      if (!step) return;
+      event.preventDefault();
+      event.stopPropagation();
+      moved(step.map((one) => one * (event.shiftKey ? 20 : 2)));
+    });
+  });
+}
+
+function nudged(marker, by) {
+  return map.containerPointToLatLng(map.latLngToContainerPoint(marker.getLatLng()).add(by));
+}
+
+function makeCamera() {
+  camera = L.marker([0, 0], { icon: icon("camera", 22), draggable: true, zIndexOffset: 3000, autoPan: true,
+    title: "The camera: drag it, or move it with the arrow keys", alt: "The camera" });
+  handle = L.marker([0, 0], { icon: icon("turn", 16), draggable: true, zIndexOffset: 3000,
+    title: "Where it looks: drag, or left and right arrow keys", alt: "Where the camera looks" });
+  cone = L.polygon([], { color: "#35d0ff", weight: 2, fillOpacity: 0.15, interactive: false });
+  camera.on("drag", () => moveTo({ lon: camera.getLatLng().lng, lat: camera.getLatLng().lat }, true));
+  handle.on("drag", turning);
+  for (const marker of [camera, handle]) marker.on("dragend", release);
+  keys(camera, (by) => {
+    const at = nudged(camera, by);
+    moveTo({ lon: at.lng, lat: at.lat });
+  });
+  keys(handle, ([across]) => moveTo({ heading: (state.pose.heading + across / 2 + 360) % 360 }));
+}
+
+// The circle that a search keeps to; null where there is none.
+export const circled = () =>
+  circle && map.hasLayer(circle) ? { lon: circle.getLatLng().lng, lat: circle.getLatLng().lat, km: circle.getRadius() / 1000 } : null;
+
+export function showCircle(km, place = null) {
+  if (place) {
+    circle.setLatLng(place);
+    centre.setLatLng(place);
+  }
+  if (km === null) {
+    circle.remove();
+    centre.remove();
+    return;
+  }
+  circle.setRadius(1000 * km).addTo(map);
+  centre.addTo(map);
+}
+
+export const middle = () => map.getCenter();
+
+function makeCircle() {
+  const area = state.store.area;
+  const place = [(area[1] + area[3]) / 2, (area[0] + area[2]) / 2];
+  circle = L.circle(place, { radius: 3000, color: "#ff9f6b", weight: 2, dashArray: "6 4", fillOpacity: 0.05, interactive: false });
+  centre = L.marker(place, { icon: icon("centre", 18), draggable: true, title: "Middle of the circle: drag it, or arrow keys", alt: "Middle of the circle" });
+  const moved = () => {
+    circle.setLatLng(centre.getLatLng());
+    tell("circle");
+  };
+  centre.on("drag", moved);
+  keys(centre, (by) => {
+    centre.setLatLng(nudged(centre, by));
+    moved();
+  });
+}
+
+function showWhere() {
+  let waiting = false;
+  const control = L.control({ position: "bottomright" });
+  control.onAdd = () => (where = element("div", { class: "where" }));
+  control.addTo(map);
+  const at = (place) => {
+    where.textContent = degrees(place.lng, place.lat);
+    if (!waiting) waiting = server.send({ type: "height", lon: place.lng, lat: place.lat, seq: 0 });
+  };
+  map.on("mousemove", (event) => at(event.latlng));
+  map.on("moveend", () => at(map.getCenter()));
+  at(map.getCenter());
+  on("height", (told) => {
+    waiting = false;
+    if (told.height !== null && told.height !== undefined) where.textContent += `  ${Math.round(told.height)} m`;
+  });
+}
+
+export function start() {
+  const { area, terrain } = state.store;
+  const box = ([west, south, east, north]) => L.latLngBounds([south, west], [north, east]);
+  map = L.map("map", { attributionControl: false, maxZoom: 18, minZoom: 3, zoomSnap: 0.5 });
+  if (terrain) L.tileLayer("relief/{z}/{x}/{y}.png", { bounds: box(terrain), maxZoom: 18, noWrap: true }).addTo(map);
+  else say("The store's DEM is not at hand: no relief, and nothing can be rendered (--dem).");
+  L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(map);
+  L.control.scale({ imperial: false }).addTo(map);
+  map.fitBounds(box(area), { padding: [8, 8] });
+  spots = L.layerGroup().addTo(map);
+  makeCamera();
+  makeCircle();
+  showWhere();
+  map.on("zoomend viewreset moveend", showCamera);
+  new ResizeObserver(() => map.invalidateSize()).observe($("map"));
+  on("pose", showCamera);
+  for (const name of ["photo", "result", "chosen"]) on(name, showCandidates);
+  on("chosen", () => {
+    if (state.pose && !map.getBounds().pad(-0.1).contains([state.pose.lat, state.pose.lon])) map.panTo([state.pose.lat, state.pose.lon]);
+  });
+}

@@ -1,0 +1,141 @@
+// The list of photos: dropped or chosen, each with its state.
+import * as server from "./server.js";
+import { $, alertUser, element, on, say, state, tell } from "./state.js";
+import { buttons, forget, showSkyline, traceFrom } from "./brush.js";
+import { show } from "./view.js";
+
+const WORDS = { waiting: "waiting", opening: "opening…", ready: "ready", matching: "searching…",
+  answered: "✓ found", "no answer": "? not sure", unusable: "✗" };
+
+function list() {
+  $("photos").replaceChildren(...state.photos.map((photo) => {
+    const remove = element("button", { "aria-label": `Remove ${photo.name}`, title: "Remove", onclick: () => drop(photo) }, "×");
+    if (photo.state === "unusable") {
+      return element("li", {}, element("span", { class: "why", title: photo.error }, element("span", { class: "name" }, photo.name), "✗ not used"), remove);
+    }
+    const pick = element("button", { class: "pick", "aria-current": String(photo === state.photo), onclick: () => choose(photo) },
+      element("span", { class: "name", title: photo.name }, photo.name),
+      element("span", { class: "state" }, WORDS[photo.state] ?? photo.state));
+    return element("li", {}, pick, ...(photo.state === "opening" ? [] : [remove]));
+  }));
+  $("find-all").hidden = state.photos.filter((photo) => photo.state === "ready").length < 2;
+}
+
+export async function choose(photo) {
+  if (photo.state === "opening" || photo.state === "unusable") return;
+  if (photo.given !== undefined && !photo.id) {
+    await open(photo, () => server.openGiven(photo.given));
+    if (!photo.id) return;
+  }
+  state.photo = photo;
+  state.rows = state.sight = state.pose = state.chosen = null;
+  state.byHand = false;
+  forget();
+  for (const id of ["tools", "legend"]) $(id).hidden = false;
+  $("welcome").hidden = true;
+  $("busy").hidden = false;
+  list();
+  try {
+    const [blob, lines] = await Promise.all([server.picture(photo), server.skyline(photo, null)]);
+    const bitmap = await createImageBitmap(blob);
+    if (photo !== state.photo) return;
+    show(bitmap);
+    showSkyline(lines);
+    say(`${photo.name}: skyline in ${Math.round(100 * photo.trusted)} % of the columns`);
+  } catch (error) {
+    alertUser(error.message);
+  }
+  $("busy").hidden = true;
+  buttons();
+  tell("photo", photo);
+}
+
+async function open(photo, opened) {
+  photo.state = "opening";
+  if (!state.photo) {
+    $("welcome").hidden = true;
+    $("busy").hidden = false;
+  }
+  list();
+  try {
+    Object.assign(photo, await opened());
+  } catch (error) {
+    photo.state = "unusable";
+    photo.error = error.message;
+    say("");
+    alertUser(error.message);
+  }
+  if (!state.photo) {
+    $("busy").hidden = true;
+    $("welcome").hidden = photo.state !== "unusable";
+  }
+  list();
+}
+
+export async function add(files) {
+  const all = [...files];
+  const photos = all.filter((file) => !/\.csv$/i.test(file.name));
+  const records = photos.map((file) => ({ name: file.name, state: "waiting", file }));
+  state.photos.push(...records);
+  list();
+  let first = true;
+  for (const record of records) {
+    const { file } = record;
+    delete record.file;
+    await open(record, () => server.upload(file));
+    if (first && record.state === "ready") {
+      first = false;
+      await choose(record);
+    }
+  }
+  for (const trace of all.filter((file) => /\.csv$/i.test(file.name))) await traceFrom(trace);
+}
+
+async function drop(photo) {
+  if (photo.id) await server.remove(photo).catch((error) => alertUser(error.message));
+  state.photos = state.photos.filter((one) => one !== photo);
+  if (photo === state.photo) {
+    state.photo = state.rows = state.sight = state.pose = null;
+    for (const id of ["tools", "legend"]) $(id).hidden = true;
+    $("welcome").hidden = false;
+    show(null);
+    tell("photo", null);
+  }
+  list();
+}
+
+function dropping() {
+  let depth = 0;
+  addEventListener("dragenter", (event) => {
+    if (![...event.dataTransfer.types].includes("Files")) return;
+    depth++;
+    $("drop").hidden = false;
+  });
+  addEventListener("dragleave", () => {
+    depth = Math.max(0, depth - 1);
+    $("drop").hidden = depth === 0;
+  });
+  addEventListener("dragover", (event) => event.preventDefault());
+  addEventListener("drop", (event) => {
+    event.preventDefault();
+    depth = 0;
+    $("drop").hidden = true;
+    add(event.dataTransfer.files);
+  });
+}
+
+export async function start(kept) {
+  for (const id of ["choose", "add"]) $(id).onclick = () => $("files").click();
+  $("files").onchange = () => {
+    add($("files").files);
+    $("files").value = "";
+  };
+  dropping();
+  on("states", list);
+  const given = state.store.given.map((name, index) => ({ name, given: index, state: "ready" }));
+  for (const photo of kept ?? []) if (photo.result) state.results.set(photo.id, photo.result);
+  const opened = new Set(kept?.map((photo) => photo.name));
+  state.photos = [...(kept ?? []), ...given.filter((photo) => !opened.has(photo.name))];
+  list();
+  if (state.photos.length) await choose(state.photos[0]);
+}

@@ -1,0 +1,47 @@
+// What was found leaves the page as files.
+import * as server from "./server.js";
+import { $, alertUser, element, on, say, state } from "./state.js";
+
+const KINDS = [
+  ["photo", "jpg", "Photo with place", "A copy of the photo with position and direction in its EXIF"],
+  ["report", "html", "Report", "One page with pictures and maps"],
+  ["geojson", "geojson", "GeoJSON", "Candidates, views and ellipses"],
+  ["kml", "kml", "KML", "The photo stands in the landscape; keep the photo beside the file"],
+  ["kmz", "kmz", "KMZ", "The same with the photo inside"],
+  ["gpx", "gpx", "GPX", "A waypoint for a navigation device"],
+  ["trace", "csv", "Trace", "The skyline as it is now, to load again"],
+];
+
+async function save(kind, suffix, button) {
+  button.disabled = true;
+  say("Writing…");
+  try {
+    const what = state.byHand ? { pose: state.pose } : { rank: state.chosen };
+    const blob = await server.save(state.photo, kind, what);
+    const stem = state.photo.name.replace(/\.[^.]*$/, "");
+    const link = element("a", { download: `${stem}${kind === "photo" ? "-located" : kind === "report" ? "-report" : ""}.${suffix}`, href: URL.createObjectURL(blob) });
+    document.body.append(link);
+    link.click();
+    link.remove();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+    say("Saved");
+  } catch (error) {
+    say("");
+    alertUser(error.message);
+  }
+  show();
+}
+
+function show() {
+  for (const [kind] of KINDS) $(`save-${kind}`).disabled = !state.photo || (kind !== "trace" && !state.pose);
+  $("load-trace").disabled = !state.photo;
+}
+
+export function start() {
+  for (const [kind, suffix, label, about] of KINDS) {
+    const button = element("button", { id: `save-${kind}`, title: about, onclick: () => save(kind, suffix, button) }, label);
+    $("saves").append(button);
+  }
+  for (const name of ["photo", "pose"]) on(name, show);
+  show();
+}

@@ -1,0 +1,95 @@
+// All that is asked of the server. An answer that is an error is thrown with its one line.
+import { say, tell } from "./state.js";
+
+export const MAX_UPLOAD_BYTES = 100e6;
+const KEY = "skyline-session";
+let session = null;
+let socket = null;
+
+async function ask(method, path, body) {
+  let answer;
+  try {
+    answer = await fetch(path, { method, body });
+  } catch {
+    throw new Error("the server does not answer; is `skyline serve` still running?");
+  }
+  if (answer.ok) return answer;
+  let said = null;
+  try {
+    said = (await answer.json()).error;
+  } catch {
+    // No words came with it.
+  }
+  throw new Error(said || `the server says ${answer.status}`);
+}
+
+const inSession = (path) => `session/${session}/${path}`;
+const ofPhoto = (photo, path) => inSession(`photos/${photo.id}${path}`);
+
+export async function begin() {
+  session = sessionStorage.getItem(KEY);
+  if (session) {
+    try {
+      const { photos } = await (await ask("GET", `session/${session}`)).json();
+      listen();
+      return photos;
+    } catch {
+      session = null;
+    }
+  }
+  session = (await (await ask("POST", "session")).json()).session;
+  sessionStorage.setItem(KEY, session);
+  listen();
+  return null;
+}
+
+export const about = async () => (await ask("GET", "state")).json();
+
+export async function upload(file) {
+  if (file.size > MAX_UPLOAD_BYTES) {
+    const size = (file.size / 1e6).toFixed(0);
+    throw new Error(`${file.name} has ${size} MB; the page takes at most 100 MB: save it smaller`);
+  }
+  return (await ask("POST", inSession(`photos?name=${encodeURIComponent(file.name)}`), file)).json();
+}
+
+export const openGiven = async (index) => (await ask("POST", inSession(`given/${index}`))).json();
+export const remove = (photo) => ask("DELETE", ofPhoto(photo, ""));
+export const picture = async (photo) => (await ask("GET", ofPhoto(photo, "/picture"))).blob();
+export const cancel = (photo) => ask("DELETE", ofPhoto(photo, "/match"));
+
+const asLines = async (answer) => {
+  const both = new Float32Array(await answer.arrayBuffer());
+  return { rows: both.subarray(0, both.length / 2), trust: both.subarray(both.length / 2) };
+};
+
+export const skyline = async (photo, strokes) =>
+  asLines(await ask("POST", ofPhoto(photo, "/skyline"), JSON.stringify(strokes ? { strokes } : {})));
+export const loadTrace = async (photo, file) => asLines(await ask("POST", ofPhoto(photo, "/trace"), file));
+export const match = async (photo, known) =>
+  (await ask("POST", ofPhoto(photo, "/match"), JSON.stringify(known))).json();
+export const fit = async (photo, pose) =>
+  (await ask("POST", ofPhoto(photo, "/fit"), JSON.stringify({ pose }))).json();
+export const save = async (photo, kind, what) =>
+  (await ask("POST", ofPhoto(photo, `/save/${kind}`), JSON.stringify(what))).blob();
+
+function listen() {
+  const address = new URL(inSession("live"), location.href);
+  address.protocol = "ws:";
+  socket = new WebSocket(address);
+  socket.onopen = () => tell("connected");
+  socket.onmessage = (event) => {
+    const told = JSON.parse(event.data);
+    tell(told.type, told);
+  };
+  socket.onclose = () => {
+    say("The server does not answer; trying again…");
+    setTimeout(listen, 1500);
+  };
+}
+
+export function send(asked) {
+  if (socket?.readyState !== WebSocket.OPEN) return false;
+  socket.send(JSON.stringify(asked));
+  return true;
+}

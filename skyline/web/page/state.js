@@ -1,0 +1,45 @@
+// What the parts of the page share, and how they hear of changes.
+export const state = {
+  store: null, // what the server says of the store
+  photos: [], // records in the list's order
+  photo: null, // the record that is shown
+  rows: null, // Float32Array of the photo's columns: NaN where left out
+  trust: null, // Float32Array, 0 to 1
+  results: new Map(), // photo id -> result of its match
+  chosen: null, // index of the chosen candidate
+  pose: null, // {lon, lat, heading, pitch, roll, fov, eyeHeight}
+  byHand: false, // whether the pose has been moved since it was chosen
+  sight: null, // the skyline rendered at the pose
+};
+
+const heard = new EventTarget();
+
+export const on = (name, told) => heard.addEventListener(name, (event) => told(event.detail));
+export const tell = (name, detail) => heard.dispatchEvent(new CustomEvent(name, { detail }));
+
+export const $ = (id) => document.getElementById(id);
+
+export function element(tag, attributes = {}, ...children) {
+  const made = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith("on")) made.addEventListener(name.slice(2), value);
+    else if (name === "class") made.className = value;
+    else if (value !== null && value !== undefined) made.setAttribute(name, value);
+  }
+  made.append(...children);
+  return made;
+}
+
+export function say(text) {
+  $("status").textContent = text;
+}
+
+export function alertUser(text) {
+  const close = element("button", { onclick: () => box.remove() }, "Close");
+  const box = element("div", { class: "alert" }, element("span", {}, text), close);
+  $("alerts").append(box);
+  while ($("alerts").children.length > 3) $("alerts").firstChild.remove();
+}
+
+export const degrees = (lon, lat, decimals = 5) =>
+  `${Math.abs(lat).toFixed(decimals)}° ${lat < 0 ? "S" : "N"}  ${Math.abs(lon).toFixed(decimals)}° ${lon < 0 ? "W" : "E"}`;

@@ -1,0 +1,68 @@
+"""Serve the page, on this machine alone unless another address is named."""
+
+import contextlib
+import socket
+
+import uvicorn
+
+from skyline import InputError
+from skyline.web.app import make_app
+from skyline.web.engine import Engine, Given
+from skyline.web.guard import Guard
+
+_MAX_MESSAGE_BYTES = 1_000_000
+_ENDS_S = 3
+
+
+def serve(given: Given, host: str, port: int) -> None:
+    """Serve the page of a store until Ctrl-C.
+
+    Parameters
+    ----------
+    given : Given
+    host : str
+        The address to listen on.
+    port : int
+        0 takes any that is free.
+
+    Raises
+    ------
+    InputError
+        The address cannot be listened on.
+    SkylineError
+        The store cannot be used; see `Engine`.
+    """
+    with _listening(host, port) as listening, contextlib.suppress(KeyboardInterrupt):
+        port = listening.getsockname()[1]
+        app = Guard(make_app(Engine(given)), host, port)
+        config = uvicorn.Config(
+            app,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            ws_max_size=_MAX_MESSAGE_BYTES,
+            timeout_graceful_shutdown=_ENDS_S,
+        )
+        listening.listen()  # who opens the address at once must wait, and not be refused
+        name = f"[{host}]" if ":" in host else host
+        print(f"The page is at http://{name}:{port}/ (Ctrl-C ends it)", flush=True)
+        uvicorn.Server(config).run(sockets=[listening])
+
+
+def _listening(host: str, port: int) -> socket.socket:
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        listening = socket.socket(family, kind, protocol)
+        try:
+            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listening.bind(address)
+        except OSError:
+            listening.close()
+            raise
+    except OSError as error:
+        raise InputError(
+            f"{host} port {port} cannot be listened on ({error}); name another with --port"
+        ) from error
+    return listening

@@ -1,0 +1,37 @@
+"""What was found, as the page takes it."""
+
+from typing import Any
+
+from skyline import Candidate, MatchResult, Stroke
+
+
+def outcome(result: MatchResult) -> dict[str, Any]:
+    """Return a result as the page shows it."""
+    return {
+        "candidates": [candidate_json(one) for one in result.candidates],
+        "answered": result.answer is not None,
+        "refusal": result.refusal,
+        "seconds": result.seconds,
+    }
+
+
+def candidate_json(candidate: Candidate) -> dict[str, Any]:
+    """Return a candidate as the page takes it."""
+    return {
+        "lon": candidate.lon,
+        "lat": candidate.lat,
+        "heading": candidate.heading_deg,
+        "pitch": candidate.pitch_deg,
+        "roll": candidate.roll_deg,
+        "fov": candidate.fov_deg,
+        "elevation": candidate.eye_elevation_m,
+        "confidence": candidate.confidence,
+        "refined": candidate.refined,
+        "covariance": candidate.covariance_m2,
+        "convergence": candidate.convergence_deg,
+    }
+
+
+def stroke_json(stroke: Stroke) -> dict[str, Any]:
+    """Return a stroke as the page sends it."""
+    return {"kind": str(stroke.kind), "radius": stroke.radius_px, "points": stroke.points_px}

@@ -1,0 +1,193 @@
+"""What poses see in photos, poses fitted from by hand, and rendering for many threads."""
+
+import json
+import math
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skyline import (
+    InputError,
+    Matcher,
+    Narrowing,
+    OffMapError,
+    Viewer,
+    read_dem,
+    read_peaks,
+    read_query,
+)
+from skyline.camera import HEADINGS
+from skyline.pipeline.config import curvature_of
+from skyline.render.horizon import HorizonRenderer
+from skyline.report.projection import Panorama, PosedPicture
+from skyline.terrain.viewpoints import stand_on
+
+EASTING_M, NORTHING_M = 601_800.0, 5_178_000.0
+COLUMN_DEG = 90.0 / 1024
+
+
+@pytest.fixture(scope="module")
+def matcher(store):
+    """A matcher of the small store."""
+    with Matcher(store) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def query(photo):
+    """The photo's skyline."""
+    return read_query(photo, 60.0)
+
+
+def true_pose(viewer, frame, **other):
+    lon, lat = (float(one) for one in frame.to_lonlat(EASTING_M, NORTHING_M))
+    turn = float(frame.convergence_deg(EASTING_M, NORTHING_M))
+    return viewer.pose(lon, lat, 140.0 + turn, **other)
+
+
+def test_a_pose_says_where_the_eye_stands(matcher, dem):
+    ground_m = float(read_dem([dem]).height_at(EASTING_M, NORTHING_M))
+    with Viewer(matcher) as viewer:
+        pose = true_pose(viewer, matcher.frame, eye_height_m=7.0, pitch_deg=3.0)
+        assert pose.easting_m == pytest.approx(EASTING_M, abs=1e-3)
+        assert pose.northing_m == pytest.approx(NORTHING_M, abs=1e-3)
+        assert pose.eye_elevation_m == pytest.approx(ground_m + 7.0, abs=1e-2)
+        assert pose.grid_heading_deg == pytest.approx(140.0, abs=1e-6)
+        assert (pose.pitch_deg, pose.confidence, pose.refined) == (3.0, None, False)
+        with pytest.raises(OffMapError):
+            viewer.pose(9.0, 40.0, 0.0)
+
+
+def test_the_skyline_at_the_true_pose_is_the_photos(matcher, query):
+    with Viewer(matcher) as viewer:
+        sight = viewer.look(true_pose(viewer, matcher.frame), query)
+        assert sight.median_gap_deg < 0.1
+        aside = viewer.look(true_pose(viewer, matcher.frame, pitch_deg=2.0), query)
+    gap_deg = aside.gap_deg[np.isfinite(aside.gap_deg)]
+    assert np.median(gap_deg) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("heading_deg", "pitch_deg", "roll_deg", "fov_deg"), [
+    (140.0, 0.0, 0.0, 60.0), (181.0, 6.0, -4.0, 95.0), (359.5, -8.0, 10.0, 30.0),
+])  # fmt: skip
+def test_a_sight_is_what_four_fine_views_show(
+    matcher, query, heading_deg, pitch_deg, roll_deg, fov_deg
+):
+    """Between columns a skyline is straight: a column's height apart where it is not."""
+    with Viewer(matcher) as viewer:
+        pose = replace(
+            true_pose(viewer, matcher.frame, pitch_deg=pitch_deg, roll_deg=roll_deg,
+                      fov_deg=fov_deg),
+            heading_deg=heading_deg,
+        )  # fmt: skip
+        sight = viewer.look(pose, query)
+    terrain = matcher.terrain
+    eye = stand_on(terrain, pose.easting_m, pose.northing_m, 2.0)
+    with HorizonRenderer(terrain, 4096, curvature_of(matcher.header)) as renderer:
+        fine = Panorama.of(renderer.render(eye[np.zeros(4, int)], HEADINGS))
+    ahead = fine.from_azimuth(pose.grid_heading_deg + 180.0)
+    picture = PosedPicture(query.width_px, query.height_px, pose)
+    column, row = picture.pixels(ahead.azimuth_deg, ahead.elevation_tan)
+    near = np.abs(column - query.width_px / 2.0) < 0.5 * query.width_px
+    order = np.argsort(sight.column_px)
+    there = np.interp(column[near], sight.column_px[order], sight.row_px[order])
+    off_px = np.abs(there - row[near])
+    a_column_px = query.width_px * COLUMN_DEG / fov_deg
+    assert np.percentile(off_px, 99) < 2.0 * a_column_px
+    assert sight.column_px.min() < 10.0
+    assert sight.column_px.max() > query.width_px - 10.0
+
+
+def test_summits_are_named_where_they_are_seen(matcher, query, tmp_path):
+    gazetteer = tmp_path / "peaks.csv"
+    gazetteer.write_text("name,easting,northing\nBehind,601500,5179500\nOff,700000,5100000\n")
+    with Viewer(matcher, read_peaks(gazetteer, matcher.frame)) as viewer:
+        pose = true_pose(viewer, matcher.frame)
+        assert viewer.summits(pose, query) == []
+        back = replace(pose, heading_deg=(pose.heading_deg + 202.0) % 360.0)
+        for one in viewer.summits(back, query):
+            assert one.label == "Behind"
+            assert 0.0 <= one.column_px < query.width_px
+
+
+@pytest.mark.parametrize(("east_m", "north_m", "turn_deg"), [(60.0, 0.0, 3.0), (-40.0, 50.0, -4.0)])
+def test_a_pose_is_fitted_from_nearby(matcher, query, east_m, north_m, turn_deg):
+    with Viewer(matcher) as viewer:
+        true = true_pose(viewer, matcher.frame)
+        start = replace(
+            true,
+            easting_m=true.easting_m + east_m,
+            northing_m=true.northing_m + north_m,
+            heading_deg=true.heading_deg + turn_deg,
+        )
+        found = matcher.fit(query, start)
+        before, after = (viewer.look(one, query).median_gap_deg for one in (start, found))
+    assert math.hypot(found.easting_m - EASTING_M, found.northing_m - NORTHING_M) < 45.0
+    assert after < min(0.1, before / 2.0)
+    assert found.refined
+    assert found.confidence is None
+
+
+def test_a_match_tells_how_far_it_is_and_ends_when_told(matcher, query):
+    told = []
+    plain = matcher.match(query)
+    watched = matcher.match(query, told=lambda step, share: told.append((step, share)))
+    assert watched.candidates == plain.candidates
+    assert [step for k, (step, _) in enumerate(told) if k == 0 or told[k - 1][0] != step] == [
+        "screening", "fitting", "refining",
+    ]  # fmt: skip
+    assert all(0.0 <= share <= 1.0 for _, share in told)
+
+    for wanted in ("screening", "fitting", "refining"):
+
+        def stop(step, share, wanted=wanted):
+            if step == wanted:
+                raise KeyboardInterrupt(step)
+
+        with pytest.raises(KeyboardInterrupt, match=wanted):
+            matcher.match(query, told=stop)
+    assert matcher.match(query).candidates == plain.candidates
+
+
+def test_an_eye_stands_as_high_as_is_known(matcher, query):
+    high = matcher.match(query, narrowing=Narrowing(eye_height_m=25.0)).candidates[0]
+    ground_m = float(matcher.terrain.height_at(high.easting_m, high.northing_m))
+    assert high.eye_elevation_m == pytest.approx(ground_m + 25.0, abs=1e-6)
+    fitted = matcher.fit(query, high)
+    ground_m = float(matcher.terrain.height_at(fitted.easting_m, fitted.northing_m))
+    assert fitted.eye_elevation_m == pytest.approx(ground_m + 25.0, abs=1e-6)
+    with pytest.raises(InputError, match="expected 0 or more"):
+        Narrowing(eye_height_m=-1.0)
+
+
+IN_THREADS = """
+import json, sys
+from concurrent.futures import ThreadPoolExecutor
+from skyline import Matcher, RenderThread, Viewer, read_query
+
+query = read_query(sys.argv[2], 60.0)
+with RenderThread() as thread, Matcher(sys.argv[1], render_thread=thread) as matcher:
+    with Viewer(matcher) as viewer, ThreadPoolExecutor(4) as pool:
+        matches = [pool.submit(matcher.match, query) for _ in range(2)]
+        pose = viewer.pose(10.3327, 46.7478, 141.0)
+        looks = [pool.submit(viewer.look, pose, query) for _ in range(30)]
+        found = [[one.easting_m, one.northing_m, one.score] for match in matches
+                 for one in match.result().candidates]
+        gaps = {look.result().median_gap_deg for look in looks}
+print(json.dumps([found, list(gaps)]))
+"""
+
+
+def test_many_threads_get_what_one_gets(store, photo, matcher, query):
+    """In a process of its own: a process has one OpenGL context, which one thread owns."""
+    command = [sys.executable, "-c", IN_THREADS, str(store), str(photo)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    found, gaps = json.loads(done.stdout)
+    plain = [[c.easting_m, c.northing_m, c.score] for c in matcher.match(query).candidates]
+    assert found == [*plain, *plain]
+    with Viewer(matcher) as viewer:
+        pose = viewer.pose(10.3327, 46.7478, 141.0)
+        assert gaps == [viewer.look(pose, query).median_gap_deg]

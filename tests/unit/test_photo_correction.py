@@ -1,0 +1,178 @@
+"""Skylines mended by strokes: what is said holds, what is not said stays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from photo_scenes import make_scene
+
+from skyline import Correction, InputError, NotedPlace, Photo, Projection, QuerySkyline, Stroke
+from skyline.photo import StrokeKind, extract_skyline
+from skyline.photo.correction import _forbidden, _labels
+from skyline.photo.extract import (
+    FORBIDDEN,
+    STEPS,
+    Extraction,
+    refine_rows,
+    to_photo_rows,
+    to_work_columns,
+    topmost,
+)
+from skyline.photo.paths import shortest_path
+
+WIDTH, HEIGHT = 960, 640
+
+
+def photo_of(image):
+    return Photo(image, 60.0, Projection.PERSPECTIVE, NotedPlace())
+
+
+@pytest.fixture(scope="module")
+def photo():
+    return photo_of(make_scene("clouds", 3).image)
+
+
+@pytest.fixture(scope="module")
+def correction(photo):
+    return Correction(photo)
+
+
+def stroke(kind, columns, rows, radius_px=0.0):
+    rows = np.broadcast_to(rows, len(columns)).tolist()
+    points = tuple(zip(np.asarray(columns, float).tolist(), rows, strict=True))
+    return Stroke(StrokeKind(kind), points, radius_px)
+
+
+def same(one, other):
+    return np.array_equal(one.row_px, other.row_px, equal_nan=True) and np.array_equal(
+        one.confidence, other.confidence
+    )
+
+
+@pytest.mark.parametrize("kind", ["clear", "clouds", "caption", "layers"])
+def test_without_a_stroke_it_is_what_the_extractor_finds(kind):
+    image = make_scene(kind, 1).image
+    found = Correction(photo_of(image)).solve()
+    assert same(found, extract_skyline(image))
+    assert found.fov_deg == 60.0
+
+
+@pytest.mark.parametrize(("kind", "away_px"), [("sky", 70.0), ("ground", -70.0)])
+def test_what_is_painted_is_on_its_side(correction, kind, away_px):
+    before = correction.solve()
+    columns = np.arange(400, 520, 4)
+    rows = before.row_px[columns] + away_px
+    after = correction.solve([stroke(kind, columns, rows, 10.0)])
+    inner = np.arange(400, 517)
+    beyond = np.interp(inner, columns, rows)
+    if kind == "sky":
+        assert (after.row_px[inner] > beyond).all()
+    else:
+        assert (after.row_px[inner] < beyond).all()
+    assert after.trusted[inner].all()
+    far = np.r_[0:300, 620:WIDTH]
+    np.testing.assert_array_equal(after.row_px[far], before.row_px[far])
+    np.testing.assert_array_equal(after.confidence[far], before.confidence[far])
+
+
+def test_the_skyline_behind_a_bush_is_shown_by_two_strokes():
+    scene = make_scene("clear", 7)
+    image, columns = scene.image.copy(), np.arange(300, 420)
+    for column in columns:
+        foot = int(scene.row_px[column])
+        image[foot - 70 : foot, column] = (45, 60, 40)
+    correction = Correction(photo_of(image))
+    assert not correction.solve().trusted[columns].any()
+    along = np.arange(290, 432, 4)
+    # 8 px are left free on either side; two more are the brush's and the working size's.
+    above, below = (scene.row_px[along] + away for away in (-12.0, 12.0))
+    strokes = [stroke("sky", along, above, 4.0), stroke("ground", along, below, 4.0)]
+    after = correction.solve(strokes)
+    assert after.trusted[columns].all()
+    assert np.abs(after.row_px - scene.row_px)[columns].max() <= 8.0 + 2.0
+
+
+def test_a_line_is_taken_as_it_is(correction):
+    after = correction.solve([stroke("line", [100, 150, 200], [300.0, 320.5, 280.0])])
+    assert after.row_px[100] == 300.0
+    assert after.row_px[125] == pytest.approx(310.25)
+    assert after.row_px[200] == 280.0
+    assert (after.confidence[100:201] == 1.0).all()
+    back = correction.solve([stroke("line", [100, 140, 120], [300.0, 300.0, 200.0])])
+    assert back.row_px[120] == 200.0
+
+
+def test_what_is_erased_is_not_trusted_until_it_is_drawn_again(correction):
+    erased = stroke("erase", [300, 340], [5.0, 5.0], 4.0)
+    after = correction.solve([erased])
+    assert not after.trusted[296:345].any()
+    drawn = stroke("line", [310, 320], [200.0, 200.0])
+    again = correction.solve([erased, drawn])
+    assert again.trusted[310:321].all()
+    assert not again.trusted[296:310].any()
+    assert not correction.solve([drawn, erased]).trusted[296:345].any()
+
+
+def test_strokes_leave_nothing_behind(correction):
+    before = correction.solve()
+    strokes = [stroke("sky", [100, 300], 400.0, 15.0), stroke("line", [5, 40], 90.0)]
+    once = correction.solve(strokes)
+    assert same(correction.solve(strokes), once)
+    assert same(correction.solve(), before)
+    assert same(correction.solve(strokes[:0]), before)
+
+
+def test_the_quick_way_is_the_slow_way():
+    """All columns solved and refined again, and not those alone that a stroke has changed."""
+    image = make_scene("layers", 5, 1920, 1280).image
+    correction, whole = Correction(photo_of(image)), Extraction.of(image)
+    before = correction.solve()
+    columns = np.arange(700, 1100, 10)
+    rows = before.row_px[columns] + 40.0
+    painted = stroke("sky", columns, rows, 25.0)
+    after = correction.solve([painted])
+    evidence = whole.evidence
+    forbidden = _forbidden(_labels([painted], whole))
+    cost = np.where(forbidden, whole.border.cost + np.float32(FORBIDDEN), whole.border.cost)
+    path = shortest_path(cost, STEPS)
+    path = topmost(np.where(forbidden, np.float32(0.0), evidence.edges), path)
+    guess = to_photo_rows(path, evidence, to_work_columns(1920, evidence))
+    slow = refine_rows(image, guess, evidence.row_scale)
+    inner = np.arange(690, 1090)
+    known = inner[after.trusted[inner]]
+    assert len(known) > 390
+    np.testing.assert_array_equal(after.row_px[known], slow[known])
+
+
+def test_a_trace_is_begun_with_and_mended(correction, photo):
+    trace = QuerySkyline(np.full(WIDTH, 250.0), np.ones(WIDTH), WIDTH, HEIGHT)
+    begun = correction.restarted(trace)
+    assert same(begun.solve(), replace(trace, fov_deg=60.0))
+    assert same(Correction(photo, trace).solve(), begun.solve())
+    mended = begun.solve([stroke("line", [10, 20], 100.0)])
+    assert (mended.row_px[10:21] == 100.0).all()
+    assert (mended.row_px[30:] == 250.0).all()
+    with pytest.raises(InputError, match="expected the same image"):
+        correction.restarted(QuerySkyline(np.ones(5), np.ones(5), 5, 5))
+
+
+def test_a_sky_mask_is_its_own_skyline():
+    mask = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    mask[300:] = 0
+    found = Correction(photo_of(mask)).solve()
+    assert np.allclose(found.row_px, 299.5)
+
+
+def test_strokes_beyond_the_photo_do_no_harm(correction):
+    before = correction.solve()
+    far = [stroke("sky", [-5000, -4000], -900.0, 30.0), stroke("line", [1e5, 2e5], 1e6)]
+    np.testing.assert_array_equal(correction.solve(far).row_px, before.row_px)
+
+
+@pytest.mark.parametrize(
+    ("points", "radius_px", "said"),
+    [((), 1.0, "0 points"), (((1.0, np.nan),), 1.0, "all finite"), (((1.0, 1.0),), -1.0, "radius")],
+)
+def test_a_stroke_that_is_none_is_refused(points, radius_px, said):
+    with pytest.raises(InputError, match=said):
+        Stroke(StrokeKind.SKY, points, radius_px)

@@ -1,0 +1,140 @@
+"""Files for other programs, read back by other programs: GDAL, and the parsers of Python."""
+
+import io
+import math
+import xml.etree.ElementTree as Xml
+import zipfile
+
+import geopandas
+import numpy as np
+import pytest
+import rasterio
+from PIL import Image
+from PIL.ExifTags import IFD, Base
+from scenes import FRAME, candidate_at
+
+from skyline import InputError, Matched, QuerySkyline, export_matches, read_photo, write_located
+
+BEST = candidate_at(
+    100.0, 200.0, 30.0, 4.0, -3.0, 50.0, eye_elevation_m=1234.5, confidence=0.93
+)  # fmt: skip
+OTHER = candidate_at(900.0, -300.0, 300.0)
+NAME = "photos/Horn & <Tal>\x07.jpg"
+PHOTO = np.full((30, 40, 3), 99, np.uint8)
+
+
+def matches():
+    query = QuerySkyline(np.full(40, 10.0), np.ones(40), 40, 30)
+    return [Matched(NAME, query, (BEST, OTHER), 1.0, True, PHOTO)]
+
+
+def test_kml_has_places_views_and_the_photo_in_the_landscape(tmp_path):
+    path = tmp_path / "new" / "answer.kml"
+    export_matches(path, matches(), FRAME)
+    kml = Xml.parse(path)
+    names = [mark.findtext("{*}name") for mark in kml.iterfind(".//{*}Placemark")]
+    assert names == ["Horn & <Tal>\ufffd.jpg: candidate 1", "Horn & <Tal>\ufffd.jpg: candidate 2"]
+    (overlay,) = kml.findall(".//{*}PhotoOverlay")
+    camera = {one.tag.split("}")[1]: one.text for one in overlay.find("{*}Camera")}
+    assert float(camera["longitude"]) == pytest.approx(BEST.lon, abs=1e-6)
+    assert float(camera["latitude"]) == pytest.approx(BEST.lat, abs=1e-6)
+    assert float(camera["altitude"]) == 1234.5
+    assert float(camera["heading"]) == pytest.approx(BEST.heading_deg, abs=1e-3)
+    assert (float(camera["tilt"]), float(camera["roll"])) == (94.0, 3.0)
+    assert camera["altitudeMode"] == "absolute"
+    volume = {one.tag.split("}")[1]: float(one.text) for one in overlay.find("{*}ViewVolume")}
+    assert (volume["leftFov"], volume["rightFov"]) == (-25.0, 25.0)
+    half = math.degrees(math.atan(math.tan(math.radians(25.0)) * 30 / 40))
+    assert volume["topFov"] == pytest.approx(half, abs=1e-3)
+    assert volume["bottomFov"] == -volume["topFov"]
+    ring = kml.findtext(".//{*}LinearRing/{*}coordinates").split()
+    assert ring[0] == ring[-1]
+
+
+def test_kmz_holds_the_photo(tmp_path):
+    path = tmp_path / "answer.kmz"
+    export_matches(path, matches(), FRAME)
+    with zipfile.ZipFile(path) as archive:
+        assert archive.testzip() is None
+        assert archive.namelist() == ["doc.kml", "files/01.jpg"]
+        kml = Xml.fromstring(archive.read("doc.kml"))
+        with Image.open(io.BytesIO(archive.read("files/01.jpg"))) as picture:
+            assert picture.size == (40, 30)
+    assert kml.findtext(".//{*}PhotoOverlay/{*}Icon/{*}href") == "files/01.jpg"
+
+
+def test_gdal_reads_the_gpx(tmp_path):
+    path = tmp_path / "answer.gpx"
+    export_matches(path, matches(), FRAME)
+    points = geopandas.read_file(path, layer="waypoints")
+    assert points.geometry.x.tolist() == pytest.approx([BEST.lon, OTHER.lon], abs=1e-6)
+    assert points.geometry.y.tolist() == pytest.approx([BEST.lat, OTHER.lat], abs=1e-6)
+    assert points.ele.tolist() == [1234.5, 1000.0]
+    assert points.name.tolist()[1].endswith("candidate 2")
+    assert "confidence 0.93" in points.desc[0]
+
+
+def test_gdal_reads_the_geojson(tmp_path):
+    path = tmp_path / "answer.geojson"
+    export_matches(path, matches(), FRAME)
+    table = geopandas.read_file(path)
+    assert table[table["shape"] == "candidate"].geometry.x.tolist() == pytest.approx(
+        [BEST.lon, OTHER.lon], abs=1e-6
+    )
+
+
+def test_another_suffix_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"expected one of .geojson"):
+        export_matches(tmp_path / "answer.doc", matches(), FRAME)
+
+
+def sexagesimal(text):
+    degrees, minutes, seconds = (float(part) for part in text.strip("() ").split(") ("))
+    return degrees + minutes / 60.0 + seconds / 3600.0
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("turned", [1, 6])
+def test_gdal_reads_the_place_in_the_copy_of_a_photo(tmp_path, turned):
+    source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
+    exif = Image.Exif()
+    exif[Base.Orientation] = turned
+    exif[Base.Make] = "A camera"
+    exif.get_ifd(IFD.Exif)[0xA405] = 31
+    noise = np.random.default_rng(5).integers(0, 255, (60, 80, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(source, exif=exif, quality=80)
+    before = source.read_bytes()
+    write_located(source, path, BEST)
+    assert source.read_bytes() == before
+    with rasterio.open(path) as image:
+        tags = image.tags()
+    assert sexagesimal(tags["EXIF_GPSLatitude"]) == pytest.approx(BEST.lat, abs=1e-7)
+    assert sexagesimal(tags["EXIF_GPSLongitude"]) == pytest.approx(BEST.lon, abs=1e-7)
+    assert (tags["EXIF_GPSLatitudeRef"], tags["EXIF_GPSLongitudeRef"]) == ("N", "E")
+    heading = float(tags["EXIF_GPSImgDirection"].strip("()"))
+    assert heading == pytest.approx(BEST.heading_deg, abs=1e-3)
+    assert tags["EXIF_GPSImgDirectionRef"] == "T"
+    assert float(tags["EXIF_GPSAltitude"].strip("()")) == 1234.5
+    assert tags["EXIF_Make"] == "A camera"
+    assert tags["EXIF_FocalLengthIn35mmFilm"] == "31"
+    # Not a bit of the picture is another.
+    start = before.index(b"\xff\xdb")
+    assert path.read_bytes().endswith(before[start:])
+    noted = read_photo(path).place
+    assert noted.lonlat_deg == pytest.approx((BEST.lon, BEST.lat), abs=1e-7)
+    assert noted.elevation_m == 1234.5
+    assert noted.heading_deg == pytest.approx(BEST.heading_deg, abs=1e-3)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".webp"])
+def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix):
+    source, path = tmp_path / f"photo{suffix}", tmp_path / "copy.jpg"
+    Image.fromarray(np.repeat(PHOTO, 2, axis=0)).save(source)
+    below = candidate_at(0.0, 0.0, eye_elevation_m=-12.0)
+    write_located(source, path, below)
+    write_located(path, path, below)
+    noted = read_photo(path).place
+    assert noted.lonlat_deg == pytest.approx((below.lon, below.lat), abs=1e-7)
+    assert noted.elevation_m == -12.0
+    with Image.open(path) as image:
+        assert (image.format, image.size) == ("JPEG", (40, 60))

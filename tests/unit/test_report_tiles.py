@@ -1,0 +1,92 @@
+"""Relief tiles: where things lie in them, what is empty, which side is lit."""
+
+import io
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+from scenes import FRAME, field_of
+
+from skyline import HeightField, InputError, ReliefTiles
+
+LON, LAT = 9.8, 46.8
+
+
+def tile_of(lon, lat, zoom):
+    """Return x, y and the pixel of a place, by the formulas of EPSG:3857."""
+    east = (lon + 180.0) / 360.0 * 2**zoom
+    south = (1.0 - math.asinh(math.tan(math.radians(lat))) / math.pi) / 2.0 * 2**zoom
+    return int(east), int(south), 256.0 * (east % 1.0), 256.0 * (south % 1.0)
+
+
+def picture_of(tiles, zoom, x, y):
+    with Image.open(io.BytesIO(tiles.png(zoom, x, y))) as image:
+        return np.asarray(image.convert("RGBA")).astype(float)
+
+
+def centred(heights, spacing_m):
+    rows, cols = heights.shape
+    west, north = -(cols - 1) / 2.0 * spacing_m, (rows - 1) / 2.0 * spacing_m
+    return HeightField(heights, west, north, spacing_m, spacing_m, FRAME)
+
+
+@pytest.mark.parametrize("zoom", [11, 13, 15])
+def test_a_step_in_the_terrain_lies_where_the_map_has_it(zoom):
+    """West of the frame's middle meridian it is low, east of it high; so from south to north."""
+    spacing_m, count = 20.0, 1001
+    low = np.zeros((count, count), np.float32)
+    side = np.arange(count) >= count // 2
+    x, y, column, row = tile_of(LON, LAT, zoom)
+    pixel_m = 40_075_016.686 * math.cos(math.radians(LAT)) / 2**zoom / 256.0
+    blur_px = 1.0 + spacing_m / pixel_m
+    east = picture_of(ReliefTiles(centred(low + 300.0 * side, spacing_m)), zoom, x, y)
+    lightness = east[int(row), :, :3].sum(axis=1)
+    jump = np.argmax(np.abs(np.diff(lightness)))
+    assert abs(jump + 0.5 - column) <= 1.0 + blur_px
+    north = picture_of(ReliefTiles(centred(low + 300.0 * side[::-1, None], spacing_m)), zoom, x, y)
+    lightness = north[:, int(column), :3].sum(axis=1)
+    jump = np.argmax(np.abs(np.diff(lightness)))
+    assert abs(jump + 0.5 - row) <= 1.0 + blur_px
+
+
+def test_there_is_nothing_beyond_the_terrain_or_over_holes():
+    heights = np.full((400, 400), 500.0, np.float32)
+    heights[150:250, 150:250] = np.nan
+    tiles = ReliefTiles(centred(heights, 25.0))
+    x, y, column, row = tile_of(LON, LAT, 14)
+    assert picture_of(tiles, 14, x, y)[int(row), int(column), 3] == 0.0
+    west, south, east, north = tiles.bounds_deg
+    assert west < LON < east
+    assert south < LAT < north
+    for lon, lat, alpha in (
+        (west + 0.002, LAT, 255.0),
+        (west - 0.002, LAT, 0.0),
+        (LON, north - 0.002, 255.0),
+        (LON, north + 0.002, 0.0),
+    ):
+        x, y, column, row = tile_of(lon, lat, 14)
+        assert picture_of(tiles, 14, x, y)[int(row), int(column), 3] == alpha
+    assert picture_of(tiles, 5, 0, 0)[..., 3].max() == 0.0
+
+
+def test_the_light_comes_from_the_north_west():
+    spacing_m = 20.0
+    east = spacing_m * (np.arange(501) - 250.0)
+    ridge = (800.0 - 0.5 * np.abs(east + east[:, None])).astype(np.float32)
+    x, y, column, row = tile_of(LON, LAT, 14)
+    tiles = ReliefTiles(centred(ridge, spacing_m))
+    # A ridge from south-west to north-east: rows run south, so it is where column = row.
+    picture = picture_of(tiles, 14, x, y)[..., :3].sum(axis=2)
+    at = np.arange(20, 60)
+    north_west = [picture[int(row) - k, int(column) - k] for k in at if row > k and column > k]
+    south_east = [
+        picture[int(row) + k, int(column) + k] for k in at if row + k < 256 and column + k < 256
+    ]
+    assert np.mean(north_west or [999.0]) > np.mean(south_east or [0.0])
+
+
+@pytest.mark.parametrize("at", [(-1, 0, 0), (2, 4, 0), (2, 0, -1), (99, 0, 0)])
+def test_a_tile_that_is_none_is_refused(at):
+    with pytest.raises(InputError, match="expected a zoom"):
+        ReliefTiles(field_of(np.zeros((9, 9), np.float32))).png(*at)

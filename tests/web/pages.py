@@ -1,0 +1,268 @@
+"""What tests of the page share: a server to ask, and a page in a browser to work with."""
+
+import base64
+import http.client
+import json
+import subprocess
+import sys
+import time
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from subprocess import Popen
+
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import WebDriverWait
+from websockets.sync.client import connect
+
+PATIENCE_S = 60
+
+
+@dataclass(frozen=True)
+class Served:
+    """A running server."""
+
+    address: str
+    process: Popen
+
+    def ask(self, method, path, body=None, headers=None):
+        """Return the status and the body of an answer, JSON read where it is JSON."""
+        with closing(http.client.HTTPConnection(self.address, timeout=PATIENCE_S)) as connection:
+            connection.request(method, path, body, headers or {})
+            answer = connection.getresponse()
+            content = answer.read()
+        if answer.headers.get_content_type() == "application/json":
+            content = json.loads(content)
+        return answer.status, content
+
+    def begin(self):
+        """Return the path of a new session."""
+        status, said = self.ask("POST", "/session")
+        assert status == 200
+        return f"/session/{said['session']}"
+
+    def upload(self, session, name, data):
+        """Return the status and the record, or the error, of an upload."""
+        return self.ask("POST", f"{session}/photos?name={name}", data)
+
+    def memory_bytes(self):
+        """Return the memory of the process that lies in no file."""
+        lines = Path(f"/proc/{self.process.pid}/status").read_text().splitlines()
+        return 1024 * int(next(line for line in lines if line.startswith("RssAnon")).split()[1])
+
+
+_SERVE = "from skyline.cli import main; main()"
+SIZES = {"wide": (1280, 800), "tall": (800, 1100)}
+
+
+@contextmanager
+def serving(*arguments):
+    """Run ``skyline serve`` on any free port."""
+    command = [sys.executable, "-c", _SERVE, "serve", *map(str, arguments), "--port", "0"]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        try:
+            line = run.stdout.readline()
+            assert "http://" in line, run.stderr.read()
+            yield Served(line.split("http://")[1].split("/")[0], run)
+        finally:
+            run.terminate()
+            run.wait(20)
+
+
+TINY = b'{"fov": 60}'
+
+
+def ready(served, photo):
+    """Return a session's path and the record of a photo in it."""
+    session = served.begin()
+    status, record = served.upload(session, "photo.jpg", photo.read_bytes())
+    assert (status, record["state"]) == (200, "ready")
+    return session, f"{session}/photos/{record['id']}"
+
+
+def live(served, session, **options):
+    """Open the live channel of a session."""
+    return connect(f"ws://{served.address}{session}/live", open_timeout=PATIENCE_S, **options)
+
+
+def told(socket, kind):
+    """Return the next message of a kind."""
+    while True:
+        message = json.loads(socket.recv(timeout=PATIENCE_S))
+        if message["type"] == kind:
+            return message
+
+
+POSE = {"lon": 10.3327, "lat": 46.7478, "heading": 141, "fov": 60} | {
+    "pitch": 0,
+    "roll": 0,
+    "eyeHeight": 2,
+}
+
+
+def look(path, pose=POSE, seq=1):
+    return json.dumps({"type": "look", "photo": path.split("/")[-1], "pose": pose, "seq": seq})
+
+
+_DROP = """
+const [data, name, type] = arguments;
+const bytes = Uint8Array.from(atob(data), (letter) => letter.charCodeAt(0));
+const transfer = new DataTransfer();
+transfer.items.add(new File([bytes], name, { type }));
+for (const kind of ["dragenter", "dragover", "drop"]) {
+  document.body.dispatchEvent(new DragEvent(kind, { bubbles: true, dataTransfer: transfer }));
+}
+"""
+_MODULE = (
+    "const done = arguments[arguments.length - 1]; import('/page/{}.js').then((it) => done({}));"
+)
+
+
+class Page:
+    """The page in a browser."""
+
+    def __init__(self, browser, server, size=(1280, 800)):
+        self.browser, self.server = browser, server
+        self.resize(*size)
+        browser.get(f"http://{server.address}/")
+        browser.execute_script("sessionStorage.clear()")
+        browser.get_log("browser")
+        browser.get_log("performance")
+        browser.get(f"http://{server.address}/")
+        self.until(lambda: self.script("return document.documentElement.dataset.ready"))
+
+    def resize(self, width, height):
+        """Set what the page has of a screen."""
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+
+    def script(self, code, *arguments):
+        """Run a script in the page."""
+        return self.browser.execute_script(code, *arguments)
+
+    def of(self, module, code):
+        """Return an expression of ``it``, one of the page's modules."""
+        return self.browser.execute_async_script(_MODULE.format(module, code))
+
+    def state(self, code):
+        """Return an expression of the page's ``state``."""
+        return self.of("state", f"(({code}) ?? null)".replace("state.", "it.state."))
+
+    def until(self, true, patience_s=PATIENCE_S):
+        """Wait until something is true, and return it."""
+        return WebDriverWait(self.browser, patience_s, poll_frequency=0.05).until(lambda _: true())
+
+    def find(self, selector):
+        """Return an element."""
+        return self.browser.find_element(By.CSS_SELECTOR, selector)
+
+    def all(self, selector):
+        """Return elements."""
+        return self.browser.find_elements(By.CSS_SELECTOR, selector)
+
+    def click(self, selector):
+        """Click an element, scrolled to where it can be clicked."""
+        element = self.find(selector)
+        self.script("arguments[0].scrollIntoView({block: 'center'})", element)
+        element.click()
+
+    def drop(self, path, kind="image/jpeg"):
+        """Drop a file onto the page."""
+        data = base64.b64encode(path.read_bytes()).decode()
+        self.script(_DROP, data, path.name, kind)
+
+    def open(self, path):
+        """Drop a photo and wait until its skyline is drawn."""
+        before = self.state("state.photo && state.photo.id")
+        self.drop(path)
+        self.until(lambda: self.state("state.photo && state.photo.id") != before)
+        self.until(lambda: self.state("state.rows && state.rows.length"))
+        self.until(lambda: not self.find("#busy").is_displayed())
+
+    def on_photo(self, column, row):
+        """Return where a pixel of the photo lies, from the middle of its canvas."""
+        view = self.of("view", "({...it.view})")
+        return (
+            round((column + 0.5) * view["scale"] + view["left"] - view["width"] / 2),
+            round((row + 0.5) * view["scale"] + view["top"] - view["height"] / 2),
+        )
+
+    def draw(self, tool, points):
+        """Draw a stroke with the mouse, and wait until the skyline is solved again."""
+        self.find(f"#tools label:has([value={tool}])").click()
+        canvas, count = self.find("#photo"), self.solved()
+        chain = ActionChains(self.browser, duration=40)
+        chain.move_to_element_with_offset(canvas, *self.on_photo(*points[0])).click_and_hold()
+        for point in points[1:]:
+            chain.move_to_element_with_offset(canvas, *self.on_photo(*point))
+        chain.release().perform()
+        self.until(lambda: self.solved() > count)
+
+    def solved(self):
+        """Return how often the skyline was solved again."""
+        return self.script("return performance.getEntriesByName('stroke').length")
+
+    def rows(self):
+        """Return the rows of the photo's skyline, None where there is none."""
+        return self.state("[...state.rows].map((row) => (Number.isNaN(row) ? null : row))")
+
+    def match(self):
+        """Find the place, and wait for the answer."""
+        self.click("#find")
+        self.until(lambda: self.find("#answer").text)
+
+    def drag(self, selector, right, down, steps=12):
+        """Drag an element of the map with the mouse."""
+        self.script("arguments[0].scrollIntoView({block: 'center'})", self.find(selector))
+        chain = ActionChains(self.browser, duration=30).click_and_hold(self.find(selector))
+        for _ in range(steps):
+            chain.move_by_offset(right / steps, down / steps)
+        chain.release().perform()
+
+    def press(self, *keys, times=1):
+        """Press keys at whatever has the focus."""
+        chain = ActionChains(self.browser)
+        for _ in range(times):
+            for key in keys:
+                chain.send_keys(key)
+        chain.perform()
+
+    def control(self, key):
+        """Press a key with Ctrl."""
+        chain = ActionChains(self.browser).key_down(Keys.CONTROL).send_keys(key)
+        chain.key_up(Keys.CONTROL).perform()
+
+    def settled(self):
+        """Wait until the skyline of the last pose is shown."""
+        return self.until(lambda: self.state("state.sight && state.sight.gap"))
+
+    def alerts(self):
+        """Return the errors that are shown, and close them."""
+        said = []
+        for alert in self.all(".alert"):
+            said.append(alert.find_element(By.TAG_NAME, "span").text)
+            alert.find_element(By.TAG_NAME, "button").click()
+        return said
+
+    def screenshot(self, path):
+        """Save a picture of the page."""
+        time.sleep(0.3)  # tiles fade in
+        self.browser.save_screenshot(str(path))
+
+    def asked_elsewhere(self):
+        """Return addresses beyond the server that the page has asked for."""
+        sent = (
+            json.loads(entry["message"])["message"] for entry in self.browser.get_log("performance")
+        )
+        urls = [
+            message["params"]["request"]["url"]
+            for message in sent
+            if message["method"] == "Network.requestWillBeSent"
+        ]
+        assert urls
+        own = (f"http://{self.server.address}/", "blob:", "data:")
+        return [url for url in urls if not url.startswith(own)]

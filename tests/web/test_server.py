@@ -1,0 +1,319 @@
+"""The server under people of all intents: what it refuses, and what it keeps."""
+
+import http.client
+import json
+import struct
+import threading
+import time
+import zipfile
+import zlib
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+import pytest
+from pages import PATIENCE_S, POSE, TINY, live, look, ready, told
+from websockets.exceptions import InvalidStatus
+
+from skyline.web.guard import Guard
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"Host": "evil.example"},
+        {"Host": "127.0.0.1.evil.example:{port}"},
+        {"Host": "evil.example:{port}"},
+        {"Host": "127.0.0.1:1"},
+        {"Origin": "http://evil.example"},
+        {"Origin": "null"},
+        {"Origin": "https://127.0.0.1:{port}"},
+    ],
+)
+def test_foreign_hosts_and_origins_are_refused(served, headers):
+    port = served.address.split(":")[1]
+    filled = {name: value.format(port=port) for name, value in headers.items()}
+    for method, path in (("GET", "/"), ("GET", "/state"), ("POST", "/session")):
+        status, said = served.ask(method, path, headers=filled)
+        assert status == 403
+        assert b"its own page only" in said
+    session = served.begin()
+    with pytest.raises(InvalidStatus, match="403"):
+        live(
+            served,
+            session,
+            additional_headers=filled if "Origin" in filled else {"Origin": "http://x"},
+        )
+
+
+def test_the_own_page_is_answered_under_each_of_its_names(served):
+    port = served.address.split(":")[1]
+    for host in ("127.0.0.1", "localhost"):
+        own = {"Host": f"{host}:{port}", "Origin": f"http://{host}:{port}"}
+        assert served.ask("POST", "/session", headers=own)[0] == 200
+
+
+@pytest.mark.parametrize(
+    ("host", "allowed", "refused"),
+    [
+        ("127.0.0.1", ["127.0.0.1:80", "localhost:80", "[::1]:80"], ["192.0.2.7:80", "a.b:80"]),
+        ("0.0.0.0", ["192.0.2.7:80", "localhost:80", "[2001:db8::1]:80"], ["a.b:80", "a.b"]),
+        ("page.example", ["page.example:80"], ["other.example:80", "page.example:81"]),
+    ],
+)
+def test_what_the_server_listens_on_says_which_hosts_are_its_own(host, allowed, refused):
+    guard = Guard(None, host, 80)
+    assert all(guard.allows([name], [f"http://{name}"]) for name in allowed)
+    assert not any(guard.allows([name], []) for name in refused)
+    assert not guard.allows([], [])
+    assert not guard.allows(allowed[:1] * 2, [])
+
+
+def test_it_listens_on_this_machine_alone(served):
+    port = int(served.address.split(":")[1])
+    lines = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+    listening = [line[1] for line in lines if line[3] == "0A" and line[1].endswith(f":{port:04X}")]
+    assert listening == [f"0100007F:{port:04X}"]
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/page/../server.py", "/page/..%2fserver.py", "/page/%2e%2e/server.py", "//etc/passwd",
+        "/page//etc/passwd", "/leaflet/../__init__.py", "/leaflet/..%2f__init__.py",
+        "/page/....//server.py", "/page/%00index.html", "/page/", "/leaflet/", "/../../etc/passwd",
+        "/session/../state", "/session/x/photos/../../../etc/passwd/picture",
+    ],
+)  # fmt: skip
+def test_no_path_of_the_machine_is_readable(served, path):
+    status, said = served.ask("GET", path)
+    assert status in {404, 405, 400}
+    assert b"root:" not in bytes(str(said), "utf-8")
+    assert b"import" not in bytes(str(said), "utf-8")
+
+
+def test_answers_tell_the_browser_to_run_nothing_else(served):
+    connection_headers = headers_of(served, "/")
+    policy = connection_headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert connection_headers["x-content-type-options"] == "nosniff"
+
+
+def headers_of(served, path):
+    with closing(http.client.HTTPConnection(served.address, timeout=PATIENCE_S)) as connection:
+        connection.request("GET", path)
+        return connection.getresponse().headers
+
+
+def chunk(kind, data):
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+
+def huge_png(width, height):
+    """Return a PNG of one colour, small as a file."""
+    header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    rows = zlib.compress(bytes(width + 1) * 64, 9)
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+    )
+
+
+SVG = (
+    b'<svg xmlns="http://www.w3.org/2000/svg" onload="alert(1)"><rect width="9" height="9"/></svg>'
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "said"),
+    [
+        ("letter.jpg", b"Dear Sir or Madam", "is not an image that can be read"),
+        ("nothing.jpg", b"", "is not an image that can be read"),
+        ("drawing.svg", SVG, "is not an image that can be read"),
+        ("program.eps", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "is not an image"),
+        (
+            "large.png",
+            huge_png(20_000, 10_000),
+            "more than 170 million pixels; the page takes at most 120 million",
+        ),
+        ("wide.png", huge_png(13_000, 10_000), "13000 x 10000 pixels; the page takes at most 120"),
+        ("huge.png", huge_png(60_000, 60_000), "the page takes at most 120 million"),
+        ("sliver.png", huge_png(3000, 2), "expected a photo or a panorama"),
+    ],
+)
+def test_bad_uploads_are_one_clear_line(served, name, data, said):
+    session = served.begin()
+    status, answer = served.upload(session, name, data)
+    assert status == 400
+    assert answer["error"].startswith(name)
+    assert said in answer["error"]
+    assert "\n" not in answer["error"]
+    assert "/tmp" not in answer["error"]
+    assert served.ask("GET", session)[1] == {"photos": []}
+
+
+def test_a_cut_photo_is_one_clear_line(served, photo):
+    status, answer = served.upload(served.begin(), "cut.jpg", photo.read_bytes()[:9000])
+    assert status == 400
+    assert answer["error"].startswith("cut.jpg cannot be decoded")
+
+
+def test_a_polyglot_is_shown_as_nothing_but_its_picture(served, photo, tmp_path):
+    archive = tmp_path / "both.jpg"
+    archive.write_bytes(photo.read_bytes() + b"<script>alert(1)</script>")
+    with zipfile.ZipFile(archive, "a") as both:
+        both.writestr("evil.html", "<script>alert(2)</script>")
+    session = served.begin()
+    status, record = served.upload(session, "<b>both.html", archive.read_bytes())
+    assert status == 200
+    assert record["name"] == "<b>both.html"
+    status, shown = served.ask("GET", f"{session}/photos/{record['id']}/picture")
+    assert shown.startswith(b"\xff\xd8")
+    assert b"script" not in shown
+    assert b"PK\x03\x04" not in shown
+
+
+def test_500_megabytes_are_refused_before_they_are_sent(served):
+    session = served.begin()
+    headers = {"Content-Length": "500000000"}
+    status, said = served.ask("POST", f"{session}/photos?name=film.jpg", b"", headers)
+    assert status == 413
+    assert said["error"].startswith("film.jpg has 500 MB or more; the page takes at most 100 MB")
+
+
+def test_an_upload_without_a_length_ends_at_the_limit(served):
+    def endless():
+        for _ in range(500):
+            yield bytes(1_000_000)
+
+    session = served.begin()
+    try:
+        status, said = served.ask("POST", f"{session}/photos?name=film.jpg", endless())
+    except (BrokenPipeError, ConnectionResetError):
+        return  # the server does not listen to the end
+    assert status == 413
+    assert "100 MB" in said["error"]
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "said"),
+    [
+        ("skyline", b"[1, 2", "not a JSON object"),
+        ("skyline", b"[" * 100_000, "not a JSON object"),
+        ("skyline", b'{"strokes": 5}', "no list"),
+        ("skyline", b'{"strokes": [{"kind": "fire", "points": [[1, 2]], "radius": 3}]}', "none of"),
+        ("skyline", b'{"strokes": [{"kind": "sky", "points": [], "radius": 3}]}', "points"),
+        ("skyline", b'{"strokes": [{"kind": "sky", "points": [[1, NaN]], "radius": 3}]}', "number"),
+        ("skyline", b'{"strokes": [{"kind": "sky", "points": [[1]], "radius": 3}]}', "pair"),
+        ("match", b'{"near": {"lon": 900, "lat": 0, "km": 1}}', "lon is 900"),
+        ("match", b'{"near": 5}', "near is 5"),
+        ("match", b'{"elevation": {"low": 900, "high": 100}}', "two that increase"),
+        ("match", b'{"fov": "wide"}', "fov is wide"),
+        ("fit", b"{}", "there is no pose"),
+        ("fit", json.dumps({"pose": {**POSE, "lat": 10}}).encode(), "off the map"),
+        ("save/kml", b"{}", "no place to save yet"),
+        ("trace", b"no trace", "the trace starts with"),
+        ("trace", b"# width=5 height=5\ncolumn_px,row_px\n1,2\n2,2\n", "expected the same image"),
+    ],
+)
+def test_what_is_no_question_is_one_line(served, photo, path, body, said):
+    _, of_photo = ready(served, photo)
+    status, answer = served.ask("POST", f"{of_photo}/{path}", body)
+    assert status == 400
+    assert said in answer["error"]
+    assert "/tmp" not in answer["error"]
+    assert "\n" not in answer["error"]
+
+
+def test_nobody_sees_what_others_have_uploaded(served, photo):
+    _, of_photo = ready(served, photo)
+    other = served.begin()
+    stolen = f"{other}/photos/{of_photo.split('/')[-1]}/picture"
+    assert served.ask("GET", stolen)[0] == 404
+    assert served.ask("GET", "/session/none/photos/none/picture")[0] == 404
+    assert served.ask("GET", other)[1] == {"photos": []}
+
+
+def test_the_skyline_follows_a_pose_and_the_latest_alone(served, photo):
+    session, of_photo = ready(served, photo)
+    with live(served, session) as socket:
+        for seq in range(200):
+            socket.send(look(of_photo, {**POSE, "heading": 100 + 0.2 * seq}, seq))
+        seen = []
+        while not seen or seen[-1]["seq"] != 199:
+            seen.append(told(socket, "look"))
+        assert len(seen) < 200
+        assert [one["seq"] for one in seen] == sorted(one["seq"] for one in seen)
+        assert len(seen[-1]["column"]) == len(seen[-1]["row"]) > 300
+        socket.send(look(of_photo, {**POSE, "lat": 40.0}))
+        assert "off the map" in told(socket, "look")["error"]
+        socket.send("no JSON")
+        socket.send(json.dumps({"type": "height", "lon": 10.3327, "lat": 46.7478, "seq": 7}))
+        assert told(socket, "height")["seq"] == 7
+
+
+def test_three_people_match_at_once_and_look_meanwhile(served, photo):
+    people = [ready(served, photo) for _ in range(3)]
+    _, alone = served.ask("POST", f"{people[0][1]}/match", TINY)
+    results, slowest_s = {}, []
+
+    def match(of_photo):
+        results[of_photo] = served.ask("POST", f"{of_photo}/match", TINY)
+
+    threads = [threading.Thread(target=match, args=(of_photo,)) for _, of_photo in people]
+    with ExitStack() as pages:
+        socket, *_ = [pages.enter_context(live(served, session)) for session, _ in people]
+        for thread in threads:
+            thread.start()
+        while any(thread.is_alive() for thread in threads):
+            began = time.perf_counter()
+            socket.send(look(people[0][1]))
+            told(socket, "look")
+            slowest_s.append(time.perf_counter() - began)
+        for thread in threads:
+            thread.join()
+    for status, found in results.values():
+        assert status == 200
+        assert found["candidates"] == alone["candidates"]
+    assert len(slowest_s) > 5
+
+
+def test_a_match_tells_how_far_it_is_and_is_cancelled(served, photo):
+    session, of_photo = ready(served, photo)
+    answers = []
+    with live(served, session) as socket:
+        asking = threading.Thread(
+            target=lambda: answers.append(served.ask("POST", f"{of_photo}/match", b"{}"))
+        )
+        asking.start()
+        told(socket, "progress")
+        assert served.ask("POST", f"{of_photo}/match", b"{}")[0] == 400
+        assert served.ask("DELETE", f"{of_photo}/match")[0] == 200
+        asking.join(PATIENCE_S)
+    assert answers == [(400, {"error": "cancelled"})]
+    assert served.ask("POST", f"{of_photo}/match", TINY)[0] == 200
+
+
+def test_matches_end_when_the_page_closes(served, photo):
+    session, first = ready(served, photo)
+    data = photo.read_bytes()
+    others = [served.upload(session, "photo.jpg", data)[1]["id"] for _ in range(11)]
+    answers = []
+
+    def match(of_photo):
+        answers.append(served.ask("POST", f"{of_photo}/match", b"{}"))
+
+    paths = [first, *(f"{session}/photos/{other}" for other in others)]
+    threads = [threading.Thread(target=match, args=(path,)) for path in paths]
+    with live(served, session) as socket:
+        for thread in threads:
+            thread.start()
+        told(socket, "progress")
+    for thread in threads:
+        thread.join(PATIENCE_S)
+    assert (400, {"error": "cancelled"}) in answers
+
+
+def test_what_is_removed_leaves_no_file(served, photo):
+    _, of_photo = ready(served, photo)
+    assert served.ask("DELETE", of_photo)[0] == 200
+    assert served.ask("GET", f"{of_photo}/picture")[0] == 404

@@ -1,0 +1,90 @@
+"""People who come and go: what is kept for them, for how long, and how much."""
+
+import pytest
+
+from skyline import InputError, Narrowing, QuerySkyline
+from skyline.web import sessions as module
+from skyline.web.matches import Match
+from skyline.web.sessions import Sessions, shown_name
+
+
+@pytest.fixture
+def sessions():
+    made = Sessions()
+    yield made
+    made.close()
+
+
+def photo_in(session, name="photo.jpg"):
+    path = session.path_for(name)
+    path.write_bytes(bytes(100))
+    return session.add(path, name)
+
+
+def test_files_lie_below_the_servers_own_folder_under_names_of_its_own(sessions):
+    session = sessions.begin()
+    for name in ("../../etc/passwd", "/etc/passwd", "a\\..\\b.jpg", "x.j/pg", "no\0name.jpg", ""):
+        path = session.path_for(shown_name(name))
+        assert path.parent == session.folder
+        assert path.stem.isalnum()
+    assert shown_name("../../etc/passwd") == "passwd"
+    assert shown_name("C:\\photos\\Horn.jpg") == "Horn.jpg"
+    assert shown_name("") == "photo"
+
+
+def test_who_has_gone_is_forgotten_and_who_is_there_is_not(sessions, monkeypatch):
+    gone, there = sessions.begin(), sessions.begin()
+    photo_in(gone)
+    there.came()
+    sessions.sweep()
+    assert gone.folder.exists()
+    monkeypatch.setattr(module, "_GONE_S", 0.0)
+    sessions.sweep()
+    assert not gone.folder.exists()
+    assert there.folder.exists()
+    with pytest.raises(KeyError):
+        sessions.of(gone.id)
+    there.left()
+    sessions.sweep()
+    assert not there.folder.exists()
+
+
+def test_matches_of_nobody_are_ended(sessions, monkeypatch):
+    session = sessions.begin()
+    photo = photo_in(session)
+    match = Match(photo, QuerySkyline([1.0], [1.0], 1, 1), Narrowing())
+    session.matches[photo.id] = match
+    session.came()
+    monkeypatch.setattr(module, "_UNATTENDED_S", 0.0)
+    session.left()
+    sessions.sweep()
+    match.run(None)
+    assert match.error == "cancelled"
+    assert photo.state == "ready"
+
+
+def test_there_are_limits(sessions, monkeypatch):
+    monkeypatch.setattr(module, "MAX_PHOTOS", 2)
+    monkeypatch.setattr(module, "MAX_SESSIONS", 1)
+    session = sessions.begin()
+    first = photo_in(session)
+    photo_in(session)
+    assert session.bytes == 200
+    with pytest.raises(InputError, match="remove some first"):
+        photo_in(session)
+    session.remove(first)
+    assert session.bytes == 100
+    assert not first.path.exists()
+    session.came()
+    with pytest.raises(InputError, match="pages are open"):
+        sessions.begin()
+    session.left()
+    assert sessions.begin().folder.exists()
+    assert not session.folder.exists()
+
+
+def test_all_files_go_with_the_server(sessions):
+    session = sessions.begin()
+    photo_in(session)
+    sessions.close()
+    assert not session.folder.parent.exists()
