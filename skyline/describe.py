@@ -9,6 +9,7 @@ from skyline.render.context import describe_context
 from skyline.report.records import MatchRecord, describe_candidates
 from skyline.store import StoreHeader, open_store
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.products import model_of
 from skyline.terrain.scene import SceneNeeds
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
@@ -44,6 +45,7 @@ def describe_terrain(field: HeightField) -> Facts:
     return {
         "kind": "DEM",
         "files": list(field.provenance.files),
+        "model": model_of(field.provenance.files),
         "frame": field.frame.name,
         "resampling": field.provenance.resampling,
         "samples": f"{field.cols} x {field.rows}",
@@ -55,6 +57,7 @@ def describe_terrain(field: HeightField) -> Facts:
         "filled": field.provenance.filled,
         "hollow": field.provenance.hollow,
         "despiked": field.provenance.despiked,
+        "undeclared": field.provenance.undeclared,
         "digest": field.digest,
     }
 

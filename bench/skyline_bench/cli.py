@@ -17,6 +17,7 @@ from skyline_bench.commands.skylines import (
     place_speed,
     speed_error,
     stability,
+    summits,
 )
 from skyline_bench.commands.stores import input_fuzz, sharded_build, store_durability
 
@@ -25,6 +26,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         speed_error: "10 minutes",
         stability: "5 minutes",
         place_speed: "a minute",
+        summits: "a minute",
         large_dem: "2 minutes",
         pipeline_speed: "a minute",
     },

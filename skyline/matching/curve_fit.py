@@ -129,6 +129,8 @@ class CurveFit:
     fov_deg : float
         What the rays were made with.
     zoom_bounds : (float, float)
+    zoom_sd : float
+        Deviation of the zoom about 0; infinite where any within the bounds is as likely.
     config : FitConfig
     """
 
@@ -137,6 +139,7 @@ class CurveFit:
     rays: Rays
     fov_deg: float
     zoom_bounds: tuple[float, float]
+    zoom_sd: float
     config: FitConfig
 
     @property
@@ -224,6 +227,7 @@ class CurveFit:
         prior = np.zeros((len(self.places), 6), dtype=np.float32)
         prior[:, _PITCH] = np.radians(self.config.pitch_deg) ** -2.0
         prior[:, _ROLL] = np.radians(self.config.roll_deg) ** -2.0
+        prior[:, _ZOOM] = self.zoom_sd**-2.0
         prior[:, _EAST:] = self._deviation_m[:, np.newaxis] ** -2.0
         return prior
 

@@ -139,7 +139,7 @@ class FullMatcher(Ranker):
         above_m = np.maximum(start.eye_elevation_m - ground_m, 0.0)
         if not np.isfinite(above_m).all():
             raise InputError("the pose to fit from is off the map or on a hole; move it")
-        config = replace(self._config.refine, eye_height_m=float(above_m[0]), restarts=1)
+        config = _standing(replace(self._config.refine, restarts=1), float(above_m[0]))
         with one_blas_thread():
             poses = refine(start, query, self._scene, config)
         return Ranking(poses.hypotheses[:1], None, poses.covariance_m2[:1])
@@ -158,5 +158,10 @@ def _held(poses: Hypotheses, narrowed: Narrowed) -> Hypotheses:
 
 def _naming(config: RefineConfig, least: int, eye_height_m: float | None) -> RefineConfig:
     """Return a refinement with room for so many places at its end, of eyes so high up."""
-    height_m = config.eye_height_m if eye_height_m is None else eye_height_m
-    return replace(config, finalists=max(config.finalists, least), eye_height_m=height_m)
+    config = replace(config, finalists=max(config.finalists, least))
+    return config if eye_height_m is None else _standing(config, eye_height_m)
+
+
+def _standing(config: RefineConfig, eye_height_m: float) -> RefineConfig:
+    """Return a refinement of eyes that are known to be so high above the ground."""
+    return replace(config, eye_height_m=eye_height_m, eye_height_known=True)

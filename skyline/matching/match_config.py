@@ -65,9 +65,12 @@ class MatchConfig:
     min_visible_deg : float
         Nor is there where a query shows less of a skyline.
     fov_slack : float
-        A field of view that is given may be wrong by this share.
+        Standard deviation of a field of view that is given, as a share of it.
     fov_range_deg : (float, float)
         What is searched where none is given.
+    usual_fov_deg : (float, float)
+        Mean and standard deviation of those fields of view: most photos are taken with a lens of
+        a phone or a usual zoom.
     render_width : int
         Columns of the views that refinement renders.
     render_tolerance_px : float
@@ -79,8 +82,9 @@ class MatchConfig:
     refine: bool = True
     min_confidence: float = 0.8
     min_visible_deg: float = 20.0
-    fov_slack: float = 0.1
+    fov_slack: float = 0.025
     fov_range_deg: tuple[float, float] = (25.0, 100.0)
+    usual_fov_deg: tuple[float, float] = (55.0, 14.0)
     render_width: int = 360
     render_tolerance_px: float = 0.05
     retrieval: RetrievalConfig = field(default_factory=RetrievalConfig)
@@ -98,4 +102,10 @@ class MatchConfig:
             raise InputError(
                 f"fields of view to search are {low:g} to {high:g} degrees; expected two that "
                 "increase, within 0 to 180"
+            )
+        mean, deviation = self.usual_fov_deg
+        if not (low <= mean <= high and deviation > 0.0):
+            raise InputError(
+                f"the usual field of view is {mean:g} degrees with a deviation of {deviation:g}; "
+                f"expected one within {low:g} to {high:g} and a deviation above 0"
             )

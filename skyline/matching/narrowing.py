@@ -33,7 +33,7 @@ class Narrowing:
     elevation_m : (float, float), optional
         The lowest and the highest the camera may have stood, above the DEM's datum.
     eye_height_m : float, optional
-        How high above the ground the camera stood; 2 m where it is not known.
+        How high above the ground the camera stood.
 
     Raises
     ------

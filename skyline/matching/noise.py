@@ -40,8 +40,12 @@ class Noise:
 
     Attributes
     ----------
-    angle_deg, height_m : tuple of float
-        Deviations to choose from by likelihood, increasing.
+    angle_deg : tuple of float
+        Deviations of the photo's error to choose from by likelihood, increasing.
+    height_shares : tuple of float
+        Deviations of heights to choose from likewise, as shares of the one to be expected.
+    height_sd_m : float
+        That one.
     reach_m : float
         Distance at which the correlation of height errors has fallen to 1 / e.
     rough_share : float
@@ -56,7 +60,8 @@ class Noise:
     """
 
     angle_deg: tuple[float, ...] = (0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8)
-    height_m: tuple[float, ...] = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+    height_shares: tuple[float, ...] = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
+    height_sd_m: float = 5.0
     reach_m: float = 300.0
     rough_share: float = 0.4
     above_share: float = 0.15
@@ -65,7 +70,10 @@ class Noise:
     nodes: int = 32
 
     def __post_init__(self) -> None:
-        for name, values in (("angle_deg", self.angle_deg), ("height_m", self.height_m)):
+        for name, values in (
+            ("angle_deg", self.angle_deg),
+            ("height_shares", self.height_shares),
+        ):
             if not values or not (np.diff((0.0, *values)) > 0.0).all():
                 raise InputError(f"{name} is {values}; expected deviations above 0, increasing")
         if min(self.below_share, self.above_share) <= 0.0 or (
@@ -75,6 +83,10 @@ class Noise:
                 f"shares of outliers are {self.above_share} and {self.below_share}; expected two "
                 "above 0 with a sum below 1"
             )
+        if not self.height_sd_m > 0.0:
+            raise InputError(
+                f"the deviation of heights is {self.height_sd_m} m; expected more than 0"
+            )
         if not (self.reach_m > 0.0 and self.range_deg > 0.0 and self.nodes >= 0):
             raise InputError(
                 f"reach is {self.reach_m} m, range {self.range_deg} degrees and nodes "
@@ -82,9 +94,14 @@ class Noise:
             )
 
     @property
+    def height_m(self) -> tuple[float, ...]:
+        """Deviations of heights to choose from, increasing."""
+        return tuple(share * self.height_sd_m for share in self.height_shares)
+
+    @property
     def widest(self) -> tuple[int, int]:
         """Indices of the greatest deviations."""
-        return len(self.angle_deg) - 1, len(self.height_m) - 1
+        return len(self.angle_deg) - 1, len(self.height_shares) - 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)

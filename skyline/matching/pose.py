@@ -26,7 +26,7 @@ from skyline.matching.progress import tell
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import thinned
 from skyline.matching.refine_config import RefineConfig
-from skyline.matching.solver import HEADING, Curves, Fit, Solver
+from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, EyeHeight, Fit, Solver
 from skyline.rows import Rows
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
@@ -43,6 +43,11 @@ _GREATEST_LOG_ODDS = 50.0
 
 class Scene(Protocol):
     """The terrain as refinement needs it."""
+
+    @property
+    def height_sd_m(self) -> float:
+        """Deviation of the terrain model's heights to be expected."""
+        ...
 
     def render(self, viewpoints: Viewpoints, headings: NDArray[np.uint8]) -> Views:
         """Render one view an eye, each along its heading, in order."""
@@ -97,7 +102,7 @@ def refine(
 ) -> Poses:
     """Refine the hypotheses of one query.
 
-    Eyes stand on the ground plus the configured height and never leave the map: a step off it,
+    Eyes stand above the ground, as high as fits, and never leave the map: a step off it,
     or onto a hole, is not taken, and a hypothesis that starts there has no pose. A column that
     meets no data is unknown, which is worth no more than one that shows a tree.
 
@@ -142,9 +147,12 @@ class _Refinement:
     def __init__(self, query: QueryRays, scene: Scene, config: RefineConfig) -> None:
         self._scene = scene
         self._config = config
-        self._scout = Solver(thinned(query, config.scout_bins), config.rough)
-        query = thinned(query, config.bins)
-        self._rough, self._fine = Solver(query, config.rough), Solver(query, config.fine)
+        height_sd_m = scene.height_sd_m
+        eye = EyeHeight(config.eye_height_m, 0.0 if config.eye_height_known else height_sd_m)
+        scouting, query = thinned(query, config.scout_bins), thinned(query, config.bins)
+        self._scout = Solver(scouting, config.rough, eye, height_sd_m)
+        self._rough = Solver(query, config.rough, eye, height_sd_m)
+        self._fine = Solver(query, config.fine, eye, height_sd_m)
         self._renderings = self._seen_times = 0
         rounds = config.rounds + config.restart_rounds + config.final_rounds
         self._rounds = rounds + (config.shortlist > config.particles)
@@ -189,7 +197,7 @@ class _Refinement:
     def _moved(self, solver: Solver, particles: _Particles) -> _Particles:
         """Take one step; keep it where the rendering from the new place fits better."""
         solved = solver.improve(particles.curves, particles.fit, particles.step_m)
-        step = solved.state[:, :HEADING]
+        step = solved.state[:, :EYE_HEIGHT]
         length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
         step = step * np.minimum(1.0, 2.0 * particles.step_m / length)[:, np.newaxis]
         new = self._arrived(
@@ -221,10 +229,10 @@ class _Refinement:
     ) -> _Particles:
         """Return particles at places, the attitude solved there; without a fit off the map."""
         state = fit.state.copy()
-        state[:, :HEADING] = 0.0
+        state[:, :EYE_HEIGHT] = 0.0
         fit = replace(fit, state=state)
         bins = self._config.scout_bins if solver is self._scout else self._config.bins
-        curves = self._seen(easting_m, northing_m, solver.fov_deg(state), state[:, HEADING], bins)
+        curves = self._seen(easting_m, northing_m, state, solver.fov_deg(state), bins)
         unjudged = bool(np.isinf(fit.cost).all())
         still = np.zeros(len(state))
         fit = solver.settle(curves, fit) if unjudged else solver.improve(curves, fit, still)
@@ -234,24 +242,23 @@ class _Refinement:
         self,
         easting_m: Float64Array,
         northing_m: Float64Array,
+        state: Float64Array,
         fov_deg: Float64Array,
-        heading_rad: Float64Array,
         bins: int,
     ) -> Curves:
-        """Render what M eyes on the ground see along the query."""
-        config = self._config
+        """Render what M eyes, each as high above the ground as its state says, see of the query."""
         tell("refining", min(1.0, self._seen_times / self._rounds))
         self._seen_times += 1
-        ground_m = self._scene.ground_m(easting_m, northing_m)
-        turn = np.degrees(heading_rad)[:, np.newaxis] - 90.0 * np.arange(4)
+        ground_m, height_m = self._scene.ground_m(easting_m, northing_m), state[:, EYE_HEIGHT]
+        turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
         off = np.abs((turn + 180.0) % 360.0 - 180.0)
         wanted = off < 45.0 + 0.5 * fov_deg[:, np.newaxis] + _SECTOR_MARGIN_DEG
         row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
-        eyes = Viewpoints(easting_m[row], northing_m[row], ground_m[row] + config.eye_height_m)
+        eyes = Viewpoints(easting_m[row], northing_m[row], ground_m[row] + height_m[row])
         self._renderings += len(row)
         views = self._scene.render(eyes, heading.astype(np.uint8))
         panoramas = Panoramas.from_views(views, row, len(easting_m), bins)
-        return Curves.of(panoramas, self._slope(easting_m, northing_m, ground_m))
+        return Curves.of(panoramas, self._slope(easting_m, northing_m, ground_m), height_m)
 
     def _slope(
         self, easting_m: Float64Array, northing_m: Float64Array, ground_m: Float64Array
@@ -299,7 +306,7 @@ class _Refinement:
 
     def _hypotheses(self, particles: _Particles, solver: Solver) -> Hypotheses:
         easting_m, northing_m = particles.easting_m, particles.northing_m
-        eye_m = self._scene.ground_m(easting_m, northing_m) + self._config.eye_height_m
+        eye_m = self._scene.ground_m(easting_m, northing_m) + particles.fit.state[:, EYE_HEIGHT]
         none = np.zeros(len(particles))
         places = Hypotheses(easting_m, northing_m, eye_m, none, none, none, none, none)
         return solver.posed(places, particles.fit)
@@ -311,15 +318,14 @@ class _Refinement:
         trust = solver.query.weight
         squares = (trust * judged.odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
         shown = np.maximum((trust * judged.odds).sum(axis=1), 1e-9)
-        noise = solver.config.noise
         hypotheses = self._hypotheses(particles, solver)
         return Poses(
             hypotheses,
-            self._spread(hypotheses, covariance[:, :HEADING, :HEADING]),
+            self._spread(hypotheses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
             np.degrees(np.sqrt(squares / shown)),
             shown / trust.sum(),
             judged.effective_columns,
-            np.array(noise.height_m)[particles.fit.height],
+            np.array(solver.noise.height_m)[particles.fit.height],
             _margin(hypotheses, self._config.elsewhere_m),
             self._renderings,
         )

@@ -1,5 +1,6 @@
 """The query's skyline as rays, and what it looks like at an assumed pitch and roll."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -7,6 +8,9 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
+
+_FOV_DEVIATIONS = 4.0
+_LEAST_FOV_SD_DEG = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,6 +27,9 @@ class QueryRays:
         Horizontal field of view that u and v were made with.
     fov_range_deg : (float, float), optional
         Between which the true field of view lies; by default it is `fov_deg` exactly.
+    fov_sd_deg : float
+        Standard deviation of the true field of view about `fov_deg`; infinite where any in the
+        range is as likely.
 
     Raises
     ------
@@ -36,6 +43,7 @@ class QueryRays:
     weight: Float64Array
     fov_deg: float
     fov_range_deg: tuple[float, float] | None = None
+    fov_sd_deg: float = math.inf
 
     def __post_init__(self) -> None:
         if not self.u.shape == self.v.shape == self.weight.shape or self.u.ndim != 1:
@@ -53,16 +61,45 @@ class QueryRays:
                 f"the field of view, {self.fov_deg:g} degrees, is not in its range, {low:g} to "
                 f"{high:g}; expected a range within 0 to 180 degrees that holds it"
             )
+        if not self.fov_sd_deg > 0.0:
+            raise InputError(
+                f"the field of view's deviation is {self.fov_sd_deg:g} degrees; expected more than "
+                "0, or infinity where nothing is known"
+            )
 
     @property
     def fov_bounds_deg(self) -> tuple[float, float]:
         """The least and the greatest field of view to consider."""
         return self.fov_range_deg or (self.fov_deg, self.fov_deg)
 
+    @property
+    def log_scale_sd(self) -> float:
+        """Deviation of the logarithm of the tangent of half the field of view."""
+        fov_rad = math.radians(self.fov_deg)
+        return math.radians(self.fov_sd_deg) / math.sin(fov_rad)
+
     def with_fov(self, fov_deg: float) -> "QueryRays":
-        """Return the same photo's rays for another field of view, degrees, within the range."""
+        """Return the same photo's rays for another field of view, degrees, within the range.
+
+        The field of view that was given, and how likely others are, is forgotten.
+        """
         scale = np.tan(np.radians(fov_deg) / 2.0) / np.tan(np.radians(self.fov_deg) / 2.0)
-        return replace(self, u=self.u * scale, v=self.v * scale, fov_deg=fov_deg)
+        return replace(
+            self, u=self.u * scale, v=self.v * scale, fov_deg=fov_deg, fov_sd_deg=math.inf
+        )
+
+    @classmethod
+    def about(
+        cls, u: Float64Array, v: Float64Array, weight: Float64Array, fov_deg: float, slack: float
+    ) -> "QueryRays":
+        """Make rays whose field of view is about the one that they were made with.
+
+        Its deviation is a share ``slack`` of it, and four deviations about it are searched.
+        """
+        sd_deg = max(slack * fov_deg, _LEAST_FOV_SD_DEG)
+        widest_deg = min(fov_deg + _FOV_DEVIATIONS * sd_deg, 0.5 * (fov_deg + 180.0))
+        narrowest_deg = max(fov_deg - _FOV_DEVIATIONS * sd_deg, 0.5 * fov_deg)
+        return cls(u, v, weight, fov_deg, (narrowest_deg, widest_deg), sd_deg)
 
     @classmethod
     def equally_trusted(cls, u: Float64Array, v: Float64Array, fov_deg: float) -> "QueryRays":

@@ -47,7 +47,9 @@ class RefineConfig:
     slope_reach_m : float
         Half the distance over which the ground's slope is taken.
     eye_height_m : float
-        Eye above the ground.
+        Usual height of the eye above the ground.
+    eye_height_known : bool
+        Whether it is just that.
     scout_bins, bins : int
         Steps of azimuth of a panorama, a multiple of 8, while scouting and after; the latter
         about as fine as the renderings.
@@ -73,6 +75,7 @@ class RefineConfig:
     longest_step_m: float = 120.0
     slope_reach_m: float = 15.0
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    eye_height_known: bool = False
     scout_bins: int = 480
     bins: int = 1440
     rough: SolverConfig = field(default_factory=lambda: SolverConfig(noise=Noise(nodes=0)))

@@ -169,7 +169,7 @@ class Retriever:
         def fitted(first: int) -> Hypotheses:
             some = start[slice(first, first + _FITS_AT_ONCE)]
             places, slope = some.places, self._slope(some.places)
-            fit = CurveFit(places, slope, rays, query.fov_deg, bounds, config)
+            fit = CurveFit(places, slope, rays, query.fov_deg, bounds, query.log_scale_sd, config)
             fits = fit.fit(some.heading_rad, some.zoom)
             heading, pitch, roll, zoom = fits.pose[:, :4].T.astype(np.float64)
             move = fits.pose[:, 4:].astype(np.float64)

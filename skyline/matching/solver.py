@@ -8,9 +8,9 @@ horizontal distance d move by
     \mathrm{d}a = (n \sin a - e \cos a) / d, \qquad
     \mathrm{d}y = (y\,(e \sin a + n \cos a) - up) / d
 
-and it moves on the ground, whose slope ties up to e and n; so one rendering with its depth gives
-the derivatives by all six unknowns. The noise starts wide and is narrowed as the fit improves:
-far terrain, which moves least, leads, and near terrain follows.
+and it moves on the ground, whose slope ties up to e and n, at a height above it; so one rendering
+with its depth gives the derivatives by all seven unknowns. The noise starts wide and is narrowed as
+the fit improves: far terrain, which moves least, leads, and near terrain follows.
 """
 
 from collections.abc import Sequence
@@ -27,14 +27,21 @@ from skyline.matching.query import QueryRays
 from skyline.matching.rays import level_with_changes
 from skyline.rows import Rows
 
-EAST, NORTH, HEADING, PITCH, ROLL, LOG_SCALE = range(6)
-"""Columns of a state: the eye's displacement, metres; angles, radians; logarithm of the tangent
-of half the field of view over that of the query's."""
+EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE = range(7)
+"""Columns of a state: the eye's displacement, metres; its height above the ground, metres; angles,
+radians; logarithm of the tangent of half the field of view over that of the query's."""
 
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
-_DAMPING = np.array([0.0, 0.0, 0.05, 0.05, 0.05, 0.05])
-"""Deviations a step is damped by; 0 where `step_m` does."""
+_MOVES = slice(EAST, HEADING)
+"""The columns of a state that move the eye."""
+_DAMPING_RAD = 0.05
+"""Deviation that damps a step of the attitude, and of the field of view's logarithm."""
+_UPWARD = 0.25
+"""Steps of the eye's height against those of its place."""
 _NO_STEP_M = 1e-6
+_GREATEST_EYE_SD = 20.0
+_LOG_HEIGHT_SD = 0.7
+"""Of the logarithm of the heights' deviation about that of the one to be expected."""
 _HELD = 1e14
 """Precision that holds a parameter."""
 _AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
@@ -46,6 +53,9 @@ _AGREEMENT_RAD_SD = np.radians(0.3)
 class SolverConfig:
     """How a curve is aligned.
 
+    Costs are as if neighbouring columns told more than they do, so what is known of the terrain
+    model counts `terrain_weight` times as much as it would.
+
     Attributes
     ----------
     iterations : int
@@ -56,6 +66,8 @@ class SolverConfig:
         Prior deviations about a level camera.
     position_sd_m : float
         Prior deviation of a place, which only bounds what an uninformative skyline can say.
+    terrain_weight : float
+        Of the probabilities of the eye's height and of the terrain model's error.
     min_columns : int
         Least columns with a known skyline on both sides for there to be a fit.
     blur_steps : float
@@ -68,6 +80,7 @@ class SolverConfig:
     pitch_sd_deg: float = 6.0
     roll_sd_deg: float = 3.0
     position_sd_m: float = 300.0
+    terrain_weight: float = 4.0
     min_columns: int = 16
     blur_steps: float = 0.3
     noise: Noise = field(default_factory=Noise)
@@ -85,32 +98,79 @@ class SolverConfig:
             )
 
 
+@dataclass(frozen=True, slots=True)
+class EyeHeight:
+    r"""How high an eye may stand above the terrain model's ground.
+
+    Most stand about as high as a person. Where the model cuts a summit or a cliff off they stand
+    far above its ground, so what is added is spread like a Cauchy distribution:
+    :math:`-\log p(h) = \log(1 + ((h - usual) / sd)^2)`.
+
+    Attributes
+    ----------
+    usual_m : float
+    sd_m : float
+        How the rest is spread; 0 where the height is known.
+    """
+
+    usual_m: float
+    sd_m: float
+
+    @property
+    def least_m(self) -> float:
+        """The least height that is tried."""
+        return self.usual_m if self.sd_m == 0.0 else 0.0
+
+    @property
+    def most_m(self) -> float:
+        """The greatest height that is tried."""
+        return self.usual_m + _GREATEST_EYE_SD * self.sd_m
+
+    def cost(self, height_m: Float64Array) -> Float64Array:
+        """Return the negative logarithm of the probability of heights (M,), but for a constant."""
+        return np.asarray(np.log1p(self._deviations(height_m) ** 2))
+
+    def precision(self, height_m: Float64Array) -> Float64Array:
+        """Return the precision (M,) of the normal distribution that draws heights as much."""
+        sd_m = max(self.sd_m, _NO_STEP_M)
+        return np.asarray(2.0 / (sd_m**2 * (1.0 + self._deviations(height_m) ** 2)))
+
+    def _deviations(self, height_m: Float64Array) -> Float64Array:
+        return (height_m - self.usual_m) / max(self.sd_m, _NO_STEP_M)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves(Rows):
     """What M eyes see, and how it changes as they move.
 
     Attributes
     ----------
-    channels : (M, B, 5) float64
-        Elevation tangent, its slope by azimuth, its change by a metre east and by a metre
-        north, and distance, at azimuth 360 b / B degrees; NaN where unknown.
+    channels : (M, B, 6) float64
+        Elevation tangent, its slope by azimuth, its change by a metre east, by a metre north
+        and by a metre up, and distance, at azimuth 360 b / B degrees; NaN where unknown.
+    eye_height_m : (M,) float64
+        Above the ground.
     """
 
     channels: Float64Array
+    eye_height_m: Float64Array
 
     @classmethod
-    def of(cls, panoramas: Panoramas, ground_slope: Float64Array) -> "Curves":
-        """Prepare panoramas of eyes on ground of slopes (M, 2): rise a metre east, north."""
+    def of(
+        cls, panoramas: Panoramas, ground_slope: Float64Array, eye_height_m: Float64Array
+    ) -> "Curves":
+        """Prepare panoramas of eyes above ground of slopes (M, 2): rise a metre east, north."""
         y, distance = panoramas.y, panoramas.distance_m
         step = 2.0 * np.pi / panoramas.bins
         slope = (np.roll(y, -1, axis=1) - np.roll(y, 1, axis=1)) / (2.0 * step)
         sine, cosine = np.sin(step * np.arange(y.shape[1])), np.cos(step * np.arange(y.shape[1]))
         east = (y * sine + slope * cosine - ground_slope[:, :1]) / distance
         north = (y * cosine - slope * sine - ground_slope[:, 1:]) / distance
-        return cls(np.stack([y, slope, east, north, distance], axis=-1))
+        channels = np.stack([y, slope, east, north, -1.0 / distance, distance], axis=-1)
+        return cls(channels, eye_height_m)
 
     def at(self, azimuth_rad: Float64Array) -> Float64Array:
-        """Return the channels, (M, R, 5), at azimuths (M, R), linear between bins."""
+        """Return the channels, (M, R, 6), at azimuths (M, R), linear between bins."""
         count, bins, channels = self.channels.shape
         position = azimuth_rad * (bins / (2.0 * np.pi))
         left = np.floor(position).astype(np.intp)
@@ -127,13 +187,13 @@ class Fit(Rows):
 
     Attributes
     ----------
-    state : (M, 6) float64
+    state : (M, 7) float64
         See `EAST` to `LOG_SCALE`; the displacement is from where the curve was seen.
     angle, height : (M,) intp
         The deviations chosen, indices into `Noise`.
     cost : (M,) float64
-        Negative logarithm of the likelihood, pitch and roll's priors and what their
-        uncertainty takes from it included; infinite where there is no fit.
+        Negative logarithm of the likelihood, the priors and what the uncertainty of the
+        attitude takes from it included; infinite where there is no fit.
     odds : (M, R) float64
         Odds that a column of the query shows terrain.
     """
@@ -153,7 +213,7 @@ class Linear:
     ----------
     residual_rad : (M, R) float64
         Query over terrain; NaN where unknown.
-    jacobian : (M, R, 6) float64
+    jacobian : (M, R, 7) float64
     azimuth_rad, distance_m : (M, R) float64
         Of the terrain's skyline under each column.
     """
@@ -171,32 +231,45 @@ class Solver:
     ----------
     query : QueryRays
     config : SolverConfig
+    eye : EyeHeight
+    height_sd_m : float
+        Deviation of the terrain model's heights to be expected.
     """
 
-    def __init__(self, query: QueryRays, config: SolverConfig) -> None:
+    def __init__(
+        self, query: QueryRays, config: SolverConfig, eye: EyeHeight, height_sd_m: float
+    ) -> None:
         self.query = query
         self.config = config
+        self.noise = replace(config.noise, height_sd_m=height_sd_m)
+        self._eye = eye
         low, high = _log_tangent(np.array(query.fov_bounds_deg)) - _log_tangent(query.fov_deg)
-        self._bounds = float(low), float(high)
-        # A field of view is as likely anywhere in its range as elsewhere in it.
-        scale_sd = max((high - low) / np.sqrt(12.0), 1e-6)
+        self._low, self._high = np.full(7, -np.inf), np.full(7, np.inf)
+        self._low[[EYE_HEIGHT, LOG_SCALE]] = eye.least_m, low
+        self._high[[EYE_HEIGHT, LOG_SCALE]] = eye.most_m, high
+        # Within its range a field of view is as likely as any other, but for its own deviation.
+        range_sd = max((high - low) / np.sqrt(12.0), 1e-6)
         pitch_sd, roll_sd = np.radians((config.pitch_sd_deg, config.roll_sd_deg))
-        self._prior = np.array([0.0, 0.0, 0.0, pitch_sd**-2, roll_sd**-2, 0.0])
-        free = np.array(
-            [config.position_sd_m, config.position_sd_m, np.pi, np.inf, np.inf, scale_sd]
-        )
+        self._prior = np.zeros(7)
+        self._prior[[PITCH, ROLL]] = pitch_sd**-2, roll_sd**-2
+        self._prior[LOG_SCALE] = query.log_scale_sd**-2.0
+        place_sd, eye_sd = config.position_sd_m, max(eye.sd_m, _NO_STEP_M)
+        free = np.array([place_sd, place_sd, eye_sd, np.pi, np.inf, np.inf, range_sd])
         self._information = self._prior + free**-2.0
+        off = np.log(self.noise.height_shares) / _LOG_HEIGHT_SD
+        self._noise_cost = config.terrain_weight * 0.5 * off**2
 
     def start(self, hypotheses: Hypotheses) -> Fit:
         """Return hypotheses as states, the noise as wide as it may be; not yet judged."""
         count = len(hypotheses)
-        state = np.zeros((count, 6))
+        state = np.zeros((count, 7))
+        state[:, EYE_HEIGHT] = self._eye.usual_m
         state[:, HEADING] = np.radians(hypotheses.heading_deg)
         state[:, PITCH] = np.radians(hypotheses.pitch_deg)
         state[:, ROLL] = np.radians(hypotheses.roll_deg)
         scale = _log_tangent(hypotheses.fov_deg) - _log_tangent(self.query.fov_deg)
-        state[:, LOG_SCALE] = np.clip(scale, *self._bounds)
-        angle, height = (np.full(count, index) for index in self.config.noise.widest)
+        state[:, LOG_SCALE] = np.clip(scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
+        angle, height = (np.full(count, index) for index in self.noise.widest)
         odds = np.ones((count, len(self.query.u)))
         return Fit(state, angle, height, np.full(count, np.inf), odds)
 
@@ -212,7 +285,7 @@ class Solver:
         )
 
     def fov_deg(self, state: Float64Array) -> Float64Array:
-        """Return the field of view of states (M, 6), degrees."""
+        """Return the field of view of states (M, 7), degrees."""
         tangent = np.exp(state[:, LOG_SCALE] + _log_tangent(self.query.fov_deg))
         return np.asarray(np.degrees(2.0 * np.arctan(tangent)))
 
@@ -249,7 +322,7 @@ class Solver:
 
     def _agreed(self, curves: Curves, fit: Fit) -> Fit:
         """Return the fit with the pitch at which most columns agree within a narrow noise."""
-        noise = self.config.noise
+        noise = self.noise
         linear = self.linearize(curves, fit.state)
         off = linear.residual_rad[..., np.newaxis] - _AGREEMENT_RAD
         density = np.exp(-0.5 * (off / _AGREEMENT_RAD_SD) ** 2) / _AGREEMENT_RAD_SD
@@ -275,23 +348,25 @@ class Solver:
         return linear, self._judge(fit, linear, errors, (fit.angle, fit.height))
 
     def covariance(self, linear: Linear, judged: Judged) -> Float64Array:
-        """Return the covariance (M, 6, 6) of states, priors included."""
+        """Return the covariance (M, 7, 7) of states, priors included."""
         normal = judged.product(linear.jacobian, linear.jacobian)
         return np.asarray(np.linalg.inv(normal + np.diag(self._information)))
 
     def linearize(self, curves: Curves, state: Float64Array) -> Linear:
-        """Return residuals and their derivatives at states (M, 6)."""
+        """Return residuals and their derivatives at states (M, 7)."""
         rays = level_with_changes(
             self.query.u, self.query.v, state[:, PITCH], state[:, ROLL], state[:, LOG_SCALE]
         )
         azimuth = rays.azimuth_rad + state[:, HEADING, np.newaxis]
         there = curves.at(azimuth)
-        slope, move = there[..., 1:2], there[..., 2:4]
-        y = there[..., 0] + (move @ state[:, :HEADING, np.newaxis])[..., 0]
+        slope, change = there[..., 1:2], there[..., 2:5]
+        move = state[:, _MOVES].copy()
+        move[:, EYE_HEIGHT] -= curves.eye_height_m
+        y = there[..., 0] + (change @ move[..., np.newaxis])[..., 0]
         # Differences of tangents become angles; how that factor changes is left out.
         to_angle = 1.0 / (1.0 + rays.y**2)
         attitude = rays.y_change - slope * rays.azimuth_change
-        jacobian = np.concatenate([-move, -slope, attitude], axis=-1) * to_angle[..., np.newaxis]
+        jacobian = np.concatenate([-change, -slope, attitude], axis=-1) * to_angle[..., np.newaxis]
         residual = (rays.y - y) * to_angle
         # Next to an unknown column the curve may be known but not its slope.
         known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=-1)
@@ -299,28 +374,28 @@ class Solver:
             np.where(known, residual, np.nan),
             np.where(known[..., np.newaxis], jacobian, 0.0),
             azimuth,
-            there[..., 4],
+            there[..., 5],
         )
 
     def _errors(self, linear: Linear, curves: Curves) -> HeightErrors:
         step_rad = 2.0 * np.pi / curves.channels.shape[1]
         blur_rad = self.config.blur_steps * step_rad * np.abs(linear.jacobian[..., HEADING])
-        return HeightErrors.of(linear.azimuth_rad, linear.distance_m, blur_rad, self.config.noise)
+        return HeightErrors.of(linear.azimuth_rad, linear.distance_m, blur_rad, self.noise)
 
     def _judge(
         self, fit: Fit, linear: Linear, errors: HeightErrors, noise: tuple[IntArray, IntArray]
     ) -> Judged:
         """Judge states under a noise, the attitude's part of the cost included."""
-        judged = judge(
-            linear.residual_rad, self.query.weight, errors, self.config.noise, noise, fit.odds
-        )
+        judged = judge(linear.residual_rad, self.query.weight, errors, self.noise, noise, fit.odds)
         # Laplace's approximation to the integral over the attitude: without it a noise that is
         # too small wins, as much of the error hides in pitch, roll and the field of view.
         attitude = slice(HEADING, None)
         normal = judged.product(linear.jacobian[..., attitude], linear.jacobian[..., attitude])
         _, log_det = np.linalg.slogdet(normal + np.diag(self._information[attitude]))
-        prior = fit.state**2 @ self._prior
-        return replace(judged, cost=judged.cost + 0.5 * (log_det + prior))
+        prior = 0.5 * fit.state**2 @ self._prior
+        prior += self.config.terrain_weight * self._eye.cost(fit.state[:, EYE_HEIGHT])
+        cost = judged.cost + 0.5 * log_det + prior + self._noise_cost[noise[1]]
+        return replace(judged, cost=cost)
 
     def _chosen(
         self, fit: Fit, linear: Linear, errors: HeightErrors, steps: Sequence[tuple[int, int]]
@@ -331,8 +406,8 @@ class Solver:
         fit = replace(fit, odds=best.odds)
         for step in steps:
             other = (
-                np.clip(fit.angle + step[0], 0, self.config.noise.widest[0]),
-                np.clip(fit.height + step[1], 0, self.config.noise.widest[1]),
+                np.clip(fit.angle + step[0], 0, self.noise.widest[0]),
+                np.clip(fit.height + step[1], 0, self.noise.widest[1]),
             )
             judged = self._judge(fit, linear, errors, other)
             better = judged.cost < best.cost
@@ -343,25 +418,32 @@ class Solver:
         return Fit(fit.state, *noise, cost, best.odds), best
 
     def _stepped(self, fit: Fit, linear: Linear, judged: Judged, step_m: Float64Array) -> Fit:
-        """Take one step, the field of view kept within its bounds."""
+        """Take one step, within the bounds of the field of view and of the eye's height."""
         miss = np.nan_to_num(linear.residual_rad)[..., np.newaxis]
-        damping = np.zeros((len(step_m), 6))
-        damping[:, HEADING:] = _DAMPING[HEADING:] ** -2
+        height_m = fit.state[:, EYE_HEIGHT]
+        # What draws a state towards what is usual, and what only damps the step.
         prior = np.tile(self._prior, (len(step_m), 1))
-        prior[:, :HEADING] = np.maximum(step_m, _NO_STEP_M)[:, np.newaxis] ** -2
+        prior[:, EYE_HEIGHT] = self.config.terrain_weight * self._eye.precision(height_m)
+        pull = prior * fit.state
+        pull[:, EYE_HEIGHT] = prior[:, EYE_HEIGHT] * (height_m - self._eye.usual_m)
+        damping = np.full((len(step_m), 7), _DAMPING_RAD**-2)
+        damping[:, _MOVES] = np.maximum(step_m, _NO_STEP_M)[:, np.newaxis] ** -2
+        damping[:, EYE_HEIGHT] *= _UPWARD**-2
+        drawn = damping[:, :EYE_HEIGHT] * fit.state[:, :EYE_HEIGHT]
+        pull[:, :EYE_HEIGHT] += drawn
         normal = judged.product(linear.jacobian, linear.jacobian)
-        normal += (prior + damping)[:, np.newaxis] * np.eye(6)
-        gradient = judged.product(linear.jacobian, miss)[..., 0] + prior * fit.state
+        normal += (prior + damping)[:, np.newaxis] * np.eye(7)
+        gradient = judged.product(linear.jacobian, miss)[..., 0] + pull
         state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
-        bounded = np.clip(state[:, LOG_SCALE], *self._bounds)
-        outside = bounded != state[:, LOG_SCALE]
+        bounded = np.clip(state, self._low, self._high)
+        outside = bounded != state
         if outside.any():
-            # Where the field of view meets a bound, the others are solved with it held there.
+            # Where one meets a bound, the others are solved with it held there.
             held = np.where(outside, _HELD, 0.0)
-            normal[:, LOG_SCALE, LOG_SCALE] += held
-            gradient[:, LOG_SCALE] += held * (fit.state[:, LOG_SCALE] - bounded)
+            normal += held[:, np.newaxis] * np.eye(7)
+            gradient += np.where(outside, _HELD * (fit.state - bounded), 0.0)
             state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
-            state[:, LOG_SCALE] = np.clip(state[:, LOG_SCALE], *self._bounds)
+            state = np.clip(state, self._low, self._high)
         return replace(fit, state=state)
 
 

@@ -240,22 +240,20 @@ class Matcher:
         return narrowed
 
     def _rays(self, query: QuerySkyline) -> QueryRays:
-        config = self._config
-        fov_deg, bounds_deg = query.fov_deg, config.fov_range_deg
+        fov_deg, bounds_deg = query.fov_deg, self._config.fov_range_deg
+        weight = query.confidence[query.trusted]
         if query.projection is not Projection.PERSPECTIVE and fov_deg is not None:
             # Other fields of view of a panorama are not its rays scaled.
-            bounds_deg = (fov_deg, fov_deg)
-        elif fov_deg is not None:
-            widest = min(fov_deg * (1.0 + config.fov_slack), 0.5 * (fov_deg + 180.0))
-            bounds_deg = (fov_deg * (1.0 - config.fov_slack), widest)
-        elif self._ranker.finds_fov and query.projection is Projection.PERSPECTIVE:
-            fov_deg = float(np.sqrt(bounds_deg[0] * bounds_deg[1]))
-        else:
-            raise InputError(
-                "the query's field of view is not known: it is not in the image; give --fov-deg"
-            )
-        u, v = query.image_plane(fov_deg)
-        return QueryRays(u, v, query.confidence[query.trusted], fov_deg, bounds_deg)
+            return QueryRays(*query.image_plane(fov_deg), weight, fov_deg)
+        if fov_deg is not None:
+            rays = query.image_plane(fov_deg)
+            return QueryRays.about(*rays, weight, fov_deg, self._config.fov_slack)
+        if self._ranker.finds_fov and query.projection is Projection.PERSPECTIVE:
+            fov_deg, sd_deg = self._config.usual_fov_deg
+            return QueryRays(*query.image_plane(fov_deg), weight, fov_deg, bounds_deg, sd_deg)
+        raise InputError(
+            "the query's field of view is not known: it is not in the image; give --fov-deg"
+        )
 
 
 def too_little(query: QuerySkyline, config: MatchConfig) -> str | None:

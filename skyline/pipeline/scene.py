@@ -35,6 +35,7 @@ class RenderedScene:
         self, terrain: HeightField, config: RenderConfig, thread: RenderThread | None = None
     ) -> None:
         self.ground_m = terrain.height_at
+        self.height_sd_m = terrain.height_sd_m
         self._thread = thread
         self._piece = max(1, _PIECE_COLUMNS // config.width)
         self._renderer = self._run(lambda: make_renderer(terrain, config), urgent=False)

@@ -44,7 +44,7 @@ MAX_SPACING_RATIO = 64.0
 NEAR_ERROR_PX = 0.02
 """What rounding may cost near the eye before float64 is used."""
 
-_RESIDENT_SAMPLES = 1 << 24
+_RESIDENT_SAMPLES = 1 << 25
 """Samples whose windows stay on the GPU, some 43 bytes each."""
 
 

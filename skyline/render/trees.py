@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array
 from skyline.camera import HEADINGS
+from skyline.errors import ContextError
 from skyline.terrain.pyramid import MAX_LEVELS, SlabLevel, slab_levels
 from skyline.terrain.triangles import Triangles
 
@@ -19,6 +20,7 @@ SLOPE_BINS = 16
 
 _MAX_CODE = 65535
 _TEXELS_A_LINE = 16
+_TREES_A_STACK = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,19 +102,33 @@ class Trees:
     def _stack(
         cls, ctx: moderngl.Context, trees: Sequence[Sequence["_Packed"]], dtype: str
     ) -> "Trees":
-        """Put trees one under the other; two trees serve the headings of each axis."""
-        packed = [level.texels for tree in trees for level in tree]
-        tops = [0, *itertools.accumulate(len(p) * p.shape[1] for p in packed)]
-        atlas = np.zeros(
-            (tops[-1], max(p.shape[2] for p in packed), packed[0].shape[3]), packed[0].dtype
+        """Put trees into one texture; two trees serve the headings of each axis.
+
+        Two stand one under the other and the next two beside them: four would be higher than a
+        texture may be. A ray that leaves its own tree may meet the next; a mark or a bound too
+        many costs time and changes nothing.
+        """
+        levels = [level.texels for tree in trees for level in tree]
+        width = max(texels.shape[2] for texels in levels)
+        stacks = [
+            trees[first : first + _TREES_A_STACK] for first in range(0, len(trees), _TREES_A_STACK)
+        ]
+        height = max(
+            sum(len(p.texels) * p.texels.shape[1] for tree in stack for p in tree)
+            for stack in stacks
         )
-        for top, part in zip(tops, packed, strict=False):
-            rows = part.reshape(-1, *part.shape[2:])
-            atlas[top : top + len(rows), : rows.shape[1]] = rows
-        places, start = [], iter(tops)
-        for tree in trees:
-            here = [(next(start), p.texels.shape[1], p.first_block) for p in tree]
-            places.append((*here, *[(0, 0, 0)] * (MAX_LEVELS - len(here))))
+        atlas = np.zeros((height, width * len(stacks), levels[0].shape[3]), levels[0].dtype)
+        places = []
+        for left, stack in zip(itertools.count(0, width), stacks):
+            top = 0
+            for tree in stack:
+                here = []
+                for p in tree:
+                    rows = p.texels.reshape(-1, *p.texels.shape[2:])
+                    atlas[top : top + len(rows), left : left + rows.shape[1]] = rows
+                    here.append((top, p.texels.shape[1], left + p.first_block))
+                    top += len(rows)
+                places.append((*here, *[(0, 0, 0)] * (MAX_LEVELS - len(here))))
         return cls(upload(ctx, atlas, dtype), tuple(places[h % len(places)] for h in HEADINGS))
 
 
@@ -140,11 +156,22 @@ def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
 
 
 def upload(ctx: moderngl.Context, values: NDArray[np.generic], dtype: str) -> moderngl.Texture:
-    """Upload (rows, columns, components), columns padded to a pitch that is no power of two."""
+    """Upload (rows, columns, components), columns padded to a pitch that is no power of two.
+
+    Raises
+    ------
+    ContextError
+        OpenGL refuses the texture. Without this check the texture would read as zeros.
+    """
     columns = (-(-values.shape[1] // _TEXELS_A_LINE) | 1) * _TEXELS_A_LINE
     padded = np.zeros((values.shape[0], columns, values.shape[2]), values.dtype)
     padded[:, : values.shape[1]] = values
     texture = ctx.texture((columns, len(padded)), values.shape[2], padded, dtype=dtype)
+    if (error := ctx.error) != "GL_NO_ERROR":
+        raise ContextError(
+            f"OpenGL refuses a texture of {columns} x {len(padded)} texels ({error}); free memory "
+            "of the GPU, or give fewer tiles or a coarser DEM"
+        )
     texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
     texture.repeat_x = texture.repeat_y = False
     return texture

@@ -17,8 +17,8 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.pyramid import EMPTY, level_count
 from skyline.terrain.triangles import Triangles
 
-MAX_FIELD_CELLS = 4096
-"""Cells along a side of the largest field that is one window: its textures take some 720 MB."""
+MAX_FIELD_CELLS = 5120
+"""Cells along a side of the largest field that is one window: its textures take some 1.1 GB."""
 
 MAX_WINDOW_CELLS = 2048
 """Cells along a side of the windows of larger fields."""

@@ -3,11 +3,12 @@
 A skyline is a maximum, so one bad sample makes a phantom ridge. Both functions work in place and
 strip by strip: a field of hundreds of millions of samples costs little more than itself.
 
-Two markers are used while a DEM is being read: NaN is a void, which may be filled, and +inf a
-sample that no file covers, which is neither a neighbour nor ever filled.
+Markers are used while a DEM is being read: NaN is a void, which may be filled, -inf a void that
+the file does not declare, and +inf a sample that no file covers, which is neither a neighbour nor
+ever filled. `skyline.terrain.fill` makes voids of the second.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,8 +191,8 @@ def _stand_out(own_m: NDArray[np.float64], firm_m: NDArray[np.float64]) -> BoolA
 
 def _small_voids(heights_m: Float32Array, max_void_samples: int) -> Int64Array:
     """Return flat indices, ascending, of the samples of voids that can and may be filled."""
-    row, start, stop = _void_runs(heights_m)
-    void = _connected_runs(row, start, stop, heights_m.shape[1])
+    row, start, stop = runs_of(heights_m, np.isnan)
+    void = connected_runs(row, start, stop, heights_m.shape[1])
     size = np.bincount(void, weights=stop - start)
     small = size[void] <= max_void_samples
     first = row[small] * heights_m.shape[1] + start[small]
@@ -202,15 +203,16 @@ def _small_voids(heights_m: Float32Array, max_void_samples: int) -> Int64Array:
     return np.asarray(samples[has_rim[void]], dtype=np.int64)
 
 
-def _void_runs(heights_m: Float32Array) -> tuple[Int64Array, Int64Array, Int64Array]:
-    """Return row, first column and column past the last of each run of voids in a row.
+def runs_of(
+    heights_m: Float32Array, chosen: Callable[[Float32Array], BoolArray]
+) -> tuple[Int64Array, Int64Array, Int64Array]:
+    """Return row, first column and column past the last of each run of chosen samples in a row.
 
-    Runs, unlike an image of labels, take memory only where there are voids.
+    Runs, unlike an image of labels, take memory only where there are such samples.
     """
     parts = []
     for rows in strips(heights_m):
-        void = np.isnan(heights_m[rows])
-        edge = np.diff(void.astype(np.int8), axis=1, prepend=0, append=0)
+        edge = np.diff(chosen(heights_m[rows]).astype(np.int8), axis=1, prepend=0, append=0)
         row, start = np.nonzero(edge == 1)
         stop = np.nonzero(edge == -1)[1]
         parts.append((row + rows.start, start, stop))
@@ -218,8 +220,8 @@ def _void_runs(heights_m: Float32Array) -> tuple[Int64Array, Int64Array, Int64Ar
     return row, start, stop
 
 
-def _connected_runs(row: Int64Array, start: Int64Array, stop: Int64Array, cols: int) -> Int64Array:
-    """Return the number of the void each run belongs to."""
+def connected_runs(row: Int64Array, start: Int64Array, stop: Int64Array, cols: int) -> Int64Array:
+    """Return the number of the place, connected by sides, that each run belongs to."""
     # Runs ascend by row and column, so those of the row above that touch one are consecutive.
     width = cols + 2
     above = (row - 1) * width

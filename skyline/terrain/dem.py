@@ -15,7 +15,14 @@ from pyproj.exceptions import CRSError
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, is_metric
-from skyline.terrain.cleaning import count_voids, fill_voids, remove_spikes, strips
+from skyline.terrain.cleaning import (
+    STEEPEST,
+    count_voids,
+    fill_voids,
+    remove_spikes,
+    strips,
+)
+from skyline.terrain.fill import void_undeclared
 from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
 from skyline.terrain.tiles import (
@@ -112,8 +119,9 @@ def read_dem(
 
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS keeps that
-    grid. One in degrees (or feet) is warped once, cubic, to the transverse Mercator frame centred
-    on it; samples of the box around it that lie outside the DEM are NaN and counted nowhere.
+    grid. One in degrees (or feet) is warped once to the transverse Mercator frame centred on it,
+    with every summit as high as it was (`skyline.terrain.warp.warp`); samples of the box around it
+    that lie outside the DEM are NaN and counted nowhere.
 
     Parameters
     ----------
@@ -198,17 +206,17 @@ def _height_field(heights: Float32Array, raster: _Raster, options: DemOptions) -
     if is_metric(crs) and not options.reproject:
         frame = Frame.from_crs(crs)
         _warn_of_distortion(grid, frame)
-        counts = _clean(heights, raster.source, max(grid.step_east, grid.step_north), options)
+        counts = clean(heights, raster.source, max(grid.step_east, grid.step_north), options)
         provenance = Provenance(raster.files, "none", *counts, options.to_json())
         return _field(heights, grid, frame, provenance)
     frame = local_frame(grid, crs)
     ground_spacing = ground_spacing_m(grid, crs, frame)
-    counts = _clean(heights, raster.source, max(ground_spacing), options)
+    counts = clean(heights, raster.source, max(ground_spacing), options)
     spacing_m = square_spacing_m(ground_spacing)
     heights, warped_grid = warp(heights, grid, crs, frame, spacing_m)
     resampling = (
-        f"cubic, once, from {crs.name} ({ground_spacing[0]:.2f} x {ground_spacing[1]:.2f} m at "
-        f"the centre) to {spacing_m:g} m in the local conformal frame"
+        f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "
+        f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal frame"
     )
     provenance = Provenance(raster.files, resampling, *counts, options.to_json())
     return _field(heights, warped_grid, frame, provenance)
@@ -235,13 +243,43 @@ def _check_kind(tile: Tile) -> None:
         )
 
 
-def _clean(
+def clean(
     heights: Float32Array, source: str, spacing_m: float, options: DemOptions
-) -> tuple[int, int, int]:
-    """Remove spikes and fill voids in place; return how many were filled, hollow, despiked."""
+) -> tuple[int, int, int, int]:
+    """Void what is fill, remove spikes and fill small voids, in place, as `read_dem` does.
+
+    Parameters
+    ----------
+    heights : (rows, cols) float32
+        As `skyline.terrain.tiles.read_mosaic` returns them; after this NaN marks every hole.
+    source : str
+        What errors and warnings call it.
+    spacing_m : float
+        The coarser of the two sample spacings, metres on the ground.
+    options : DemOptions
+
+    Returns
+    -------
+    filled, hollow, despiked, undeclared : int
+        As `Provenance` counts them.
+
+    Raises
+    ------
+    InputError
+        No height at all.
+    """
     if not any(np.isfinite(heights[rows]).any() for rows in strips(heights)):
         raise InputError(
             f"{source} holds no height: all samples are nodata; check the file and its nodata value"
+        )
+    threshold_m = max(options.spike_m, STEEPEST * spacing_m)
+    undeclared, values_m = void_undeclared(heights, threshold_m)
+    if values_m:
+        _log.warning(
+            "%s: samples of exactly %s m with walls round them are taken as voids, since no shore "
+            "is so steep; declare them to be nodata (gdal_edit.py -a_nodata)",
+            source,
+            " and ".join(f"{value:g}" for value in values_m),
         )
     despiked = remove_spikes(heights, spacing_m, options.spike_m)
     filled = fill_voids(heights, options.max_void_samples)
@@ -249,7 +287,7 @@ def _clean(
     for rows in strips(heights):
         strip = heights[rows]
         strip[np.isinf(strip)] = np.nan
-    return filled, hollow, despiked
+    return filled, hollow, despiked, undeclared
 
 
 def _field(heights: Float32Array, grid: Grid, frame: Frame, provenance: Provenance) -> HeightField:

@@ -31,7 +31,7 @@ def read_array(array: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]
     -------
     tile : Tile
     heights_m : (rows, cols) float32
-        On the tile's grid, north up; NaN marks voids.
+        On the tile's grid, north up; NaN marks voids, -inf undeclared ones.
 
     Raises
     ------
@@ -145,7 +145,6 @@ def _heights(array: Any, band: NDArray[Any]) -> Float32Array:
         if name in attrs:
             voids |= band == attrs[name]
     said = Said(
-        any(name in attrs or name in array.encoding for name in _NODATA),
         float(attrs.get("scale_factor", 1.0)),
         float(attrs.get("add_offset", 0.0)),
         str(attrs.get("units", "")),

@@ -5,6 +5,7 @@ south-east samples. A triangle with a hole (NaN) among its samples is not part o
 """
 
 import hashlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,6 +25,10 @@ Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Heights in metres at eastings and northings, NaN off the map and on holes."""
 
 
+_HEIGHT_SD_PER_ROOT_M = 1.2
+"""Deviation of heights, metres, at a spacing of 1 m."""
+
+
 @dataclass(frozen=True)
 class Provenance:
     """Where the samples came from and what was done to them on the way.
@@ -36,6 +41,8 @@ class Provenance:
         ``"none"`` where the file's own grid is used, else the method and the source CRS.
     filled, hollow, despiked : int
         Void samples filled by interpolation, left as holes, and spikes removed.
+    undeclared : int
+        Of the void samples, those that the files do not declare (`skyline.terrain.fill`).
     options : mapping
         How the files were read: `skyline.terrain.dem.DemOptions.to_json`.
     """
@@ -45,6 +52,7 @@ class Provenance:
     filled: int = 0
     hollow: int = 0
     despiked: int = 0
+    undeclared: int = 0
     options: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -160,6 +168,15 @@ class HeightField:
     def cols(self) -> int:
         """Number of samples from west to east."""
         return int(self.heights_m.shape[1])
+
+    @property
+    def height_sd_m(self) -> float:
+        """Deviation of the heights from the true ones that is to be expected of such a spacing.
+
+        It grows as the root of the spacing. Measured against finer models of the same ground it is
+        6.1 m at 20 m (Davos) and 9.4 m at 70 m (California).
+        """
+        return _HEIGHT_SD_PER_ROOT_M * math.sqrt(self.spacing_m)
 
     @property
     def spacing_m(self) -> float:

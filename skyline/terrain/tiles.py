@@ -35,7 +35,7 @@ GRID_TOLERANCE = 0.01
 """How far a tile's samples may lie off the grid of the first, in samples."""
 
 UNDECLARED_VOIDS = (-32768.0, -9999.0)
-"""Values that mark a void in DEMs that declare no nodata value."""
+"""Values that mark a void in DEMs that do not declare them as nodata."""
 
 AGREEMENT_M = 1.0
 """Neighbouring tiles may differ by this much where they overlap, from rounding to whole metres."""
@@ -99,9 +99,8 @@ class Tile:
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """What a raster says of its numbers: whether some are nodata, scale, offset and unit."""
+    """What a raster says of its numbers: scale, offset and unit."""
 
-    nodata: bool
     scale: float = 1.0
     offset: float = 0.0
     unit: str = ""
@@ -178,7 +177,7 @@ def read_mosaic(
     Returns
     -------
     (rows, cols) float32
-        Metres; NaN marks voids, +inf samples that no tile covers.
+        Metres; NaN marks voids, -inf undeclared ones, +inf samples that no tile covers.
     """
     heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
     for tile, (row, col) in zip(tiles, offsets, strict=True):
@@ -372,24 +371,22 @@ def read_into(dataset: Any, tile: Tile, place: Float32Array) -> float:
 
 
 def _read_rows(dataset: Any, rows: slice) -> Float32Array:
-    """Read rows of the band as metres, NaN where void."""
+    """Read rows of the band as metres; voids as `heights_of` marks them."""
     window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
     band = dataset.read(1, window=window, masked=True)
-    said = Said(
-        dataset.nodata is not None, dataset.scales[0], dataset.offsets[0], dataset.units[0] or ""
-    )
+    said = Said(dataset.scales[0], dataset.offsets[0], dataset.units[0] or "")
     return heights_of(band.data, np.ma.getmaskarray(band), said)
 
 
 def heights_of(band: NDArray[Any], voids: NDArray[np.bool_], said: Said) -> Float32Array:
-    """Return what a band holds as heights in metres, NaN where void; a copy."""
+    """Return a copy of a band as heights in metres, NaN where void, -inf where undeclared."""
     heights: Float32Array = band.astype(np.float32)
     heights[voids | ~np.isfinite(heights)] = np.nan
-    if not said.nodata:
-        heights[np.isin(heights, UNDECLARED_VOIDS)] = np.nan
+    undeclared = np.isin(heights, UNDECLARED_VOIDS)
     if (said.scale, said.offset) != (1.0, 0.0):
         heights = (heights * said.scale + said.offset).astype(np.float32)
     unit = said.unit.strip().lower()
     if unit in _FEET_M:
         heights *= np.float32(_FEET_M[unit])
+    heights[undeclared] = -np.inf
     return heights

@@ -1,4 +1,4 @@
-"""Samples of one CRS to a square metric grid of another, once, by cubic convolution.
+"""Samples of one CRS to a square metric grid of another, once, with all summits.
 
 rasterio's own ``reproject`` finds its positions to an eighth of a sample, and before its version
 1.5 no option betters that: 5 m rms on 3 arc-second tiles of California. Here positions are good
@@ -16,6 +16,7 @@ from pyproj.exceptions import ProjError
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.terrain.summits import keep_summits
 from skyline.terrain.tiles import MAX_SAMPLES, Grid, full_turn
 
 POSITION_TOLERANCE = 1e-3
@@ -25,6 +26,8 @@ _NODE_STEP = 32
 _EDGE_POINTS = 129
 _BLOCK_SAMPLES = 1 << 18
 _THREADS = 4
+_AROUND = (1, 2)
+"""Of the four rows and columns of a cubic, those next to the position."""
 # Target samples this near the outermost source samples are on them, but for rounding.
 _SLACK = 1e-6
 
@@ -57,20 +60,24 @@ def ground_spacing_m(grid: Grid, crs: CRS, frame: Frame) -> tuple[float, float]:
 def square_spacing_m(ground_spacing: tuple[float, float]) -> float:
     """Return the round spacing of a warped grid, in metres.
 
-    The coarser of the source's two spacings, rounded down to a multiple of 5 in its second digit
-    (one per cent short of a multiple counts as that multiple): a sample of 1 arc-second measures
-    21 x 31 m at 46.8 N and resolves no more than its 31 m, so it gives 30 m; 3 arc-seconds give
-    90 m, a third of one 10 m, everywhere on Earth.
+    The finer of the source's two spacings, but no finer than half of the coarser, rounded down to
+    a multiple of 5 in its second digit (one per cent short of a multiple counts as that multiple).
+    A sample of 1 arc-second measures 21 x 31 m at 46.8 N, so it gives 20 m. One of 3 arc-seconds
+    gives 90 m at the equator, 70 m at 37.5 N, and 45 m from 60 degrees on.
     """
-    coarser = max(ground_spacing)
-    step = 5.0 * 10.0 ** (math.floor(math.log10(coarser)) - 1)
-    return round(math.floor(1.01 * coarser / step) * step, 12)
+    finer = max(min(ground_spacing), 0.5 * max(ground_spacing))
+    step = 5.0 * 10.0 ** (math.floor(math.log10(finer)) - 1)
+    return round(math.floor(1.01 * finer / step) * step, 12)
 
 
 def warp(
     heights_m: Float32Array, grid: Grid, crs: CRS, frame: Frame, spacing_m: float
 ) -> tuple[Float32Array, Grid]:
-    """Resample heights to a frame by cubic convolution (Keys 1981, a = -1/2).
+    """Resample heights to a frame by cubic convolution (Keys 1981, a = -1/2), and keep all summits.
+
+    No sample of the target is above or below the four samples of the source around it: a cubic
+    overshoots between two samples that are as high as each other. Then the sample nearest to each
+    local maximum of the source is lifted to it (`skyline.terrain.summits`).
 
     The target's samples have eastings and northings that are whole multiples of the spacing. It
     covers the box around the source; its samples outside the source's outermost samples are NaN.
@@ -99,7 +106,8 @@ def warp(
     InputError
         A source CRS that cannot be transformed, or a target too large.
     """
-    target = _target_grid(grid, _transformer(crs, frame.crs), spacing_m)
+    to_frame = _transformer(crs, frame.crs)
+    target = _target_grid(grid, to_frame, spacing_m)
     positions = _positions(grid, target, crs, frame)
     warped = np.empty((target.rows, target.cols), dtype=np.float32)
     cols = np.arange(target.cols, dtype=np.float64)
@@ -111,6 +119,7 @@ def warp(
 
     with ThreadPoolExecutor(_THREADS) as pool:
         list(pool.map(fill, range(0, target.rows, step)))
+    keep_summits(warped, target, heights_m, grid, to_frame)
     return warped, target
 
 
@@ -197,12 +206,18 @@ def _cubic(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Flo
     row_weights, col_weights = _keys_weights(row - top), _keys_weights(col - left)
     flat = heights_m.reshape(-1)
     warped = np.zeros(row.shape, dtype=np.float32)
+    lowest, highest = np.full_like(warped, np.inf), np.full_like(warped, -np.inf)
     for i in range(4):
         line = np.clip(top + (i - 1), 0, rows - 1) * cols
         along = np.zeros(row.shape, dtype=np.float32)
         for j in range(4):
-            along += col_weights[j] * flat[line + np.clip(left + (j - 1), 0, cols - 1)]
+            sample = flat[line + np.clip(left + (j - 1), 0, cols - 1)]
+            along += col_weights[j] * sample
+            if i in _AROUND and j in _AROUND:
+                np.minimum(lowest, sample, out=lowest)
+                np.maximum(highest, sample, out=highest)
         warped += row_weights[i] * along
+    np.clip(warped, lowest, highest, out=warped)
     partial = (top < 1) | (top > rows - 3) | (left < 1) | (left > cols - 3) | np.isnan(warped)
     partial &= inside
     warped[partial] = _bilinear(heights_m, row[partial], col[partial])

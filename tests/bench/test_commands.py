@@ -64,6 +64,7 @@ def test_damaged_files_are_answered_or_refused(run_bench, tmp_path):
     ("command", "rows", "key"),
     [
         (("place-speed", "DEM", "--eyes", 20), 4, "wall_ms"),
+        (("summits", "DEM", "--quick"), 1, "summits_off"),
         (("large-dem", "--samples", 300, "--viewpoints", 4), 1, "seconds"),
         (("retrieval-scale", "STORE", "DEM", "--places", 700, "--queries", 3), 2, "screen_s"),
         (("strangers", "STORE", "DEM", "--strange", "DEM", "--queries", 2), 1, "query_ms"),

@@ -159,6 +159,20 @@ def test_windows_of_a_large_field_give_the_same_horizons(rough, monkeypatch):
     assert_same(render(field, eyes), whole)
 
 
+@pytest.mark.slow
+def test_the_largest_window_sees_its_holes():
+    # Four trees of marks, one over the other, would be higher than many a GPU's textures.
+    cells = windows.MAX_FIELD_CELLS
+    away = np.hypot(*np.ogrid[-cells // 2 : cells // 2 + 1, -cells // 2 : cells // 2 + 1])
+    heights = (0.5 * away).astype(np.float32)
+    heights[(away > 300.0) & (away < 310.0)] = np.nan
+    field = field_of(heights, 30.0)
+    assert len(windows.Window.all_of(field)) == 1
+    with PanoramaRenderer(field, BINS) as renderer:
+        horizons = renderer.render(stand_on(field, *field.to_map(cells / 2, cells / 2)))
+    assert (horizons.flags & FLAG_HOLE == FLAG_HOLE).all()
+
+
 def test_no_viewpoints_give_no_horizons(rough):
     field, eyes = rough
     none = render(field, eyes[:0])

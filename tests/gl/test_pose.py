@@ -27,6 +27,7 @@ SHORT = RefineConfig(shortlist=12, rounds=5, restarts=1, finalists=4, final_roun
 class _Scene:
     field: HeightField
     renderer: HorizonRenderer
+    height_sd_m: float = 5.0
 
     def render(self, viewpoints, headings):
         return self.renderer.render(viewpoints, headings)
@@ -39,7 +40,7 @@ class _Scene:
 class _Island(_Scene):
     """A scene whose ground is known in part."""
 
-    known_m: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    known_m: Callable[[np.ndarray, np.ndarray], np.ndarray] = np.add
 
     def ground_m(self, easting_m, northing_m):
         return self.known_m(easting_m, northing_m)
@@ -89,10 +90,25 @@ def test_the_pose_is_recovered_where_nothing_is_noisy(scene, rays):
     assert best.roll_deg[0] == pytest.approx(-1.0, abs=0.1)
     assert best.fov_deg[0] == pytest.approx(60.0, abs=0.1)
     ground_m = scene.ground_m(best.easting_m, best.northing_m)
-    np.testing.assert_allclose(best.eye_elevation_m, ground_m + 2.0)
+    assert best.eye_elevation_m[0] - ground_m[0] == pytest.approx(2.0, abs=1.0)
     assert (np.diff(best.score) >= 0.0).all()
     assert found.inlier_share[0] > 0.97
     assert found.residual_deg[0] < 0.05
+
+
+@pytest.mark.parametrize(("above_m", "known"), [(2.0, True), (2.0, False), (45.0, False)])
+def test_the_eye_s_height_above_the_ground_is_found_or_held(scene, above_m, known):
+    with HorizonRenderer(scene.field, 1280) as renderer:
+        views = renderer.render(stand_on(scene.field, PLACE[0], PLACE[1], above_m))
+    tangent = np.tan(np.radians(views.elevation_deg()))
+    seen = photographed(
+        np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), fov_deg=60.0, **TRUTH
+    )
+    config = replace(SHORT, eye_height_m=2.0, eye_height_known=known)
+    best = refine(_around(), rays_of(*seen, 60.0), scene, config).hypotheses
+    height_m = best.eye_elevation_m - scene.ground_m(best.easting_m, best.northing_m)
+    assert _off_m(best)[0] < 5.0
+    assert height_m[0] == pytest.approx(above_m, abs=1e-9 if known else 2.5)
 
 
 def test_a_photo_s_noise_and_trees_leave_it_near(scene, rays):
@@ -143,7 +159,7 @@ def test_the_derivatives_foretell_the_next_rendering(scene):
     slope = (ground[1] - ground[0]) * step_m / (step_m @ step_m)
     views = scene.renderer.render(Viewpoints(place[:, 0], place[:, 1], ground + 2.0))
     seen = Panoramas.from_views(views, np.repeat([0, 1], 4), 2, 1440)
-    channels = Curves.of(seen[:1], slope[np.newaxis]).channels[0]
+    channels = Curves.of(seen[:1], slope[np.newaxis], np.full(1, 2.0)).channels[0]
     forecast = channels[:, 2:4] @ step_m
     change = seen.y[1] - seen.y[0]
     known = np.isfinite(forecast) & np.isfinite(change)
@@ -167,7 +183,7 @@ def test_a_place_with_nothing_round_it_is_refined_where_it_is(scene, rays):
         off_m = np.hypot(easting_m - PLACE[0], northing_m - PLACE[1])
         return np.where(off_m < 20.0, scene.ground_m(easting_m, northing_m), np.nan)
 
-    island = _Island(scene.field, scene.renderer, ground_m)
+    island = _Island(scene.field, scene.renderer, known_m=ground_m)
     query = rays_of(*rays, 60.0, 61.5, (57.0, 63.0))
     found = refine(_around(2, 10.0), query, island, SHORT)
     assert _off_m(found.hypotheses)[0] < 3.0

@@ -106,7 +106,7 @@ def test_six_californian_tiles_have_no_seam(shared_data: Path, tmp_path: Path) -
     one, six = read_dem(whole), read_dem(california(shared_data))
     assert one.heights_m.shape == six.heights_m.shape
     np.testing.assert_allclose(six.heights_m, one.heights_m, atol=1e-3)
-    assert six.spacing_m == 90.0
+    assert six.spacing_m == 70.0
     easting, northing = six.frame.from_lonlat(-118.2925, 36.5783)
     around = six.height_at(
         *np.meshgrid(easting + np.arange(-200, 201, 20), northing + np.arange(-200, 201, 20))

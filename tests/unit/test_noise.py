@@ -11,7 +11,7 @@ def _setting(nodes=6, columns=40):
     generator = np.random.default_rng(0)
     azimuth = np.linspace(-0.5, 0.5, columns)[np.newaxis]
     distance = 1000.0 + 3000.0 * generator.random((1, columns))
-    noise = Noise(angle_deg=(0.1,), height_m=(5.0,), nodes=nodes)
+    noise = Noise(angle_deg=(0.1,), height_shares=(1.0,), height_sd_m=5.0, nodes=nodes)
     return noise, HeightErrors.of(azimuth, distance, 0.0 * distance, noise), azimuth, distance
 
 
@@ -100,7 +100,8 @@ def test_what_stands_over_the_skyline_is_likelier_than_what_is_missing():
     "wrong",
     [
         {"angle_deg": ()},
-        {"height_m": (2.0, 1.0)},
+        {"height_shares": (2.0, 1.0)},
+        {"height_sd_m": 0.0},
         {"above_share": 0.0},
         {"above_share": 0.99},
         {"reach_m": 0.0},

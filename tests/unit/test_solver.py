@@ -11,17 +11,24 @@ from skyline.matching.noise import Noise
 from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import level
 from skyline.matching.rays import level_with_changes, thinned
-from skyline.matching.solver import Curves, Solver, SolverConfig
+from skyline.matching.solver import Curves, EyeHeight, Solver, SolverConfig
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
+EYE = EyeHeight(2.0, 5.0)
+HEIGHT_SD_M = 5.0
+
+
+def curves_of(panoramas):
+    """Return curves of eyes on level ground, at the usual height."""
+    count = len(panoramas)
+    return Curves.of(panoramas, np.zeros((count, 2)), np.full(count, EYE.usual_m))
 
 
 def settled(hypotheses, panoramas, query):
     """Solve heading, pitch, roll and field of view of hypotheses where they stand."""
-    solver = Solver(
-        thinned(query, panoramas.bins), SolverConfig(iterations=8, noise=Noise(nodes=0))
-    )
-    curves = Curves.of(panoramas, np.zeros((len(panoramas), 2)))
+    config = SolverConfig(iterations=8, noise=Noise(nodes=0))
+    solver = Solver(thinned(query, panoramas.bins), config, EYE, HEIGHT_SD_M)
+    curves = curves_of(panoramas)
     return solver.posed(hypotheses, solver.settle(curves, solver.start(hypotheses)))
 
 
@@ -39,12 +46,12 @@ def test_levelled_rays_are_those_of_every_matcher():
 
 def test_derivatives_agree_with_differences():
     query = _query()
-    solver = Solver(query, SolverConfig())
-    curves = Curves.of(panorama_of(hills), np.zeros((1, 2)))
-    state = np.array([[0.0, 0.0, np.radians(351.0), 0.03, -0.02, 0.04]])
+    solver = Solver(query, SolverConfig(), EYE, HEIGHT_SD_M)
+    curves = curves_of(panorama_of(hills))
+    state = np.array([[0.0, 0.0, 3.0, np.radians(351.0), 0.03, -0.02, 0.04]])
     there = solver.linearize(curves, state)
-    for k, step in enumerate([1.0, 1.0, 2e-3, 1e-4, 1e-4, 1e-4]):
-        move = np.zeros((1, 6))
+    for k, step in enumerate([1.0, 1.0, 1.0, 2e-3, 1e-4, 1e-4, 1e-4]):
+        move = np.zeros((1, 7))
         move[0, k] = step
         after, before = (
             solver.linearize(curves, state + sign * move).residual_rad[0] for sign in (1.0, -1.0)
@@ -70,6 +77,32 @@ def test_the_field_of_view_keeps_to_its_range(low, high, expected):
     query = _query(assumed_fov_deg=(low + high) / 2.0, fov_range_deg=(low, high))
     found = settled(poses(heading_deg=350.0, fov_deg=1.0), panorama_of(hills), query)
     assert found.fov_deg[0] == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("sd_deg", [0.2, 50.0])
+def test_a_field_of_view_is_drawn_to_the_one_given_as_far_as_that_is_sure(sd_deg):
+    level_hills = panorama_of(lambda a: 0.3 * hills(a))
+    query = rays_of(*seen(lambda a: 0.3 * hills(a), **TRUTH), 60.0, 62.0, (50.0, 74.0))
+    found = settled(poses(heading_deg=350.0, fov_deg=62.0), level_hills, query)
+    drawn = settled(
+        poses(heading_deg=350.0, fov_deg=62.0), level_hills, replace(query, fov_sd_deg=sd_deg)
+    )
+    assert found.fov_deg[0] == pytest.approx(60.0, abs=0.1)
+    if sd_deg > 10.0:
+        assert drawn.fov_deg[0] == pytest.approx(found.fov_deg[0], abs=1e-3)
+    else:
+        assert found.fov_deg[0] + 1e-3 < drawn.fov_deg[0] < 62.0
+        assert drawn.score[0] > found.score[0]
+
+
+def test_an_eye_s_height_is_drawn_to_the_usual_one_as_its_probability_falls():
+    eye = EyeHeight(2.0, 5.0)
+    height_m = np.array([2.0, 3.0, 10.0, 80.0])
+    step_m = 1e-4
+    fall = (eye.cost(height_m + step_m) - eye.cost(height_m - step_m)) / (2.0 * step_m)
+    np.testing.assert_allclose(eye.precision(height_m) * (height_m - 2.0), fall, atol=1e-6)
+    assert eye.cost(height_m)[0] == 0.0
+    assert (np.diff(eye.cost(height_m)) > 0.0).all()
 
 
 def test_a_known_field_of_view_stays():

@@ -21,6 +21,7 @@ from skyline_bench.commands.options import (
     check_outputs,
     keep_record,
     print_rows,
+    rows_but,
 )
 from skyline_bench.figures.speed_error import save_speed_error
 from skyline_bench.figures.stability import save_stability
@@ -28,6 +29,7 @@ from skyline_bench.measuring.record import machine
 from skyline_bench.runs import large_dem as large_dems
 from skyline_bench.runs import pipeline_speed as pipeline_stages
 from skyline_bench.runs import place_speed as ways_to_places
+from skyline_bench.runs import summits as summits_kept
 from skyline_bench.runs.speed_error import SpeedErrorConfig, measure
 from skyline_bench.truth.agreement import DEPTH, HORIZON
 
@@ -119,6 +121,39 @@ def place_speed(
     rows = ways_to_places.measure(terrain, min(eyes, 100) if quick else eyes)
     print_rows(rows)
     keep_record(json_file, "place-speed", rows)
+
+
+def summits(
+    dem: Dems,
+    json_file: JsonFile = None,
+    quick: Quick = False,
+    crs: Crs = None,
+) -> None:
+    """Summits of a DEM's file against those of the surface, how they are seen, and what it costs.
+
+    A record that is there keeps the rows of other DEMs.
+    """
+    check_outputs(json_file, None)
+    config = summits_kept.SummitsConfig()
+    rows = summits_kept.measure(dem, crs, config.quick() if quick else config)
+    print_rows(
+        rows,
+        {
+            "surface": "surface",
+            "spacing_m": "m",
+            "summits": "summits",
+            "lowest_m": "lowest m",
+            "highest_m": "highest m",
+            "summits_off": "off",
+            "sights": "sights",
+            "median_sight_m": "median m",
+            "p90_sight_m": "90 % m",
+            "bias_m": "bias m",
+            "rms_off_m": "rms m",
+            "place_cpu_ms": "ms a place",
+        },
+    )
+    keep_record(json_file, "summits", rows_but(json_file, "dem", [str(rows[0]["dem"])]) + rows)
 
 
 def large_dem(

@@ -6,6 +6,7 @@ from a seed, each query by itself: query k of a seed is the same whatever the nu
 and its place and pose are the same whatever the noise, the occluders or the elevation model.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
@@ -85,6 +86,11 @@ class QueryConfig:
     render_width: int = 2560
     curvature: Curvature = field(default_factory=Curvature)
 
+    @property
+    def fov_slack(self) -> float:
+        """Standard deviation of the field of view given, as a share of the true one."""
+        return self.fov_error / math.sqrt(3.0)
+
     def __post_init__(self) -> None:
         check_width(self.render_width)
         for name, (low, high), most in (
@@ -142,8 +148,8 @@ class SyntheticQuery:
         What a matcher is given.
     given_fov_deg : float
         The field of view it is given with.
-    fov_range_deg : (float, float)
-        Between which the true field of view is known to lie.
+    fov_slack : float
+        Standard deviation of the true field of view about that one, as a share.
     truth : Truth
     row_px : (W,) float64
         The true skyline, without errors, masks and occluders; NaN where it is not in the image.
@@ -154,14 +160,14 @@ class SyntheticQuery:
 
     skyline: QuerySkyline
     given_fov_deg: float
-    fov_range_deg: tuple[float, float]
+    fov_slack: float
     truth: Truth
     row_px: Float64Array
     distance_m: float
     occluders: tuple[Occluder, ...]
 
     def rays(self) -> QueryRays:
-        """Return the query as a matcher's rays, with the range of its field of view.
+        """Return the query as a matcher's rays, with what is known of its field of view.
 
         Raises
         ------
@@ -170,7 +176,7 @@ class SyntheticQuery:
         """
         u, v = self.skyline.image_plane()
         weight = self.skyline.confidence[self.skyline.trusted]
-        return QueryRays(u, v, weight, self.given_fov_deg, self.fov_range_deg)
+        return QueryRays.about(u, v, weight, self.given_fov_deg, self.fov_slack)
 
 
 def make_queries(
@@ -282,7 +288,7 @@ def _photographed(
             given,
         ),
         given,
-        (given / (1.0 + config.fov_error), given / (1.0 - config.fov_error)),
+        config.fov_slack,
         truth,
         row_px,
         float(np.median(panorama.distance_m[sample[inside]])) if inside.any() else np.nan,

@@ -6,6 +6,8 @@ From examples that were kept another model is learned in seconds.
 import json
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -24,7 +26,7 @@ from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.workers import crew
-from skyline_bench.queries.other_dems import perturbed
+from skyline_bench.queries.other_dems import perturbed, resampled
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
 from skyline_bench.runs.calibration import (
     MODELS,
@@ -60,29 +62,52 @@ KINDS = (
 )
 
 
+COARSE_M = 100.0
+"""Spacing of the coarse models of the same terrain."""
+COARSE_KINDS = (KINDS[0], replace(KINDS[0], eye_height_m=20.0))
+"""What is looked for in those: eyes on the ground, and on what a coarse model cuts off."""
+
+
 def _told_by(
     terrain: HeightField, strange: HeightField, folder: Path, queries: int, seed: int
 ) -> dict[str, list[Example]]:
-    """Match queries of all kinds in the terrain's middle, and some of another; by model."""
+    """Match queries of all kinds in the terrain's middle, and some of another; by model.
+
+    Half of the kinds are searched in the terrain itself, and the rest in a coarse model of it.
+    """
     middle, half = _middle_of(terrain)
-    store = folder / "store.h5"
+    area = (*(middle - OUTSIDE * half), *(middle + OUTSIDE * half))
+    own = [(seen, kind) for seen in (terrain, perturbed(terrain, seed=seed)) for kind in KINDS]
+    coarse = [(terrain, kind) for kind in COARSE_KINDS]
+    strangers = _strangers(strange, max(queries // STRANGERS_SHARE, 1), seed)
+    told: dict[str, list[Example]] = {name: [] for name in MODELS}
+    for model, kinds in ((terrain, own), (resampled(terrain, COARSE_M), coarse)):
+        with _matcher(model, folder) as matcher:
+            for seen, kind in kinds:
+                seed += 1
+                made = make_queries(seen, area, queries, seed, replace(kind, fov_error=0.05))
+                for example in examples(matcher, made):
+                    for name, one in example.items():
+                        told[name].append(one)
+            for made in strangers:
+                for example in examples(matcher, made):
+                    for name, one in example.items():
+                        told[name].append(replace(one, right=False))
+    return told
+
+
+@contextmanager
+def _matcher(terrain: HeightField, folder: Path) -> Iterator[FullMatcher]:
+    """Open a matcher on places in a terrain's middle for the block."""
+    middle, half = _middle_of(terrain)
+    store = folder / f"{terrain.digest[:12]}.h5"
     lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + [[-half, half], [-half, half]]))
     bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
     build_places(terrain, store, DEFAULT_SPACING_M, bounds_deg)
-    told: dict[str, list[Example]] = {name: [] for name in MODELS}
     with open_store(store) as opened:
         scene = RenderedScene.of_store(terrain, opened.header, MatchConfig())
-        matcher = FullMatcher(Retriever(opened.places(), terrain.height_at), scene)
-    for made in _all_queries(terrain, middle, OUTSIDE * half, queries, seed):
-        for example in examples(matcher, made):
-            for name, one in example.items():
-                told[name].append(one)
-    for made in _strangers(strange, max(queries // STRANGERS_SHARE, 1), seed):
-        for example in examples(matcher, made):
-            for name, one in example.items():
-                told[name].append(replace(one, right=False))
-    scene.release()
-    return told
+        yield FullMatcher(Retriever(opened.places(), terrain.height_at), scene)
+        scene.release()
 
 
 def _middle_of(terrain: HeightField) -> tuple[Float64Array, float]:
@@ -99,19 +124,6 @@ def _strangers(terrain: HeightField, queries: int, seed: int) -> list[tuple[Synt
     return [
         make_queries(terrain, area, queries, seed + number, replace(kind, fov_error=0.05))
         for number, kind in enumerate((*KINDS, QueryConfig()), start=100)
-    ]
-
-
-def _all_queries(
-    terrain: HeightField, middle: Float64Array, half: float, queries: int, seed: int
-) -> list[tuple[SyntheticQuery, ...]]:
-    """Make queries of every kind, of this elevation model and of one that differs."""
-    area = (*(middle - half), *(middle + half))
-    return [
-        make_queries(seen, area, queries, seed + number, replace(kind, fov_error=0.05))
-        for number, (seen, kind) in enumerate(
-            (seen, kind) for seen in (terrain, perturbed(terrain, seed=seed)) for kind in KINDS
-        )
     ]
 
 

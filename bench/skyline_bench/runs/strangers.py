@@ -39,7 +39,7 @@ def measure(
     """Match queries of strange terrain to a store of places of a DEM."""
     asked = QueryConfig()
     made = make_queries(strange, middle_m(strange), queries, seed, asked)
-    config = MatchConfig(fov_slack=asked.fov_error)
+    config = MatchConfig(fov_slack=asked.fov_slack)
     sure, answered, seconds = list[float](), 0, list[float]()
     with Matcher(store, dem, config=config) as matcher:
         for number, query in enumerate(made, start=1):

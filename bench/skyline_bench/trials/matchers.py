@@ -13,7 +13,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.queries.synthetic import QueryConfig
 
 PAPER, CORRELATION, RETRIEVED = "paper", "correlation", "retrieved"
-MATCHING = MatchConfig(fov_slack=QueryConfig().fov_error)
+MATCHING = MatchConfig(fov_slack=QueryConfig().fov_slack)
 """The field of view of synthetic queries is known to 5 %."""
 
 WHAT: Mapping[str, str] = MappingProxyType(

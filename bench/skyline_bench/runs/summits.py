@@ -1,0 +1,347 @@
+"""The summits of a DEM's file against those of the surface that skylines are rendered from.
+
+The surface is what `read_dem` makes of the file. Beside a surface that was warped stand others:
+the same on the file's coarser spacing, which is cheaper; on half of its own spacing, where that is
+not too large; and plain bilinear interpolation at its own samples, which keeps no summit.
+"""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pyproj import CRS, Transformer
+from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
+
+from skyline.arrays import Float32Array, Float64Array, Int64Array
+from skyline.errors import InputError
+from skyline.geodesy import Curvature, is_metric
+from skyline.places import BINS
+from skyline.render.panorama import PanoramaRenderer
+from skyline.terrain.dem import DemOptions, clean, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.tiles import Grid, mosaic_grid, open_tile, read_mosaic
+from skyline.terrain.warp import ground_spacing_m, local_frame, warp
+from skyline_bench.measuring.record import Row
+from skyline_bench.runs.speed_error import central_viewpoints
+
+EXACT_M = 1.0
+"""How far a summit may be off."""
+
+_APART_M = 1000.0
+"""A summit is the highest sample so far around."""
+
+_MOST_SAMPLES = 1 << 25
+_LATTICE = np.linspace(-1.0, 1.0, 17)
+_SIGHT_STEPS = 200
+_EYE_M = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class SummitsConfig:
+    """What is measured.
+
+    Attributes
+    ----------
+    summits : int
+        The highest so many.
+    eyes : int
+        Eyes drawn about each summit.
+    nearest_m, farthest_m : float
+        Distances of eyes.
+    places : int
+        Places rendered, for the cost.
+    seed : int
+    """
+
+    summits: int = 200
+    eyes: int = 8
+    nearest_m: float = 2000.0
+    farthest_m: float = 20_000.0
+    places: int = 400
+    seed: int = 0
+
+    def quick(self) -> "SummitsConfig":
+        """Return a much smaller measurement."""
+        return replace(self, summits=40, eyes=2, places=40)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _File:
+    """The cleaned samples of a DEM, and where they lie in the surface's frame."""
+
+    heights_m: Float32Array
+    grid: Grid
+    crs: CRS
+    spacing_m: tuple[float, float]
+    to_frame: Transformer
+    from_frame: Transformer
+
+    @classmethod
+    def read(cls, dem: Sequence[str | Path], options: DemOptions, field: HeightField) -> "_File":
+        default = None if options.crs is None else CRS.from_user_input(options.crs)
+        tiles = [open_tile(path, default) for path in dem]
+        grid, offsets = mosaic_grid(tiles)
+        crs = tiles[0].crs
+        spacing_m = (
+            (grid.step_east, grid.step_north)
+            if is_metric(crs)
+            else ground_spacing_m(grid, crs, local_frame(grid, crs))
+        )
+        heights_m = read_mosaic(tiles, grid, offsets)
+        clean(heights_m, str(dem[0]), max(spacing_m), options)
+        return cls(
+            heights_m,
+            grid,
+            crs,
+            spacing_m,
+            Transformer.from_crs(crs, field.frame.crs, always_xy=True),
+            Transformer.from_crs(field.frame.crs, crs, always_xy=True),
+        )
+
+    def place(self, row: ArrayLike, col: ArrayLike) -> tuple[Float64Array, Float64Array]:
+        """Return easting and northing of fractional rows and columns."""
+        easting, northing = self.to_frame.transform(
+            self.grid.west + np.asarray(col) * self.grid.step_east,
+            self.grid.north - np.asarray(row) * self.grid.step_north,
+        )
+        return np.asarray(easting), np.asarray(northing)
+
+    def height_m(self, easting: Float64Array, northing: Float64Array) -> Float64Array:
+        """Return heights between samples, bilinear; NaN off the map and beside holes."""
+        x, y = self.from_frame.transform(easting, northing)
+        row = (self.grid.north - np.asarray(y)) / self.grid.step_north
+        col = (np.asarray(x) - self.grid.west) / self.grid.step_east
+        return np.asarray(
+            map_coordinates(self.heights_m, [row, col], output=np.float64, order=1, cval=np.nan)
+        )
+
+    def summits(self, count: int) -> tuple[Int64Array, Int64Array]:
+        """Return row and column of the highest summits that known samples surround."""
+        known = ~np.isnan(self.heights_m)
+        heights = np.where(known, self.heights_m, -np.inf)
+        window = [2 * max(round(_APART_M / step), 2) + 1 for step in self.spacing_m[::-1]]
+        inner = minimum_filter(known, 5, mode="constant", cval=False)
+        row, col = np.nonzero((heights == maximum_filter(heights, window)) & inner)
+        highest = np.argsort(-heights[row, col], kind="stable")[:count]
+        if highest.size == 0:
+            raise InputError("the DEM has no summit that known samples surround; give another")
+        return row[highest], col[highest]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sights:
+    """S eyes, each with a summit that it sees."""
+
+    summit: Int64Array
+    easting_m: Float64Array
+    northing_m: Float64Array
+    elevation_m: Float64Array
+
+
+def measure(
+    dem: Sequence[str | Path], crs: str | None = None, config: SummitsConfig = SummitsConfig()
+) -> list[Row]:
+    """Return a row for each surface.
+
+    Raises
+    ------
+    InputError
+        As `read_dem` raises it, or a DEM without a summit.
+    """
+    options = DemOptions(crs=crs)
+    started = time.process_time()
+    field = read_dem(dem, options)
+    read_s = time.process_time() - started
+    file = _File.read(dem, options, field)
+    row, col = file.summits(config.summits)
+    sights = _sights(file, file.place(row, col), file.heights_m[row, col], config)
+    surfaces = {"as read": field}
+    if field.provenance.resampling != "none":
+        surfaces["as read, on the coarser spacing"] = _warped(file, field, max(file.spacing_m))
+        if 4 * field.heights_m.size <= _MOST_SAMPLES:
+            surfaces["as read, on half the spacing"] = _warped(file, field, 0.5 * field.spacing_m)
+        surfaces["bilinear"] = _bilinear(file, field)
+    rows: list[Row] = []
+    for name, surface in surfaces.items():
+        rows.append(
+            {
+                "dem": Path(dem[0]).name + (f" and {len(dem) - 1} more" if len(dem) > 1 else ""),
+                "file_spacing_m": f"{file.spacing_m[0]:.3g} x {file.spacing_m[1]:.3g}",
+                "surface": name,
+                "spacing_m": surface.spacing_m,
+                **_summit_errors(surface, file, row, col),
+                **_sample_errors(surface, file),
+                **_sight_errors(surface, file, (row, col), sights),
+                "samples": surface.heights_m.size,
+                "read_cpu_s": read_s if name == "as read" else math.nan,
+                "place_cpu_ms": _place_cpu_ms(surface, config.places),
+            }
+        )
+    return rows
+
+
+def _warped(file: _File, field: HeightField, spacing_m: float) -> HeightField:
+    """Return the file as a field has it, but on another spacing."""
+    heights, grid = warp(file.heights_m, file.grid, file.crs, field.frame, spacing_m)
+    return HeightField(heights, grid.west, grid.north, spacing_m, spacing_m, field.frame)
+
+
+def _bilinear(file: _File, field: HeightField) -> HeightField:
+    """Return the file resampled plainly to the samples of a field."""
+    heights = np.empty_like(field.heights_m)
+    col = np.arange(field.cols)
+    for row in range(field.rows):
+        heights[row] = file.height_m(*field.to_map(np.full(field.cols, row), col))
+    return replace(field, heights_m=heights)
+
+
+def _around(file: _File, row: int, col: int) -> tuple[Float64Array, Float64Array]:
+    """Return the places of a fine lattice that reaches one sample from a summit."""
+    south, east = np.meshgrid(_LATTICE, _LATTICE, indexing="ij")
+    return file.place(row + south.reshape(-1), col + east.reshape(-1))
+
+
+def _nodes(
+    surface: HeightField, easting: Float64Array, northing: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return the places of a surface's samples within the box around some places."""
+    (first_row, last_row), (first_col, last_col) = surface.to_grid(
+        [easting.min(), easting.max()], [northing.max(), northing.min()]
+    )
+    row, col = np.meshgrid(
+        np.arange(max(np.ceil(first_row), 0.0), min(np.floor(last_row) + 1.0, surface.rows)),
+        np.arange(max(np.ceil(first_col), 0.0), min(np.floor(last_col) + 1.0, surface.cols)),
+        indexing="ij",
+    )
+    return surface.to_map(row.reshape(-1), col.reshape(-1))
+
+
+def _surface_around(
+    surface: HeightField, file: _File, row: int, col: int
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return places of the surface around a summit, its samples among them, and their heights."""
+    easting, northing = _around(file, row, col)
+    nodes = _nodes(surface, easting, northing)
+    easting, northing = np.append(easting, nodes[0]), np.append(northing, nodes[1])
+    return easting, northing, surface.height_at(easting, northing)
+
+
+def _summit_errors(
+    surface: HeightField, file: _File, row: Int64Array, col: Int64Array
+) -> dict[str, object]:
+    highest = np.array(
+        [
+            np.nanmax(_surface_around(surface, file, *summit)[2])
+            for summit in zip(row.tolist(), col.tolist(), strict=True)
+        ]
+    )
+    error_m = highest - file.heights_m[row, col]
+    return {
+        "summits": row.size,
+        "lowest_m": float(error_m.min()),
+        "mean_m": float(error_m.mean()),
+        "highest_m": float(error_m.max()),
+        "summits_off": int(np.count_nonzero(np.abs(error_m) > EXACT_M)),
+    }
+
+
+def _sample_errors(surface: HeightField, file: _File) -> dict[str, object]:
+    """Return how far the surface is from the file's samples, a tenth of the rows."""
+    row, col = np.meshgrid(
+        np.arange(0, file.grid.rows, 10), np.arange(file.grid.cols), indexing="ij"
+    )
+    off = surface.height_at(*file.place(row, col)) - file.heights_m[row, col]
+    return {
+        "bias_m": float(np.nanmean(off)),
+        "median_off_m": float(np.nanmedian(np.abs(off))),
+        "rms_off_m": float(np.sqrt(np.nanmean(off**2))),
+    }
+
+
+def _sights(
+    file: _File,
+    summits: tuple[Float64Array, Float64Array],
+    heights_m: Float32Array,
+    config: SummitsConfig,
+) -> _Sights:
+    """Draw eyes about each summit; keep those below it that see it over the file's terrain."""
+    rng = np.random.default_rng(config.seed)
+    shape = heights_m.size * config.eyes
+    away_m = rng.uniform(config.nearest_m, config.farthest_m, shape)
+    azimuth = rng.uniform(0.0, 2.0 * np.pi, shape)
+    summit = np.repeat(np.arange(heights_m.size), config.eyes)
+    east, north = away_m * np.sin(azimuth), away_m * np.cos(azimuth)
+    easting, northing = summits[0][summit] + east, summits[1][summit] + north
+    elevation = file.height_m(easting, northing) + _EYE_M
+    drop = Curvature().drop_per_m2
+    share = (np.arange(_SIGHT_STEPS) + 0.5) / _SIGHT_STEPS
+    # The last stretch is the summit's own cap.
+    share = share[:, np.newaxis] * (1.0 - 2.0 * max(file.spacing_m) / away_m)
+    between_m = file.height_m(easting - share * east, northing - share * north)
+    tan = (between_m - elevation) / (share * away_m) - drop * share * away_m
+    to_summit = (heights_m[summit] - elevation) / away_m - drop * away_m
+    with np.errstate(invalid="ignore"):
+        seen = (tan.max(axis=0) < to_summit) & (to_summit > 0.0)
+    return _Sights(summit[seen], easting[seen], northing[seen], elevation[seen])
+
+
+def _sight_errors(
+    surface: HeightField,
+    file: _File,
+    summits: tuple[Int64Array, Int64Array],
+    sights: _Sights,
+) -> dict[str, object]:
+    """Return how far summits are seen too high or low, in metres at their distance."""
+    off = []
+    for summit in np.unique(sights.summit).tolist():
+        row, col = int(summits[0][summit]), int(summits[1][summit])
+        easting, northing = _around(file, row, col)
+        true_tan = _greatest_tan((easting, northing, file.height_m(easting, northing)))
+        tan = _greatest_tan(_surface_around(surface, file, row, col))
+        there = file.place(np.array([row]), np.array([col]))
+        for index in np.flatnonzero(sights.summit == summit):
+            eye = (
+                float(sights.easting_m[index]),
+                float(sights.northing_m[index]),
+                float(sights.elevation_m[index]),
+            )
+            away_m = math.hypot(there[0][0] - eye[0], there[1][0] - eye[1])
+            off.append((tan(eye) - true_tan(eye)) * away_m)
+    off_m = np.abs(np.array(off)) if off else np.array([math.nan])
+    return {
+        "sights": len(off),
+        "median_sight_m": float(np.median(off_m)),
+        "p90_sight_m": float(np.quantile(off_m, 0.9)),
+        "sights_within": float(np.mean(off_m <= EXACT_M)),
+    }
+
+
+def _greatest_tan(
+    places: tuple[Float64Array, Float64Array, Float64Array],
+) -> Callable[[tuple[float, float, float]], float]:
+    """Return how high places reach, as a function of the eye."""
+    easting, northing, height_m = places
+    drop = Curvature().drop_per_m2
+
+    def tan(eye: tuple[float, float, float]) -> float:
+        away = np.hypot(easting - eye[0], northing - eye[1])
+        return float(np.nanmax((height_m - eye[2]) / away - drop * away))
+
+    return tan
+
+
+def _place_cpu_ms(surface: HeightField, count: int) -> float:
+    """Return processor milliseconds of rendering a place about the middle, the best of three."""
+    eyes = central_viewpoints(surface, count, 80.0)
+    seconds = []
+    with PanoramaRenderer(surface, BINS) as renderer:
+        renderer.render(eyes)
+        for _ in range(3):
+            started = time.process_time()
+            renderer.render(eyes)
+            seconds.append(time.process_time() - started)
+    return 1e3 * min(seconds) / len(eyes)

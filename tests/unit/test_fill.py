@@ -1,0 +1,112 @@
+"""Fill that a file does not declare: found by its walls, and told from water."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dem_files import AnyArray, write
+from scipy.ndimage import gaussian_filter
+
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.fill import void_undeclared
+
+THRESHOLD_M = 100.0
+
+
+def mountains(shape: tuple[int, int] = (160, 200), seed: int = 0) -> AnyArray:
+    """Rough terrain about 1,500 m high."""
+    rough = gaussian_filter(np.random.default_rng(seed).normal(size=shape), 5.0)
+    heights: AnyArray = (1500.0 + 300.0 * rough / rough.std()).astype(np.float32)
+    return heights
+
+
+def turned(shape: tuple[int, int]) -> AnyArray:
+    """Whether a sample lies outside a footprint that was turned by 6 degrees."""
+    row, col = np.mgrid[: shape[0], : shape[1]]
+    outside: AnyArray = (col + 0.1 * row < 24) | (row - 0.1 * col < 12) | (col + 0.1 * row > 195)
+    return outside
+
+
+@pytest.mark.parametrize("value", [0.0, -9999.0 + 1.0, 250.0])
+def test_the_fill_of_a_turned_footprint_becomes_void(value: float) -> None:
+    heights = mountains()
+    outside = turned(heights.shape)
+    heights[outside] = value
+    count, values = void_undeclared(heights, THRESHOLD_M)
+    assert values == [value]
+    assert count == np.count_nonzero(outside)
+    np.testing.assert_array_equal(np.isnan(heights), outside)
+
+
+def test_a_band_along_one_side_becomes_void() -> None:
+    heights = mountains()
+    heights[:12] = 0.0
+    assert void_undeclared(heights, THRESHOLD_M) == (12 * 200, [0.0])
+    assert np.isnan(heights[:12]).all()
+
+
+def test_what_a_resampling_smeared_at_the_rim_goes_too() -> None:
+    heights = mountains()
+    heights[:, :30] = 0.0
+    heights[:, 30], heights[:, 31] = -60.0, 100.0
+    assert void_undeclared(heights, THRESHOLD_M) == (160 * 32, [0.0])
+    assert not np.isnan(heights[:, 32:]).any()
+
+
+@pytest.mark.parametrize("level", [0.0, 1500.0])
+def test_water_stays(level: float) -> None:
+    # A shore as steep as terrain gets at 30 m: 45 degrees all round, and a cliff on a fifth of it.
+    row, col = np.mgrid[:160, :200]
+    away = np.hypot(row - 80, col - 100)
+    heights = (level + np.maximum(away - 40.0, 0.0) * 30.0).astype(np.float32)
+    cliff = (away > 40.0) & (np.arctan2(row - 80, col - 100) > 0.6 * np.pi)
+    heights[cliff] += 300.0
+    before = heights.copy()
+    assert void_undeclared(heights, THRESHOLD_M) == (0, [])
+    np.testing.assert_array_equal(heights, before)
+
+
+def test_the_sea_stays_where_the_fill_goes() -> None:
+    heights = mountains()
+    row, col = np.mgrid[: heights.shape[0], : heights.shape[1]]
+    away = np.hypot(row - 90, col - 110)
+    heights[:] = np.minimum(heights, np.maximum(away - 25.0, 0.0) * 20.0)
+    heights[:, :12] = 0.0
+    assert void_undeclared(heights, THRESHOLD_M) == (160 * 12, [0.0])
+
+
+def test_without_a_threshold_nothing_is_looked_for() -> None:
+    heights = mountains()
+    heights[:, :30] = 0.0
+    assert void_undeclared(heights, np.inf) == (0, [])
+
+
+@pytest.mark.parametrize("nodata", [None, 7.0])
+def test_customary_void_values_are_counted(tmp_path: Path, nodata: float | None) -> None:
+    heights = mountains()
+    heights[20:40, 20:40] = -32768.0
+    heights[60:65, 60:65] = -9999.0
+    counts = read_dem(write(tmp_path / "dem.tif", heights, nodata=nodata)).provenance
+    assert (counts.undeclared, counts.filled, counts.hollow, counts.despiked) == (425, 25, 400, 0)
+    declared = read_dem(write(tmp_path / "said.tif", heights, nodata=-32768.0)).provenance
+    assert (declared.undeclared, declared.filled, declared.hollow) == (25, 25, 400)
+
+
+def test_fill_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    heights = mountains()
+    heights[:, :30] = 0.0
+    path = write(tmp_path / "dem.tif", heights)
+    counts = read_dem(path).provenance
+    assert (counts.undeclared, counts.hollow) == (4800, 4800)
+    assert "exactly 0 m" in caplog.text
+    caplog.clear()
+    assert read_dem(path, DemOptions(spike_m=np.inf)).provenance.undeclared == 0
+    assert caplog.text == ""
+
+
+def test_the_turned_footprint_of_a_real_dem(shared_data: Path) -> None:
+    field = read_dem(shared_data / "photos" / "columbia" / "dem_Columbia.tif")
+    # Both flanks go; the fjord, 3,796 samples at 0 m, stays.
+    assert 25_000 < field.provenance.undeclared < 28_000
+    assert np.isnan(field.heights_m[100:400, :5]).all()
+    assert np.count_nonzero(field.heights_m == 0.0) > 3796
