@@ -29,7 +29,7 @@ from skyline.web.sessions import (
     Sessions,
     shown_name,
 )
-from skyline.web.told import candidate_json, outcome
+from skyline.web.told import candidate_json
 
 _PAGE = Path(__file__).parent / "page"
 _MAX_JSON_BYTES = 8_000_000
@@ -212,12 +212,10 @@ class _Pages:
         match = Match(photo, query_of(asked, photo.query), narrowing_of(asked))
         session.matches[photo.id] = match
         photo.state = "matching"
-        await self._engine.work("matches", match.run, self._engine.matcher)
+        await self._engine.work("matches", match.run, self._engine)
         if match.error is not None:
             raise InputError(match.error)
-        if photo.result is None:
-            raise InputError("cancelled")
-        return JSONResponse(outcome(photo.result))
+        return JSONResponse(photo.told)
 
     async def _cancel(self, request: Request) -> Response:
         match = self._session(request).matches.get(self._photo(request).id)
@@ -236,7 +234,7 @@ class _Pages:
         found = self._engine.matcher.fit(photo.query, start)
         if found is None:
             raise InputError("nothing near this pose fits; bring the two skylines closer by hand")
-        return candidate_json(found)
+        return candidate_json(found, self._engine.height_m)
 
     async def _save(self, request: Request) -> Response:
         session, photo, asked = self._session(request), self._photo(request), await _json(request)

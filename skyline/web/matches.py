@@ -3,8 +3,10 @@
 import threading
 from typing import Any
 
-from skyline import Matcher, Narrowing, QuerySkyline, SkylineError
+from skyline import Narrowing, QuerySkyline, SkylineError
+from skyline.web.engine import Engine
 from skyline.web.photos import PagePhoto
+from skyline.web.told import outcome
 
 _STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
 """Where each step of a match begins and ends, as shares of all of it."""
@@ -37,11 +39,11 @@ class Match:
         """End the match at its next step; it leaves no result."""
         self._cancelled.set()
 
-    def run(self, matcher: Matcher) -> None:
+    def run(self, engine: Engine) -> None:
         """Match; the photo has the result, or this the error, when it is done."""
         try:
             self._check()
-            result = matcher.match(
+            result = engine.matcher.match(
                 self._query, top=_TOP, narrowing=self._narrowing, told=self._told
             )
         except _CancelledError:
@@ -52,6 +54,7 @@ class Match:
             self.error = "there is not enough memory for this match; narrow the search"
         else:
             self.photo.result, self.photo.candidates = result, result.candidates
+            self.photo.told = outcome(result, engine.height_m)
             self.photo.state = "answered" if result.answer else "no answer"
         finally:
             if self.error is not None:

@@ -23,7 +23,7 @@ from skyline import (
     Stroke,
     read_photo,
 )
-from skyline.web.told import outcome, stroke_json
+from skyline.web.told import stroke_json
 
 MAX_PIXELS = 120_000_000
 """A browser shows no larger picture."""
@@ -54,6 +54,7 @@ class PagePhoto:
         self.trace: QuerySkyline | None = None
         self.result: MatchResult | None = None
         self.candidates: tuple[Candidate, ...] = ()
+        self.told: dict[str, Any] | None = None
         self.state = "waiting"
         self.lock = threading.Lock()
 
@@ -77,7 +78,7 @@ class PagePhoto:
                 "heading": seen.place.heading_deg,
                 "strokes": [stroke_json(stroke) for stroke in self.strokes],
                 "trusted": float(query.trusted.mean()),
-                "result": self.result and outcome(self.result),
+                "result": self.told,
             }
         return said
 

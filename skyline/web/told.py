@@ -1,22 +1,28 @@
 """What was found, as the page takes it."""
 
+from collections.abc import Callable
 from typing import Any
 
 from skyline import Candidate, MatchResult, Stroke
 
+Ground = Callable[[float, float], float | None]
+"""Returns the ground's height at a longitude and a latitude; None where it is not known."""
 
-def outcome(result: MatchResult) -> dict[str, Any]:
+
+def outcome(result: MatchResult, ground: Ground) -> dict[str, Any]:
     """Return a result as the page shows it."""
     return {
-        "candidates": [candidate_json(one) for one in result.candidates],
+        "candidates": [candidate_json(one, ground) for one in result.candidates],
         "answered": result.answer is not None,
         "refusal": result.refusal,
         "seconds": result.seconds,
     }
 
 
-def candidate_json(candidate: Candidate) -> dict[str, Any]:
+def candidate_json(candidate: Candidate, ground: Ground) -> dict[str, Any]:
     """Return a candidate as the page takes it."""
+    ground_m = ground(candidate.lon, candidate.lat)
+    above_m = None if ground_m is None else max(0.0, candidate.eye_elevation_m - ground_m)
     return {
         "lon": candidate.lon,
         "lat": candidate.lat,
@@ -25,6 +31,7 @@ def candidate_json(candidate: Candidate) -> dict[str, Any]:
         "roll": candidate.roll_deg,
         "fov": candidate.fov_deg,
         "elevation": candidate.eye_elevation_m,
+        "eyeHeight": above_m,
         "confidence": candidate.confidence,
         "refined": candidate.refined,
         "covariance": candidate.covariance_m2,

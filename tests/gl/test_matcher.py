@@ -114,12 +114,12 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
         sure = quick.margin[0] > 75.0
         assert chosen.renderings == (quick if sure else thorough).renderings
         if sure:
-            # Places nearer than finalists have to be are one answer to both.
+            # Both end where the fit cannot tell places apart: within three deviations.
             one, other = (
                 (h.easting_m[0], h.northing_m[0]) for h in (quick.hypotheses, thorough.hypotheses)
             )
             apart_m = np.hypot(*np.subtract(one, other))
-            assert apart_m < FullConfig().refine.separation_m
+            assert apart_m < 3.0 * np.sqrt(np.trace(thorough.covariance_m2[0]))
     assert any(quick.margin[0] > 75.0 for quick in found[0.0])
 
 

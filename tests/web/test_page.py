@@ -136,7 +136,7 @@ def check_files(page, downloads, pose, width):
     trace = read_trace(saved(page, downloads, "trace", ".csv"))
     assert trace.width_px == width
     report = saved(page, downloads, "report", ".html").read_text()
-    assert f"{pose['lat']:.4f}" in report
+    assert f"{pose['lat']:.5f}" in report
     with Image.open(saved(page, downloads, "photo", ".jpg")) as picture:
         gps = picture.getexif().get_ifd(IFD.GPSInfo)
     degrees, minutes, seconds = (float(part) for part in gps[GPS.GPSLatitude])

@@ -13,7 +13,8 @@ export function known() {
     heading: on_("heading") ? { deg: value("heading"), slack: value("slack") } : null,
     near: on_("near") ? circled() : null,
     elevation: on_("elevation") ? { low: value("low"), high: value("high") } : null,
-    eyeHeight: value("eye"),
+    // What nobody has changed is not known: a camera may have stood on a roof.
+    eyeHeight: $("eye").value === $("eye").defaultValue ? null : value("eye"),
   };
 }
 
