@@ -1,5 +1,6 @@
 """What every matcher answers with, and how a list of answers is drawn from all scores."""
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -55,6 +56,17 @@ class Candidate:
     confidence: float | None = None
     refined: bool = False
     covariance_m2: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+    @property
+    def radius_m(self) -> float | None:
+        """Within which 68 % of the probability about the pose lies, if the candidate is right.
+
+        Of a round normal distribution with the covariance's mean variance.
+        """
+        if self.covariance_m2 is None:
+            return None
+        (east_m2, _), (_, north_m2) = self.covariance_m2
+        return math.sqrt(-2.0 * math.log(1.0 - 0.68) * (east_m2 + north_m2) / 2.0)
 
     @property
     def grid_heading_deg(self) -> float:

@@ -13,6 +13,8 @@ class CandidateRecord(TypedDict):
     northing: float
     lon: float
     lat: float
+    eye_elevation_m: float
+    radius_m: float | None
     heading_deg: float
     pitch_deg: float
     roll_deg: float
@@ -44,6 +46,8 @@ def describe_candidate(candidate: Candidate) -> CandidateRecord:
         northing=candidate.northing_m,
         lon=candidate.lon,
         lat=candidate.lat,
+        eye_elevation_m=candidate.eye_elevation_m,
+        radius_m=candidate.radius_m,
         heading_deg=candidate.heading_deg,
         pitch_deg=candidate.pitch_deg,
         roll_deg=candidate.roll_deg,

@@ -76,3 +76,17 @@ def test_a_ranking_is_its_poses_in_order():
     bare = dataclasses.replace(found[0], confidence=None, refined=False, covariance_m2=None)
     assert plain[0] == bare
     assert Ranking(ranking.poses[:0]).candidates(frame) == ()
+
+
+@given(sd_m=st.floats(0.1, 500.0), seed=st.integers(0, 100))
+def test_68_of_100_draws_about_a_pose_lie_within_its_radius(sd_m, seed):
+    covariance_m2 = ((sd_m**2, 0.0), (0.0, sd_m**2))
+    found = dataclasses.replace(candidate_at(0.0, 0.0, 0.0), covariance_m2=covariance_m2)
+    drawn = np.random.default_rng(seed).normal(0.0, sd_m, (20_000, 2))
+    within = np.hypot(*drawn.T) <= found.radius_m
+    # Five standard deviations of such a share.
+    assert within.mean() == pytest.approx(0.68, abs=5.0 * np.sqrt(0.68 * 0.32 / 20_000))
+
+
+def test_a_candidate_of_unknown_spread_has_no_radius():
+    assert candidate_at(0.0, 0.0, 0.0).radius_m is None
