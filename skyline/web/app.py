@@ -44,9 +44,9 @@ class TooLargeError(InputError):
     """An upload beyond the limit."""
 
 
-def make_app(engine: Engine) -> Starlette:
-    """Return the application over an opened store; it closes the store when it ends."""
-    return _Pages(engine).app()
+def make_app(engine: Engine, started: Callable[[], None]) -> Starlette:
+    """Return the application over an opened store; ``started`` is called when it can be used."""
+    return _Pages(engine, started).app()
 
 
 def leaflet_folder() -> Path:
@@ -61,8 +61,9 @@ def leaflet_folder() -> Path:
 
 
 class _Pages:
-    def __init__(self, engine: Engine) -> None:
+    def __init__(self, engine: Engine, started: Callable[[], None]) -> None:
         self._engine, self._sessions = engine, Sessions()
+        self._started = started
         self._running: set[asyncio.Task[None]] = set()
 
     def app(self) -> Starlette:
@@ -95,10 +96,10 @@ class _Pages:
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
         sweeping = asyncio.create_task(self._sweep())
+        self._started()
         yield
         sweeping.cancel()
         self._sessions.close()
-        self._engine.close()
 
     async def _sweep(self) -> None:
         while True:

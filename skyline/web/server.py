@@ -32,11 +32,15 @@ def serve(given: Given, host: str, port: int) -> None:
     SkylineError
         The store cannot be used; see `Engine`.
     """
-    with _listening(host, port) as listening, contextlib.suppress(KeyboardInterrupt):
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        contextlib.ExitStack() as opened,
+        _listening(host, port) as listening,
+    ):
         port = listening.getsockname()[1]
-        app = Guard(make_app(Engine(given)), host, port)
+        engine = opened.enter_context(contextlib.closing(Engine(given)))
         config = uvicorn.Config(
-            app,
+            Guard(make_app(engine, lambda: _say_ready(host, port)), host, port),
             log_level="warning",
             access_log=False,
             server_header=False,
@@ -44,9 +48,13 @@ def serve(given: Given, host: str, port: int) -> None:
             timeout_graceful_shutdown=_ENDS_S,
         )
         listening.listen()  # who opens the address at once must wait, and not be refused
-        name = f"[{host}]" if ":" in host else host
-        print(f"The page is at http://{name}:{port}/ (Ctrl-C ends it)", flush=True)
         uvicorn.Server(config).run(sockets=[listening])
+
+
+def _say_ready(host: str, port: int) -> None:
+    """Say where the page is; by now the server heeds Ctrl-C."""
+    name = f"[{host}]" if ":" in host else host
+    print(f"The page is at http://{name}:{port}/ (Ctrl-C ends it)", flush=True)
 
 
 def _listening(host: str, port: int) -> socket.socket:

@@ -53,7 +53,13 @@ class Served:
         return 1024 * int(next(line for line in lines if line.startswith("RssAnon")).split()[1])
 
 
-_SERVE = "from skyline.cli import main; main()"
+# Tests that a shell runs in the background would have children that ignore Ctrl-C.
+_SERVE = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from skyline.cli import main
+main()
+"""
 SIZES = {"wide": (1280, 800), "tall": (800, 1100)}
 
 
