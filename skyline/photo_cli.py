@@ -11,7 +11,7 @@ import typer
 
 from skyline.console import Scheduler, Workers, complain, parse_bounds, runner_of
 from skyline.describe import describe_match
-from skyline.errors import InputError, SkylineError
+from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.matching import Narrowing
 from skyline.matching.match_config import MatchConfig
 from skyline.photo import Projection, extract_photo, write_overlay, write_trace
@@ -116,6 +116,7 @@ def match(
 ) -> None:
     """Find where photos were taken and in which direction the camera looked."""
     exports = export or []
+    _check_queries(query)
     _check_outputs(exports, [store, *query])
     for path in exports:
         check_export(path)
@@ -139,7 +140,7 @@ def match(
             found = match_many(runner, asked, query, reading, top, narrowing)
         for path, result in zip(query, found, strict=True):
             if isinstance(result, SkylineError):
-                complain(str(result))
+                _say_failed(path, result, as_json)
                 failed = result.exit_code
                 continue
             results.append((path, result))
@@ -219,6 +220,18 @@ def _numbers(name: str, text: str | None, wanted: str, count: int) -> tuple[floa
     if len(values) != count:
         raise InputError(f"--{name} is `{text}`; expected {count} numbers {wanted}")
     return values
+
+
+def _check_queries(queries: Sequence[Path]) -> None:
+    """Raise `MissingFileError` where there is nothing to match, before a store is opened for it."""
+    if not any(path.exists() for path in queries):
+        raise MissingFileError(f"{queries[0]} does not exist; expected a photo, a mask or a trace")
+
+
+def _say_failed(path: Path, error: SkylineError, as_json: bool) -> None:
+    complain(str(error))
+    if as_json:
+        typer.echo(json.dumps({"query": str(path), "error": str(error)}))
 
 
 def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:

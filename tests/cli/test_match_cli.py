@@ -24,11 +24,12 @@ def test_extract_then_match_the_trace(run, store, photo, tmp_path):
     record = json.loads(found.out)
     assert set(record) == {"query", "answer", "candidates", "seconds"}
     assert set(record["answer"]) == {
-        "easting", "northing", "lon", "lat", "heading_deg", "pitch_deg", "roll_deg", "fov_deg",
-        "score", "confidence", "refined",
+        "easting", "northing", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg", "pitch_deg",
+        "roll_deg", "fov_deg", "score", "confidence", "refined",
     }  # fmt: skip
     assert record["answer"] == record["candidates"][0]
     assert record["answer"]["refined"] is True
+    assert 0.0 < record["answer"]["radius_m"] < 100.0
     found = run("match", store, trace, "--fov-deg", "60", "--min-confidence", "1", "--json")
     record = json.loads(found.out)
     assert record["answer"] is None
@@ -179,7 +180,10 @@ def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path
     command = ["match", store, photo, text, photo, "--fov-deg", "60", "--no-refine"]
     done = run(*command, "--json", "--export", geojson, *workers)
     assert done.code == 2
-    assert [json.loads(line)["query"] for line in done.out.splitlines()] == [str(photo)] * 2
+    found = [json.loads(line) for line in done.out.splitlines()]
+    assert [one["query"] for one in found] == [str(photo), str(text), str(photo)]
+    assert found[1].keys() == {"query", "error"}
+    assert "text.jpg" in found[1]["error"]
     assert re.fullmatch(r"error: .*text\.jpg.*\n", done.err)
     assert json.loads(geojson.read_text())["features"]
 
