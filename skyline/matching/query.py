@@ -10,7 +10,7 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError
 
 _FOV_DEVIATIONS = 4.0
-_LEAST_FOV_SD_DEG = 0.01
+"""To either side of the one that is given."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,9 +94,12 @@ class QueryRays:
     ) -> "QueryRays":
         """Make rays whose field of view is about the one that they were made with.
 
-        Its deviation is a share ``slack`` of it, and four deviations about it are searched.
+        Its deviation is a share ``slack`` of it, and four deviations about it are searched; without
+        slack it is just that.
         """
-        sd_deg = max(slack * fov_deg, _LEAST_FOV_SD_DEG)
+        if slack == 0.0:
+            return cls(u, v, weight, fov_deg)
+        sd_deg = slack * fov_deg
         widest_deg = min(fov_deg + _FOV_DEVIATIONS * sd_deg, 0.5 * (fov_deg + 180.0))
         narrowest_deg = max(fov_deg - _FOV_DEVIATIONS * sd_deg, 0.5 * fov_deg)
         return cls(u, v, weight, fov_deg, (narrowest_deg, widest_deg), sd_deg)

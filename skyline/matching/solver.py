@@ -420,20 +420,20 @@ class Solver:
     def _stepped(self, fit: Fit, linear: Linear, judged: Judged, step_m: Float64Array) -> Fit:
         """Take one step, within the bounds of the field of view and of the eye's height."""
         miss = np.nan_to_num(linear.residual_rad)[..., np.newaxis]
-        height_m = fit.state[:, EYE_HEIGHT]
-        # What draws a state towards what is usual, and what only damps the step.
+        # What draws a state back: to where the curve was seen, and to what is usual.
+        height_m, step_m = fit.state[:, EYE_HEIGHT], np.maximum(step_m, _NO_STEP_M)
         prior = np.tile(self._prior, (len(step_m), 1))
+        prior[:, [EAST, NORTH]] = step_m[:, np.newaxis] ** -2
         prior[:, EYE_HEIGHT] = self.config.terrain_weight * self._eye.precision(height_m)
-        pull = prior * fit.state
-        pull[:, EYE_HEIGHT] = prior[:, EYE_HEIGHT] * (height_m - self._eye.usual_m)
-        damping = np.full((len(step_m), 7), _DAMPING_RAD**-2)
-        damping[:, _MOVES] = np.maximum(step_m, _NO_STEP_M)[:, np.newaxis] ** -2
-        damping[:, EYE_HEIGHT] *= _UPWARD**-2
-        drawn = damping[:, :EYE_HEIGHT] * fit.state[:, :EYE_HEIGHT]
-        pull[:, :EYE_HEIGHT] += drawn
+        off = fit.state.copy()
+        off[:, EYE_HEIGHT] -= self._eye.usual_m
+        # What makes a step shorter, wherever it leads.
+        damping = np.zeros_like(prior)
+        damping[:, EYE_HEIGHT] = (_UPWARD * step_m) ** -2
+        damping[:, HEADING:] = _DAMPING_RAD**-2
         normal = judged.product(linear.jacobian, linear.jacobian)
         normal += (prior + damping)[:, np.newaxis] * np.eye(7)
-        gradient = judged.product(linear.jacobian, miss)[..., 0] + pull
+        gradient = judged.product(linear.jacobian, miss)[..., 0] + prior * off
         state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
         bounded = np.clip(state, self._low, self._high)
         outside = bounded != state

@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -124,12 +123,7 @@ class Matcher:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
 
     def match(
@@ -281,8 +275,8 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
 def at_bound(candidates: Sequence[Candidate], rays: QueryRays) -> str | None:
     """Say that the field of view of the best candidate is the least or greatest searched, if so."""
     low_deg, high_deg = rays.fov_bounds_deg
-    found_deg = candidates[0].fov_deg
-    if low_deg == high_deg or low_deg + _AT_BOUND_DEG < found_deg < high_deg - _AT_BOUND_DEG:
+    found_deg, near_deg = candidates[0].fov_deg, _AT_BOUND_SHARE * (high_deg - low_deg)
+    if low_deg == high_deg or low_deg + near_deg < found_deg < high_deg - near_deg:
         return None
     return (
         f"the best place needs a field of view of {found_deg:.1f} degrees, and {low_deg:.1f} to "
@@ -368,7 +362,8 @@ def _given_terrain(header: StoreHeader, dem: Dem | None) -> HeightField | None:
 
 
 _SHOWN_EYES = 20_000
-_AT_BOUND_DEG = 0.05
+_AT_BOUND_SHARE = 1e-3
+"""Of the range searched: a fit is held to its bound but for rounding."""
 
 
 def _some_eyes(store: Store) -> Viewpoints:

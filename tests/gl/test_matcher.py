@@ -98,6 +98,21 @@ def test_queries_are_found_where_they_were_taken(store, terrain, queries):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("slack", "given", "answered"), [(0.0, 1.0, True), (0.025, 1.0, True), (0.01, 1.2, False)]
+)
+def test_a_field_of_view_at_the_end_of_what_is_searched_is_no_answer(
+    store, terrain, queries, slack, given, answered
+):
+    query = queries[3]
+    skyline = query.skyline.with_fov(given * query.truth.fov_deg)
+    with Matcher(store, terrain, config=replace(BOLD, fov_slack=slack)) as matcher:
+        found = matcher.match(skyline)
+    assert found.candidates
+    assert (found.answer is not None) == answered
+    assert answered or "--fov-deg" in found.refusal
+
+
 def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
     found = {}
     with open_store(store) as opened:

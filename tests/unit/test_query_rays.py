@@ -27,6 +27,29 @@ def test_a_known_field_of_view_is_its_own_range() -> None:
     assert _rays((50.0, 70.0)).with_fov(55.0).fov_bounds_deg == (50.0, 70.0)
 
 
+def test_a_field_of_view_is_searched_about_the_one_given() -> None:
+    rays = _rays()
+    about = QueryRays.about(rays.u, rays.v, rays.weight, 60.0, 0.025)
+    assert about.fov_sd_deg == pytest.approx(1.5)
+    assert about.fov_bounds_deg == pytest.approx((54.0, 66.0))
+    # The deviation of log(tan(fov / 2)), by differences.
+    wider, narrower = (np.log(np.tan(np.radians(fov / 2.0))) for fov in (60.001, 59.999))
+    assert about.log_scale_sd == pytest.approx(1.5 * (wider - narrower) / 0.002, rel=1e-5)
+    assert about.with_fov(58.0).fov_sd_deg == np.inf
+    wide = QueryRays.about(rays.u, rays.v, rays.weight, 170.0, 0.5)
+    assert 0.0 < wide.fov_bounds_deg[0] < 170.0 < wide.fov_bounds_deg[1] < 180.0
+
+
+def test_a_field_of_view_without_slack_is_known() -> None:
+    rays = _rays()
+    assert QueryRays.about(rays.u, rays.v, rays.weight, 60.0, 0.0).fov_bounds_deg == (60.0, 60.0)
+
+
+def test_a_deviation_that_is_none_is_refused() -> None:
+    with pytest.raises(InputError, match="deviation"):
+        QueryRays(np.zeros(1), np.zeros(1), np.ones(1), 60.0, (50.0, 70.0), 0.0)
+
+
 @pytest.mark.parametrize("fov_range_deg", [(61.0, 70.0), (50.0, 59.0), (0.0, 70.0), (50.0, 180.0)])
 def test_a_range_without_the_field_of_view_is_refused(fov_range_deg: tuple[float, float]) -> None:
     with pytest.raises(InputError, match="range"):
