@@ -177,7 +177,7 @@ def _find_border(evidence: Evidence) -> tuple[Border, BoolArray]:
     strict = _settle(evidence, colours, start, _STRICT_CROSSING_PRICE)
     for price in _CROSSING_PRICES:
         border = _settle(evidence, colours, start, price)
-        agreed = np.abs(border.row - strict.row) <= rival_distance(len(evidence.edges))
+        agreed = np.abs(border.row - strict.row) <= _rival_distance(len(evidence.edges))
         if agreed.mean() >= _MIN_AGREEMENT:
             return replace(border, row=topmost(evidence.edges, border.row)), agreed
     return strict, np.zeros(len(start), dtype=bool)
@@ -217,7 +217,7 @@ def topmost(edges: Float32Array, row: IntArray) -> IntArray:
     return shortest_path(np.where(near, cost, np.float32(FORBIDDEN)), _TOPMOST_STEPS)
 
 
-def rival_distance(height: int) -> int:
+def _rival_distance(height: int) -> int:
     """Return the rows beyond which another path is not the same skyline."""
     return max(3, round(_RIVAL_DISTANCE_SHARE * height))
 
@@ -248,7 +248,7 @@ def _confidence(evidence: Evidence, border: Border) -> Float64Array:
     height = len(evidence.edges)
     away = np.abs(np.arange(height)[:, np.newaxis] - border.row)
     detour = detours(border.cost, STEPS)
-    rival = np.where(away > rival_distance(height), detour, np.inf).min(axis=0)
+    rival = np.where(away > _rival_distance(height), detour, np.inf).min(axis=0)
     margin = 1.0 - np.exp(-rival / _CLEAR_MARGIN)
     confidence = ndimage.median_filter(clearness(evidence, border) * margin, 5, mode="nearest")
     outside = (border.row <= 2) | (border.row >= height - 3)

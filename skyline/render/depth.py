@@ -6,7 +6,6 @@ quantized: within half a pixel of the exact skyline, about 0.3 px rms.
 """
 
 from dataclasses import dataclass
-from types import TracebackType
 
 import moderngl
 import numpy as np
@@ -157,12 +156,7 @@ class DepthRenderer:
     def __enter__(self) -> "DepthRenderer":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
 
     def _render_batch(self, viewpoints: Viewpoints) -> Views:

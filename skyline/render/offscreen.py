@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from ctypes import POINTER, c_char_p, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass
 from functools import partial
-from types import TracebackType
 from typing import Any, Protocol
 
 from skyline.errors import ContextError
@@ -76,12 +75,7 @@ class OffscreenContext(Protocol):
 
     def __enter__(self) -> object: ...
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None: ...
+    def __exit__(self, *_: object) -> None: ...
 
     def release(self) -> None:
         """Destroy the context; harmless when repeated."""
@@ -263,12 +257,7 @@ class EglContext:
             raise self._egl.failure("eglMakeCurrent without a surface")
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._egl.make_current(self._display, None, None, None)
 
     def release(self) -> None:
@@ -328,12 +317,7 @@ class OsMesaContext:
             raise ContextError("OSMesaMakeCurrent failed")
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._make_current(None, None, _GL_UNSIGNED_BYTE, 0, 0)
 
     def release(self) -> None:

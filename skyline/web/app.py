@@ -205,12 +205,11 @@ class _Pages:
     async def _match(self, request: Request) -> Response:
         """Match a photo; the answer comes when the match has ended, however it did."""
         session, photo, asked = self._session(request), self._photo(request), await _json(request)
-        if photo.query is None:
-            raise InputError("the photo is not open yet; wait until its skyline is found")
+        query = photo.known()
         before = session.matches.get(photo.id)
         if before is not None and not before.done:
             raise InputError("this photo is being matched; wait, or cancel that match")
-        match = Match(photo, query_of(asked, photo.query), narrowing_of(asked))
+        match = Match(photo, query_of(asked, query), narrowing_of(asked))
         session.matches[photo.id] = match
         photo.state = "matching"
         await self._engine.work("matches", match.run, self._engine)

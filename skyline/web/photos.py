@@ -84,11 +84,12 @@ class PagePhoto:
 
     def lines(self) -> bytes:
         """Return rows and confidences of the skyline as float32, those not trusted NaN and 0."""
-        query = self._known()
+        query = self.known()
         both = np.stack([query.row_px, query.confidence])
         return both.astype("<f4").tobytes()
 
-    def _known(self) -> QuerySkyline:
+    def known(self) -> QuerySkyline:
+        """Return the skyline; raises `InputError` while the photo is not open yet."""
         if self.query is None:
             raise InputError(f"{self.name} is not open yet; wait until its skyline is found")
         return self.query

@@ -9,7 +9,6 @@ from skyline import (
     Candidate,
     InputError,
     Matched,
-    QuerySkyline,
     export_matches,
     report_matches,
     write_located,
@@ -64,7 +63,7 @@ class Saving:
 
     def trace(self, path: Path) -> None:
         """Write the skyline."""
-        write_trace(self._query, path)
+        write_trace(self._photo.known(), path)
 
     def located(self, path: Path) -> None:
         """Write a copy of the photo that says where it was taken."""
@@ -84,19 +83,13 @@ class Saving:
             if folder.is_dir():
                 folder.rmdir()
 
-    @property
-    def _query(self) -> QuerySkyline:
-        if self._photo.query is None:
-            raise InputError("the photo is not open yet; wait until its skyline is found")
-        return self._photo.query
-
     def _matched(self) -> Matched:
         result = self._photo.result
         read, _ = self._opened.open(self._photo)
         by_hand = result is None or self._candidates[0] not in result.candidates
         return Matched(
             self._photo.name,
-            self._query,
+            self._photo.known(),
             self._candidates,
             0.0 if result is None else result.seconds,
             by_hand or (result is not None and result.answer is not None),

@@ -93,7 +93,7 @@ def calibrate(
     data: Annotated[
         Path, typer.Argument(metavar="DATA", help="A folder with sierra, rofental and davos.")
     ],
-    queries: Annotated[int, typer.Option(help="Of each of six kinds, on each terrain.")] = 25,
+    queries: Annotated[int, typer.Option(help="Of each of six kinds, on each terrain.")] = 20,
     model: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write the models: what skyline/matching has learned."),

@@ -86,14 +86,22 @@ def _told_by(
             for seen, kind in kinds:
                 seed += 1
                 made = make_queries(seen, area, queries, seed, replace(kind, fov_error=0.05))
-                for example in examples(matcher, made):
-                    for name, one in example.items():
-                        told[name].append(one)
+                _tell(told, matcher, made)
             for made in strangers:
-                for example in examples(matcher, made):
-                    for name, one in example.items():
-                        told[name].append(replace(one, right=False))
+                _tell(told, matcher, made, may_be_right=False)
     return told
+
+
+def _tell(
+    told: dict[str, list[Example]],
+    matcher: FullMatcher,
+    queries: tuple[SyntheticQuery, ...],
+    may_be_right: bool = True,
+) -> None:
+    """Add examples of queries; strangers are never right."""
+    for example in examples(matcher, queries):
+        for name, one in example.items():
+            told[name].append(replace(one, right=one.right and may_be_right))
 
 
 @contextmanager
