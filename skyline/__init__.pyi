@@ -31,6 +31,7 @@ from .photo import (
 )
 from .pipeline.build import BuildResult, build_uniform, render_to_store, render_views
 from .pipeline.config import RenderConfig
+from .pipeline.local_horizons import horizon
 from .pipeline.match import Matcher, MatchResult
 from .pipeline.places import PlaceConfig, build_places
 from .pipeline.reports import report_matches
@@ -43,6 +44,7 @@ from .report.located import write_located
 from .report.matched import Matched
 from .report.peaks import Peaks, read_peaks
 from .report.tiles import ReliefTiles
+from .solar import LocalHorizons, sky_view_factor
 from .store import Locations, PlaceMap, RowCoding, Store, StoreHeader, open_store
 from .terrain.dem import DemOptions, read_dem
 from .terrain.heightfield import HeightField, Provenance
@@ -65,6 +67,7 @@ __all__ = [
     "FullConfig",
     "HeightField",
     "InputError",
+    "LocalHorizons",
     "Locations",
     "MatchConfig",
     "MatchResult",
@@ -104,6 +107,7 @@ __all__ = [
     "build_places",
     "build_uniform",
     "export_matches",
+    "horizon",
     "open_store",
     "read_dem",
     "read_peaks",
@@ -113,6 +117,7 @@ __all__ = [
     "render_to_store",
     "render_views",
     "report_matches",
+    "sky_view_factor",
     "stand_on",
     "to_geodataframe",
     "write_located",

@@ -12,6 +12,7 @@ from skyline.pipeline.build import (
 )
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
+from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizon, horizons_of
 from skyline.pipeline.match import Matcher, MatchResult
 from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.pipeline.places import PlaceConfig, build_places
@@ -20,6 +21,7 @@ from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.shards import ShardPlan, build_sharded
 
 __all__ = [
+    "DEFAULT_STEP_DEG",
     "FULL",
     "MATCHERS",
     "BuildResult",
@@ -36,6 +38,8 @@ __all__ = [
     "build_sharded",
     "build_uniform",
     "explain_scene",
+    "horizon",
+    "horizons_of",
     "local_runner",
     "match_many",
     "matched",

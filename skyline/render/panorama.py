@@ -108,6 +108,7 @@ class PanoramaRenderer(ColumnRenderer):
         )
 
     def _turned(self, values: NDArray[_Scalar], bins: Int64Array) -> NDArray[_Scalar]:
-        """Return (4 N, B/4) values of views in the order of bins (N, B): the first begins before 0."""
+        """Return (4 N, B/4) values of views in the order of bins (N, B)."""
+        # The first view begins an eighth of a turn before bin 0.
         turned = values.reshape(-1, self.bins)
         return np.take_along_axis(turned, (bins + self.bins // 8) % self.bins, axis=1)
