@@ -83,8 +83,10 @@ class PanoramaRenderer(ColumnRenderer):
             `skyline.horizons.bin_azimuths_rad`.
         """
         count, step_rad = len(viewpoints), 2.0 * np.pi / self.bins
-        first = 0.5 * step_rad if first_azimuth_rad is None else first_azimuth_rad
-        first_bin = np.floor(np.broadcast_to(first, count) / step_rad)
+        first = np.full(count, 0.5 * step_rad)
+        if first_azimuth_rad is not None:
+            first[:] = first_azimuth_rad
+        first_bin = np.floor(first / step_rad)
         # Within half a step a column stays in its view of 90 degrees.
         turn = np.repeat(first - (first_bin + 0.5) * step_rad, len(HEADINGS))
         heading = np.tile(np.array(HEADINGS, dtype=np.uint8), count)

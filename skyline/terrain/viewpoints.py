@@ -85,7 +85,8 @@ def _ground_m(field: HeightField, easting: Float64Array, northing: Float64Array)
         raise OffMapError(
             f"viewpoint {first} (lon {lon:.5f}, lat {lat:.5f}; easting {easting[first]:.2f}, "
             f"northing {northing[first]:.2f}) is {place}; the DEM covers easting {west:.1f} "
-            f"to {east:.1f}, northing {south:.1f} to {north:.1f}: move it or remove it ({missing.size} such)"
+            f"to {east:.1f}, northing {south:.1f} to {north:.1f}: move it "
+            f"or remove it ({missing.size} such)"
         )
     return ground
 
