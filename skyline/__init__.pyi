@@ -33,6 +33,7 @@ from .pipeline.build import BuildResult, build_uniform, render_to_store, render_
 from .pipeline.config import RenderConfig
 from .pipeline.local_horizons import horizon
 from .pipeline.match import Matcher, MatchResult
+from .pipeline.panorama import PanoramaConfig, save_panorama
 from .pipeline.places import PlaceConfig, build_places
 from .pipeline.reports import report_matches
 from .pipeline.tables import to_geodataframe
@@ -77,6 +78,7 @@ __all__ = [
     "Narrowing",
     "NotedPlace",
     "OffMapError",
+    "PanoramaConfig",
     "Peaks",
     "Photo",
     "PlaceConfig",
@@ -117,6 +119,7 @@ __all__ = [
     "render_to_store",
     "render_views",
     "report_matches",
+    "save_panorama",
     "sky_view_factor",
     "stand_on",
     "to_geodataframe",

@@ -1,4 +1,4 @@
-"""The command line: ``skyline render build match extract serve info explain store dem`` ."""
+"""The command line: ``skyline COMMAND``."""
 
 import json
 from collections.abc import Mapping
@@ -315,6 +315,8 @@ app.command()(photo_cli.extract)
 app.command()(page_cli.serve)
 app.command()(horizon_cli.horizon)
 app.command()(horizon_cli.sun)
+app.command()(panorama_cli.panorama)
+app.command()(panorama_cli.peaks)
 
 
 @app.command()

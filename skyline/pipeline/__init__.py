@@ -15,6 +15,7 @@ from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizon, horizons_of
 from skyline.pipeline.match import Matcher, MatchResult
 from skyline.pipeline.matchers import FULL, MATCHERS
+from skyline.pipeline.panorama import PanoramaConfig, save_panorama
 from skyline.pipeline.places import PlaceConfig, build_places
 from skyline.pipeline.planned import PlannedResult, build_planned
 from skyline.pipeline.reports import matched, report_matches
@@ -27,6 +28,7 @@ __all__ = [
     "BuildResult",
     "MatchResult",
     "Matcher",
+    "PanoramaConfig",
     "PlaceConfig",
     "PlannedResult",
     "Progress",
@@ -48,4 +50,5 @@ __all__ = [
     "render_views",
     "report_matches",
     "save_depth_pictures",
+    "save_panorama",
 ]

@@ -1,6 +1,7 @@
-"""A labelled panorama of what is seen from a place."""
+"""Makes labelled panoramas of what is seen from a place."""
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ from skyline.geodesy import Curvature
 from skyline.render.horizon import HorizonRenderer
 from skyline.report.landscape import Landscape
 from skyline.report.panorama import PanoramaView, draw_panorama, encode_panorama
-from skyline.report.peaks import Peaks, visible_peaks
+from skyline.report.peaks import Peaks
+from skyline.report.sightings import visible_peaks
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
 
@@ -24,15 +26,42 @@ _SHELL_DEPTH = 0.07
 _LEAST_FOV_DEG = 5.0
 
 
+@dataclass(frozen=True, slots=True)
+class PanoramaConfig:
+    """What a panorama shows; by default all the way round, from north to north.
+
+    Attributes
+    ----------
+    heading_deg, fov_deg : float
+        The picture's middle, from true north, and its angle, 5 to 360 degrees.
+    eye_height_m : float
+        Above ground.
+    """
+
+    heading_deg: float = 180.0
+    fov_deg: float = 360.0
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+
+    def __post_init__(self) -> None:
+        if not (_LEAST_FOV_DEG <= self.fov_deg <= 360.0 and math.isfinite(self.heading_deg)):
+            raise InputError(
+                f"heading is {self.heading_deg:g} and field of view {self.fov_deg:g} degrees; "
+                f"expected a field of view of {_LEAST_FOV_DEG:g} to 360"
+            )
+
+    @property
+    def start_deg(self) -> float:
+        """The picture's left border."""
+        return (self.heading_deg - 0.5 * self.fov_deg) % 360.0
+
+
 def save_panorama(
     terrain: HeightField,
     lon: float,
     lat: float,
     path: str | Path,
     peaks: Peaks | None = None,
-    heading_deg: float = 180.0,
-    fov_deg: float = 360.0,
-    eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
+    config: PanoramaConfig | None = None,
 ) -> int:
     """Draw what is seen from a place, with the names of the peaks that are seen.
 
@@ -45,11 +74,7 @@ def save_panorama(
         ``.png``, ``.svg`` or ``.pdf``.
     peaks : Peaks, optional
         `skyline.read_peaks`.
-    heading_deg, fov_deg : float
-        The picture's middle, from true north, and its angle, 5 to 360 degrees; by default all the
-        way round from north to north.
-    eye_height_m : float
-        Above ground.
+    config : PanoramaConfig, optional
 
     Returns
     -------
@@ -62,20 +87,16 @@ def save_panorama(
     OffMapError
         The place is off the map or on a hole.
     InputError
-        Another suffix, an angle out of range, or a file that cannot be written.
+        Another suffix, or a file that cannot be written.
     ContextError
         No OpenGL context can be made.
     """
+    config = config or PanoramaConfig()
     path = Path(path)
     if path.suffix.lower() not in PANORAMA_SUFFIXES:
         raise InputError(f"{path} is no picture; expected {', '.join(PANORAMA_SUFFIXES)}")
-    if not (_LEAST_FOV_DEG <= fov_deg <= 360.0 and math.isfinite(heading_deg)):
-        raise InputError(
-            f"heading is {heading_deg:g} and field of view {fov_deg:g} degrees; expected a field "
-            f"of view of {_LEAST_FOV_DEG:g} to 360"
-        )
-    eye = stand_on(terrain, *terrain.frame.from_lonlat(lon, lat), eye_height_m)
-    view = panorama_view(terrain, eye, peaks, heading_deg, fov_deg)
+    eye = stand_on(terrain, *terrain.frame.from_lonlat(lon, lat), config.eye_height_m)
+    view = panorama_view(terrain, eye, peaks, config)
     write_whole(path, encode_panorama(draw_panorama(view), path.suffix[1:].lower()))
     return len(view.sightings)
 
@@ -84,13 +105,12 @@ def panorama_view(
     terrain: HeightField,
     eye: Viewpoints,
     peaks: Peaks | None,
-    heading_deg: float,
-    fov_deg: float,
+    config: PanoramaConfig,
 ) -> PanoramaView:
     """Render what one eye sees and find its peaks; see `save_panorama`."""
-    start_deg = (heading_deg - 0.5 * fov_deg) % 360.0
+    start_deg, fov_deg = config.start_deg, config.fov_deg
     convergence_deg = float(terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0]))
-    off_deg = 90.0 * np.array(HEADINGS) + convergence_deg - heading_deg
+    off_deg = 90.0 * np.array(HEADINGS) + convergence_deg - config.heading_deg
     away_deg = np.abs((off_deg + 180.0) % 360.0 - 180.0)
     headings = np.flatnonzero(away_deg <= 45.0 + 0.5 * fov_deg + 1.0)
     curvature = Curvature()

@@ -1,4 +1,4 @@
-"""The terrain one eye sees: how far away it is at every azimuth and elevation angle, and its ridges.
+"""The terrain one eye sees: how far away it is in every direction, and its ridges.
 
 A renderer's shells are the skylines of adjoining ranges of distance. The highest of the nearer ones
 hides what is farther, so that between two of them the eye sees the farther shell.
@@ -72,7 +72,7 @@ class Landscape:
     @property
     def skyline_deg(self) -> Float64Array:
         """The highest elevation angle in each column, (C,)."""
-        return self.top_deg[-1]
+        return np.asarray(self.top_deg[-1])
 
     @property
     def is_seen(self) -> BoolArray:

@@ -1,4 +1,4 @@
-"""A panorama to print: shaded terrain that fades with distance, ridges, a compass, named summits."""
+"""A panorama to print: terrain that fades with distance, ridges, a compass, named summits."""
 
 import io
 from collections.abc import Sequence
@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib import colors
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from scipy.ndimage import map_coordinates
 
 from skyline.arrays import Float64Array
 from skyline.report.labels import place_labels
 from skyline.report.landscape import Landscape
-from skyline.report.peaks import Sighting
+from skyline.report.sightings import Sighting
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -122,12 +122,13 @@ class _Row:
 
     @classmethod
     def of(cls, view: PanoramaView, ends: tuple[float, float], figure: Figure) -> "_Row":
-        names = []
+        names, span_deg = [], view.span_deg(ends)
         for one, azimuth in view.within(ends):
             label = f"{one.label}  {one.distance_m / 1000.0:.1f} km"
             summit_deg = float(np.degrees(np.arctan(one.elevation_tan)))
-            names.append((label, azimuth, summit_deg, *_extent_in(figure, label)))
-        return cls(ends, view.span_deg(ends), names)
+            if summit_deg > span_deg[0]:
+                names.append((label, azimuth, summit_deg, *_extent_in(figure, label)))
+        return cls(ends, span_deg, names)
 
     @property
     def in_a_deg(self) -> float:
@@ -194,16 +195,17 @@ def _shaded(
     row, col = terrain.to_grid(
         eye.easting_m[0] + away * np.sin(grid), eye.northing_m[0] + away * np.cos(grid)
     )
-    rows = np.clip(np.rint(row).astype(np.int64), 1, terrain.rows - 2)
-    cols = np.clip(np.rint(col).astype(np.int64), 1, terrain.cols - 2)
-    heights = terrain.heights_m
-    east = (heights[rows, cols + 1] - heights[rows, cols - 1]) / (2.0 * terrain.spacing_east_m)
-    north = (heights[rows - 1, cols] - heights[rows + 1, cols]) / (2.0 * terrain.spacing_north_m)
+    north, east = (
+        map_coordinates(slope, [row, col], order=1, mode="nearest")
+        for slope in np.gradient(
+            terrain.heights_m, -terrain.spacing_north_m, terrain.spacing_east_m
+        )
+    )
     towards = grid + np.pi - _LIGHT_ASIDE
     lit = np.sin(_LIGHT_UP) - np.cos(_LIGHT_UP) * (east * np.sin(towards) + north * np.cos(towards))
     light = np.nan_to_num(np.clip(lit / np.sqrt(1.0 + east**2 + north**2), 0.0, 1.0), nan=0.5)
     haze = _haze(away, reach_m)[..., np.newaxis]
-    lighted = _ROCK * (0.45 + 0.95 * light[..., np.newaxis])
+    lighted = _ROCK * (0.25 + 1.25 * light[..., np.newaxis])
     colour = np.clip((1.0 - haze) * lighted + haze * _HAZE, 0.0, 1.0)
     return np.concatenate([colour, ground[..., np.newaxis]], axis=-1)
 
@@ -214,7 +216,7 @@ def _reach_m(landscape: Landscape) -> float:
 
 
 def _haze(distance_m: Float64Array, reach_m: float) -> Float64Array:
-    return np.asarray(0.9 * (1.0 - np.exp(-2.5 * distance_m / reach_m)))
+    return np.asarray(0.85 * (1.0 - np.exp(-2.0 * distance_m / reach_m)))
 
 
 def _draw_compass(axis: Axes, ends: tuple[float, float]) -> None:
@@ -253,8 +255,16 @@ def _draw_names(axis: Axes, row: _Row) -> None:
             linewidth=0.45,
             clip_on=False,
         )
-        style = {"rotation": 90, "ha": "center", "va": "bottom", "fontsize": _FONT_PT}
-        axis.text(middle, foot + 0.04 / in_a_deg, text, gid=SUMMIT, **style)
+        axis.text(
+            middle,
+            foot + 0.04 / in_a_deg,
+            text,
+            gid=SUMMIT,
+            rotation=90,
+            ha="center",
+            va="bottom",
+            fontsize=_FONT_PT,
+        )
 
 
 def _extent_in(figure: Figure, text: str) -> tuple[float, float]:

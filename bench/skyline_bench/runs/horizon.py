@@ -19,6 +19,7 @@ from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizons_of
 from skyline.render.panorama import PanoramaRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.views import Views
 from skyline_bench.measuring.timing import in_turns
 from skyline_bench.peers import embree, grass
 from skyline_bench.truth import oracle
@@ -87,7 +88,7 @@ def measure(terrain: HeightField, config: HorizonConfig) -> list[Row]:
             key = "Embree rays", f"bisected to {np.degrees(0.5 * way.bracket_tan):.2g} degrees"
             works[key] = lambda way=way: peer.render(eyes, way)  # type: ignore[misc]
             views = peer.render(some, way)
-            off[key] = elevation_deg(views.elevation_tan, u) - elevation_deg(truth.elevation_tan, u)
+            off[key] = _angles_deg(views, u) - _angles_deg(truth, u)
     taken = in_turns(list(works.values()), config.repeats)
     rows = [
         _row(key, len(eyes), timing.seconds / len(eyes), timing.cpu_seconds / len(eyes), off[key])
@@ -129,8 +130,12 @@ def _true_deg(
         heading = np.floor((grid_deg[order] + 45.0) / 90.0).astype(int)
         away = np.radians(grid_deg[order] - 90.0 * heading).reshape(4, -1)
         views = oracle.skyline_at(terrain, eyes[index : index + 1], np.tan(away[0]), curvature)
-        true_deg[index, order] = elevation_deg(views.elevation_tan, np.tan(away[0])).ravel()
+        true_deg[index, order] = _angles_deg(views, np.tan(away[0])).ravel()
     return true_deg
+
+
+def _angles_deg(views: Views, u: Float64Array) -> Float64Array:
+    return elevation_deg(views.elevation_tan.astype(np.float64), u)
 
 
 def _row(
