@@ -111,7 +111,7 @@ class Landscape:
             found[ground, pixel] = near + np.clip(share, 0.0, 1.0) * (far - near)
         return found
 
-    def ridges(self, spacing_m: float) -> list[tuple[float, Float64Array]]:
+    def ridges(self, spacing_m: float) -> tuple[Float64Array, Float64Array]:
         """Return the lines behind which the terrain drops out of sight, the farthest first.
 
         Parameters
@@ -121,16 +121,17 @@ class Landscape:
 
         Returns
         -------
-        list of (distance_m, line)
-            One a shell: where the shell begins, and elevation angles (C,), NaN where it has no
-            ridge.
+        begins_m : (K,) float64
+            Where the shells begin.
+        lines_deg : (K, C) float64
+            Elevation angles, NaN where a shell has no ridge.
         """
         seen = self.is_seen
         behind = np.full(self.top_deg.shape[1], np.inf)
-        lines = []
+        lines = np.full(self.top_deg.shape, np.nan)
         for shell in range(len(seen))[::-1]:
             least = _RIDGE_JUMP * self.top_m[shell] + _RIDGE_SAMPLES * spacing_m
-            line = np.where(seen[shell] & (behind > least), self.top_deg[shell], np.nan)
-            lines.append((float(self.nearest_m[shell].min()), line))
+            ridge = seen[shell] & (behind > least)
+            lines[shell, ridge] = self.top_deg[shell, ridge]
             behind = np.where(seen[shell], self.nearest_m[shell], behind)
-        return lines
+        return self.nearest_m.min(axis=1)[::-1], lines[::-1]

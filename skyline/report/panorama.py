@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import map_coordinates
 
 from skyline.arrays import Float64Array
@@ -175,11 +177,15 @@ def _draw_row(axis: Axes, view: PanoramaView, row: _Row) -> None:
     )
     there = view.landscape.azimuth_deg
     shown = (there >= begin - 0.2) & (there <= end + 0.2)
-    for away_m, line in view.landscape.ridges(view.terrain.spacing_m):
-        if np.isfinite(line[shown]).any():
-            haze = _haze(np.array(away_m), reach_m)
-            colour = (1.0 - haze) * 0.35 * _ROCK + haze * 0.72 * _HAZE
-            axis.plot(there[shown], line[shown], color=colour, linewidth=0.7)
+    away_m, lines = view.landscape.ridges(view.terrain.spacing_m)
+    haze = _haze(away_m, reach_m)[:, np.newaxis]
+    axis.add_collection(
+        LineCollection(
+            [np.stack([there[shown], line[shown]], axis=1) for line in lines],
+            colors=(1.0 - haze) * 0.35 * _ROCK + haze * 0.72 * _HAZE,
+            linewidths=0.7,
+        )
+    )
     axis.set(xlim=(begin, end), ylim=(low, high), facecolor=_SKY)
     _draw_compass(axis, (begin, end))
 
@@ -226,8 +232,18 @@ def _draw_compass(axis: Axes, ends: tuple[float, float]) -> None:
     ticks = np.arange(np.ceil(ends[0] / step) * step, ends[1] + 1e-9, step)
     names = [f"{tick % 360:.0f}°\n{_POINTS.get(int(tick) % 360, '')}" for tick in ticks]
     axis.set_xticks(ticks, names)
-    axis.set_xticks(np.arange(np.ceil(ends[0] / fine) * fine, ends[1], fine), minor=True)
+    # Hundreds of ticks as such would take a second.
+    axis.vlines(
+        np.arange(np.ceil(ends[0] / fine) * fine, ends[1], fine),
+        -0.012,
+        0.0,
+        transform=axis.get_xaxis_transform(),
+        color="black",
+        linewidth=0.5,
+        clip_on=False,
+    )
     axis.tick_params(labelsize=_FONT_PT)
+    axis.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
     axis.yaxis.set_major_formatter("{x:.0f}°")
     for side in ("top", "right", "left"):
         axis.spines[side].set_visible(False)
@@ -243,18 +259,13 @@ def _draw_names(axis: Axes, row: _Row) -> None:
         rows=1,
         gap_px=_NAMES_APART_IN,
     )
+    leaders = []
     for label in placed:
         text, azimuth, summit_deg, _, _ = row.names[label.index]
         middle = begin + 0.5 * (label.left_px + label.right_px) / in_a_deg
         high = row.span_deg[1]
         foot = high + 0.15 / in_a_deg
-        axis.plot(
-            [azimuth, azimuth, middle],
-            [summit_deg, high, foot],
-            color="#333333",
-            linewidth=0.45,
-            clip_on=False,
-        )
+        leaders.append([(azimuth, summit_deg), (azimuth, high), (middle, foot)])
         axis.text(
             middle,
             foot + 0.04 / in_a_deg,
@@ -265,6 +276,7 @@ def _draw_names(axis: Axes, row: _Row) -> None:
             va="bottom",
             fontsize=_FONT_PT,
         )
+    axis.add_collection(LineCollection(leaders, colors="#333333", linewidths=0.45, clip_on=False))
 
 
 def _extent_in(figure: Figure, text: str) -> tuple[float, float]:

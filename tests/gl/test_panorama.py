@@ -49,9 +49,10 @@ def test_the_nearer_wall_hides_the_plain_and_the_farther_one_stands_over_it():
 
 
 def test_ridges_are_where_the_terrain_drops_out_of_sight():
-    lines = Landscape.of(two_walls(), 0.0, 0.0).ridges(30.0)
-    assert [np.isfinite(line).all() for _, line in lines] == [True, False, True, False]
-    np.testing.assert_allclose(lines[2][1], 5.0, atol=1e-5)
+    begins_m, lines = Landscape.of(two_walls(), 0.0, 0.0).ridges(30.0)
+    assert np.isfinite(lines).all(axis=1).tolist() == [True, False, True, False]
+    assert begins_m[2] == pytest.approx(500.0, rel=0.001)
+    np.testing.assert_allclose(lines[2], 5.0, atol=1e-5)
 
 
 @pytest.fixture(scope="module")
