@@ -32,7 +32,7 @@ from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
-DEFAULT_LOSS = 0.12
+DEFAULT_LOSS = 0.2
 """Of views, for places lying apart; docs/accuracy.md has what others cost and find."""
 
 

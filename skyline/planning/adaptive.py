@@ -112,7 +112,7 @@ def price_of(loss: float, sample: Horizons) -> float:
         A loss outside (0, 1), or below that of the finest lattice.
     """
     if not 0.0 < loss < 1.0:
-        raise InputError(f"loss is {loss}; expected a share between 0 and 1, for example 0.12")
+        raise InputError(f"loss is {loss}; expected a share between 0 and 1, for example 0.2")
     lost = lost_shares(sample.distance_m, _SPACING_M)
     least = float(lost[:, -1].mean())
     if loss < least:

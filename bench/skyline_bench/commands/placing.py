@@ -52,7 +52,7 @@ def placing(
     ] = None,
     loss: Annotated[
         list[float] | None,
-        typer.Option(metavar="SHARE", help="Of planned places; may be repeated [0.27 0.18 0.12]."),
+        typer.Option(metavar="SHARE", help="Of planned places; may be repeated [0.35 0.27 0.2]."),
     ] = None,
     bounds: Annotated[
         str | None, typer.Option(metavar="W,S,E,N", help="Degrees; by default all.")

@@ -45,7 +45,7 @@ class PlacingConfig:
     """
 
     spacings_m: tuple[float, ...] = (320.0, 160.0, 80.0)
-    losses: tuple[float, ...] = (0.27, 0.18, 0.12)
+    losses: tuple[float, ...] = (0.35, 0.27, 0.2)
     bounds_deg: BoundsDeg | None = None
     queries: int = 150
     seed: int = 0
