@@ -27,9 +27,10 @@ from skyline.pipeline import (
     build_places,
     build_uniform,
     save_depth_pictures,
+    save_panorama,
 )
 from skyline.render.depth import DepthRenderer
-from skyline.report import Found, save_map, save_panorama
+from skyline.report import Found, save_map
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
@@ -130,10 +131,8 @@ def draw(
     """Save depth images, the panorama and the map."""
     first = stand_on(terrain, queries[0].easting_m, queries[0].northing_m)
     save_depth_pictures(terrain, first, out / "depth", RenderConfig())
-    with DepthRenderer(terrain) as renderer:
-        views = renderer.render(first)
-    convergence = float(terrain.frame.convergence_deg(first.easting_m, first.northing_m)[0])
-    save_panorama(views, convergence, out / "panorama.png")
+    lon, lat = terrain.frame.to_lonlat(first.easting_m, first.northing_m)
+    save_panorama(terrain, float(lon[0]), float(lat[0]), out / "panorama.png")
     found = []
     for query, result in zip(queries, results, strict=True):
         answer = result.answer

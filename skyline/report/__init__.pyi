@@ -4,7 +4,7 @@ from .maps import Found, save_map
 from .matched import Matched
 from .matches import write_match_geojson, write_match_report
 from .peaks import Peaks, read_peaks
-from .pictures import save_depth_images, save_panorama
+from .pictures import save_depth_images
 from .surroundings import Surroundings
 
 __all__ = [
@@ -21,7 +21,6 @@ __all__ = [
     "save_coverage_map",
     "save_depth_images",
     "save_map",
-    "save_panorama",
     "write_match_geojson",
     "write_match_report",
 ]
