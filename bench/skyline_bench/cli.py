@@ -8,7 +8,7 @@ from skyline_bench.commands.adaptive import uniform_adaptive
 from skyline_bench.commands.matching import matching
 from skyline_bench.commands.page import page
 from skyline_bench.commands.photos import photo, photo_quality, readme_picture
-from skyline_bench.commands.planning import planned_build, prediction_quality, table1
+from skyline_bench.commands.planning import prediction_quality, table1
 from skyline_bench.commands.scale import scale
 from skyline_bench.commands.search import accuracy_time, calibrate, retrieval_scale, strangers
 from skyline_bench.commands.skylines import (
@@ -33,7 +33,6 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Planning": {
         table1: "5 minutes",
         prediction_quality: "5 minutes",
-        planned_build: "10 minutes",
     },
     "Builds, stores and files": {
         sharded_build: "an hour",

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from scenes import field_of, fractal
+from skyline.prediction import predict
 
 from skyline.errors import InputError
-from skyline.prediction import predict
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.runs.prediction_quality import (

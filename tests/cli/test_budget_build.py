@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal
 
+from skyline.paper.planning.candidates import Spacing
+from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline import RenderConfig, build_planned
-from skyline.planning.candidates import Spacing
-from skyline.planning.plan import PlanConfig
 from skyline.store import amend_config, check_store, open_store
 
 BUDGET = 240

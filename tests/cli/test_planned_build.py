@@ -7,9 +7,9 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.errors import InputError
+from skyline.paper.planning.candidates import Spacing
+from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline import RenderConfig, build_planned
-from skyline.planning.candidates import Spacing
-from skyline.planning.plan import PlanConfig
 from skyline.store import open_store
 
 SMALL = Spacing(coarse_m=400.0, pitch_m=100.0, reach_m=200.0)

@@ -11,7 +11,7 @@ from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.march import ComputeMarcher, FragmentMarcher
 from skyline.terrain.viewpoints import stand_on
-from skyline.views import FLAG_HOLE, FLAG_TRUNCATED, ROW_FIELDS
+from skyline.views import FLAG_HOLE, FLAG_TRUNCATED, Views
 from skyline_bench.truth import oracle
 
 EXACT_PX = 0.001
@@ -44,7 +44,7 @@ def error_px(views, truth, width=640):
 
 
 def assert_same(first, second):
-    for name in ROW_FIELDS:
+    for name in Views.__slots__:
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes(), name
 
 

@@ -5,12 +5,12 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.camera import HEADINGS
-from skyline.coverage import CandidateGrid
 from skyline.errors import InputError
-from skyline.planning.budget import Outlook, covering_px, spaced_for
-from skyline.planning.candidates import Spacing, lay_out
-from skyline.planning.loop import plan
-from skyline.planning.plan import Oracles, PlanConfig
+from skyline.paper.planning.budget import Outlook, covering_px, spaced_for
+from skyline.paper.planning.candidates import Spacing, lay_out
+from skyline.paper.planning.coverage import CandidateGrid
+from skyline.paper.planning.loop import plan
+from skyline.paper.planning.plan import Oracles, PlanConfig
 from skyline.views import Views
 
 REACH = 6

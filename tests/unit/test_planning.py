@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal
 
-from skyline.coverage import CandidateGrid, Coverage, Problem
 from skyline.errors import InputError
-from skyline.planning.candidates import Spacing, lay_out
-from skyline.planning.loop import plan
-from skyline.planning.plan import Oracles, PlanConfig
-from skyline.planning.strategies import STRATEGIES
-from skyline.planning.verify import Checks, verify_coverage, wilson_interval
+from skyline.paper.planning.candidates import Spacing, lay_out
+from skyline.paper.planning.coverage import CandidateGrid, Coverage, Problem
+from skyline.paper.planning.loop import plan
+from skyline.paper.planning.plan import Oracles, PlanConfig
+from skyline.paper.planning.strategies import STRATEGIES
+from skyline.paper.planning.verify import Checks, verify_coverage, wilson_interval
 from skyline.views import Views
 from skyline_bench.truth.simulation import TABLE_1, Simulation, simulate
 

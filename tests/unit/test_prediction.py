@@ -6,10 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from prediction_scenes import WIDTH, U, layered, mountains, views_of
 from scenes import field_from
-
-from skyline.camera import columns_u
-from skyline.errors import InputError
-from skyline.paper.reprojection import displacements_m
 from skyline.prediction import predict
 from skyline.prediction.curves import (
     MAX_DEPTH_RATIO,
@@ -21,6 +17,10 @@ from skyline.prediction.curves import (
     flanks,
     seen_from,
 )
+
+from skyline.camera import columns_u
+from skyline.errors import InputError
+from skyline.paper.planning.reprojection import displacements_m
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import FLAG_NO_DATA, Views
 from skyline_bench.truth import oracle

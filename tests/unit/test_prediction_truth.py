@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from prediction_scenes import WIDTH, U, mountains, views_of
+from skyline.prediction import true_errors_px
 
 from skyline.errors import InputError
-from skyline.prediction import true_errors_px
 
 PX = 2.0 / WIDTH
 

@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from prediction_scenes import WIDTH, U, layered, mountains, views_of
 from scenes import field_from
+from skyline.prediction import PREDICTORS
 
 from skyline.camera import columns_u
 from skyline.errors import InputError
-from skyline.paper.reprojection import IDENTITY, equation_4, least_squares
-from skyline.prediction import PREDICTORS
-from skyline.prediction.warp_fit import WarpFit
+from skyline.paper.planning.reprojection import IDENTITY, equation_4, least_squares
+from skyline.paper.planning.warp_fit import WarpFit
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from prediction_scenes import WIDTH, U, mountains, views_of
 from scenes import field_from
+from skyline.prediction import PREDICTORS
 
 from skyline.errors import InputError
-from skyline.planning.tolerance import Neighbourhood, ToleranceMeter
-from skyline.prediction import PREDICTORS
+from skyline.paper.planning.tolerance import Neighbourhood, ToleranceMeter
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
