@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from prediction_scenes import WIDTH, U, mountains, views_of
 from scenes import field_from
-from skyline.prediction import PREDICTORS
 
 from skyline.errors import InputError
+from skyline.paper.planning.reprojection import PREDICTORS
 from skyline.paper.planning.tolerance import Neighbourhood, ToleranceMeter
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
@@ -98,27 +98,3 @@ def test_bad_settings_say_what_is_wrong():
     for threshold in (0.0, -1.0, np.nan):
         with pytest.raises(InputError, match=r"threshold is .* px; expected above 0"):
             ToleranceMeter(level).areas(view_at(), threshold)
-    with pytest.raises(InputError, match="shell_edges_m"):
-        ToleranceMeter(level, predictor=PREDICTORS["shells"]).areas(view_at(), 3.0)
-
-
-def rough(easting, northing):
-    return 40.0 * np.sin(easting / 90.0) * np.cos(northing / 70.0)
-
-
-@pytest.mark.parametrize("size", [9, 10])
-def test_areas_for_one_threshold_are_nearly_those_computed_in_full(size):
-    views = views_of(np.tile(mountains(U), (2, 1)), [[800.0], [3000.0]] * (1.0 + 0.3 * U), eye=2.0)
-    for predictor, threshold_px in (("affine-mean", 1.0), ("affine-mean", 3.0), ("curve", 0.3)):
-        options = (rough, Neighbourhood(size, 40.0), PREDICTORS[predictor], 2.0)
-        whole = ToleranceMeter(*options).areas(views, threshold_px)
-        sparse = ToleranceMeter(*options, threshold_px=threshold_px).areas(views, threshold_px)
-        assert 0.1 < whole.mean() < 0.9
-        assert np.count_nonzero(whole ^ sparse) <= 0.05 * np.count_nonzero(whole)
-
-
-def test_areas_for_one_threshold_leave_holes_and_the_map_s_border_out():
-    meter = ToleranceMeter(
-        plateau, Neighbourhood(9, 20.0), PREDICTORS["curve"], 2.0, threshold_px=3.0
-    )
-    assert np.isinf(meter.errors_px(view_at())[0][:, 5:]).all()
