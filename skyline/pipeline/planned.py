@@ -32,9 +32,6 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
-PREDICTING = ("rov",)
-"""Strategies that compute the areas of candidates; the others interpolate them."""
-
 _REACHED = "reached_px"
 """The setting that names the threshold a budget sufficed for."""
 
@@ -132,12 +129,10 @@ def _oracles(
 ) -> Oracles:
     spacing = planned.spacing
     size = 2 * int(spacing.reach_m // spacing.pitch_m) + 1
-    meter = ToleranceMeter(
-        terrain.height_at,
-        Neighbourhood(size, spacing.pitch_m),
-        eye_height_m=planned.eye_height_m,
-    )
-    return Oracles(render, meter, predict if planned.strategy in PREDICTING else None)
+    around = Neighbourhood(size, spacing.pitch_m)
+    meter = ToleranceMeter(terrain.height_at, around, eye_height_m=planned.eye_height_m)
+    # ROV computes the areas of candidates; the others interpolate them.
+    return Oracles(render, meter, predict if planned.strategy == "rov" else None)
 
 
 def _render_and_keep(

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.paper.planning.reprojection import AFFINE_MEAN, Reprojection, displacements_m
 from skyline.terrain.heightfield import Ground
@@ -55,7 +55,7 @@ class Neighbourhood:
 
 @dataclass(frozen=True, slots=True)
 class ToleranceMeter:
-    """Measures tolerance areas of views; a call returns `errors_px`.
+    """Measures how far around views their skylines serve: a call returns reprojection errors.
 
     Attributes
     ----------
@@ -78,10 +78,6 @@ class ToleranceMeter:
             raise InputError(f"eye height is {self.eye_height_m} m; expected at least 0")
 
     def __call__(self, views: Views) -> Float32Array:
-        """Return `errors_px`."""
-        return self.errors_px(views)
-
-    def errors_px(self, views: Views) -> Float32Array:
         """Return the reprojection errors of the neighbourhoods of N views.
 
         Returns
@@ -99,17 +95,3 @@ class ToleranceMeter:
         errors = self.predictor.errors_px(views, moved).reshape(len(views), size, size)
         errors[:, centre, centre] = 0.0
         return errors
-
-    def areas(self, views: Views, threshold_px: float) -> BoolArray:
-        """Return the tolerance areas (N, K, K) bool: where the error is within a threshold.
-
-        Raises
-        ------
-        InputError
-            A threshold that is not above 0.
-        """
-        if not threshold_px > 0.0:
-            raise InputError(
-                f"threshold is {threshold_px} px; expected above 0 (the measurements use 3)"
-            )
-        return self.errors_px(views) <= threshold_px
