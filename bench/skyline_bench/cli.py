@@ -31,8 +31,8 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         pipeline_speed: "a minute",
     },
     "Planning": {
-        table1: "5 minutes",
-        prediction_quality: "5 minutes",
+        table1: "a minute",
+        prediction_quality: "a minute",
     },
     "Builds, stores and files": {
         sharded_build: "an hour",
