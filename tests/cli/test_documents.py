@@ -387,7 +387,8 @@ def test_the_default_spacing_is_the_programs():
 
 def test_a_new_part_needs_two_files_read_at_most():
     rows = table_under(ARCHITECTURE, "new part")
-    assert {"matcher", "planner of renderings", "server of tiles"} <= {row["new part"] for row in rows}
+    parts = {row["new part"] for row in rows}
+    assert {"matcher", "planner of renderings", "server of tiles"} <= parts
     for row in rows:
         assert 1 <= len(re.findall(r"`[\w/]+/[\w/]+\.py`", "`" + row["read these"] + "`")) <= 2
 
