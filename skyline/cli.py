@@ -43,7 +43,7 @@ from skyline.pipeline import (
     save_depth_pictures,
 )
 from skyline.pipeline.config import ROWS
-from skyline.pipeline.places import DEFAULT_SPACING_M
+from skyline.pipeline.places import DEFAULT_LOSS
 from skyline.pipeline.shards import DEFAULT_TILE_M
 from skyline.planning.uniform import uniform_grid
 from skyline.store import is_store
@@ -136,8 +136,18 @@ def build(
     spacing: Annotated[
         float | None,
         typer.Option(
-            help="Metres between places; with a planner, between viewpoints of its coarse grid.",
-            show_default=f"{DEFAULT_SPACING_M:g}; {_PLANNED.spacing.coarse_m:g} with a planner",
+            help="Metres between places of a uniform grid; with a planner, between viewpoints of "
+            "its coarse grid.",
+            show_default=f"places are planned; {_PLANNED.spacing.coarse_m:g} with a planner",
+        ),
+    ] = None,
+    loss: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE",
+            help="Share of the photos that may be missed because places lie apart. Places are "
+            "planned for it: dense where skylines are near, sparse where they are far.",
+            show_default=f"{DEFAULT_LOSS:g}",
         ),
     ] = None,
     bounds: Bounds = None,
@@ -236,16 +246,25 @@ def build(
     if planner is None:
         _refuse_given(only_planned | only_rendered, "a store of renderings; give --planner too")
         places = PlaceConfig(curvature=_curvature(k, no_curvature))
-        apart_m = DEFAULT_SPACING_M if spacing is None else spacing
+        if spacing is not None and loss is not None:
+            raise InputError(
+                f"--spacing {spacing:g} asks for a uniform grid, --loss {loss:g} for places that "
+                "are planned; give one of them"
+            )
+        share = DEFAULT_LOSS if loss is None else loss
         with runner_of(workers, scheduler) as runner, progress_bar("rendering") as progress:
             terrain = read_dem(dem, dem_options)
             if tiled:
-                plan = ShardPlan(apart_m, tile_m, corners)
+                plan = ShardPlan(spacing, tile_m, corners, share)
                 result = build_sharded(terrain, output, plan, places, runner, progress)
             else:
-                result = build_places(terrain, output, apart_m, corners, places, progress)
+                result = build_places(
+                    terrain, output, spacing, corners, places, progress, loss=share
+                )
         _say_built(result, output, "places")
         return
+    if loss is not None:
+        raise InputError(f"--loss {loss:g} is for places; leave out --planner {planner}")
     if planner != "uniform" and planner not in STRATEGIES:
         raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
     config = replace(

@@ -8,6 +8,7 @@ from skyline_bench.commands.adaptive import uniform_adaptive
 from skyline_bench.commands.matching import matching
 from skyline_bench.commands.page import page
 from skyline_bench.commands.photos import photo, photo_quality, readme_picture
+from skyline_bench.commands.placing import placing
 from skyline_bench.commands.planning import prediction_quality, table1
 from skyline_bench.commands.scale import scale
 from skyline_bench.commands.search import accuracy_time, calibrate, retrieval_scale, strangers
@@ -43,6 +44,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         matching: "hours",
         uniform_adaptive: "hours",
         scale: "hours",
+        placing: "an hour",
         accuracy_time: "30 minutes",
         retrieval_scale: "5 minutes",
         strangers: "10 minutes",

@@ -179,7 +179,7 @@ def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(places.PlaceRows, "viewpoints_a_commit", 512)
+        patch.setattr(places.PlaceRows, "at_a_time", 512)
         patch.setattr(cli, "build_places", lambda *given: build_places(*given[:-1], stop))
         done = run("build", dem, "-o", out)
     assert done.code == 130

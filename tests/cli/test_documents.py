@@ -42,7 +42,7 @@ from scenes import fractal
 import skyline
 from skyline import cli, read_dem, stand_on
 from skyline.fetch.sources import SOURCES
-from skyline.pipeline.places import DEFAULT_SPACING_M
+from skyline.pipeline.places import DEFAULT_LOSS
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
 from skyline_bench import cli as bench
@@ -379,10 +379,10 @@ def test_the_version_is_one_everywhere():
     assert {first[1], *versions} == {versions[0]}
 
 
-def test_the_default_spacing_is_the_programs():
+def test_the_default_loss_is_the_programs():
     page = (ROOT / "docs" / "guide" / "your-own-area.md").read_text(encoding="utf-8")
-    (said,) = re.findall(r"(\d+) is the default", page)
-    assert float(said) == DEFAULT_SPACING_M
+    (said,) = re.findall(r"([\d.]+) is the default", page)
+    assert float(said) == DEFAULT_LOSS
 
 
 def test_a_new_part_needs_two_files_read_at_most():

@@ -24,7 +24,7 @@ from skyline.pipeline import (
     build_uniform,
 )
 from skyline.pipeline.build import render_missing
-from skyline.pipeline.places import place_rows
+from skyline.pipeline.places import DEFAULT_LOSS, place_rows
 from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
 from skyline.store import open_store
 from skyline.store.header import PLACES
@@ -72,8 +72,10 @@ class ReferenceStore:
         return self.renderings / len(HEADINGS)
 
 
-def check_spacing(terrain: HeightField, spacing_m: float, bounds_deg: MapBounds | None) -> None:
-    """Refuse a uniform grid that does not fit an area.
+def check_spacing(
+    terrain: HeightField, spacing_m: float | None, bounds_deg: MapBounds | None
+) -> None:
+    """Refuse a uniform grid that does not fit an area; without a spacing there is none.
 
     Raises
     ------
@@ -81,6 +83,8 @@ def check_spacing(terrain: HeightField, spacing_m: float, bounds_deg: MapBounds 
         A spacing that is not positive, or wider than the area.
     """
     bounds = map_bounds(terrain, bounds_deg)
+    if spacing_m is None:
+        return
     uniform_grid(terrain, spacing_m, bounds)
     width, height = bounds[2] - bounds[0], bounds[3] - bounds[1]
     if min(width, height) < spacing_m:
@@ -114,18 +118,19 @@ def uniform_store(
 def place_store(
     terrain: HeightField,
     folder: Path,
-    spacing_m: float,
+    spacing_m: float | None,
     bounds_deg: MapBounds | None,
     config: PlaceConfig,
     progress: Callable[[int, int], None] | None = None,
+    loss: float = DEFAULT_LOSS,
 ) -> ReferenceStore:
-    """Return a uniform store of places in a folder; as `uniform_store`."""
-    name = f"places-{spacing_m:g}"
+    """Return a store of places in a folder, planned without a spacing; as `uniform_store`."""
+    name = f"planned-{loss:g}" if spacing_m is None else f"places-{spacing_m:g}"
     path = folder / f"{name}.h5"
     return _built(
         name,
         path,
-        lambda: build_places(terrain, path, spacing_m, bounds_deg, config, progress),
+        lambda: build_places(terrain, path, spacing_m, bounds_deg, config, progress, loss=loss),
         {},
     )
 
