@@ -31,6 +31,8 @@ from skyline.describe import (
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
+from skyline.paper.planning.plan import PlanConfig
+from skyline.paper.planning.strategies import STRATEGIES
 from skyline.pipeline import (
     BuildResult,
     PlaceConfig,
@@ -48,10 +50,7 @@ from skyline.pipeline import (
 from skyline.pipeline.config import ROWS
 from skyline.pipeline.places import DEFAULT_LOSS
 from skyline.pipeline.shards import DEFAULT_TILE_M
-from skyline.planning.plan import PlanConfig
-from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
-from skyline.prediction import shell_edges_m
 from skyline.store import is_store
 from skyline.store_cli import store_app
 from skyline.terrain.dem import DemOptions, read_dem
@@ -198,12 +197,6 @@ def build(
             "--map", metavar="PNG", help="Planner: draw a map of viewpoints and their areas."
         ),
     ] = None,
-    shells: Annotated[
-        int | None,
-        typer.Option(
-            help="Renderings: distance shells to store with each; the default of cover is 12."
-        ),
-    ] = None,
     width: Annotated[
         int | None,
         typer.Option(
@@ -240,7 +233,6 @@ def build(
         "--map": coverage_map,
     }
     only_rendered: dict[str, object] = {
-        "--shells": shells,
         "--width": width,
         "--tolerance-px": tolerance_px,
         "--rows": rows,
@@ -276,7 +268,6 @@ def build(
             k,
             no_curvature,
         ),
-        shell_edges_m=shell_edges_m(shells) if shells else (),
         rows=_DEFAULTS.rows if rows is None else rows,
     )
     coarse_m = _PLANNED.spacing.coarse_m if spacing is None else spacing
@@ -430,7 +421,7 @@ def _say_built(result: BuildResult, path: Path, what: str = "renderings") -> Non
 def _say_planned(done: PlannedResult) -> None:
     proof, made = done.verification, done.plan.progress
     typer.echo(
-        f"to {done.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
+        f"to {done.plan.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
         f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "
         f"{100 * proof.share:.1f} % hold, 95 % interval {100 * proof.low:.1f} to "
         f"{100 * proof.high:.1f}); overlap {made.overlap}, "

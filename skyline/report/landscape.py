@@ -1,137 +1,142 @@
 """The terrain one eye sees: how far away it is in every direction, and its ridges.
 
-A renderer's shells are the skylines of adjoining ranges of distance. The highest of the nearer ones
-hides what is farther, so that between two of them the eye sees the farther shell.
+Columns of azimuth are followed outwards in steps no wider than a pixel of the picture; what is seen
+is what stands higher than all that is nearer.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float64Array
-from skyline.camera import columns_u
-from skyline.views import Views
+from skyline.arrays import Float32Array, Float64Array
+from skyline.geodesy import Curvature
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
-_NOTHING_DEG = -90.0
+_COLUMNS_AT_ONCE = 128
+_SAMPLES_A_STEP = 0.7
 _RIDGE_JUMP, _RIDGE_SAMPLES = 1.04, 4.0
 """How much farther what is behind a ridge must be: times as far, and samples beyond that."""
+_RANGES_A_DOUBLING = 10
+_NOTHING_DEG = -90.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """What one eye sees in C columns, as K shells of distance, the nearest first.
+    """What one eye sees in C columns, S steps outwards.
 
     Attributes
     ----------
     azimuth_deg : (C,) float64
-        From true north, increasing from ``start_deg`` of `Landscape.of`.
-    top_deg : (K, C) float64
-        Highest elevation angle of each shell and all nearer ones: increasing along K; -90 before
-        anything is seen.
-    top_m : (K, C) float64
-        Horizontal distance of each shell's own highest point, NaN where it shows nothing.
-    nearest_m : (K, C) float64
-        Where each shell begins.
+        From true north, increasing.
+    distance_m : (S,) float64
+        Of the steps, horizontal, increasing.
+    top_deg : (C, S) float32
+        Highest elevation angle of the terrain up to each step; -90 before any.
+    ridge_m : (R,) float64
+        Distances at which ranges begin, increasing.
+    ridge_deg : (R, C) float32
+        Elevation angle of the highest ridge of each range, NaN where it has none. Behind a ridge
+        the terrain drops out of sight.
     """
 
     azimuth_deg: Float64Array
-    top_deg: Float64Array
-    top_m: Float64Array
-    nearest_m: Float64Array
+    distance_m: Float64Array
+    top_deg: Float32Array
+    ridge_m: Float64Array
+    ridge_deg: Float32Array
 
     @classmethod
-    def of(cls, views: Views, convergence_deg: float, start_deg: float) -> Self:
-        """Return the landscape of one eye's views, which have shells.
+    def of(
+        cls,
+        terrain: HeightField,
+        eye: Viewpoints,
+        azimuth_deg: Float64Array,
+        curvature: Curvature | None = None,
+    ) -> Self:
+        """Look at the terrain.
 
         Parameters
         ----------
-        views : Views
-            Of one viewpoint, any headings.
-        convergence_deg : float
-            Azimuth from true north minus grid azimuth.
-        start_deg : float
-            The azimuth from true north that columns are sorted from, clockwise.
+        terrain : HeightField
+        eye : Viewpoints
+            One.
+        azimuth_deg : (C,) float64
+            From true north, in equal steps, at least two.
+        curvature : Curvature, optional
+            Defaults to the Earth's with k = 0.13.
         """
-        if views.shells is None:
-            raise ValueError("the views have no shells")
-        ahead_m = np.hypot(1.0, columns_u(views.width))
-        azimuth = (views.azimuth_deg().ravel() + convergence_deg - start_deg) % 360.0
-        order = np.argsort(azimuth)
-        tan = np.moveaxis(views.shells.elevation_tan / ahead_m, 1, 0).reshape(-1, len(order))
-        own_deg = np.nan_to_num(np.degrees(np.arctan(tan[:, order])), nan=_NOTHING_DEG)
-        top_m = np.moveaxis(views.shells.depth_m * ahead_m, 1, 0).reshape(-1, len(order))
-        begins = views.shells.edges_m[:-1, np.newaxis]
-        return cls(
-            azimuth[order] + start_deg,
-            np.maximum.accumulate(own_deg, axis=0),
-            np.where(own_deg > _NOTHING_DEG, top_m[:, order], np.nan),
-            (begins * np.tile(ahead_m, len(views)))[:, order],
-        )
+        curvature = curvature or Curvature()
+        distance = _steps_m(terrain, eye, math.radians(azimuth_deg[1] - azimuth_deg[0]))
+        drop = float(eye.eye_elevation_m[0]) + curvature.drop_m(distance)
+        convergence = terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0])
+        top = np.empty((len(azimuth_deg), len(distance)), np.float32)
+        ranges = (np.log2(distance / distance[0]) * _RANGES_A_DOUBLING).astype(np.intp)
+        ridge = np.full((ranges[-1] + 1, len(azimuth_deg)), np.nan, np.float32)
+        for start in range(0, len(azimuth_deg), _COLUMNS_AT_ONCE):
+            part = slice(start, start + _COLUMNS_AT_ONCE)
+            grid = np.radians(azimuth_deg[part, np.newaxis] - convergence)
+            height = terrain.height_at(
+                eye.easting_m[0] + distance * np.sin(grid),
+                eye.northing_m[0] + distance * np.cos(grid),
+            )
+            up_deg = np.degrees(np.arctan((height - drop) / distance))
+            top[part] = np.maximum.accumulate(np.nan_to_num(up_deg, nan=_NOTHING_DEG), axis=1)
+            column, step = _ridges(top[part], distance, terrain.spacing_m)
+            # Later ones stand higher.
+            ridge[ranges[step], start + column] = top[part][column, step]
+        begins = distance[0] * 2.0 ** (np.arange(len(ridge)) / _RANGES_A_DOUBLING)
+        return cls(azimuth_deg, distance, top, begins, ridge)
 
     @property
-    def skyline_deg(self) -> Float64Array:
+    def skyline_deg(self) -> Float32Array:
         """The highest elevation angle in each column, (C,)."""
-        return np.asarray(self.top_deg[-1])
+        return np.asarray(self.top_deg[:, -1])
 
     @property
-    def is_seen(self) -> BoolArray:
-        """Whether some of a shell shows over all nearer ones, (K, C)."""
-        before = np.vstack([np.full(self.top_deg.shape[1], _NOTHING_DEG), self.top_deg[:-1]])
-        return np.asarray(self.top_deg > before)
+    def reach_m(self) -> float:
+        """How far away the farthest terrain seen is."""
+        farthest = (self.top_deg < self.skyline_deg[:, np.newaxis]).sum(axis=1).max()
+        return float(self.distance_m[min(int(farthest), len(self.distance_m) - 1)])
 
-    def distance_m(self, azimuth_deg: Float64Array, elevation_deg: Float64Array) -> Float64Array:
-        """Return how far away what is seen is, (R, P), in the columns nearest to azimuths (P,).
-
-        Parameters
-        ----------
-        azimuth_deg : (P,) float64
-            Within the landscape's own.
-        elevation_deg : (R,) float64
-            Increasing.
-
-        Returns
-        -------
-        (R, P) float64
-            Horizontal metres; inf for the sky.
-        """
-        middle = 0.5 * (self.azimuth_deg[1:] + self.azimuth_deg[:-1])
-        columns = np.searchsorted(middle, azimuth_deg)
-        shells = len(self.top_deg)
-        found = np.full((len(elevation_deg), len(columns)), np.inf)
-        for pixel, column in enumerate(columns):
-            top = self.top_deg[:, column]
-            shell = np.searchsorted(top, elevation_deg)
-            ground = shell < shells
-            at = shell[ground]
-            below = np.where(at > 0, top[at - 1], _NOTHING_DEG)
-            low = np.where(below > _NOTHING_DEG, below, np.minimum(elevation_deg[0], top[at]))
-            share = (elevation_deg[ground] - low) / np.maximum(top[at] - low, 1e-9)
-            near, far = self.nearest_m[at, column], self.top_m[at, column]
-            found[ground, pixel] = near + np.clip(share, 0.0, 1.0) * (far - near)
-        return found
-
-    def ridges(self, spacing_m: float) -> tuple[Float64Array, Float64Array]:
-        """Return the lines behind which the terrain drops out of sight, the farthest first.
+    def seen_m(self, columns: slice, elevation_deg: Float64Array) -> Float64Array:
+        """Return how far away what is seen in P columns is, (E, P); inf for the sky.
 
         Parameters
         ----------
-        spacing_m : float
-            Of the samples; what drops out of sight within a few of them makes no ridge.
-
-        Returns
-        -------
-        begins_m : (K,) float64
-            Where the shells begin.
-        lines_deg : (K, C) float64
-            Elevation angles, NaN where a shell has no ridge.
+        columns : slice
+        elevation_deg : (E,) float64
         """
-        seen = self.is_seen
-        behind = np.full(self.top_deg.shape[1], np.inf)
-        lines = np.full(self.top_deg.shape, np.nan)
-        for shell in range(len(seen))[::-1]:
-            least = _RIDGE_JUMP * self.top_m[shell] + _RIDGE_SAMPLES * spacing_m
-            ridge = seen[shell] & (behind > least)
-            lines[shell, ridge] = self.top_deg[shell, ridge]
-            behind = np.where(seen[shell], self.nearest_m[shell], behind)
-        return self.nearest_m.min(axis=1)[::-1], lines[::-1]
+        away = np.append(self.distance_m, np.inf)
+        steps = [np.searchsorted(top, elevation_deg) for top in self.top_deg[columns]]
+        return away[np.stack(steps, axis=1)]
+
+
+def _steps_m(terrain: HeightField, eye: Viewpoints, pixel_rad: float) -> Float64Array:
+    """Return distances from underfoot to the farthest corner of the terrain."""
+    west, south, east, north = terrain.bounds_m
+    reach_m = math.hypot(
+        max(float(eye.easting_m[0]) - west, east - float(eye.easting_m[0])),
+        max(float(eye.northing_m[0]) - south, north - float(eye.northing_m[0])),
+    )
+    step_m = _SAMPLES_A_STEP * terrain.spacing_m
+    turn_m = min(max(step_m / pixel_rad, step_m), reach_m)
+    near = np.arange(0.5 * step_m, turn_m, step_m)
+    wider = math.ceil(math.log(reach_m / turn_m) / pixel_rad) + 1
+    return np.concatenate([near, np.geomspace(turn_m, max(reach_m, 1.01 * turn_m), wider + 1)])
+
+
+def _ridges(
+    top_deg: Float32Array, distance_m: Float64Array, spacing_m: float
+) -> tuple[np.ndarray[tuple[int], np.dtype[np.intp]], np.ndarray[tuple[int], np.dtype[np.intp]]]:
+    """Return columns and steps behind which the next that is seen is much farther, or the sky."""
+    seen = np.empty(top_deg.shape, dtype=bool)
+    seen[:, 0] = top_deg[:, 0] > _NOTHING_DEG
+    seen[:, 1:] = top_deg[:, 1:] > top_deg[:, :-1]
+    column, step = np.nonzero(seen)
+    behind = np.append(distance_m[step[1:]], np.inf)
+    behind[np.append(np.diff(column) > 0, True)] = np.inf
+    ridge = behind > _RIDGE_JUMP * distance_m[step] + _RIDGE_SAMPLES * spacing_m
+    return column[ridge], step[ridge]

@@ -30,6 +30,7 @@ SUMMIT = "summit"
 _WIDTH_IN, _MARGIN_IN, _SCALE_IN, _TITLE_IN = 16.0, 0.45, 0.7, 0.45
 _NAMES_APART_IN = 0.015
 _DPI = 150
+_COLUMNS = round((_WIDTH_IN - 2.0 * _MARGIN_IN) * _DPI)
 _BELOW_DEG, _LEAST_DEG = 7.0, 12.0
 _FONT_PT = 8.0
 _LIGHT_ASIDE, _LIGHT_UP = np.radians(60.0), np.radians(40.0)
@@ -49,7 +50,7 @@ class PanoramaView:
     eye : Viewpoints
         One.
     landscape : Landscape
-        Its azimuths span the picture.
+        Its columns are the picture's, `picture_azimuths_deg`.
     sightings : sequence of Sighting
         Summits that the eye sees, the most important first.
     start_deg, fov_deg : float
@@ -69,10 +70,9 @@ class PanoramaView:
         eye = self.eye
         return float(self.terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0]))
 
-    def span_deg(self, ends: tuple[float, float]) -> tuple[float, float]:
-        """Return the lowest and highest elevation angle to show between two azimuths."""
-        azimuth = self.landscape.azimuth_deg
-        skyline = self.landscape.skyline_deg[(azimuth >= ends[0]) & (azimuth <= ends[1])]
+    def span_deg(self, columns: slice) -> tuple[float, float]:
+        """Return the lowest and highest elevation angle to show of columns of the landscape."""
+        skyline = self.landscape.skyline_deg[columns]
         high = float(skyline.max()) + 1.0
         low = max(float(skyline.min()) - _BELOW_DEG, -89.0)
         return min(low, high - _LEAST_DEG), high
@@ -86,13 +86,21 @@ class PanoramaView:
         return [(one, azimuth) for one, azimuth in turned if azimuth < ends[1]]
 
 
+def picture_azimuths_deg(start_deg: float, fov_deg: float) -> Float64Array:
+    """Return the azimuths from true north of all columns of a panorama's pixels, row by row."""
+    columns = _rows(fov_deg) * _COLUMNS
+    return np.asarray(start_deg + (np.arange(columns) + 0.5) * (fov_deg / columns), np.float64)
+
+
+def _rows(fov_deg: float) -> int:
+    return int(np.ceil(fov_deg / ROW_DEG - 1e-9))
+
+
 def draw_panorama(view: PanoramaView) -> Figure:
     """Draw a panorama, in rows of at most `ROW_DEG`; degrees are as long upwards as sideways."""
-    count = int(np.ceil(view.fov_deg / ROW_DEG - 1e-9))
-    starts = view.start_deg + np.arange(count) * view.fov_deg / count
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
-    rows = [_Row.of(view, (float(s), float(s + view.fov_deg / count)), figure) for s in starts]
+    rows = [_Row.of(view, row, figure) for row in range(_rows(view.fov_deg))]
     total_in = _TITLE_IN + sum(row.total_in for row in rows)
     figure.set_size_inches(_WIDTH_IN, total_in)
     left, wide = _MARGIN_IN / _WIDTH_IN, 1.0 - 2.0 * _MARGIN_IN / _WIDTH_IN
@@ -113,24 +121,30 @@ class _Row:
 
     Attributes
     ----------
+    columns : slice
+        Of the landscape.
     ends_deg, span_deg : (float, float)
     names : list of (label, azimuth_deg, summit_deg, wide_in, high_in)
         Wide and high as the label is written lying.
     """
 
+    columns: slice
     ends_deg: tuple[float, float]
     span_deg: tuple[float, float]
     names: list[tuple[str, float, float, float, float]]
 
     @classmethod
-    def of(cls, view: PanoramaView, ends: tuple[float, float], figure: Figure) -> "_Row":
-        names, span_deg = [], view.span_deg(ends)
+    def of(cls, view: PanoramaView, row: int, figure: Figure) -> "_Row":
+        columns = slice(row * _COLUMNS, (row + 1) * _COLUMNS)
+        row_deg = view.fov_deg / _rows(view.fov_deg)
+        ends = view.start_deg + row * row_deg, view.start_deg + (row + 1) * row_deg
+        names, span_deg = [], view.span_deg(columns)
         for one, azimuth in view.within(ends):
             label = f"{one.label}  {one.distance_m / 1000.0:.1f} km"
             summit_deg = float(np.degrees(np.arctan(one.elevation_tan)))
             if summit_deg > span_deg[0]:
                 names.append((label, azimuth, summit_deg, *_extent_in(figure, label)))
-        return cls(ends, span_deg, names)
+        return cls(columns, ends, span_deg, names)
 
     @property
     def in_a_deg(self) -> float:
@@ -163,11 +177,11 @@ def encode_panorama(figure: Figure, kind: str) -> bytes:
 def _draw_row(axis: Axes, view: PanoramaView, row: _Row) -> None:
     """Draw the landscape of a row, and its scales."""
     (begin, end), (low, high) = row.ends_deg, row.span_deg
-    pixel_deg = 1.0 / (_DPI * row.in_a_deg)
-    azimuth = np.arange(begin + 0.5 * pixel_deg, end, pixel_deg)
+    pixel_deg = (end - begin) / _COLUMNS
+    azimuth = view.landscape.azimuth_deg[row.columns]
     elevation = np.arange(low + 0.5 * pixel_deg, high, pixel_deg)
-    distance_m = view.landscape.distance_m(azimuth, elevation)
-    reach_m = _reach_m(view.landscape)
+    distance_m = view.landscape.seen_m(row.columns, elevation)
+    reach_m = view.landscape.reach_m
     axis.imshow(
         _shaded(view, azimuth, distance_m, reach_m),
         extent=(begin, end, low, high),
@@ -175,13 +189,11 @@ def _draw_row(axis: Axes, view: PanoramaView, row: _Row) -> None:
         aspect="auto",
         interpolation="nearest",
     )
-    there = view.landscape.azimuth_deg
-    shown = (there >= begin - 0.2) & (there <= end + 0.2)
-    away_m, lines = view.landscape.ridges(view.terrain.spacing_m)
-    haze = _haze(away_m, reach_m)[:, np.newaxis]
+    haze = _haze(view.landscape.ridge_m, reach_m)[::-1, np.newaxis]
+    lines = view.landscape.ridge_deg[::-1, row.columns]
     axis.add_collection(
         LineCollection(
-            [np.stack([there[shown], line[shown]], axis=1) for line in lines],
+            [np.stack([azimuth, line], axis=1) for line in lines],
             colors=(1.0 - haze) * 0.35 * _ROCK + haze * 0.72 * _HAZE,
             linewidths=0.7,
         )
@@ -214,11 +226,6 @@ def _shaded(
     lighted = _ROCK * (0.25 + 1.25 * light[..., np.newaxis])
     colour = np.clip((1.0 - haze) * lighted + haze * _HAZE, 0.0, 1.0)
     return np.concatenate([colour, ground[..., np.newaxis]], axis=-1)
-
-
-def _reach_m(landscape: Landscape) -> float:
-    """Return the distance of the farthest terrain seen."""
-    return float(np.nanmax(np.where(landscape.is_seen, landscape.top_m, np.nan)))
 
 
 def _haze(distance_m: Float64Array, reach_m: float) -> Float64Array:

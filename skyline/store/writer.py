@@ -240,9 +240,8 @@ def open_for_append(path: str | os.PathLike[str], header: StoreHeader) -> StoreW
     path : path-like
     header : StoreHeader
         What the new rows are built from and how. What it holds, the frame, DEM digest, config,
-        width, number of keypoints, shells and coding must equal the store's; its other fields are
-        kept. A store of
-        an older schema is lifted to the newest.
+        width, number of keypoints and coding must equal the store's; its other fields are kept. A
+        store of an older schema is lifted to the newest.
 
     Raises
     ------

@@ -108,7 +108,7 @@ def test_places_of_a_part_of_the_dem(run, dem, tmp_path):
 
 
 RENDERED_ALONE = {
-    "--width": 64, "--rows": "exact", "--tolerance-px": 0, "--shells": 12, "--pitch": 50,
+    "--width": 64, "--rows": "exact", "--tolerance-px": 0, "--pitch": 50,
     "--threshold-px": 3, "--coverage": 0.9, "--budget": 100, "--seed": 1, "--map": "map.png",
 }  # fmt: skip
 
@@ -134,7 +134,7 @@ def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_
     for arguments, kinds in [
         (("build", dem, "-o", renderings), "is 'renderings' there, 'places' here"),
         (("build", dem, "-o", store, "--planner", "uniform"), "is 'places' there, 'renderings'"),
-        (("build", dem, "-o", store, "--planner", "cover"), "holds places, not renderings"),
+        (("build", dem, "-o", store, "--planner", "lpov"), "holds places, not renderings"),
         (("render", dem, "-o", store, "--viewpoints", viewpoints_csv), "exists already"),
     ]:
         assert_refused(run(*arguments), kinds)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from skyline.arrays import Float32Array, Float64Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
+from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline import (
     BuildResult,
     PlaceConfig,
@@ -24,7 +25,6 @@ from skyline.pipeline import (
 )
 from skyline.pipeline.build import render_missing
 from skyline.pipeline.places import DEFAULT_LOSS, place_rows
-from skyline.planning.plan import PlanConfig
 from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
 from skyline.store import open_store
 from skyline.store.header import PLACES
@@ -34,8 +34,6 @@ from skyline.terrain.viewpoints import Viewpoints
 _log = logging.getLogger(__name__)
 
 _NOTE = ".build.json"
-_SHELLS = "views/shell_"
-"""What the names of datasets of shells begin with."""
 _SECONDS = ("build_s", "build_cpu_s")
 
 
@@ -50,8 +48,6 @@ class ReferenceStore:
     holds : str
         Renderings or places.
     rows, size_bytes : int
-    shell_bytes : int
-        Of these bytes, what its distance shells take.
     build_s, build_cpu_s : float or None
         By the clock and of processor time, over all the runs it was built in; None where that
         was not noted.
@@ -62,7 +58,6 @@ class ReferenceStore:
     holds: str
     rows: int
     size_bytes: int
-    shell_bytes: int
     build_s: float | None
     build_cpu_s: float | None
 
@@ -282,13 +277,11 @@ def given_store(terrain: HeightField, path: Path) -> ReferenceStore:
 def _reference(name: str, path: Path) -> ReferenceStore:
     noted = _noted(path)
     with open_store(path) as store:
-        sizes = store.stored_bytes.items()
         return ReferenceStore(
             name,
             path,
             store.header.holds,
             store.committed,
             path.stat().st_size,
-            sum(size for dataset, size in sizes if dataset.startswith(_SHELLS)),
             *(noted.get(key) for key in _SECONDS),
         )
