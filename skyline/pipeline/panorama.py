@@ -4,16 +4,10 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from skyline import report
 from skyline.errors import InputError
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
-from skyline.report.landscape import Landscape
-from skyline.report.panorama import (
-    PanoramaView,
-    draw_panorama,
-    encode_panorama,
-    picture_azimuths_deg,
-)
 from skyline.report.peaks import Peaks
 from skyline.report.sightings import visible_peaks
 from skyline.terrain.heightfield import HeightField
@@ -92,19 +86,19 @@ def save_panorama(
         raise InputError(f"{path} is no picture; expected {', '.join(PANORAMA_SUFFIXES)}")
     eye = stand_on(terrain, *terrain.frame.from_lonlat(lon, lat), config.eye_height_m)
     view = panorama_view(terrain, eye, peaks, config)
-    write_whole(path, encode_panorama(draw_panorama(view), path.suffix[1:].lower()))
+    write_whole(path, report.encode_panorama(report.draw_panorama(view), path.suffix[1:].lower()))
     return len(view.sightings)
 
 
 def panorama_view(
     terrain: HeightField, eye: Viewpoints, peaks: Peaks | None, config: PanoramaConfig
-) -> PanoramaView:
+) -> "report.PanoramaView":
     """Look at what one eye sees and find its peaks; see `save_panorama`."""
     start_deg, fov_deg = config.start_deg, config.fov_deg
-    landscape = Landscape.of(terrain, eye, picture_azimuths_deg(start_deg, fov_deg))
+    landscape = report.Landscape.of(terrain, eye, report.picture_azimuths_deg(start_deg, fov_deg))
     seen = [] if peaks is None else visible_peaks(terrain, eye, peaks, Curvature())
     convergence_deg = float(terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0]))
     inside = [
         one for one in seen if (one.azimuth_deg + convergence_deg - start_deg) % 360.0 < fov_deg
     ]
-    return PanoramaView(terrain, eye, landscape, inside, start_deg, fov_deg)
+    return report.PanoramaView(terrain, eye, landscape, inside, start_deg, fov_deg)
