@@ -83,7 +83,7 @@ def _ask(server: str, query: bytes, options: HttpOptions) -> bytes:
         except URLError as error:
             reason = f"no answer ({error.reason})"
         except (OSError, http.client.HTTPException) as error:
-            reason = f"the answer breaks off ({error or type(error).__name__})"
+            reason = f"no whole answer ({error or type(error).__name__})"
         if not again or attempt > options.retries:
             raise FetchError(
                 f"{shown(server)}: {reason}, tried {attempt} times; check the address, or give the "

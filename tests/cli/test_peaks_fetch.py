@@ -107,8 +107,8 @@ def test_what_another_attempt_mends_is_tried_again(run, tmp_path, first):
     [
         ((500, b""), "the server answers HTTP 500, tried 1 times"),
         ((400, b"no"), "the server answers HTTP 400"),
-        (("breaks off", GOOD), "the answer breaks off"),
-        (("hangs", b""), "breaks off (timed out)"),
+        (("breaks off", GOOD), "no whole answer"),
+        (("hangs", b""), "no whole answer (timed out)"),
         (("drips", GOOD), "not there whole after 1 s"),
         ((200, b"<html>Welcome</html>"), "not what Overpass answers (it begins `<html>"),
         ((200, b"[1, 2]"), "not what Overpass answers"),
