@@ -7,6 +7,7 @@ from .matches import write_match_geojson, write_match_report
 from .panorama import PanoramaView, draw_panorama, encode_panorama, picture_azimuths_deg
 from .peaks import Peaks, read_peaks
 from .pictures import save_depth_images
+from .place_map import save_place_map
 from .surroundings import Surroundings
 
 __all__ = [
@@ -28,6 +29,7 @@ __all__ = [
     "save_coverage_map",
     "save_depth_images",
     "save_map",
+    "save_place_map",
     "write_match_geojson",
     "write_match_report",
 ]
