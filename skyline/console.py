@@ -43,6 +43,11 @@ Crs = Annotated[
 Reproject = Annotated[
     bool, typer.Option("--reproject", help="Warp a DEM whose CRS is not conformal.")
 ]
+Width = Annotated[int, typer.Option(help="Columns of a 90 degree view.")]
+Tolerance = Annotated[
+    float,
+    typer.Option("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact."),
+]
 
 
 def command_line(name: str, about: str) -> typer.Typer:

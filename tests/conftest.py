@@ -74,7 +74,7 @@ def dem(tmp_path_factory):
 def store(dem, tmp_path_factory):
     """A store of places over that DEM."""
     path = tmp_path_factory.mktemp("store") / "store.h5"
-    build_places(read_dem([dem]), path)
+    build_places(read_dem([dem]), path, 80.0)
     return path
 
 
