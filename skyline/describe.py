@@ -6,6 +6,7 @@ from skyline.camera import pixel_size
 from skyline.geodesy import Frame
 from skyline.pipeline import MatchResult, RenderConfig
 from skyline.render.context import describe_context
+from skyline.report.claims import describe_claim
 from skyline.report.records import MatchRecord, describe_candidates
 from skyline.store import StoreHeader, open_store
 from skyline.terrain.heightfield import HeightField
@@ -28,6 +29,9 @@ def describe_match(query: str, result: MatchResult) -> MatchRecord:
     )
     if result.refusal:
         record["refusal"] = result.refusal
+    claim = describe_claim(result.query.noted, next(iter(result.candidates), None))
+    if claim is not None:
+        record["exif"] = claim
     return record
 
 

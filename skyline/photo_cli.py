@@ -26,6 +26,7 @@ from skyline.pipeline import (
     report_matches,
 )
 from skyline.pipeline.match import terrain_at_hand
+from skyline.report.claims import claim_in_words
 from skyline.report.exports import EXPORTS, check_export, export_matches
 from skyline.report.peaks import read_peaks
 from skyline.report.records import CandidateRecord, MatchRecord
@@ -86,6 +87,12 @@ def match(
         float,
         typer.Option(help="Standard deviation of the field of view, as a share of it."),
     ] = _DEFAULTS.fov_slack,
+    use_gps: Annotated[
+        bool,
+        typer.Option(
+            "--use-gps", help="Let each photo's own GPS position draw its search, never bind it."
+        ),
+    ] = False,
     eye_height: Annotated[
         float | None,
         typer.Option(metavar="M", help="Camera above the ground; by default it is found."),
@@ -125,7 +132,11 @@ def match(
     config = replace(
         _DEFAULTS, refine=not no_refine, min_confidence=min_confidence, fov_slack=fov_slack
     )
-    narrowing = replace(_narrowing(near, bounds, heading, elevation), eye_height_m=eye_height)
+    if use_gps and no_refine:
+        raise InputError("--use-gps acts in refinement; leave one of --use-gps, --no-refine out")
+    narrowing = replace(
+        _narrowing(near, bounds, heading, elevation), eye_height_m=eye_height, use_gps=use_gps
+    )
     # Workers may have another working directory.
     tiles = tuple(str(Path(one).absolute()) if Path(one).is_file() else one for one in dem or ())
     asked = (str(store), tiles or None, matcher, config)
@@ -262,3 +273,8 @@ def _say_match(record: MatchRecord) -> None:
             f"{place['fov_deg']:.1f}  "
             f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"
         )
+    if "exif" in record:
+        best = next(iter(record["candidates"]), None)
+        called = "candidate 1" if record["answer"] is None else "the answer"
+        heading_deg = None if best is None else best["heading_deg"]
+        typer.echo(f"  {claim_in_words(record['exif'], heading_deg, called)}")

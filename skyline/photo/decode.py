@@ -8,7 +8,7 @@ stderr, and shrinks huge JPEGs while decoding them.
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from threading import Lock
@@ -22,6 +22,7 @@ from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.photo.exif import NotedPlace, fov_from_exif, place_from_exif
 from skyline.photo.projection import Projection, panorama_of_xmp
+from skyline.photo.query import QuerySkyline
 
 MAX_DECODED_PIXELS = 100_000_000
 """Larger JPEGs are decoded at a half to an eighth of their size; other formats are refused."""
@@ -57,6 +58,10 @@ class Photo:
     fov_deg: float | None
     projection: Projection
     place: NotedPlace
+
+    def described(self, query: QuerySkyline) -> QuerySkyline:
+        """Return a skyline of this photo with what the file notes of it."""
+        return replace(query, fov_deg=self.fov_deg, projection=self.projection, noted=self.place)
 
 
 def decode_image(path: str | Path) -> Photo:

@@ -15,6 +15,7 @@ _FULL_FRAME_DIAGONAL_MM = hypot(36.0, 24.0)
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
 """FocalPlaneResolutionUnit: inch, centimetre, millimetre, micrometre; inch where absent."""
 _ASPECT_TOLERANCE = 0.02
+_LOWEST_M, _HIGHEST_M = -500.0, 9000.0
 _MAX_PINHOLE_ASPECT = 2.5
 """Wider photos are stitched or swept panoramas; the lens says nothing about their field of view."""
 
@@ -64,26 +65,46 @@ class NotedPlace:
     elevation_m : float, optional
         Above sea level.
     heading_deg : float, optional
-        Of the optical axis, clockwise from north, in [0, 360): true north, unless the camera
-        could tell magnetic north only.
+        Of the optical axis, clockwise from north, in [0, 360).
+    is_magnetic : bool
+        Whether that is magnetic north; else it is true north, or the camera does not say which.
+    accuracy_m : float, optional
+        How far off the camera took its position to be.
     """
 
     lonlat_deg: tuple[float, float] | None = None
     elevation_m: float | None = None
     heading_deg: float | None = None
+    is_magnetic: bool = False
+    accuracy_m: float | None = None
+
+
+NOTHING_NOTED = NotedPlace()
 
 
 def place_from_exif(gps: Mapping[int, object]) -> NotedPlace:
     """Return what a photo's GPS directory (EXIF 2.32, 4.6.6) says of where it was taken."""
     lon = _degrees(gps, GPS.GPSLongitude, GPS.GPSLongitudeRef, "W", 180.0)
     lat = _degrees(gps, GPS.GPSLatitude, GPS.GPSLatitudeRef, "S", 90.0)
-    # Cameras without a fix write zeros.
-    lonlat = None if lon is None or lat is None or lon == lat == 0.0 else (lon, lat)
+    # Cameras without a fix write zeros, or say that what they write is void.
+    known = str(gps.get(GPS.GPSStatus, "A")).strip("\0 ").upper() != "V"
+    at_all = known and lon is not None and lat is not None and not lon == lat == 0.0
     height = _number(gps.get(GPS.GPSAltitude))
     if height is not None and gps.get(GPS.GPSAltitudeRef) in (1, b"\x01"):
         height = -height
+    if height is not None and not _LOWEST_M <= height <= _HIGHEST_M:
+        height = None
     heading = _number(gps.get(GPS.GPSImgDirection))
-    return NotedPlace(lonlat, height, None if heading is None else heading % 360.0)
+    if heading is not None and not 0.0 <= heading <= 360.0:
+        heading = None
+    reference = str(gps.get(GPS.GPSImgDirectionRef, "")).upper()
+    return NotedPlace(
+        (float(lon or 0.0), float(lat or 0.0)) if at_all else None,
+        height if known else None,
+        None if heading is None else heading % 360.0,
+        heading is not None and reference.startswith("M"),
+        _positive(gps.get(GPS.GPSHPositioningError)) if at_all else None,
+    )
 
 
 def _degrees(

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
+from skyline.photo.exif import NOTHING_NOTED, NotedPlace
 from skyline.photo.projection import MIN_FOV_DEG, Projection
 
 
@@ -27,6 +28,8 @@ class QuerySkyline:
         Horizontal field of view, where it is known.
     projection : Projection
         How columns and rows become rays.
+    noted : NotedPlace
+        Where the photo says that it was taken.
     """
 
     row_px: Float64Array
@@ -35,6 +38,7 @@ class QuerySkyline:
     height_px: int
     fov_deg: float | None = None
     projection: Projection = Projection.PERSPECTIVE
+    noted: NotedPlace = NOTHING_NOTED
 
     def __post_init__(self) -> None:
         for name in ("row_px", "confidence"):

@@ -83,7 +83,7 @@ def extract_photo(
         query = _find(photo.rgb, sky_model)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return photo.rgb, replace(query, fov_deg=photo.fov_deg, projection=photo.projection)
+    return photo.rgb, photo.described(query)
 
 
 def read_photo(

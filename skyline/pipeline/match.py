@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from skyline.errors import InputError, SkylineError, named
 from skyline.geodesy import Frame
 from skyline.matching import Candidate, Hypotheses, Narrowing, Profiles, QueryRays
+from skyline.matching.claim import Claim
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.progress import telling
 from skyline.matching.screening import Alike
-from skyline.photo import Projection, QuerySkyline, read_query
+from skyline.photo import NotedPlace, Projection, QuerySkyline, read_query
 from skyline.pipeline.config import check_dem, read_dem_of
 from skyline.pipeline.matchers import FULL, MATCHERS, check_narrows
 from skyline.pipeline.scene import RenderedScene
@@ -31,6 +32,11 @@ from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
 _log = logging.getLogger(__name__)
+
+_GPS_SD_M, _LEAST_GPS_SD_M = 30.0, 15.0
+"""Scales of positions without an accuracy, and of those with a good one: the model is off too."""
+_COMPASS_SD_DEG, _MAGNETIC_SD_DEG = 20.0, 30.0
+"""The declination, which nothing here knows, is up to 20 degrees where people live."""
 
 Dem = str | Path | Sequence[str | Path] | HeightField
 
@@ -169,7 +175,7 @@ class Matcher:
         candidates: tuple[Candidate, ...] = ()
         refusal = too_little(query, self._config)
         if refusal is None:
-            rays, narrowed = self._rays(query), self._narrowed(narrowing)
+            rays, narrowed = self._rays(query), self._narrowed(narrowing, query)
             with telling(told):
                 ranking = self._ranker.rank(rays, top, narrowed, screened)
             candidates = ranking.candidates(self.frame)
@@ -216,7 +222,7 @@ class Matcher:
         """
         if too_little(query, self._config) is not None:
             return None
-        return self._ranker.screened(self._rays(query), self._narrowed(narrowing), part)
+        return self._ranker.screened(self._rays(query), self._narrowed(narrowing, query), part)
 
     def match_all(
         self,
@@ -227,8 +233,11 @@ class Matcher:
         """Find where several queries were taken, in order; see `match`."""
         return [self.match(query, fov_deg, top) for query in queries]
 
-    def _narrowed(self, narrowing: Narrowing | None) -> Narrowed | None:
-        narrowed = None if narrowing is None else narrowing.within(self.frame)
+    def _narrowed(self, narrowing: Narrowing | None, query: QuerySkyline) -> Narrowed | None:
+        if narrowing is None:
+            return None
+        claim = claim_of(query.noted, self.frame) if narrowing.use_gps else None
+        narrowed = narrowing.within(self.frame, claim)
         if narrowed is not None:
             check_narrows(self._ranker)
         return narrowed
@@ -248,6 +257,21 @@ class Matcher:
         raise InputError(
             "the query's field of view is not known: it is not in the image; give --fov-deg"
         )
+
+
+def claim_of(noted: NotedPlace, frame: Frame) -> Claim | None:
+    """Return what a photo notes of its place as a prior in a frame; None where it notes none."""
+    if noted.lonlat_deg is None:
+        return None
+    east, north = (float(value) for value in frame.from_lonlat(*noted.lonlat_deg))
+    if not (np.isfinite(east) and np.isfinite(north)):
+        return None  # Too far from the frame to have a place in it.
+    heading_deg = noted.heading_deg
+    if heading_deg is not None:
+        heading_deg -= float(frame.convergence_deg(east, north))
+    sd_m = max(_LEAST_GPS_SD_M, noted.accuracy_m or _GPS_SD_M)
+    compass_sd_deg = _MAGNETIC_SD_DEG if noted.is_magnetic else _COMPASS_SD_DEG
+    return Claim(east, north, sd_m, heading_deg, compass_sd_deg)
 
 
 def too_little(query: QuerySkyline, config: MatchConfig) -> str | None:

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import NotRequired, TypedDict
 
 from skyline.matching.ranking import Candidate
+from skyline.report.claims import ExifRecord
 
 
 class CandidateRecord(TypedDict):
@@ -25,13 +26,17 @@ class CandidateRecord(TypedDict):
 
 
 class MatchRecord(TypedDict):
-    """One query as ``skyline match --json`` prints it; without an answer it says why."""
+    """One query as ``skyline match --json`` prints it; without an answer it says why.
+
+    ``exif`` is there where the photo notes a place or a direction.
+    """
 
     query: str
     answer: CandidateRecord | None
     candidates: list[CandidateRecord]
     seconds: float
     refusal: NotRequired[str]
+    exif: NotRequired[ExifRecord]
 
 
 def describe_candidates(candidates: Iterable[Candidate]) -> list[CandidateRecord]:
