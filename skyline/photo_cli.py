@@ -2,16 +2,18 @@
 
 import json
 import math
+import time
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from skyline.console import Scheduler, Workers, complain, parse_bounds, runner_of
-from skyline.describe import describe_match
-from skyline.errors import InputError, MissingFileError, SkylineError
+from skyline.console import Scheduler, Workers, complain, parse_bounds, patience, runner_of
+from skyline.describe import describe_match, match_in_words
+from skyline.errors import InputError, SkylineError
 from skyline.matching import Narrowing
 from skyline.matching.match_config import MatchConfig
 from skyline.photo import Projection, extract_photo, write_overlay, write_trace
@@ -20,16 +22,15 @@ from skyline.pipeline import (
     MATCHERS,
     Matcher,
     MatchResult,
-    QueryReading,
+    Query,
+    listed,
     match_many,
     matched,
     report_matches,
 )
 from skyline.pipeline.match import terrain_at_hand
-from skyline.report.claims import claim_in_words
 from skyline.report.exports import EXPORTS, check_export, export_matches
-from skyline.report.peaks import read_peaks
-from skyline.report.records import CandidateRecord, MatchRecord
+from skyline.report.peaks import Peaks, read_peaks
 
 _DEFAULTS = MatchConfig()
 
@@ -123,10 +124,6 @@ def match(
 ) -> None:
     """Find where photos were taken and in which direction the camera looked."""
     exports = export or []
-    _check_queries(query)
-    _check_outputs(exports, [store, *query])
-    for path in exports:
-        check_export(path)
     if peaks is not None and report is None:
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
     config = replace(
@@ -137,40 +134,64 @@ def match(
     narrowing = replace(
         _narrowing(near, bounds, heading, elevation), eye_height_m=eye_height, use_gps=use_gps
     )
+    queries = list(listed(query, Query("", fov_deg, None, projection, sky_model, narrowing)))
+    _check_outputs(exports, [store, *query, *(Path(one.path) for one in queries)])
+    for path in exports:
+        check_export(path)
+    refused = _refused(queries)
+    usable = [one for one in queries if one not in refused]
+    if not usable:
+        for one in queries:
+            _say_failed(one, refused[one], as_json, is_said=True)
+        raise typer.Exit(InputError.exit_code)
     # Workers may have another working directory.
     tiles = tuple(str(Path(one).absolute()) if Path(one).is_file() else one for one in dem or ())
     asked = (str(store), tiles or None, matcher, config)
-    matching = Matcher(*asked)
+    opened = time.perf_counter()
+    with patience(f"opening {store} and its elevation model"):
+        matching = Matcher(*asked)
+    loading_s = time.perf_counter() - opened
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
-    reading = QueryReading(fov_deg, projection, sky_model)
-    results, failed = [], 0
+    results: list[tuple[Path, MatchResult]] = []
+    failed = 0
     with runner_of(workers, scheduler) as runner:
         if runner is None:
-            found = _matched_here(matching, query, reading, top, narrowing)
+            found = _matched_here(matching, usable, top)
         else:
-            found = match_many(runner, asked, query, reading, top, narrowing)
-        for path, result in zip(query, found, strict=True):
+            found = match_many(runner, asked, usable, top)
+        for one in queries:
+            with nullcontext() if results else patience(f"matching {one.path}"):
+                result = refused.get(one) or next(found)
             if isinstance(result, SkylineError):
-                _say_failed(path, result, as_json)
+                _say_failed(one, result, as_json, is_said=one in refused)
                 failed = result.exit_code
                 continue
-            results.append((path, result))
-            record = describe_match(str(path), result)
-            if as_json:
-                typer.echo(json.dumps(record))
-            else:
-                _say_match(record)
+            results.append((Path(one.path), result))
+            record = describe_match(one.path, result, loading_s)
+            said = [json.dumps(record)] if as_json else match_in_words(record, top)
+            typer.echo("\n".join(said))
+    _write(matching, results, exports, report, gazetteer)
+    if failed:
+        raise typer.Exit(failed)
+
+
+def _write(
+    matching: Matcher,
+    results: Sequence[tuple[Path, MatchResult]],
+    exports: Sequence[Path],
+    report: Path | None,
+    gazetteer: Peaks | None,
+) -> None:
+    """Write what was found, where anything was, to the files asked for."""
     for path in exports if results else ():
         packed = path.suffix.lower() == ".kmz"
         told_of = [matched(one, result, with_photo=packed) for one, result in results]
         export_matches(path, told_of, matching.frame)
     if report is not None and results:
-        done = [f"The matcher `{matcher}` searched a store of {matching.rows} {matching.holds}."]
+        done = [f"{matching.rows} {matching.holds} of the store were searched."]
         told = (matched(path, result, done) for path, result in results)
         terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
         report_matches(report, matching, told, terrain, gazetteer)
-    if failed:
-        raise typer.Exit(failed)
 
 
 def extract(
@@ -195,16 +216,12 @@ def extract(
 
 
 def _matched_here(
-    matching: Matcher,
-    queries: Sequence[Path],
-    reading: QueryReading,
-    top: int,
-    narrowing: Narrowing,
+    matching: Matcher, queries: Sequence[Query], top: int
 ) -> Iterator[MatchResult | SkylineError]:
     """Yield what was found for each query, or why it cannot be matched."""
-    for path in queries:
+    for one in queries:
         try:
-            yield matching.match(reading.read(path), top=top, narrowing=narrowing)
+            yield one.match(matching, top)
         except SkylineError as error:
             yield error
 
@@ -233,16 +250,26 @@ def _numbers(name: str, text: str | None, wanted: str, count: int) -> tuple[floa
     return values
 
 
-def _check_queries(queries: Sequence[Path]) -> None:
-    """Raise `MissingFileError` where there is nothing to match, before a store is opened for it."""
-    if not any(path.exists() for path in queries):
-        raise MissingFileError(f"{queries[0]} does not exist; expected a photo, a mask or a trace")
+def _refused(queries: Sequence[Query]) -> dict[Query, SkylineError]:
+    """Return what cannot be matched and why, said at once.
+
+    A store is opened for minutes, and a DEM read: nobody should wait for a wrong name.
+    """
+    refused: dict[Query, SkylineError] = {}
+    for one in queries:
+        try:
+            one.check()
+        except SkylineError as error:
+            refused[one] = error
+            complain(str(error))
+    return refused
 
 
-def _say_failed(path: Path, error: SkylineError, as_json: bool) -> None:
-    complain(str(error))
+def _say_failed(one: Query, error: SkylineError, as_json: bool, is_said: bool) -> None:
+    if not is_said:
+        complain(str(error))
     if as_json:
-        typer.echo(json.dumps({"query": str(path), "error": str(error)}))
+        typer.echo(json.dumps({"query": one.path, "error": str(error)}))
 
 
 def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
@@ -251,30 +278,3 @@ def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> No
     for path in outputs:
         if path is not None and path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")
-
-
-def _how_sure(place: CandidateRecord) -> str:
-    if place["confidence"] is None:
-        return f"score {place['score']:.3f}"
-    return f"confidence {place['confidence']:.2f}"
-
-
-def _say_match(record: MatchRecord) -> None:
-    typer.echo(f"{record['query']} ({record['seconds']:.2f} s)")
-    if record["answer"] is not None:
-        typer.echo("  the answer is candidate 1; all candidates, best first:")
-    if "refusal" in record:
-        typer.echo(f"  no answer: {record['refusal']}")
-    for rank, place in enumerate(record["candidates"], start=1):
-        typer.echo(
-            f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
-            f"{place['easting']:.0f} northing {place['northing']:.0f}  heading "
-            f"{place['heading_deg']:.1f} from true north  pitch {place['pitch_deg']:.1f}  fov "
-            f"{place['fov_deg']:.1f}  "
-            f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"
-        )
-    if "exif" in record:
-        best = next(iter(record["candidates"]), None)
-        called = "candidate 1" if record["answer"] is None else "the answer"
-        heading_deg = None if best is None else best["heading_deg"]
-        typer.echo(f"  {claim_in_words(record['exif'], heading_deg, called)}")

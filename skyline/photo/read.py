@@ -14,6 +14,7 @@ from skyline.errors import InputError
 from skyline.files import write_whole
 from skyline.photo.decode import Photo, decode_image
 from skyline.photo.extract import extract_skyline
+from skyline.photo.lens import MAX_PINHOLE_ASPECT
 from skyline.photo.mask import is_sky_mask, skyline_of_mask
 from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
 from skyline.photo.query import QuerySkyline
@@ -25,6 +26,7 @@ log = logging.getLogger(__name__)
 SkyModel = SkySession | str | Path | None
 
 _FULL_CIRCLE_DEG = 360.0
+_LENSES = (None, Projection.PERSPECTIVE)
 _SKYLINE_RGB = (255, 0, 60)
 
 
@@ -55,10 +57,10 @@ def read_query(
     InputError
         The file cannot be used, or no skyline is found in it.
     """
-    _check_fov(fov_deg, projection)
+    check_fov(fov_deg, projection)
     if Path(path).suffix.lower() == ".csv":
-        trace = read_trace(path)
-        return replace(trace, fov_deg=fov_deg, projection=projection or Projection.PERSPECTIVE)
+        projection = projection or Projection.PERSPECTIVE
+        return replace(read_trace(path, fov_deg), projection=projection)
     return extract_photo(path, fov_deg, projection=projection, sky_model=sky_model)[1]
 
 
@@ -79,6 +81,7 @@ def extract_photo(
     query : QuerySkyline
     """
     photo = read_photo(path, fov_deg, projection=projection)
+    _doubt_strip(path, photo)
     try:
         query = _find(photo.rgb, sky_model)
     except InputError as error:
@@ -109,22 +112,39 @@ def read_photo(
     InputError
         It cannot be decoded, or is a sliver.
     """
-    _check_fov(fov_deg, projection)
+    check_fov(fov_deg, projection)
     decoded = decode_image(path)
-    fov_deg = decoded.fov_deg if fov_deg is None else fov_deg
+    # What the lens was says nothing of a panorama, nor where a person knows better.
+    lens = decoded.lens if fov_deg is None and projection in _LENSES else None
+    if fov_deg is None and (lens is not None or decoded.lens is None):
+        fov_deg = decoded.fov_deg
     projection = projection or decoded.projection
     image, fov_deg = _with_rays(decoded.rgb, fov_deg, projection)
     if min(image.shape[:2]) < 2:
         height, width = image.shape[:2]
         raise InputError(f"{path} has {width} x {height} px; expected a photo or a sky mask")
-    return Photo(image, fov_deg, projection, decoded.place)
+    return Photo(image, fov_deg, projection, decoded.place, lens)
 
 
-def _check_fov(fov_deg: float | None, projection: Projection | None) -> None:
-    """Refuse an impossible field of view before the file is looked at."""
+def _doubt_strip(path: str | Path, photo: Photo) -> None:
+    """Warn of a photo that has the shape of a panorama, where nobody says that it is none."""
+    height, width = photo.rgb.shape[:2]
+    is_said = photo.fov_deg is not None or photo.projection is not Projection.PERSPECTIVE
+    if not is_said and width > MAX_PINHOLE_ASPECT * height:
+        log.warning(
+            "%s has %d x %d px and is matched as a strip of a photo; if it is a panorama, give "
+            "--projection cylindrical and --fov-deg",
+            path,
+            width,
+            height,
+        )
+
+
+def check_fov(fov_deg: float | None, projection: Projection | None) -> None:
+    """Refuse an impossible field of view before a file is looked at; raises `InputError`."""
     if fov_deg is None:
         return
-    if projection in {None, Projection.PERSPECTIVE}:
+    if projection in _LENSES:
         Projection.PERSPECTIVE.check_fov_deg(fov_deg)
     elif not MIN_FOV_DEG <= fov_deg <= _FULL_CIRCLE_DEG:
         raise InputError(

@@ -1,6 +1,6 @@
 """The one place that ties renderer, store, planner, photo and matcher together."""
 
-from skyline.pipeline.batch import QueryReading, match_many
+from skyline.pipeline.batch import match_many
 from skyline.pipeline.build import (
     BuildResult,
     Progress,
@@ -16,6 +16,7 @@ from skyline.pipeline.match import Matcher, MatchResult
 from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.pipeline.places import PlaceConfig, build_places
 from skyline.pipeline.planned import PlannedResult, build_planned
+from skyline.pipeline.queries import Query, listed
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.shards import ShardPlan, build_sharded
 
@@ -28,7 +29,7 @@ __all__ = [
     "PlaceConfig",
     "PlannedResult",
     "Progress",
-    "QueryReading",
+    "Query",
     "RenderConfig",
     "ShardPlan",
     "build_places",
@@ -36,6 +37,7 @@ __all__ = [
     "build_sharded",
     "build_uniform",
     "explain_scene",
+    "listed",
     "local_runner",
     "match_many",
     "matched",

@@ -1,9 +1,10 @@
 """Matching queries to a store, and to the terrain it was rendered from."""
 
 import logging
+import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,7 +19,7 @@ from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.progress import telling
 from skyline.matching.screening import Alike
-from skyline.photo import NotedPlace, Projection, QuerySkyline, read_query
+from skyline.photo import Lens, NotedPlace, Projection, QuerySkyline, read_query
 from skyline.pipeline.config import check_dem, read_dem_of
 from skyline.pipeline.matchers import FULL, MATCHERS, check_narrows
 from skyline.pipeline.scene import RenderedScene
@@ -234,8 +235,10 @@ class Matcher:
         return [self.match(query, fov_deg, top) for query in queries]
 
     def _narrowed(self, narrowing: Narrowing | None, query: QuerySkyline) -> Narrowed | None:
-        if narrowing is None:
-            return None
+        narrowing = narrowing or Narrowing()
+        known_m = query.eye_height_m if self._ranker.narrows else None
+        if narrowing.eye_height_m is None and known_m is not None:
+            narrowing = replace(narrowing, eye_height_m=known_m)
         claim = claim_of(query.noted, self.frame) if narrowing.use_gps else None
         narrowed = narrowing.within(self.frame, claim)
         if narrowed is not None:
@@ -249,8 +252,9 @@ class Matcher:
             # Other fields of view of a panorama are not its rays scaled.
             return QueryRays(*query.image_plane(fov_deg), weight, fov_deg)
         if fov_deg is not None:
-            rays = query.image_plane(fov_deg)
-            return QueryRays.about(*rays, weight, fov_deg, self._config.fov_slack)
+            lens, rays = query.lens or Lens(fov_deg), query.image_plane(fov_deg)
+            sd_deg = self._config.fov_slack * fov_deg if lens.sd_deg is None else lens.sd_deg
+            return QueryRays.about(*rays, weight, fov_deg, sd_deg, lens.most_deg or math.inf)
         if self._ranker.finds_fov and query.projection is Projection.PERSPECTIVE:
             fov_deg, sd_deg = self._config.usual_fov_deg
             return QueryRays(*query.image_plane(fov_deg), weight, fov_deg, bounds_deg, sd_deg)
@@ -277,6 +281,8 @@ def claim_of(noted: NotedPlace, frame: Frame) -> Claim | None:
 def too_little(query: QuerySkyline, config: MatchConfig) -> str | None:
     """Say why a query shows too little of a skyline to be matched, if so."""
     widest_deg = config.fov_range_deg[1] if query.fov_deg is None else query.fov_deg
+    if query.lens is not None and query.lens.most_deg is not None:
+        widest_deg = query.lens.most_deg
     visible_deg, least_deg = query.visible_deg(widest_deg), config.min_visible_deg
     if visible_deg >= least_deg:
         return None
