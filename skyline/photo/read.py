@@ -59,8 +59,7 @@ def read_query(
     """
     check_fov(fov_deg, projection)
     if Path(path).suffix.lower() == ".csv":
-        projection = projection or Projection.PERSPECTIVE
-        return replace(read_trace(path, fov_deg), projection=projection)
+        return _read_trace(path, fov_deg, projection or Projection.PERSPECTIVE)
     return extract_photo(path, fov_deg, projection=projection, sky_model=sky_model)[1]
 
 
@@ -167,14 +166,43 @@ def _with_rays(
     image: UInt8Array, fov_deg: float | None, projection: Projection
 ) -> tuple[UInt8Array, float | None]:
     """Cut a panorama to the part that has rays, and say so."""
-    too_wide = fov_deg is not None and fov_deg > MAX_PANORAMA_DEG
-    if projection is Projection.PERSPECTIVE or fov_deg is None or not too_wide:
+    if projection is Projection.PERSPECTIVE or fov_deg is None:
         return image, fov_deg
     width = image.shape[1]
+    middle = _middle(width, fov_deg)
+    kept = middle.stop - middle.start
+    return np.ascontiguousarray(image[:, middle]), fov_deg * kept / width
+
+
+def _read_trace(path: str | Path, fov_deg: float | None, projection: Projection) -> QuerySkyline:
+    """Read a trace; one of a panorama is cut as its photo is."""
+    if projection is Projection.PERSPECTIVE:
+        return read_trace(path, fov_deg)
+    trace = read_trace(path)
+    fov_deg = fov_deg or trace.fov_deg
+    if fov_deg is None:
+        return replace(trace, projection=projection)
+    middle = _middle(trace.width_px, fov_deg)
+    kept = middle.stop - middle.start
+    return replace(
+        trace,
+        row_px=trace.row_px[middle],
+        confidence=trace.confidence[middle],
+        width_px=kept,
+        fov_deg=fov_deg * kept / trace.width_px,
+        projection=projection,
+        lens=None,
+    )
+
+
+def _middle(width: int, fov_deg: float) -> slice:
+    """Return the columns of a panorama that have rays, and say so where those are not all."""
+    if fov_deg <= MAX_PANORAMA_DEG:
+        return slice(0, width)
     kept = max(1, int(width * MAX_PANORAMA_DEG / fov_deg))
     start = (width - kept) // 2
     log.warning("panorama of %.0f degrees cut to the %.0f in its middle", fov_deg, MAX_PANORAMA_DEG)
-    return np.ascontiguousarray(image[:, start : start + kept]), fov_deg * kept / width
+    return slice(start, start + kept)
 
 
 def read_picture(path: str | Path) -> UInt8Array | None:
