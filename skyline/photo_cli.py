@@ -1,9 +1,11 @@
 """``skyline match extract``: photos in, places and skylines out."""
 
+import hashlib
 import json
 import math
+import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +33,8 @@ from skyline.pipeline import (
 from skyline.pipeline.match import terrain_at_hand
 from skyline.report.exports import EXPORTS, check_export, export_matches
 from skyline.report.peaks import Peaks, read_peaks
+from skyline.report.records import FailureRecord
+from skyline.report.results import RESULTS, Results, open_results, row_of
 
 _DEFAULTS = MatchConfig()
 
@@ -119,6 +123,14 @@ def match(
             help=f"Write the candidates, by the suffix: {', '.join(EXPORTS)}; may be repeated.",
         ),
     ] = None,
+    results: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help=f"Write a row a photo as it is done ({', '.join(RESULTS)}). Photos that the file "
+            "has are not matched again.",
+        ),
+    ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
 ) -> None:
@@ -134,62 +146,105 @@ def match(
     narrowing = replace(
         _narrowing(near, bounds, heading, elevation), eye_height_m=eye_height, use_gps=use_gps
     )
-    queries = list(listed(query, Query("", fov_deg, None, projection, sky_model, narrowing)))
-    _check_outputs(exports, [store, *query, *(Path(one.path) for one in queries)])
+    common = Query("", fov_deg, None, projection, sky_model, narrowing)
+    queries = list(listed(query, common))
+    _check_outputs([*exports, results], [store, *query, *(Path(one.path) for one in queries)])
     for path in exports:
         check_export(path)
+    kept = _Kept(results, _search(store, matcher, config, common), as_json, top)
+    queries = kept.left(queries)
     refused = _refused(queries)
     usable = [one for one in queries if one not in refused]
     if not usable:
-        for one in queries:
-            _say_failed(one, refused[one], as_json, is_said=True)
-        raise typer.Exit(InputError.exit_code)
+        kept.tell_all(queries, refused, iter(()))
+        raise typer.Exit(kept.exit_code)
     # Workers may have another working directory.
     tiles = tuple(str(Path(one).absolute()) if Path(one).is_file() else one for one in dem or ())
     asked = (str(store), tiles or None, matcher, config)
     opened = time.perf_counter()
     with patience(f"opening {store} and its elevation model"):
         matching = Matcher(*asked)
-    loading_s = time.perf_counter() - opened
+    kept.loading_s = time.perf_counter() - opened
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
-    results: list[tuple[Path, MatchResult]] = []
-    failed = 0
     with runner_of(workers, scheduler) as runner:
         if runner is None:
             found = _matched_here(matching, usable, top)
         else:
             found = match_many(runner, asked, usable, top)
+        matches = kept.tell_all(queries, refused, found)
+    _write(matching, matches, exports, report, gazetteer)
+    if kept.exit_code:
+        raise typer.Exit(kept.exit_code)
+
+
+class _Kept:
+    """Prints what is found of each query, and keeps it in a file where one is asked for."""
+
+    def __init__(self, results: Path | None, search: str, as_json: bool, top: int) -> None:
+        self.loading_s, self.exit_code = 0.0, 0
+        self._path, self._search, self._as_json, self._top = results, search, as_json, top
+        self._file: Results | None = None
+        self._had: set[str] = set()
+        if results is not None:
+            self._file, self._had = open_results(results, search)
+
+    def left(self, queries: list[Query]) -> list[Query]:
+        """Return the queries that the file does not have, and say how many those are not."""
+        left = [one for one in queries if one.path not in self._had]
+        if len(left) < len(queries):
+            done = len(queries) - len(left)
+            print(f"{self._path}: {done} of {len(queries)} are there already", file=sys.stderr)
+        return left
+
+    def tell_all(
+        self,
+        queries: Sequence[Query],
+        refused: Mapping[Query, SkylineError],
+        found: Iterator[MatchResult | SkylineError],
+    ) -> list[tuple[Path, MatchResult]]:
+        """Tell of all queries in order, as they come; return those that could be matched."""
+        matches: list[tuple[Path, MatchResult]] = []
         for one in queries:
-            with nullcontext() if results else patience(f"matching {one.path}"):
+            with nullcontext() if matches else patience(f"matching {one.path}"):
                 result = refused.get(one) or next(found)
             if isinstance(result, SkylineError):
-                _say_failed(one, result, as_json, is_said=one in refused)
-                failed = result.exit_code
+                self._tell_failed(one, result, is_said=one in refused)
                 continue
-            results.append((Path(one.path), result))
-            record = describe_match(one.path, result, loading_s)
-            said = [json.dumps(record)] if as_json else match_in_words(record, top)
-            typer.echo("\n".join(said))
-    _write(matching, results, exports, report, gazetteer)
-    if failed:
-        raise typer.Exit(failed)
+            matches.append((Path(one.path), result))
+            record = describe_match(one.path, result, self.loading_s)
+            said = match_in_words(record, self._top)
+            typer.echo(json.dumps(record) if self._as_json else "\n".join(said))
+            if self._file is not None:
+                self._file.add(row_of(record, self._search))
+        return matches
+
+    def _tell_failed(self, one: Query, error: SkylineError, is_said: bool) -> None:
+        """Tell of a query that cannot be matched; one that was not tried is tried again."""
+        self.exit_code = error.exit_code
+        record = FailureRecord(query=one.path, error=str(error))
+        if not is_said:
+            complain(str(error))
+        if self._as_json:
+            typer.echo(json.dumps(record))
+        if self._file is not None and not is_said:
+            self._file.add(row_of(record, self._search))
 
 
 def _write(
     matching: Matcher,
-    results: Sequence[tuple[Path, MatchResult]],
+    matches: Sequence[tuple[Path, MatchResult]],
     exports: Sequence[Path],
     report: Path | None,
     gazetteer: Peaks | None,
 ) -> None:
     """Write what was found, where anything was, to the files asked for."""
-    for path in exports if results else ():
+    for path in exports if matches else ():
         packed = path.suffix.lower() == ".kmz"
-        told_of = [matched(one, result, with_photo=packed) for one, result in results]
+        told_of = [matched(one, result, with_photo=packed) for one, result in matches]
         export_matches(path, told_of, matching.frame)
-    if report is not None and results:
+    if report is not None and matches:
         done = [f"{matching.rows} {matching.holds} of the store were searched."]
-        told = (matched(path, result, done) for path, result in results)
+        told = (matched(path, result, done) for path, result in matches)
         terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
         report_matches(report, matching, told, terrain, gazetteer)
 
@@ -250,6 +305,13 @@ def _numbers(name: str, text: str | None, wanted: str, count: int) -> tuple[floa
     return values
 
 
+def _search(store: Path, matcher: str, config: MatchConfig, common: Query) -> str:
+    """Return what tells this search from others: a store, how it is searched, what is known."""
+    written = store.stat().st_mtime_ns if store.exists() else 0
+    settings = repr((store.name, written, matcher, config, common))
+    return hashlib.sha256(settings.encode()).hexdigest()[:12]
+
+
 def _refused(queries: Sequence[Query]) -> dict[Query, SkylineError]:
     """Return what cannot be matched and why, said at once.
 
@@ -263,13 +325,6 @@ def _refused(queries: Sequence[Query]) -> dict[Query, SkylineError]:
             refused[one] = error
             complain(str(error))
     return refused
-
-
-def _say_failed(one: Query, error: SkylineError, as_json: bool, is_said: bool) -> None:
-    if not is_said:
-        complain(str(error))
-    if as_json:
-        typer.echo(json.dumps({"query": one.path, "error": str(error)}))
 
 
 def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:

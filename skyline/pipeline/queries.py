@@ -18,6 +18,10 @@ _COLUMNS = (
     "path", "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",
     "heading_deg", "heading_slack_deg",
 )  # fmt: skip
+_PICTURES = (
+    ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".avif", ".jp2", ".bmp",
+)  # fmt: skip
+"""What is taken of a folder."""
 _TOGETHER = (("lon", "lat", "radius_km"), ("heading_deg", "heading_slack_deg"))
 
 
@@ -92,10 +96,11 @@ class Query:
 
 
 def listed(paths: Iterable[Path], one: Query) -> Iterator[Query]:
-    """Yield the queries that files stand for: each itself, a list of photos what it lists.
+    """Yield the queries that files stand for: each itself, a folder its pictures, a list its rows.
 
-    A list is a CSV file whose header begins with ``path``. Paths count from the list's folder, and
-    what a row leaves empty is as for all.
+    A path that does not exist and has a wildcard stands for what it matches. A list is a CSV file
+    whose header begins with ``path``. Paths count from the list's folder, and what a row leaves
+    empty is as for all.
 
     Parameters
     ----------
@@ -106,15 +111,29 @@ def listed(paths: Iterable[Path], one: Query) -> Iterator[Query]:
     Raises
     ------
     InputError
-        A list with a column that is not known, or a value that is none.
+        A list with a column that is not known, or a value that is none; a folder without pictures.
     """
-    for path in paths:
+    for path in _expanded(paths):
         rows = _rows(path) if path.suffix.lower() == ".csv" and path.is_file() else None
         if rows is None:
             yield replace(one, path=str(path))
             continue
         for number, row in enumerate(rows, start=2):
             yield _query(path, number, row, one)
+
+
+def _expanded(paths: Iterable[Path]) -> Iterator[Path]:
+    for path in paths:
+        if path.is_dir():
+            some = [one for one in path.iterdir() if one.suffix.lower() in _PICTURES]
+        elif not path.exists() and any(mark in path.name for mark in "*?["):
+            some = list(path.parent.glob(path.name))
+        else:
+            yield path
+            continue
+        if not some:
+            raise InputError(f"{path} has no pictures; expected {', '.join(_PICTURES)}")
+        yield from sorted(some)
 
 
 def _rows(path: Path) -> list[dict[str, str]] | None:

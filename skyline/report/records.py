@@ -52,6 +52,13 @@ class MatchRecord(TypedDict):
     lens: NotRequired[LensRecord]
 
 
+class FailureRecord(TypedDict):
+    """One query that cannot be matched as ``skyline match --json`` prints it."""
+
+    query: str
+    error: str
+
+
 def describe_candidates(candidates: Iterable[Candidate]) -> list[CandidateRecord]:
     """Return candidates in the public JSON's terms."""
     return [describe_candidate(candidate) for candidate in candidates]

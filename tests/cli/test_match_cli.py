@@ -222,6 +222,36 @@ def test_what_takes_long_is_said(run, store, photo, monkeypatch):
     assert "of 9999 candidates" in done.out
 
 
+def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path):
+    folder, results = tmp_path / "photos", tmp_path / "results.csv"
+    folder.mkdir()
+    for name in ("a.jpg", "b.JPG"):
+        shutil.copy(photo, folder / name)
+    (folder / "notes.txt").write_text("no photo")
+    command = ("match", store, folder, "--fov-deg", "60", "--no-refine", "--results", results)
+    assert run(*command).code == 0
+    whole = results.read_text()
+    assert [line.split(",")[0] for line in whole.splitlines()] == [
+        "query", str(folder / "a.jpg"), str(folder / "b.JPG"),
+    ]  # fmt: skip
+    results.write_text(whole[:-20])
+    again = run(*command)
+    assert "1 of 2 are there already" in again.err
+    assert "a.jpg" not in again.out
+    rows = [line.split(",") for line in results.read_text().splitlines()]
+    wanted = [line.split(",") for line in whole.splitlines()]
+    seconds = wanted[0].index("seconds")
+    for row, other in zip(rows, wanted, strict=True):
+        row[seconds] = other[seconds]
+    assert rows == wanted
+    assert run(*command).out == ""
+    assert_refused(run(*command, "--near", "10,46,9"), "another store or other options")
+    (tmp_path / "empty").mkdir()
+    assert_refused(run("match", store, tmp_path / "empty"), "has no pictures")
+    wild = run("match", store, folder / "?.jpg", "--fov-deg", "60", "--no-refine")
+    assert wild.out.count("(unrefined)") == 5
+
+
 def claiming(photo, path, lonlat, heading_deg=None, reference="T"):
     """Write a copy of a photo that says it was taken elsewhere; return its path."""
     exif = Image.Exif()
