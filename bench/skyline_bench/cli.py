@@ -8,7 +8,8 @@ from skyline_bench.commands.adaptive import uniform_adaptive
 from skyline_bench.commands.matching import matching
 from skyline_bench.commands.page import page
 from skyline_bench.commands.photos import photo_quality, photos, readme_picture
-from skyline_bench.commands.planning import planned_build, prediction_quality, table1
+from skyline_bench.commands.placing import placing
+from skyline_bench.commands.planning import prediction_quality, table1
 from skyline_bench.commands.scale import scale
 from skyline_bench.commands.search import accuracy_time, calibrate, retrieval_scale, strangers
 from skyline_bench.commands.skylines import (
@@ -31,9 +32,8 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         pipeline_speed: "a minute",
     },
     "Planning": {
-        table1: "5 minutes",
-        prediction_quality: "5 minutes",
-        planned_build: "10 minutes",
+        table1: "a minute",
+        prediction_quality: "a minute",
     },
     "Builds, stores and files": {
         sharded_build: "an hour",
@@ -44,6 +44,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         matching: "hours",
         uniform_adaptive: "hours",
         scale: "hours",
+        placing: "an hour",
         accuracy_time: "30 minutes",
         retrieval_scale: "5 minutes",
         strangers: "10 minutes",

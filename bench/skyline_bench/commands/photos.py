@@ -77,6 +77,9 @@ def photos(
     side_km: Annotated[
         float, typer.Option(help="Side of the square about a photograph that is searched.")
     ] = _PHOTOS.side_m / 1000.0,
+    spacing: Annotated[
+        float | None, typer.Option(metavar="M", help="Between places; planned by default.")
+    ] = None,
     use_gps: Annotated[
         bool, typer.Option("--use-gps", help="Let the photographs' own positions draw the search.")
     ] = False,
@@ -96,7 +99,7 @@ def photos(
     check_outputs(json_file, None)
     check_folder("--page", page)
     wanted = read_manifest(manifest)
-    config = PhotosConfig(side_m=1000.0 * side_km, use_gps=use_gps)
+    config = PhotosConfig(1000.0 * side_km, spacing, use_gps)
     if quick:
         config, wanted = config.quick(), _some(wanted)
     located = any(one.kind != EXTRACT for one in wanted)
@@ -110,8 +113,9 @@ def photos(
     print_rows(rows, _PHOTO_COLUMNS)
     print_rows(summary)
     name = manifest.stem
-    rows = [{"manifest": name, "use_gps": use_gps, "side_m": config.side_m, **row} for row in rows]
-    summary = [{"manifest": name, "use_gps": use_gps, **row} for row in summary]
+    how = {"manifest": name, **asdict(config)}
+    rows = [{**how, **row} for row in rows]
+    summary = [{**how, **row} for row in summary]
     keep_record(json_file, "photos", rows, {"photos": summary})
     if drawn is not None and page is not None:
         drawn.write(page, f"{len(rows)} photographs of {manifest.name}.")

@@ -46,14 +46,14 @@ class PhotosConfig:
     ----------
     side_m : float
         Of the square about each photograph that is searched.
-    spacing_m : float
-        Between places.
+    spacing_m : float, optional
+        Between places; planned without.
     use_gps : bool
         Whether the photos' own positions draw the search.
     """
 
     side_m: float = 22_000.0
-    spacing_m: float = 80.0
+    spacing_m: float | None = None
     use_gps: bool = False
 
     def quick(self) -> "PhotosConfig":
