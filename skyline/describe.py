@@ -63,9 +63,9 @@ def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
     if "lens" in record:
         said.append(f"  field of view: {record['lens']['said']}")
     if "exif" in record:
-        called = "candidate 1" if record["answer"] is None else "the answer"
         heading_deg = places[0]["heading_deg"] if places else None
-        said.append(f"  {claim_in_words(record['exif'], heading_deg, called)}")
+        is_answer = record["answer"] is not None
+        said.append(f"  {claim_in_words(record['exif'], heading_deg, is_answer)}")
     return said
 
 

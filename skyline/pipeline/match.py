@@ -26,6 +26,7 @@ from skyline.pipeline.scene import RenderedScene
 from skyline.pipeline.tables import to_geodataframe
 from skyline.places import PlaceSource
 from skyline.render.thread import RenderThread
+from skyline.report.claims import claim_said
 from skyline.store import Store, StoreHeader, open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import Ground, HeightField
@@ -67,6 +68,12 @@ class MatchResult:
     def answer(self) -> Candidate | None:
         """The best candidate, if the matcher stands by it."""
         return self.candidates[0] if self.candidates and not self.refusal else None
+
+    @property
+    def claim(self) -> str:
+        """Where the photo says that it was taken, against the best candidate; empty without."""
+        best = next(iter(self.candidates), None)
+        return claim_said(self.query.noted, best, self.answer is not None)
 
     def to_geodataframe(self) -> Any:
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""

@@ -51,8 +51,19 @@ def describe_claim(noted: NotedPlace, best: Candidate | None) -> ExifRecord | No
     )
 
 
+def claim_said(
+    noted: NotedPlace, best: Candidate | None, is_answer: bool, with_place: bool = True
+) -> str:
+    """Return what a photo notes against the best candidate, in words; empty where it is nothing."""
+    claim = describe_claim(noted, best)
+    if claim is None:
+        return ""
+    heading_deg = None if best is None else best.heading_deg
+    return claim_in_words(claim, heading_deg, is_answer, with_place)
+
+
 def claim_in_words(
-    claim: ExifRecord, best_heading_deg: float | None, best: str, with_place: bool = True
+    claim: ExifRecord, best_heading_deg: float | None, is_answer: bool, with_place: bool = True
 ) -> str:
     """Return a claim as sentences.
 
@@ -61,12 +72,12 @@ def claim_in_words(
     claim : ExifRecord
     best_heading_deg : float, optional
         Of the best candidate.
-    best : str
-        What the best candidate is called: ``the answer``, say.
+    is_answer : bool
+        Whether that is the answer.
     with_place : bool
         Whether the photo's own longitude and latitude are said.
     """
-    said = []
+    said, best = [], "the answer" if is_answer else "candidate 1"
     if claim["lat"] is not None:
         where = f"lat {claim['lat']:.5f} lon {claim['lon']:.5f}" if with_place else "a place"
         sure = "" if claim["accuracy_m"] is None else f" within {claim['accuracy_m']:.0f} m"

@@ -11,7 +11,7 @@ from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
 from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
-from skyline.report.claims import claim_in_words, describe_claim
+from skyline.report.claims import claim_said
 from skyline.report.geojson import write_geojson
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
@@ -111,11 +111,9 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
     ]
     if matched.candidates:
         parts.append(_candidate_table(matched.candidates))
-    claim = describe_claim(matched.query.noted, best)
-    if claim is not None:
-        called = "the answer" if matched.is_answered else "candidate 1"
-        heading_deg = None if best is None else best.heading_deg
-        parts.append(Text(claim_in_words(claim, heading_deg, called, with_place=False)))
+    claim = claim_said(matched.query.noted, best, matched.is_answered, with_place=False)
+    if claim:
+        parts.append(Text(claim))
     done = " ".join(matched.done)
     parts.append(
         Text(f"What was done: {done} It took {matched.seconds:.2f} s.".replace(":  ", ": "))
