@@ -55,7 +55,10 @@ def match(
     store: Annotated[Path, typer.Argument(metavar="STORE.h5")],
     query: Annotated[
         list[Path],
-        typer.Argument(metavar="QUERY...", help="Photos, sky masks (white = sky) or CSV traces."),
+        typer.Argument(
+            metavar="QUERY...",
+            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists.",
+        ),
     ],
     fov_deg: FieldOfView = None,
     projection: PhotoProjection = None,

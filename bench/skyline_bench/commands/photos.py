@@ -92,9 +92,11 @@ def photos(
 ) -> None:
     """Real photographs: their skylines, their places, and which stage lost a place.
 
-    docs/howto/comparing-grids.md has the columns of a manifest. An area of 22 km takes 4 minutes
-    to build, a photograph 10 s, and one that is lost up to a minute. --quick searches areas of
-    4 km, and three photographs of each kind.
+    docs/howto/comparing-grids.md has the columns of a manifest.
+
+    An area of 22 km takes minutes to build, a photograph 10 s, one that is lost a minute.
+
+    --quick searches areas of 4 km, and three photographs of each kind.
     """
     check_outputs(json_file, None)
     check_folder("--page", page)
