@@ -134,8 +134,8 @@ def test_a_browser_shows_the_report(kept, made, tmp_path):
     seen = pixels(shot.read_bytes())
     assert seen.shape == (5000, 1200, 3)
     # The plot with its two colours of stores, then tables, then maps.
-    orange = np.abs(seen[..., ::-1] - np.array((213, 94, 0))).sum(axis=-1) < 90
-    assert orange[100:800].sum() > 100
+    blue = np.abs(seen[..., ::-1] - np.array((0, 114, 178))).sum(axis=-1) < 90
+    assert blue[100:800].sum() > 100
     for begin in range(0, 4000, 800):
         assert seen[begin : begin + 800].std() > 10.0
 
