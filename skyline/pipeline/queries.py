@@ -140,14 +140,14 @@ def _rows(path: Path) -> list[dict[str, str]] | None:
     """Return the rows of a list; None for another file, such as a trace."""
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            head = file.readline()
-            if head.split(",")[0].strip() != "path":
+            reader = csv.DictReader(file, skipinitialspace=True)
+            names = [name.strip() for name in reader.fieldnames or ("",)]
+            if names[0] != "path":
                 return None
-            file.seek(0)
-            rows = list(csv.DictReader(file, skipinitialspace=True))
+            reader.fieldnames = names
+            rows = list(reader)
     except (OSError, UnicodeDecodeError, csv.Error):
         return None  # Reading it as a trace says what is wrong.
-    names = [name.strip() for name in head.strip().split(",")]
     unknown = [name for name in names if name not in _COLUMNS]
     if unknown:
         raise InputError(

@@ -7,11 +7,13 @@ import pytest
 from query_scenes import hills, panorama_of, poses, rays_of, seen
 from scipy.integrate import quad
 
+from skyline.geodesy import Frame
 from skyline.matching.claim import Claim
 from skyline.matching.ranking import Candidate
 from skyline.matching.solver import Curves as SeenCurves
 from skyline.matching.solver import EyeHeight, Solver, SolverConfig
 from skyline.photo import NotedPlace
+from skyline.pipeline.match import claim_of
 from skyline.report.claims import claim_in_words, describe_claim
 
 CLAIM = Claim(1000.0, 2000.0, 25.0)
@@ -88,6 +90,23 @@ def test_disagreement_is_said():
     said = claim_in_words(describe_claim(noted, BEST), 131.0, False)
     assert "position and compass and candidate 1 disagree" in said
     assert "5,821 km from candidate 1" in said
+
+
+def test_a_claim_in_a_frame_is_as_good_as_the_photo_says():
+    frame = Frame.local(9.8, 46.7)
+    plain = claim_of(NotedPlace((9.8, 46.7), heading_deg=10.0), frame)
+    assert (plain.easting_m, plain.northing_m) == pytest.approx((0.0, 0.0), abs=1e-6)
+    assert (plain.sd_m, plain.heading_deg, plain.heading_sd_deg) == (30.0, 10.0, 20.0)
+    said = claim_of(NotedPlace((9.8, 46.7), None, 10.0, True, 80.0), frame)
+    assert (said.sd_m, said.heading_sd_deg) == (80.0, 30.0)
+    # A model of the terrain is no better than so.
+    assert claim_of(NotedPlace((9.8, 46.7), accuracy_m=1.0), frame).sd_m == 15.0
+    assert claim_of(NotedPlace(heading_deg=10.0), frame) is None
+    beside = frame.to_lonlat(40_000.0, 0.0)
+    east = claim_of(NotedPlace((float(beside[0]), float(beside[1])), heading_deg=0.0), frame)
+    turn_deg = float(frame.convergence_deg(40_000.0, 0.0))
+    assert abs(turn_deg) > 0.1
+    assert east.heading_deg == pytest.approx(-turn_deg)
 
 
 def test_what_notes_nothing_claims_nothing():
