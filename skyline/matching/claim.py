@@ -42,6 +42,10 @@ class Claim:
         Grid azimuth of the optical axis.
     heading_sd_deg : float
         Its deviation, where the compass is right.
+    elevation_m : float, optional
+        Of the eye; its error is spread like a Cauchy distribution.
+    elevation_sd_m : float
+        How it is spread.
     weight : float
         What its probabilities count among scores, which may be worth less than log odds.
     """
@@ -51,6 +55,8 @@ class Claim:
     sd_m: float
     heading_deg: float | None = None
     heading_sd_deg: float = 20.0
+    elevation_m: float | None = None
+    elevation_sd_m: float = 30.0
     weight: float = 1.0
 
     def __post_init__(self) -> None:
@@ -65,13 +71,17 @@ class Claim:
         """How far about the claim places are always looked at."""
         return _REACH_M + _REACH_SD * self.sd_m
 
-    def cost(self, place_m: NDArray[np.complex128], heading_rad: Float64Array) -> Float64Array:
+    def cost(
+        self, place_m: NDArray[np.complex128], eye_m: Float64Array, heading_rad: Float64Array
+    ) -> Float64Array:
         """Return -log of how much likelier poses (M,) are than without the claim, times the weight.
 
         Parameters
         ----------
         place_m : (M,) complex128
             Easting, and northing as the imaginary part.
+        eye_m : (M,) float64
+            Elevations of the eye.
         heading_rad : (M,) float64
             Grid azimuths of the optical axis.
         """
@@ -82,6 +92,8 @@ class Claim:
             right = 360.0 / (np.sqrt(2.0 * np.pi) * self.heading_sd_deg)
             right *= 1.0 - _COMPASS_WRONG_SHARE
             cost = cost - np.log(_COMPASS_WRONG_SHARE + right * np.exp(-0.5 * off**2))
+        if self.elevation_m is not None:
+            cost = cost + np.log1p(((eye_m - self.elevation_m) / self.elevation_sd_m) ** 2)
         return np.asarray(self.weight * cost)
 
     def precision(self, place_m: NDArray[np.complex128]) -> Float64Array:
@@ -89,6 +101,13 @@ class Claim:
         tail = self._tail(place_m)
         pull = 3.0 * self._peak * tail**-2.5 / self.sd_m**2
         return np.asarray(self.weight * pull / (_WRONG_SHARE + self._peak * tail**-1.5))
+
+    def lift(self, eye_m: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return what draws elevations of eyes (M,), as `precision`, and their offsets from it."""
+        if self.elevation_m is None:
+            return np.zeros_like(eye_m), np.zeros_like(eye_m)
+        off_m = eye_m - self.elevation_m
+        return 2.0 * self.weight / (self.elevation_sd_m**2 + off_m**2), off_m
 
     def offset_m(self, place_m: NDArray[np.complex128]) -> Float64Array:
         """Return how far places (M,) lie east and north of the claim, (M, 2)."""

@@ -270,7 +270,9 @@ class _Refinement:
         views = self._scene.render(eyes, heading.astype(np.uint8))
         panoramas = Panoramas.from_views(views, row, len(easting_m), bins)
         slope = self._slope(easting_m, northing_m, ground_m)
-        return Curves.of(panoramas, easting_m + 1j * northing_m, slope, height_m)
+        # Who stands off the map fits nowhere, whatever the ground is.
+        ground_m = np.nan_to_num(ground_m)
+        return Curves.of(panoramas, easting_m + 1j * northing_m, ground_m, slope, height_m)
 
     def _slope(
         self, easting_m: Float64Array, northing_m: Float64Array, ground_m: Float64Array

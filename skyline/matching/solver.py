@@ -152,12 +152,15 @@ class Curves(Rows):
         and by a metre up, and distance, at azimuth 360 b / B degrees; NaN where unknown.
     place_m : (M,) complex128
         Where they stand: easting, and northing as the imaginary part.
+    ground_m : (M,) float64
+        The ground's height there.
     eye_height_m : (M,) float64
         Above the ground.
     """
 
     channels: Float64Array
     place_m: NDArray[np.complex128]
+    ground_m: Float64Array
     eye_height_m: Float64Array
 
     @classmethod
@@ -165,6 +168,7 @@ class Curves(Rows):
         cls,
         panoramas: Panoramas,
         place_m: NDArray[np.complex128],
+        ground_m: Float64Array,
         ground_slope: Float64Array,
         eye_height_m: Float64Array,
     ) -> "Curves":
@@ -176,7 +180,7 @@ class Curves(Rows):
         east = (y * sine + slope * cosine - ground_slope[:, :1]) / distance
         north = (y * cosine - slope * sine - ground_slope[:, 1:]) / distance
         channels = np.stack([y, slope, east, north, -1.0 / distance, distance], axis=-1)
-        return cls(channels, place_m, eye_height_m)
+        return cls(channels, place_m, ground_m, eye_height_m)
 
     def at(self, azimuth_rad: Float64Array) -> Float64Array:
         """Return the channels, (M, R, 6), at azimuths (M, R), linear between bins."""
@@ -227,6 +231,8 @@ class Linear:
         Of the terrain's skyline under each column.
     place_m : (M,) complex128
         Where the states' eyes stand; see `Curves`.
+    eye_m : (M,) float64
+        Their elevations, the ground taken to be level about where the curve was seen.
     """
 
     residual_rad: Float64Array
@@ -234,6 +240,7 @@ class Linear:
     azimuth_rad: Float64Array
     distance_m: Float64Array
     place_m: NDArray[np.complex128]
+    eye_m: Float64Array
 
 
 class Solver:
@@ -397,6 +404,7 @@ class Solver:
             azimuth,
             there[..., 5],
             curves.place_m + state[:, EAST] + 1j * state[:, NORTH],
+            curves.ground_m + state[:, EYE_HEIGHT],
         )
 
     def _errors(self, linear: Linear, curves: Curves) -> HeightErrors:
@@ -417,7 +425,7 @@ class Solver:
         prior = 0.5 * fit.state**2 @ self._prior
         prior += self.config.terrain_weight * self._eye.cost(fit.state[:, EYE_HEIGHT])
         if self._claim is not None:
-            prior += self._claim.cost(linear.place_m, fit.state[:, HEADING])
+            prior += self._claim.cost(linear.place_m, linear.eye_m, fit.state[:, HEADING])
         cost = judged.cost + 0.5 * log_det + prior + self._noise_cost[noise[1]]
         return replace(judged, cost=cost)
 
@@ -472,13 +480,16 @@ class Solver:
         return replace(fit, state=state)
 
     def _draw(self, linear: Linear, normal: Float64Array, gradient: Float64Array) -> None:
-        """Add to normal equations what draws places (M,) to the claim."""
+        """Add to normal equations what draws eyes (M,) to the claim."""
         if self._claim is None:
             return
         precision = self._claim.precision(linear.place_m)
         gradient[:, :EYE_HEIGHT] += precision[:, np.newaxis] * self._claim.offset_m(linear.place_m)
         for axis in (EAST, NORTH):
             normal[:, axis, axis] += precision
+        precision, off_m = self._claim.lift(linear.eye_m)
+        gradient[:, EYE_HEIGHT] += precision * off_m
+        normal[:, EYE_HEIGHT, EYE_HEIGHT] += precision
 
 
 def _log_tangent(fov_deg: Float64Array | float) -> Float64Array:

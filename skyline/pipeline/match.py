@@ -37,6 +37,8 @@ _log = logging.getLogger(__name__)
 
 _GPS_SD_M, _LEAST_GPS_SD_M = 30.0, 15.0
 """Scales of positions without an accuracy, and of those with a good one: the model is off too."""
+_LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES = 15.0, 3.0
+"""Heights are two to three times as uncertain as places, and the model's datum may be another."""
 _COMPASS_SD_DEG, _MAGNETIC_SD_DEG = 20.0, 30.0
 """The declination, which nothing here knows, is up to 20 degrees where people live."""
 
@@ -282,7 +284,12 @@ def claim_of(noted: NotedPlace, frame: Frame) -> Claim | None:
         heading_deg -= float(frame.convergence_deg(east, north))
     sd_m = max(_LEAST_GPS_SD_M, noted.accuracy_m or _GPS_SD_M)
     compass_sd_deg = _MAGNETIC_SD_DEG if noted.is_magnetic else _COMPASS_SD_DEG
-    return Claim(east, north, sd_m, heading_deg, compass_sd_deg)
+    elevation_m, elevation_sd_m = None, _LEAST_ALTITUDE_SD_M
+    if noted.accuracy_m is not None:
+        # Who says how good a position is has satellites in view, and corrects for the geoid.
+        elevation_m = noted.elevation_m
+        elevation_sd_m = max(_LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES * noted.accuracy_m)
+    return Claim(east, north, sd_m, heading_deg, compass_sd_deg, elevation_m, elevation_sd_m)
 
 
 def too_little(query: QuerySkyline, config: MatchConfig) -> str | None:
