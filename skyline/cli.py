@@ -45,8 +45,9 @@ from skyline.pipeline import (
 from skyline.pipeline.config import ROWS
 from skyline.pipeline.places import DEFAULT_LOSS
 from skyline.pipeline.shards import DEFAULT_TILE_M
+from skyline.places import Places
 from skyline.planning.uniform import uniform_grid
-from skyline.store import is_store
+from skyline.store import is_store, open_store
 from skyline.store_cli import store_app
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
@@ -166,11 +167,11 @@ def build(
             f"chooses their viewpoints: uniform, {', '.join(STRATEGIES)}."
         ),
     ] = None,
-    pitch: Annotated[
+    candidate_spacing: Annotated[
         float | None,
         typer.Option(
             help="Planner: metres between candidates.",
-            show_default=f"{_PLANNED.spacing.pitch_m:g}",
+            show_default=f"{_PLANNED.spacing.candidate_m:g}",
         ),
     ] = None,
     threshold_px: Annotated[
@@ -201,7 +202,10 @@ def build(
     coverage_map: Annotated[
         Path | None,
         typer.Option(
-            "--map", metavar="PNG", help="Planner: draw a map of viewpoints and their areas."
+            "--map",
+            metavar="PNG",
+            help="Draw a map of the places and how far apart they lie; with a planner, of "
+            "viewpoints and their areas.",
         ),
     ] = None,
     width: Annotated[
@@ -232,12 +236,11 @@ def build(
     tiled = (shard_km, workers, scheduler) != (None, None, None)
     tile_m = DEFAULT_TILE_M if shard_km is None else 1000.0 * shard_km
     only_planned: dict[str, object] = {
-        "--pitch": pitch,
+        "--candidate-spacing": candidate_spacing,
         "--threshold-px": threshold_px,
         "--coverage": coverage,
         "--budget": budget,
         "--seed": seed,
-        "--map": coverage_map,
     }
     only_rendered: dict[str, object] = {
         "--width": width,
@@ -247,11 +250,8 @@ def build(
     if planner is None:
         _refuse_given(only_planned | only_rendered, "a store of renderings; give --planner too")
         places = PlaceConfig(curvature=_curvature(k, no_curvature))
-        if spacing is not None and loss is not None:
-            raise InputError(
-                f"--spacing {spacing:g} asks for a uniform grid, --loss {loss:g} for places that "
-                "are planned; give one of them"
-            )
+        if spacing is not None:
+            _refuse_given({"--loss": loss}, f"planned places, --spacing {spacing:g} for a grid")
         share = DEFAULT_LOSS if loss is None else loss
         with runner_of(workers, scheduler) as runner, progress_bar("rendering") as progress:
             terrain = read_dem(dem, dem_options)
@@ -263,9 +263,10 @@ def build(
                     terrain, output, spacing, corners, places, progress, loss=share
                 )
         _say_built(result, output, "places")
+        if coverage_map is not None:
+            _draw_places(terrain, output, coverage_map)
         return
-    if loss is not None:
-        raise InputError(f"--loss {loss:g} is for places; leave out --planner {planner}")
+    _refuse_given({"--loss": loss}, f"places; leave out --planner {planner}")
     if planner != "uniform" and planner not in STRATEGIES:
         raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
     config = replace(
@@ -279,6 +280,7 @@ def build(
     )
     coarse_m = _PLANNED.spacing.coarse_m if spacing is None else spacing
     if planner == "uniform":
+        only_planned["--map"] = coverage_map
         _refuse_given(only_planned, "a planner that chooses viewpoints; uniform does not choose")
         with runner_of(workers, scheduler) as runner, progress_bar("rendering") as progress:
             terrain = read_dem(dem, dem_options)
@@ -293,10 +295,10 @@ def build(
         raise InputError(
             f"planner {planner} plans one area as a whole; tiles and workers are for uniform grids"
         )
-    pitch_m = _PLANNED.spacing.pitch_m if pitch is None else pitch
+    candidate_m = _PLANNED.spacing.candidate_m if candidate_spacing is None else candidate_spacing
     planned = PlanConfig(
         planner,
-        replace(_PLANNED.spacing, coarse_m=coarse_m, pitch_m=pitch_m),
+        replace(_PLANNED.spacing, coarse_m=coarse_m, candidate_m=candidate_m),
         _PLANNED.threshold_px if threshold_px is None else threshold_px,
         _PLANNED.coverage if coverage is None else coverage,
         seed=_PLANNED.seed if seed is None else seed,
@@ -318,6 +320,12 @@ def build(
     _say_planned(done)
     if coverage_map is not None:
         report.save_coverage_map(done.plan, coverage_map)
+
+
+def _draw_places(terrain: HeightField, store: Path, path: Path) -> None:
+    with open_store(store) as opened:
+        places = Places.concatenate(list(opened.places().blocks()))
+    report.save_place_map(terrain, places, path)
 
 
 def _refuse_given(options: Mapping[str, object], why: str) -> None:

@@ -5,6 +5,7 @@ from .matched import Matched
 from .matches import write_match_geojson, write_match_report
 from .peaks import Peaks, read_peaks
 from .pictures import save_depth_images, save_panorama
+from .place_map import save_place_map
 from .surroundings import Surroundings
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "save_depth_images",
     "save_map",
     "save_panorama",
+    "save_place_map",
     "write_match_geojson",
     "write_match_report",
 ]
