@@ -62,12 +62,19 @@ def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
         count = f"{len(places)} of {asked_for} candidates"
         said.append(f"  {count}: no other place was worth refining to the end")
     if "lens" in record:
-        said.append(f"  field of view: {record['lens']['said']}")
+        said.append(f"  field of view: {_lens_in_words(record['lens'])}")
     if "exif" in record:
         heading_deg = places[0]["heading_deg"] if places else None
         is_answer = record["answer"] is not None
         said.append(f"  {claim_in_words(record['exif'], heading_deg, is_answer)}")
     return said
+
+
+def _lens_in_words(lens: LensRecord) -> str:
+    if lens["fov_deg"] is None:
+        return f"not known; {lens['said']}"
+    sure = "" if lens["sd_deg"] is None else f", give or take {lens['sd_deg']:.0f}"
+    return f"{lens['fov_deg']:.1f} degrees{sure}; {lens['said']}"
 
 
 def _how_sure(place: CandidateRecord) -> str:

@@ -80,9 +80,9 @@ def claim_in_words(
     said, best = [], "the answer" if is_answer else "candidate 1"
     if claim["lat"] is not None:
         where = f"lat {claim['lat']:.5f} lon {claim['lon']:.5f}" if with_place else "a place"
-        sure = "" if claim["accuracy_m"] is None else f" within {claim['accuracy_m']:.0f} m"
+        sure = "" if claim["accuracy_m"] is None else f" (good to {claim['accuracy_m']:.0f} m)"
         off = "" if claim["distance_m"] is None else f", {_metres(claim['distance_m'])} from {best}"
-        said.append(f"The photo says {where}{sure}{off}.")
+        said.append(f"The photo says {where}{off}{sure}.")
     if claim["heading_deg"] is not None:
         north = ", from magnetic north" if claim["heading_is_magnetic"] else ""
         own = "" if best_heading_deg is None else f", {best} {best_heading_deg:.0f}"

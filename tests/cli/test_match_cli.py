@@ -165,7 +165,10 @@ def test_what_a_photo_notes_of_its_lens_is_weighed(run, store, photo, tmp_path):
     assert lenses[1]["most_deg"] > 60.0 > lenses[1]["fov_deg"]
     assert "cropped" in lenses[1]["said"]
     assert lenses[2]["fov_deg"] is None
-    assert "field of view: EXIF's 35 mm equivalent" in run("match", store, plain).out
+    said = run("match", store, plain, cropped, lie, "--no-refine").out
+    assert "field of view: 60.3 degrees; EXIF's 35 mm equivalent" in said
+    assert "field of view: 53.7 degrees, give or take 10; EXIF's 35 mm equivalent, but" in said
+    assert "field of view: not known; EXIF's 35 mm equivalent left aside: 0.21 degrees" in said
 
 
 def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp_path):

@@ -90,7 +90,7 @@ def test_what_is_said():
     assert record["distance_m"] == pytest.approx(240.0, abs=0.5)
     assert record["heading_off_deg"] == pytest.approx(19.0)
     said = claim_in_words(record, 131.0, True)
-    assert "within 5 m, 240 m from the answer" in said
+    assert "lon 9.80000, 240 m from the answer (good to 5 m). Its" in said
     assert "compass says 112 degrees, from magnetic north, the answer 131." in said
     assert "disagree" not in said
     assert "46.7" not in claim_in_words(record, 131.0, True, with_place=False)
