@@ -1,4 +1,4 @@
-"""The command line: ``skyline render build match extract serve info explain store dem`` ."""
+"""The command line: ``skyline COMMAND``."""
 
 import json
 from collections.abc import Mapping
@@ -8,8 +8,13 @@ from typing import Annotated
 
 import typer
 
-from skyline import dem_cli, page_cli, photo_cli, report
+from skyline import dem_cli, horizon_cli, page_cli, panorama_cli, photo_cli, report
 from skyline.console import (
+    Crs,
+    Dems,
+    NoCurvature,
+    RefractionK,
+    Reproject,
     Scheduler,
     Workers,
     command_line,
@@ -61,22 +66,11 @@ app = command_line("skyline", "A photo of mountains in, a place on the map out."
 app.add_typer(dem_cli.app)
 app.add_typer(store_app, name="store")
 
-Dems = Annotated[
-    list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
-]
 Output = Annotated[Path, typer.Option("--output", "-o", help="The store to write (HDF5).")]
 Width = Annotated[int, typer.Option(help="Columns of a 90 degree view.")]
 Tolerance = Annotated[
     float,
     typer.Option("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact."),
-]
-RefractionK = Annotated[float, typer.Option("--k", help="Refraction coefficient.")]
-NoCurvature = Annotated[bool, typer.Option("--no-curvature", help="Take the Earth as flat.")]
-Crs = Annotated[
-    str | None, typer.Option(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")
-]
-Reproject = Annotated[
-    bool, typer.Option("--reproject", help="Warp a DEM whose CRS is not conformal.")
 ]
 Bounds = Annotated[
     str | None, typer.Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
@@ -338,6 +332,10 @@ def _refuse_given(options: Mapping[str, object], why: str) -> None:
 app.command()(photo_cli.match)
 app.command()(photo_cli.extract)
 app.command()(page_cli.serve)
+app.command()(horizon_cli.horizon)
+app.command()(horizon_cli.sun)
+app.command()(panorama_cli.panorama)
+app.command()(panorama_cli.peaks)
 
 
 @app.command()
