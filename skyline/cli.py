@@ -31,6 +31,7 @@ from skyline.pipeline import (
 from skyline.store import is_store
 from skyline.store_cli import store_app
 from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on
 
 _DEFAULTS = RenderConfig()
@@ -79,7 +80,12 @@ def info(
 @app.command()
 def explain(
     dem: Dems,
-    at: Annotated[str, typer.Option(metavar="E,N", help="Easting and northing, metres.")],
+    at: Annotated[
+        str,
+        typer.Option(
+            metavar="LON,LAT", help="Degrees (WGS 84), or easting and northing in metres."
+        ),
+    ],
     width: Width = _DEFAULTS.width,
     tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
     k: RefractionK = _DEFAULTS.curvature.refraction_k,
@@ -90,9 +96,9 @@ def explain(
 ) -> None:
     """Show which terrain a skyline depends on, what is left out, and what that costs."""
     config = build_cli.render_config(width, tolerance_px, k, no_curvature)
-    easting, northing = _parse_place(at)
+    pair = _parse_pair(at)
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-    eye = stand_on(terrain, easting, northing, config.eye_height_m)
+    eye = stand_on(terrain, *_place_m(terrain, pair), config.eye_height_m)
     needs, views = explain_scene(terrain, eye, config)
     _say_facts(describe_scene(eye, config, needs, views), as_json)
 
@@ -104,14 +110,24 @@ def main() -> None:
     )
 
 
-def _parse_place(text: str) -> tuple[float, float]:
+def _parse_pair(text: str) -> tuple[float, float]:
     try:
-        easting, northing = (float(part) for part in text.split(","))
+        first, second = (float(part) for part in text.split(","))
     except ValueError as error:
         raise InputError(
-            f"the place is `{text}`; expected easting and northing in metres, e.g. 601000,5179000"
+            f"--at is `{text}`; expected LON,LAT in degrees, or easting and northing in metres"
         ) from error
-    return easting, northing
+    return first, second
+
+
+def _place_m(terrain: HeightField, pair: tuple[float, float]) -> tuple[float, float]:
+    """Return easting and northing of degrees that lie on the map; other numbers are metres."""
+    if abs(pair[0]) <= 180.0 and abs(pair[1]) <= 90.0:
+        east, north = (float(value) for value in terrain.frame.from_lonlat(*pair))
+        low_east, low_north, high_east, high_north = terrain.bounds_m
+        if low_east <= east <= high_east and low_north <= north <= high_north:
+            return east, north
+    return pair
 
 
 def _say_facts(facts: dict[str, object], as_json: bool) -> None:

@@ -386,3 +386,15 @@ def test_explain_refuses_bad_places(dem, run, place, said):
     told = run("explain", dem, "--at", place)
     assert told.code == 2
     assert said in told.err
+
+
+def test_explain_takes_degrees_too(dem, run):
+    lon, lat = read_dem([dem]).frame.to_lonlat(601_800.0, 5_178_000.0)
+    by_degrees, by_metres = (
+        run("explain", dem, "--at", place, "--json")
+        for place in (f"{float(lon):.9f},{float(lat):.9f}", "601800,5178000")
+    )
+    assert by_degrees.code == 0, by_degrees.err
+    facts, others = json.loads(by_degrees.out), json.loads(by_metres.out)
+    assert facts["easting_m"] == pytest.approx(others["easting_m"], abs=0.01)
+    assert facts["northing_m"] == pytest.approx(others["northing_m"], abs=0.01)
