@@ -57,7 +57,8 @@ def test_a_circle_holds_the_place():
     off_m = []
     for number in range(20):
         found = search.about(truth_at(5e3, 5e3), AREA_M, FRAME, [0, number])
-        off_m.append(np.hypot(found.centre_m[0] - 5e3, found.centre_m[1] - 5e3))
+        ((east_m, north_m, _radius_m),) = found.circles_m
+        off_m.append(np.hypot(east_m - 5e3, north_m - 5e3))
     assert max(off_m) <= 2000.0 * 1.001
     assert max(off_m) > 1500.0
 
