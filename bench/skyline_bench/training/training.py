@@ -1,0 +1,154 @@
+"""Train the sky model on drawn photographs, and write it as Skyline reads it."""
+
+import gzip
+import io
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from skyline.arrays import Float32Array, UInt8Array
+from skyline.files import write_whole
+from skyline_bench.training.photographs import TrainingPhoto
+from skyline_bench.training.sky_net import INPUTS, SkyNet
+
+log = logging.getLogger(__name__)
+
+_SHAPES = ((256, 256), (192, 256), (256, 192), (128, 384))
+"""Heights and widths of batches: square, both ways up, a panorama's."""
+_SHAPE_SHARES = (0.35, 0.35, 0.2, 0.1)
+_BATCH = 16
+_LEARNING_RATE = 4e-3
+_WEIGHT_DECAY = 1e-3
+_WARM_UP_STEPS = 100
+_AVERAGE = 0.99
+"""What of the averaged weights is kept at each step."""
+_SEGMENTATION_WEIGHT = 0.5
+_SPREAD_PX = 0.6
+"""Deviation over which a true row is spread, pixels of the scores."""
+_LOG_EVERY = 100
+
+
+def train(photos: Sequence[TrainingPhoto], steps: int, seed: int) -> SkyNet:
+    """Train on photographs and return the network with averaged weights."""
+    torch.manual_seed(seed)
+    rng = np.random.default_rng(seed)
+    net, average = SkyNet(), SkyNet()
+    net, average = (each.to(memory_format=torch.channels_last) for each in (net, average))
+    average.load_state_dict(net.state_dict())
+    optimizer = torch.optim.AdamW(net.parameters(), _LEARNING_RATE, weight_decay=_WEIGHT_DECAY)
+    losses = []
+    for step in range(steps):
+        rate = 0.5 * (1.0 + np.cos(np.pi * step / steps)) * min(1.0, (step + 1) / _WARM_UP_STEPS)
+        optimizer.param_groups[0]["lr"] = _LEARNING_RATE * rate
+        losses.append(_step(net, optimizer, _batch(photos, rng)))
+        _follow(average, net, min(_AVERAGE, step / (step + 10)))
+        if (step + 1) % _LOG_EVERY == 0:
+            mean = np.mean(losses[-_LOG_EVERY:], axis=0)
+            log.info("step %d of %d: skyline %.3f, labels %.3f", step + 1, steps, *mean)
+    return average.eval()
+
+
+def _batch(photos: Sequence[TrainingPhoto], rng: np.random.Generator) -> tuple[Tensor, ...]:
+    """Return pictures (N, 4, H, W), labels (N, H, W) and rows (N, W), changed at random."""
+    shape = _SHAPES[rng.choice(len(_SHAPES), p=_SHAPE_SHARES)]
+    cuts = [_cut(photos[int(i)], shape, rng) for i in rng.integers(0, len(photos), _BATCH)]
+    image, label, row = (np.stack(parts) for parts in zip(*cuts, strict=True))
+    light = torch.from_numpy(image.transpose(0, 3, 1, 2)).float() / 255.0
+    down = torch.linspace(-1, 1, shape[0]).view(1, 1, -1, 1).expand(_BATCH, 1, *shape)
+    picture = torch.cat([2.0 * light - 1.0, down], 1).contiguous(memory_format=torch.channels_last)
+    return picture, torch.from_numpy(label[:, ::2, ::2].copy()).long(), torch.from_numpy(row)
+
+
+def _cut(
+    photo: TrainingPhoto, shape: tuple[int, int], rng: np.random.Generator
+) -> tuple[UInt8Array, UInt8Array, Float32Array]:
+    """Return a rectangle of a photograph at another size, mirrored half of the times."""
+    height, width = photo.label.shape
+    share = rng.uniform(0.7, 1.0)
+    aspect = shape[1] / shape[0] * np.exp(rng.uniform(-0.35, 0.35))
+    w = int(min(width, share * height * aspect))
+    h = int(min(height, w / aspect))
+    top, left = int(rng.integers(0, height - h + 1)), int(rng.integers(0, width - w + 1))
+    window = slice(top, top + h), slice(left, left + w)
+    image = cv2.resize(cv2.LUT(photo.image[window], _tones(rng)), shape[::-1], interpolation=cv2.INTER_AREA)
+    label = cv2.resize(photo.label[window], shape[::-1], interpolation=cv2.INTER_NEAREST)
+    across = ((np.arange(shape[1] // 2) + 0.5) * 2.0 * w / shape[1] + left).astype(np.intp)
+    row = (photo.row_px[across] - top) * np.float32(shape[0] / h)
+    if rng.random() < 0.5:
+        image, label, row = image[:, ::-1], label[:, ::-1], row[::-1]
+    return np.asarray(image, np.uint8), np.asarray(label, np.uint8), np.asarray(row, np.float32)
+
+
+def _tones(rng: np.random.Generator) -> UInt8Array:
+    """Return a table (1, 256, 3) that changes exposure, contrast and tone."""
+    level = np.linspace(0.0, 1.0, 256)[:, np.newaxis] ** np.exp(rng.normal(0.0, 0.25))
+    gain = np.exp(rng.normal(0.0, 0.15) + rng.normal(0.0, 0.05, 3))
+    toned = 255.0 * (gain * level + rng.normal(0.0, 0.03))
+    return np.asarray(np.clip(np.rint(toned), 0, 255)[np.newaxis], dtype=np.uint8)
+
+
+def _step(
+    net: SkyNet, optimizer: torch.optim.Optimizer, batch: tuple[Tensor, ...]
+) -> tuple[float, float]:
+    """Take one step; return the losses of the skyline and of the labels."""
+    picture, label, row = batch
+    net.train()
+    optimizer.zero_grad(set_to_none=True)
+    with torch.autocast("cpu", torch.bfloat16):
+        scores = net(picture)
+    scores = scores.float()
+    skyline = _skyline_loss(scores[:, 0], row / 2.0)
+    labels = functional.cross_entropy(scores[:, 1:], label)
+    (skyline + _SEGMENTATION_WEIGHT * labels).backward()
+    nn.utils.clip_grad_norm_(net.parameters(), 1.0)
+    optimizer.step()
+    return float(skyline.detach()), float(labels.detach())
+
+
+def _skyline_loss(odds: Tensor, row: Tensor) -> Tensor:
+    """Return the mean negative log-probability of each column's row, or of its having none.
+
+    ``odds`` (N, H, W) are log-odds against none; ``row`` is (N, W), NaN for none.
+    """
+    log_share = torch.log_softmax(torch.cat([odds, torch.zeros_like(odds[:, :1])], 1), 1)
+    seen = torch.isfinite(row) & (row > 0.5) & (row < odds.shape[1] - 0.5)
+    # A border at row r is r - 0.5 in pixel centres.
+    centre = torch.where(seen, row, 0.0)[:, None] - 0.5
+    away = torch.arange(odds.shape[1]).view(1, -1, 1) - centre
+    weight = torch.softmax(-0.5 * (away / _SPREAD_PX) ** 2, 1)
+    found = -(weight * log_share[:, :-1]).sum(1)
+    return torch.where(seen, found, -log_share[:, -1]).mean()
+
+
+def _follow(average: SkyNet, net: SkyNet, kept: float) -> None:
+    with torch.no_grad():
+        for mean, now in zip(average.state_dict().values(), net.state_dict().values(), strict=True):
+            if mean.is_floating_point():
+                mean.mul_(kept).add_(now, alpha=1.0 - kept)
+
+
+def write_model(net: SkyNet, path: Path) -> None:
+    """Write a network as zipped ONNX for pictures of any size, its weights to half precision."""
+    with torch.no_grad():
+        for weight in net.parameters():
+            weight.copy_(weight.half().float())
+    net = net.to(memory_format=torch.contiguous_format)
+    axes = {name: {2: "height", 3: "width"} for name in ("picture", "scores")}
+    whole = io.BytesIO()
+    torch.onnx.export(
+        net.eval(),
+        (torch.zeros(1, INPUTS, 256, 256),),
+        whole,
+        input_names=["picture"],
+        output_names=["scores"],
+        dynamic_axes=axes,
+        opset_version=13,
+        dynamo=False,
+    )
+    write_whole(path, gzip.compress(whole.getvalue(), 9, mtime=0))
