@@ -7,7 +7,13 @@ from skyline.console import command_line, run_app
 from skyline_bench.commands.adaptive import uniform_adaptive
 from skyline_bench.commands.matching import matching
 from skyline_bench.commands.page import page
-from skyline_bench.commands.photos import photo, photo_quality, readme_picture
+from skyline_bench.commands.photos import (
+    photo,
+    photo_quality,
+    readme_picture,
+    sky_masks,
+    train_sky_model,
+)
 from skyline_bench.commands.planning import planned_build, prediction_quality, table1
 from skyline_bench.commands.scale import scale
 from skyline_bench.commands.search import accuracy_time, calibrate, retrieval_scale, strangers
@@ -50,7 +56,9 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         calibrate: "20 minutes",
     },
     "Photographs": {
-        photo_quality: "15 minutes",
+        photo_quality: "5 minutes",
+        sky_masks: "a minute",
+        train_sky_model: "an hour",
         photo: "5 minutes",
         readme_picture: "a minute",
     },

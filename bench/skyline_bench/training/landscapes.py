@@ -58,7 +58,7 @@ def fractal(
 
 @lru_cache(maxsize=1)
 def _noises(seed: int) -> tuple[Float32Array, ...]:
-    """Return periodic fields that a few photographs share: relief, creases, crags, texture, grain."""
+    """Return periodic fields that a few photographs share: relief, creases, crags, two textures."""
     rng = np.random.default_rng([7, seed])
     shape = (CELLS, CELLS)
     creased = -np.abs(fractal(rng, shape, rng.uniform(1.6, 1.9), 1.0, rng.uniform(80, 300)))
@@ -79,7 +79,9 @@ def _heights(rng: np.random.Generator, noises: tuple[Float32Array, ...]) -> Floa
     return np.asarray(height * rng.uniform(250.0, 900.0), dtype=np.float32)
 
 
-def _at(field: Float32Array, x_m: Float32Array, y_m: Float32Array, scale: float = 1.0) -> Float32Array:
+def _at(
+    field: Float32Array, x_m: Float32Array, y_m: Float32Array, scale: float = 1.0
+) -> Float32Array:
     """Return a periodic field at places, bilinear."""
     x, y = (
         np.mod(place * np.float32(scale / CELL_M), CELLS).astype(np.float32) for place in (x_m, y_m)
@@ -89,14 +91,20 @@ def _at(field: Float32Array, x_m: Float32Array, y_m: Float32Array, scale: float 
 
 
 def draw_landscape(
-    rng: np.random.Generator, width: int, height: int, haze_rgb: NDArray[np.float32], family: int | None = None
+    rng: np.random.Generator,
+    width: int,
+    height: int,
+    haze_rgb: NDArray[np.float32],
+    family: int | None = None,
 ) -> Landscape:
     """Draw what lies below the skyline."""
     noises = _noises(int(rng.integers(1 << 40)) if family is None else family)
     field, texture, fine = _heights(rng, noises), noises[3], noises[4]
     fov = np.radians(rng.uniform(22.0, 85.0))
     azimuth = rng.uniform(0, 2 * np.pi) + np.linspace(-fov / 2, fov / 2, width, dtype=np.float32)
-    distance = np.geomspace(_NEAREST_M, _FARTHEST_M * rng.uniform(0.2, 1.0), _STEPS, dtype=np.float32)[:, np.newaxis]
+    distance = np.geomspace(
+        _NEAREST_M, _FARTHEST_M * rng.uniform(0.2, 1.0), _STEPS, dtype=np.float32
+    )[:, np.newaxis]
     x0, y0 = rng.uniform(0, CELLS * CELL_M, 2)
     x = (x0 + distance * np.sin(azimuth)).astype(np.float32)
     y = (y0 + distance * np.cos(azimuth)).astype(np.float32)
@@ -111,11 +119,15 @@ def draw_landscape(
         risen = np.clip((distance - near) / (1.5 * near), 0.0, 1.0)
         ground = low + (0.05 + 0.95 * risen * risen * (3.0 - 2.0 * risen)) * (ground - low)
     here = float(_at(field, np.full((1, 1), x0, np.float32), np.full((1, 1), y0, np.float32))[0, 0])
-    eye = min(max(here, low), float(ground[:3].max()) + 5.0) + np.exp(rng.uniform(np.log(2.0), np.log(900.0)))
+    eye = min(max(here, low), float(ground[:3].max()) + 5.0) + np.exp(
+        rng.uniform(np.log(2.0), np.log(900.0))
+    )
     steep = (ground - eye - distance**2 / 14.0e6) / distance
     skyline = steep.max(axis=0)
     span = np.percentile(skyline, 96) - np.percentile(skyline, 4) + 0.01
-    focal = float(np.clip(rng.uniform(0.02, 0.4) * height / span, width / fov / 2.5, 4.0 * width / fov))
+    focal = float(
+        np.clip(rng.uniform(0.02, 0.4) * height / span, width / fov / 2.5, 4.0 * width / fov)
+    )
     at = rng.uniform(0.12, 0.68) * height
     seen = np.maximum.accumulate(steep, axis=0)
     row_of = at - focal * (seen - np.median(skyline))
@@ -130,7 +142,9 @@ def draw_landscape(
     columns = np.arange(width)
     away = np.broadcast_to(distance, x.shape)[picked, columns]
     # Below the first step the ground goes on towards the eye's feet.
-    drop = np.maximum(row_of[0] - at + 2.0 * focal, 1.0) / np.maximum(rows[:, np.newaxis] - at + 2.0 * focal, 1.0)
+    drop = np.maximum(row_of[0] - at + 2.0 * focal, 1.0) / np.maximum(
+        rows[:, np.newaxis] - at + 2.0 * focal, 1.0
+    )
     nearer = np.where(picked == 0, np.minimum(drop, 1.0), 1.0).astype(np.float32)
     place = (
         np.asarray(x0 + away * nearer * np.sin(azimuth), np.float32),
@@ -140,7 +154,9 @@ def draw_landscape(
     visibility = np.exp(rng.uniform(np.log(4e3), np.log(2.5e5)))
     left = np.exp(-away / visibility)
     if rng.random() < 0.25:  # Mist in the valleys.
-        deep = np.clip((low + (high - low) * rng.uniform(0.2, 0.6) - ground[picked, columns]) / 300.0, 0, 1)
+        deep = np.clip(
+            (low + (high - low) * rng.uniform(0.2, 0.6) - ground[picked, columns]) / 300.0, 0, 1
+        )
         left = left * (1.0 - deep * np.clip(away / rng.uniform(3e3, 3e4), 0, 1))
     # What is farthest keeps a trace of itself, or there would be no skyline.
     left = np.maximum(left, rng.choice([0.04, 0.08, 0.15]))[:, :, np.newaxis]
@@ -183,7 +199,10 @@ def _surface(
     rock, meadow, forest, snow = (
         _tint(rng, rgb, spread)
         for rgb, spread in (
-            ((118, 110, 102), 12), ((104, 116, 70), 14), ((44, 58, 42), 8), ((238, 241, 247), 4),
+            ((118, 110, 102), 12),
+            ((104, 116, 70), 14),
+            ((44, 58, 42), 8),
+            ((238, 241, 247), 4),
         )
     )
     low, high = np.percentile(field[::8, ::8], [5, 99])
@@ -198,7 +217,11 @@ def _surface(
     if rng.random() < 0.55:
         snow_line = low + (high - low) * rng.uniform(-0.5, 1.05)
         holds = rng.uniform(0.5, 1.6)
-        cover = (relative - snow_line) / (0.08 * (high - low)) + 3.0 * (holds - tilt) - 0.8 * patches * rng.uniform(0, 2)
+        cover = (
+            (relative - snow_line) / (0.08 * (high - low))
+            + 3.0 * (holds - tilt)
+            - 0.8 * patches * rng.uniform(0, 2)
+        )
         cover = np.clip(np.minimum(cover, (relative - snow_line) / 40.0), 0.0, 1.0)
         bright = rng.uniform(0.75, 1.0) * (0.55 + 0.45 * np.clip(light, 0, 1.1))[..., np.newaxis]
         shaded = light[..., np.newaxis] * rgb
@@ -217,7 +240,10 @@ def draw_sky(
         "grey": ((150, 155, 162), (215, 218, 222)),
         "warm": ((110, 105, 140), (246, 180, 110)),
         "dark": ((25, 35, 60), (95, 100, 125)),
-        "any": (rng.uniform(30, 230) + rng.normal(0, 25, 3), rng.uniform(60, 240) + rng.normal(0, 25, 3)),
+        "any": (
+            rng.uniform(30, 230) + rng.normal(0, 25, 3),
+            rng.uniform(60, 240) + rng.normal(0, 25, 3),
+        ),
     }[str(kind)]
     zenith, horizon = (np.array(rgb, np.float32) * rng.uniform(0.75, 1.2) for rgb in base)
     zenith = zenith + rng.normal(0, 12, 3)
@@ -225,8 +251,10 @@ def draw_sky(
         zenith = horizon + rng.uniform(0.0, 0.35) * (zenith - horizon)
     horizon = np.clip(horizon + rng.normal(0, 12, 3), 5, 252)
     scale = rng.uniform(0.6, 1.6) * max(skyline_px, 0.15 * height)
-    down = np.clip(np.arange(height) / scale, 0, 1)[:, np.newaxis, np.newaxis] ** rng.uniform(0.6, 1.8)
-    sky = np.repeat(zenith + down * (horizon - zenith), width, axis=1)
+    down = np.clip(np.arange(height) / scale, 0, 1)[:, np.newaxis, np.newaxis] ** rng.uniform(
+        0.6, 1.8
+    )
+    sky: NDArray[np.floating] = np.repeat(zenith + down * (horizon - zenith), width, axis=1)
     if rng.random() < 0.35:  # The sun's glow.
         column, row = rng.uniform(-0.2, 1.2) * width, rng.uniform(-0.2, 1.0) * skyline_px
         far = np.hypot(np.arange(width) - column, np.arange(height)[:, np.newaxis] - row)
@@ -239,8 +267,11 @@ def draw_sky(
 
 
 def _clouded(
-    rng: np.random.Generator, sky: NDArray[np.float64], horizon: NDArray[np.float64], skyline_px: float
-) -> NDArray[np.float64]:
+    rng: np.random.Generator,
+    sky: NDArray[np.floating],
+    horizon: NDArray[np.floating],
+    skyline_px: float,
+) -> NDArray[np.floating]:
     """Put clouds into a sky: wisps, heaps with hard edges, or a ceiling."""
     height, width = sky.shape[:2]
     density = fractal(rng, (height, width), rng.uniform(1.2, 2.0), rng.uniform(1.0, 5.0))

@@ -7,10 +7,15 @@ import numpy as np
 from scipy import ndimage
 
 from skyline.arrays import Float32Array, UInt8Array
+from skyline.pipeline import Progress
+from skyline_bench.measuring.timing import core_count
+from skyline_bench.measuring.workers import crew
+from skyline_bench.training.covers import GROUND, SKY, dark, put_in_front
 from skyline_bench.training.landscapes import draw_landscape, draw_sky, fractal
 
-SKY, GROUND, COVER = 0, 1, 2
-"""Labels of pixels; a cover is whatever stands in front: a tree, a person, a window's frame."""
+_SIZE_PX = (400, 304)
+_NEAR_SLOPE_CHANCE = 0.4
+"""Of a dark slope before the mountains: it must not be taken for the skyline."""
 _LEAST_CONTRAST = 2.5
 """Levels between sky and ground below which nobody would see a skyline."""
 
@@ -32,32 +37,48 @@ class TrainingPhoto:
     row_px: Float32Array
 
 
+def draw_training_photos(count: int, seed: int, progress: Progress) -> list[TrainingPhoto]:
+    """Draw photographs in as many processes as there are cores."""
+    photos = dict[int, TrainingPhoto]()
+    with crew(seed, core_count()) as run:
+        for index, photo in run(_drawn, range(count)):
+            photos[index] = photo
+            progress(len(photos), count)
+    return [photos[index] for index in range(count)]
+
+
+def _drawn(seed: int, index: int) -> TrainingPhoto:
+    return draw_training_photo((seed, index), *_SIZE_PX)
+
+
 def draw_training_photo(seed: tuple[int, ...], width: int, height: int) -> TrainingPhoto:
-    """Draw one photograph."""
+    """Draw one photograph; those whose last seeds lie in one eighth share their relief."""
     rng = np.random.default_rng(seed)
     skyline_px = rng.uniform(0.15, 0.7) * height
     sky, haze = draw_sky(rng, width, height, skyline_px)
-    kind = rng.choice(["landscape", "sky", "ground"], p=[0.95, 0.025, 0.025])
     land = draw_landscape(rng, width, height, haze, seed[-1] // 8)
+    row = np.full(width, np.nan, dtype=np.float32)
+    kind = rng.choice(["landscape", "sky", "ground"], p=[0.95, 0.025, 0.025])
     if kind == "sky":
-        picture, label = sky, np.full((height, width), SKY, np.uint8)
-        row = np.full(width, np.nan, np.float32)
+        picture, label = sky, np.full((height, width), SKY, dtype=np.uint8)
     elif kind == "ground":
-        top = min(height - 2, max(0, int(np.nanmax(land.row_px)) + 1))
-        picture = cv2.resize(land.rgb[top:], (width, height))
-        label, row = np.full((height, width), GROUND, np.uint8), np.full(width, np.nan, np.float32)
+        top = min(height - 2, max(0, int(land.row_px.max()) + 1))
+        picture = np.asarray(cv2.resize(land.rgb[top:], (width, height)), dtype=np.float32)
+        label = np.full((height, width), GROUND, dtype=np.uint8)
     else:
-        share = np.clip(np.arange(height)[:, np.newaxis] + 0.5 - land.row_px, 0, 1)[..., np.newaxis]
-        share = np.where(land.is_ground[..., np.newaxis], np.maximum(share, 0.5), share * (share < 0.5))
-        picture = sky + share * (land.rgb - sky)
+        below = np.clip(np.arange(height)[:, np.newaxis] + 0.5 - land.row_px, 0.0, 1.0)
+        share = np.where(land.is_ground, np.maximum(below, 0.5), np.minimum(below, 0.5))
+        picture = np.asarray(sky + share[..., np.newaxis] * (land.rgb - sky), dtype=np.float32)
         label = land.is_ground.astype(np.uint8)
-        row = np.where((land.row_px > 1) & (land.row_px < height - 1), land.row_px, np.nan)
-    picture = np.asarray(picture, np.float32).copy()
+        inside = (land.row_px > 1) & (land.row_px < height - 1)
+        row = np.where(inside, land.row_px, row)
+    if rng.random() < _NEAR_SLOPE_CHANCE:
+        row = _near_slope(rng, picture, label, row)
     if rng.random() < 0.12:
         _mirror(rng, picture, label)
     if rng.random() < 0.2:
         _banks(rng, picture, label, row, haze)
-    _covers(rng, picture, label, row)
+    put_in_front(rng, picture, label, row)
     image = _developed(rng, picture)
     _written(rng, image)
     return TrainingPhoto(image, label, _seen(row, label, image))
@@ -79,6 +100,29 @@ def _seen(row: Float32Array, label: UInt8Array, image: UInt8Array) -> Float32Arr
     return np.asarray(np.where(free, row, np.nan), dtype=np.float32)
 
 
+def _near_slope(
+    rng: np.random.Generator, picture: Float32Array, label: UInt8Array, row: Float32Array
+) -> Float32Array:
+    """Put a dark slope before paler mountains; return the skyline of both."""
+    height, width = label.shape
+    across = np.linspace(0.0, 1.0, width)
+    known = row[np.isfinite(row)]
+    line = float(known.mean()) if known.size else 0.4 * height
+    foot = line + rng.uniform(0.02, 0.3) * height
+    rise = rng.uniform(-0.2, 0.5) * height * np.abs(across - rng.random()) ** rng.uniform(0.7, 2.0)
+    rough = rng.uniform(0.0, 0.02) * height * fractal(rng, (1, width), 1.3)[0]
+    near = foot - rise + rough
+    if rng.random() < 0.6:  # Tree tops.
+        near -= rng.uniform(0.005, 0.03) * height * np.abs(fractal(rng, (1, width), 0.3)[0])
+    share = np.clip(np.arange(height)[:, np.newaxis] + 0.5 - near, 0.0, 1.0)[..., np.newaxis]
+    texture = fractal(rng, (height, width), rng.uniform(0.4, 1.2))
+    shade = 1.0 + rng.uniform(0.1, 0.45) * texture[..., np.newaxis]
+    picture += share * (dark(rng, 85.0) * np.maximum(shade, 0.1) - picture)
+    label[share[..., 0] > 0.5] = GROUND
+    higher = np.where(np.isfinite(row), np.minimum(row, near), np.where(label[0] == SKY, near, row))
+    return np.asarray(np.where((higher > 1) & (higher < height - 1), higher, np.nan), np.float32)
+
+
 def _mirror(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
     height = len(picture)
     deepest = int((label == GROUND).argmax(axis=0).max())
@@ -89,15 +133,12 @@ def _mirror(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) 
     label[shore:] = GROUND
 
 
-def _paint(
-    picture: Float32Array, label: UInt8Array, opacity: Float32Array, rgb: Float32Array, mark: int
-) -> None:
-    picture += opacity[..., np.newaxis] * (rgb - picture)
-    label[opacity > 0.5] = mark
-
-
 def _banks(
-    rng: np.random.Generator, picture: Float32Array, label: UInt8Array, row: Float32Array, haze: Float32Array
+    rng: np.random.Generator,
+    picture: Float32Array,
+    label: UInt8Array,
+    row: Float32Array,
+    haze: Float32Array,
 ) -> None:
     """Lay clouds on the ridge: they hide it, and where they end is no skyline."""
     height, width = label.shape
@@ -109,148 +150,16 @@ def _banks(
         at = row[column] + rng.uniform(-0.04, 0.06) * height
         across = (np.arange(width) - column) / (rng.uniform(0.06, 0.3) * width)
         down = (np.arange(height)[:, np.newaxis] - at) / (rng.uniform(0.02, 0.1) * height)
-        density = 1.0 - np.hypot(across, down) + rng.uniform(0.3, 0.8) * fractal(rng, (height, width), 1.5, 1.7)
+        density = (
+            1.0
+            - np.hypot(across, down)
+            + rng.uniform(0.3, 0.8) * fractal(rng, (height, width), 1.5, 1.7)
+        )
         opacity = rng.uniform(0.85, 1.0) * np.clip(density / rng.uniform(0.1, 0.8), 0, 1)
         white = np.clip(haze * rng.uniform(0.8, 1.2) + rng.uniform(0, 60), 0, 255)
         shade = 1.0 + 0.06 * fractal(rng, (height, width), 1.3)[..., np.newaxis]
         picture += opacity[..., np.newaxis] * (white * shade - picture)
         label[(opacity > 0.5)] = SKY
-
-
-def _covers(rng: np.random.Generator, picture: Float32Array, label: UInt8Array, row: Float32Array) -> None:
-    """Put things in front of the ridge."""
-    if rng.random() < 0.28:
-        for _ in range(rng.integers(1, 9)):
-            _conifer(rng, picture, label)
-    if rng.random() < 0.12:
-        _foliage(rng, picture, label)
-    if rng.random() < 0.12:
-        for _ in range(rng.integers(1, 4)):
-            _figure(rng, picture, label, row)
-    if rng.random() < 0.1:
-        for _ in range(rng.integers(1, 4)):
-            _lines(rng, picture, label)
-    if rng.random() < 0.07:
-        _houses(rng, picture, label)
-    if rng.random() < 0.08:
-        _window(rng, picture, label)
-
-
-def _dark(rng: np.random.Generator, high: float = 75.0) -> Float32Array:
-    grey = rng.uniform(3.0, high)
-    return np.asarray(np.clip(grey + rng.normal(0, 8, 3), 0, 255), dtype=np.float32)
-
-
-def _grain(rng: np.random.Generator, shape: tuple[int, ...], share: float) -> Float32Array:
-    return np.asarray(1.0 + share * fractal(rng, (shape[0], shape[1]), 0.5), np.float32)[..., np.newaxis]
-
-
-def _conifer(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
-    height, width = label.shape
-    centre = rng.uniform(0, 1) if rng.random() < 0.5 else abs(rng.choice([0, 1]) - rng.exponential(0.1))
-    top, half = rng.uniform(-0.1, 0.7) * height, np.exp(rng.uniform(-4.2, -2.2)) * width
-    tall = half * rng.uniform(3.0, 8.0)
-    rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
-    reach = half * np.clip((rows - top) / tall, 0, 1) ** rng.uniform(0.6, 1.0) + (rows > top)
-    whorls = 0.4 * np.sin((rows - top) / tall * rng.uniform(25, 80))
-    ragged = 1.0 + whorls + 0.45 * fractal(rng, (height, width), rng.uniform(0.3, 0.8))
-    opacity = np.clip(reach * ragged - np.abs(columns - centre * width), 0, 1) * (rows > top)
-    colour = _dark(rng) * _grain(rng, label.shape, 0.3) * np.array([0.95, 1.1, 0.85])
-    _paint(picture, label, opacity.astype(np.float32), colour.astype(np.float32), COVER)
-
-
-def _foliage(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
-    """Leaves or twigs that hang in from a side."""
-    height, width = label.shape
-    column, row = rng.choice([0.0, 1.0, rng.random()]) * width, rng.uniform(-0.1, 1.1) * height
-    across = (np.arange(width) - column) / (rng.uniform(0.08, 0.3) * width)
-    down = (np.arange(height)[:, np.newaxis] - row) / (rng.uniform(0.08, 0.35) * height)
-    density = 1.0 - np.hypot(across, down) + 0.6 * fractal(rng, (height, width), rng.uniform(0.5, 1.3))
-    opacity = np.clip(density / 0.15, 0, 1).astype(np.float32)
-    colour = _dark(rng, 110.0) * _grain(rng, label.shape, 0.4) * np.array([1.0, 1.15, 0.7])
-    _paint(picture, label, opacity, colour.astype(np.float32), COVER)
-
-
-def _figure(rng: np.random.Generator, picture: Float32Array, label: UInt8Array, row: Float32Array) -> None:
-    """A person, seen from behind: head, shoulders, legs or hem."""
-    height, width = label.shape
-    size = np.exp(rng.uniform(-4.5, -2.2)) * height
-    at = int(rng.uniform(0.03, 0.97) * (width - 1))
-    ridge = row[at] if np.isfinite(row[at]) else 0.4 * height
-    top = ridge + rng.uniform(-7.0, 2.0) * size
-    mask = np.zeros(label.shape, np.uint8)
-    centre = (at, int(top + size))
-    cv2.ellipse(mask, centre, (max(1, int(0.7 * size)), max(1, int(size))), 0, 0, 360, 255, -1)
-    broad = rng.uniform(1.3, 2.2) * size
-    foot = top + rng.uniform(6.0, 16.0) * size
-    body = [(-0.5, 1.8), (0.5, 1.8), (1.0, 2.6), (1.1, 6.0), (0.8, 99.0), (-0.8, 99.0), (-1.1, 6.0), (-1.0, 2.6)]
-    points = [(at + x * broad, min(top + y * size, foot)) for x, y in body]
-    cv2.fillPoly(mask, [np.array(points, np.int32)], 255)
-    if rng.random() < 0.3:
-        hand = (int(at + rng.uniform(-5, 5) * size), int(top + rng.uniform(-2, 4) * size))
-        cv2.line(mask, (at, int(top + 2.6 * size)), hand, 255, max(1, int(0.6 * size)))
-    opacity = cv2.blur(mask, (2, 2)).astype(np.float32) / 255.0
-    colour = rng.uniform(5, 235, 3) * rng.uniform(0.1, 1.0) * _grain(rng, label.shape, 0.12)
-    _paint(picture, label, opacity, colour.astype(np.float32), COVER)
-
-
-def _lines(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
-    """A pole, or a wire that sags."""
-    height, width = label.shape
-    mask = np.zeros(label.shape, np.uint8)
-    if rng.random() < 0.5:
-        at, top = int(rng.uniform(0, width)), int(rng.uniform(-0.1, 0.6) * height)
-        lean = int(rng.normal(0, 0.02) * width)
-        cv2.line(mask, (at, top), (at + lean, height), 255, int(rng.integers(1, 9)), cv2.LINE_AA)
-        for arm in range(rng.integers(0, 3)):
-            half = int(rng.uniform(0.01, 0.05) * width)
-            cv2.line(mask, (at - half, top + 8 + 9 * arm), (at + half, top + 8 + 9 * arm), 255, 2)
-    else:
-        x = np.linspace(-1, 1, 40)
-        sag = (rng.uniform(0.0, 0.6) + 0.06 * x**2 + rng.uniform(-0.3, 0.3) * x) * height
-        points = np.stack([(x + 1) / 2 * width, sag], axis=1).astype(np.int32)
-        cv2.polylines(mask, [points], False, int(rng.integers(120, 256)), 1, cv2.LINE_AA)
-    _paint(picture, label, mask.astype(np.float32) / 255.0, _dark(rng, 140.0), COVER)
-
-
-def _houses(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
-    height, width = label.shape
-    for _ in range(rng.integers(1, 6)):
-        wide, tall = (rng.uniform(0.04, 0.3, 2) * (width, height)).astype(int)
-        left, top = int(rng.uniform(-0.1, 1.0) * width), int(rng.uniform(0.2, 0.85) * height)
-        mask = np.zeros(label.shape, np.uint8)
-        roof = int(rng.choice([0.0, 0.5]) * tall)
-        corners = [(left, top), (left + wide // 2, top - roof), (left + wide, top), (left + wide, height), (left, height)]
-        cv2.fillPoly(mask, [np.array(corners, np.int32)], 255)
-        colour = np.full((height, width, 3), rng.uniform(30, 230, 3), np.float32)
-        step = max(6, wide // int(rng.integers(3, 8)))
-        panes = rng.uniform(10, 250, 3)
-        for y in range(top + step, min(height, top + max(tall, step)), 2 * step):
-            for x in range(left + step // 2, left + wide - step // 2, step):
-                cv2.rectangle(colour, (x, y), (x + step // 2, y + step), panes.tolist(), -1)
-        _paint(picture, label, mask.astype(np.float32) / 255.0, colour, COVER)
-
-
-def _window(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
-    """Look out of a car, a door or a tent: dark all round an opening."""
-    height, width = label.shape
-    mask = np.full(label.shape, 255, np.uint8)
-    reach = rng.uniform(-0.12, 0.25, 4)
-    left, top, right, bottom = reach * (width, height, width, height)
-    jitter = rng.uniform(-0.08, 0.08, (4, 2)) * (width, height)
-    corners = np.array([(left, top), (width - right, top), (width - right, height - bottom), (left, height - bottom)])
-    cv2.fillPoly(mask, [(corners + jitter).astype(np.int32)], 0)
-    round_px = 2 * int(rng.uniform(0.0, 0.06) * width) + 1
-    opening = cv2.morphologyEx(255 - mask, cv2.MORPH_OPEN, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (round_px, round_px)))
-    mask = 255 - opening
-    if rng.random() < 0.5:
-        centre = (int(rng.uniform(0, 1) * width), int(rng.uniform(0.5, 1.0) * height))
-        axes = (int(rng.uniform(0.05, 0.2) * width), int(rng.uniform(0.05, 0.2) * height))
-        cv2.ellipse(mask, centre, axes, rng.uniform(-20, 20), 0, 360, 255, -1)
-    opacity = cv2.blur(mask, (3, 3)).astype(np.float32) / 255.0
-    shade = 1.0 + 0.5 * fractal(rng, (height, width), 2.0)[..., np.newaxis]
-    colour = np.clip(_dark(rng, 60.0) * np.maximum(shade, 0.0), 0, 255)
-    _paint(picture, label, opacity, np.asarray(colour, np.float32), COVER)
 
 
 def _developed(rng: np.random.Generator, picture: Float32Array) -> UInt8Array:
@@ -293,8 +202,19 @@ def _written(rng: np.random.Generator, image: UInt8Array) -> None:
     size = rng.uniform(0.25, 0.5) if kind == "rows" else rng.uniform(0.4, 2.0)
     spots = [(int(rng.uniform(0, 0.7) * width), int(rng.uniform(0.03, 0.97) * height))]
     if kind == "rows":
-        spots = [(x + (y // 40 % 2) * 60, y) for y in range(10, height, 40) for x in range(0, width, 120)]
+        spots = [
+            (x + (y // 40 % 2) * 60, y) for y in range(10, height, 40) for x in range(0, width, 120)
+        ]
     for spot in spots:
-        cv2.putText(over, words, spot, cv2.FONT_HERSHEY_SIMPLEX, size, ink, 1 if kind == "rows" else 2, cv2.LINE_AA)
+        cv2.putText(
+            over,
+            words,
+            spot,
+            cv2.FONT_HERSHEY_SIMPLEX,
+            size,
+            ink,
+            1 if kind == "rows" else 2,
+            cv2.LINE_AA,
+        )
     share = rng.uniform(0.08, 0.3) if kind == "rows" else rng.uniform(0.5, 1.0)
     image[:] = cv2.addWeighted(over, share, image, 1.0 - share, 0.0)

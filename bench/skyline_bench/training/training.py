@@ -4,6 +4,7 @@ import gzip
 import io
 import logging
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -11,9 +12,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from skyline.arrays import Float32Array, UInt8Array
 from skyline.files import write_whole
+from skyline.pipeline import Progress
 from skyline_bench.training.photographs import TrainingPhoto
 from skyline_bench.training.sky_net import INPUTS, SkyNet
 
@@ -31,15 +34,20 @@ _AVERAGE = 0.99
 _SEGMENTATION_WEIGHT = 0.5
 _SPREAD_PX = 0.6
 """Deviation over which a true row is spread, pixels of the scores."""
-_LOG_EVERY = 100
+_LAST_STEPS = 100
 
 
-def train(photos: Sequence[TrainingPhoto], steps: int, seed: int) -> SkyNet:
-    """Train on photographs and return the network with averaged weights."""
+def train(photos: Sequence[TrainingPhoto], steps: int, seed: int, progress: Progress) -> SkyNet:
+    """Train on photographs and return the network with averaged weights.
+
+    One thread: a small network's threads wait for one another longer than they work.
+    """
     torch.manual_seed(seed)
+    torch.set_num_threads(1)
     rng = np.random.default_rng(seed)
     net, average = SkyNet(), SkyNet()
-    net, average = (each.to(memory_format=torch.channels_last) for each in (net, average))
+    for each in (net, average):
+        each.to(memory_format=torch.channels_last)
     average.load_state_dict(net.state_dict())
     optimizer = torch.optim.AdamW(net.parameters(), _LEARNING_RATE, weight_decay=_WEIGHT_DECAY)
     losses = []
@@ -48,10 +56,11 @@ def train(photos: Sequence[TrainingPhoto], steps: int, seed: int) -> SkyNet:
         optimizer.param_groups[0]["lr"] = _LEARNING_RATE * rate
         losses.append(_step(net, optimizer, _batch(photos, rng)))
         _follow(average, net, min(_AVERAGE, step / (step + 10)))
-        if (step + 1) % _LOG_EVERY == 0:
-            mean = np.mean(losses[-_LOG_EVERY:], axis=0)
-            log.info("step %d of %d: skyline %.3f, labels %.3f", step + 1, steps, *mean)
-    return average.eval()
+        progress(step + 1, steps)
+    mean = np.mean(losses[-_LAST_STEPS:], axis=0)
+    log.warning("losses of the last steps: skyline %.3f, labels %.3f", *mean)
+    average.eval()
+    return average
 
 
 def _batch(photos: Sequence[TrainingPhoto], rng: np.random.Generator) -> tuple[Tensor, ...]:
@@ -76,7 +85,9 @@ def _cut(
     h = int(min(height, w / aspect))
     top, left = int(rng.integers(0, height - h + 1)), int(rng.integers(0, width - w + 1))
     window = slice(top, top + h), slice(left, left + w)
-    image = cv2.resize(cv2.LUT(photo.image[window], _tones(rng)), shape[::-1], interpolation=cv2.INTER_AREA)
+    image = cv2.resize(
+        cv2.LUT(photo.image[window], _tones(rng)), shape[::-1], interpolation=cv2.INTER_AREA
+    )
     label = cv2.resize(photo.label[window], shape[::-1], interpolation=cv2.INTER_NEAREST)
     across = ((np.arange(shape[1] // 2) + 0.5) * 2.0 * w / shape[1] + left).astype(np.intp)
     row = (photo.row_px[across] - top) * np.float32(shape[0] / h)
@@ -133,16 +144,28 @@ def _follow(average: SkyNet, net: SkyNet, kept: float) -> None:
                 mean.mul_(kept).add_(now, alpha=1.0 - kept)
 
 
+def _fused(net: nn.Module) -> nn.Module:
+    """Fold what normalizes a convolution's output into its weights, throughout."""
+    for name, part in list(net.named_children()):
+        setattr(net, name, _fused(part))
+    parts = list(net.named_children())
+    for (name, one), (other, following) in pairwise(parts):
+        if isinstance(one, nn.Conv2d) and isinstance(following, nn.BatchNorm2d):
+            setattr(net, name, fuse_conv_bn_eval(one, following))
+            setattr(net, other, nn.Identity())
+    return net
+
+
 def write_model(net: SkyNet, path: Path) -> None:
     """Write a network as zipped ONNX for pictures of any size, its weights to half precision."""
+    net = _fused(net.eval()).to(memory_format=torch.contiguous_format)
     with torch.no_grad():
         for weight in net.parameters():
             weight.copy_(weight.half().float())
-    net = net.to(memory_format=torch.contiguous_format)
     axes = {name: {2: "height", 3: "width"} for name in ("picture", "scores")}
     whole = io.BytesIO()
     torch.onnx.export(
-        net.eval(),
+        net,
         (torch.zeros(1, INPUTS, 256, 256),),
         whole,
         input_names=["picture"],
