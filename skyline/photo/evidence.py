@@ -17,7 +17,7 @@ import numpy as np
 
 from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
 
-_NETWORK_PIXELS = 65_536
+_NETWORK_PIXELS = 110_000
 """The network sees photos at about this size, at which it was trained..."""
 _MULTIPLE_PX = 32
 """...with sides that are multiples of this."""

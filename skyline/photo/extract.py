@@ -31,7 +31,7 @@ MIN_TRUSTED_SHARE = 0.1
 _SMOOTHED_PX = 9
 """Working columns over which confidence is averaged."""
 
-STEPS = Steps(reach_rows=8, price_per_row=0.05, jump_price=1.5)
+STEPS = Steps(reach_rows=8, price_per_row=0.1, jump_price=3.0)
 FORBIDDEN = 1e3
 
 _REFINE_STEPS = Steps(reach_rows=2, price_per_row=0.05, jump_price=1.0)

@@ -13,7 +13,7 @@ from skyline_bench import cli
 
 LAYERS = (
     ("cli",), ("commands",), ("figures",), ("runs",), ("cases", "stores", "trials"),
-    ("queries", "truth", "peers"), ("measuring",),
+    ("queries", "training", "truth", "peers"), ("measuring",),
 )  # fmt: skip
 """Folders of the package; each imports from those after it, and from its own."""
 FOLDERS = {name: level for level, names in enumerate(LAYERS) for name in names}

@@ -16,7 +16,6 @@ from skyline.photo.extract import (
     refine_rows,
     to_photo_rows,
     to_work_columns,
-    topmost,
 )
 from skyline.photo.paths import shortest_path
 
@@ -133,9 +132,8 @@ def test_the_quick_way_is_the_slow_way():
     after = correction.solve([painted])
     evidence = whole.evidence
     forbidden = _forbidden(_labels([painted], whole))
-    cost = np.where(forbidden, whole.border.cost + np.float32(FORBIDDEN), whole.border.cost)
+    cost = np.where(forbidden, evidence.cost + np.float32(FORBIDDEN), evidence.cost)
     path = shortest_path(cost, STEPS)
-    path = topmost(np.where(forbidden, np.float32(0.0), evidence.edges), path)
     guess = to_photo_rows(path, evidence, to_work_columns(1920, evidence))
     slow = refine_rows(image, guess, evidence.row_scale)
     inner = np.arange(690, 1090)

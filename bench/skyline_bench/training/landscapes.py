@@ -214,7 +214,7 @@ def _surface(
     near = fractal(rng, (ground.shape[0], ground.shape[1]), rng.uniform(0.3, 1.0))
     light = light * (1.0 + rng.uniform(0.0, 0.15) * near)
     light = light * (1.0 + rng.uniform(0.02, 0.16) * grain + np.where(wooded, 0.18 * grain, 0.0))
-    if rng.random() < 0.55:
+    if rng.random() < 0.7:
         snow_line = low + (high - low) * rng.uniform(-0.5, 1.05)
         holds = rng.uniform(0.5, 1.6)
         cover = (

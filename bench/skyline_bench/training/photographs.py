@@ -14,7 +14,7 @@ from skyline_bench.training.covers import GROUND, SKY, dark, put_in_front
 from skyline_bench.training.landscapes import draw_landscape, draw_sky, fractal
 
 _SIZE_PX = (400, 304)
-_NEAR_SLOPE_CHANCE = 0.4
+_NEAR_SLOPE_CHANCE = 0.5
 """Of a dark slope before the mountains: it must not be taken for the skyline."""
 _LEAST_CONTRAST = 2.5
 """Levels between sky and ground below which nobody would see a skyline."""
