@@ -73,7 +73,7 @@ def draw_training_photo(seed: tuple[int, ...], width: int, height: int) -> Train
         inside = (land.row_px > 1) & (land.row_px < height - 1)
         row = np.where(inside, land.row_px, row)
     if rng.random() < _NEAR_SLOPE_CHANCE:
-        row = _near_slope(rng, picture, label, row)
+        row = _near_slope(rng, picture, label, row, haze)
     if rng.random() < 0.12:
         _mirror(rng, picture, label)
     if rng.random() < 0.2:
@@ -92,19 +92,24 @@ def _seen(row: Float32Array, label: UInt8Array, image: UInt8Array) -> Float32Arr
     columns = np.arange(width)
     above = label[np.clip(np.floor(at - 1.0).astype(int), 0, height - 1), columns]
     below = label[np.clip(np.ceil(at + 1.0).astype(int), 0, height - 1), columns]
-    topmost = (label != SKY).argmax(axis=0)
     step = smooth[np.clip(np.rint(at + 3).astype(int), 0, height - 1), columns]
     step = step - smooth[np.clip(np.rint(at - 3).astype(int), 0, height - 1), columns]
     apart = ndimage.median_filter(np.abs(step).max(axis=1), 9) > _LEAST_CONTRAST
-    free = apart & (above == SKY) & (below == GROUND) & (topmost >= at - 3.0)
+    free = apart & (above == SKY) & (below == GROUND)
     return np.asarray(np.where(free, row, np.nan), dtype=np.float32)
 
 
 def _near_slope(
-    rng: np.random.Generator, picture: Float32Array, label: UInt8Array, row: Float32Array
+    rng: np.random.Generator,
+    picture: Float32Array,
+    label: UInt8Array,
+    row: Float32Array,
+    haze: Float32Array,
 ) -> Float32Array:
-    """Put a dark slope before paler mountains; return the skyline of both."""
+    """Put a dark slope before mountains, often veiled; return the skyline of both."""
     height, width = label.shape
+    veil = rng.choice([0.0, rng.uniform(0.2, 0.88)])
+    picture += (veil * (label == GROUND))[..., np.newaxis] * (haze - picture)
     across = np.linspace(0.0, 1.0, width)
     known = row[np.isfinite(row)]
     line = float(known.mean()) if known.size else 0.4 * height

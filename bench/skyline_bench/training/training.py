@@ -157,12 +157,14 @@ def _fused(net: nn.Module) -> nn.Module:
 
 
 def write_model(net: SkyNet, path: Path) -> None:
-    """Write a network as zipped ONNX for pictures of any size, its weights to half precision."""
+    """Write a network as zipped ONNX, its weights to half precision.
+
+    The file states one size of pictures; OpenCV runs it at any.
+    """
     net = _fused(net.eval()).to(memory_format=torch.contiguous_format)
     with torch.no_grad():
         for weight in net.parameters():
             weight.copy_(weight.half().float())
-    axes = {name: {2: "height", 3: "width"} for name in ("picture", "scores")}
     whole = io.BytesIO()
     torch.onnx.export(
         net,
@@ -170,7 +172,6 @@ def write_model(net: SkyNet, path: Path) -> None:
         whole,
         input_names=["picture"],
         output_names=["scores"],
-        dynamic_axes=axes,
         opset_version=13,
         dynamo=False,
     )
