@@ -11,10 +11,6 @@ uniform sampler2D eyes;           // two texels an eye: nearest, offset; offset_
 uniform int first_row;            // of the target, the first eye's
 uniform sampler2D known;          // v and depth so far
 uniform usampler2D known_flags;
-#ifdef SHELLS
-uniform vec2 shell_m;             // the range of depth
-uniform sampler2D sky;            // v and depth of the skyline
-#endif
 
 layout(location = 0) out vec2 skyline;
 layout(location = 1) out uint flags;
@@ -30,38 +26,20 @@ void main() {
     flags = texelFetch(known_flags, here, 0).x;
     int s_first, s_last, bin;
     aim(here.x, bin);
-#ifdef SHELLS
-    z_low = max(shell_m.x, NEAREST_M) / metres_per_strip;
-    z_high = shell_m.y / metres_per_strip;
-#endif
     bool live = strips(s_first, s_last);
-    PLACE place = NO_PLACE;
-    float best = skyline.x;
-#ifdef SHELLS
-    vec2 sky_here = texelFetch(sky, ivec2(gl_FragCoord.xy), 0).xy;
-    best = max(best, surfacing_tan(sky_here.x, sky_here.y, shell_m.x));
-#endif
-    best = max((best - 1e-6 * abs(best)) * metres_per_strip, NOTHING);
-    march_heights(live, bin, s_first, s_last, NO_STRIP, best, place);
-#ifdef SHELLS
-    float v = place < NO_PLACE ? best : NOTHING, z = place;
-#else
+    int winner = NO_STRIP;
+    float best = max((skyline.x - 1e-6 * abs(skyline.x)) * metres_per_strip, NOTHING);
+    march_heights(live, bin, s_first, s_last, NO_STRIP, best, winner);
     Hit hit = Hit(REAL(NOTHING), REAL(1e30), 0, 0);
-    resolve(place, place != NO_PLACE, hit);
+    resolve(winner, winner != NO_STRIP, hit);
     float v = float(hit.v), z = float(hit.z);
-#endif
     float tan_here = v / metres_per_strip, z_here = z * metres_per_strip;
     bool higher = v > DATA && (tan_here > skyline.x
         || (tan_here == skyline.x && z_here < skyline.y));
-#ifdef SHELLS
-    higher = higher && tan_here > surfacing_tan(sky_here.x, sky_here.y, z_here);
-#endif
     if (higher) {
         skyline = vec2(tan_here, z_here);
-#ifndef SHELLS
         flags = (flags & HOLE)
-            | (triangle_there(place, hit.line, hit.family, true) ? 0u : TRUNCATED);
-#endif
+            | (triangle_there(winner, hit.line, hit.family, true) ? 0u : TRUNCATED);
     }
 #ifdef HOLES
     if (over_hole(live, bin, s_first, s_last)) flags |= HOLE;

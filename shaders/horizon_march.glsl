@@ -13,8 +13,7 @@
 // absolute is used: the eye is its nearest sample in whole numbers and an offset from that.
 //
 // Defines: HEADING 0..3; CELLS, how many cells of a strip a ray can cross; REAL, float or double;
-// DANGLING where edges without triangles exist; SHELLS to look at ranges of depth; HOLES to find the
-// columns that look over one.
+// DANGLING where edges without triangles exist; HOLES to find the columns that look over one.
 
 struct Eye {
     ivec2 nearest;     // row, column of a sample
@@ -65,16 +64,6 @@ REAL k, rate, inverse_k, inverse_rate;
 float drop_per_strip2;
 float tolerance;                   // of the column's v
 float z_enter, z_leave;            // distances between which the ray is beside cells of the window
-float z_low = 0.0, z_high = 1e30;  // distances that count
-#ifdef SHELLS
-uniform float reach_m;             // of a displaced eye that what is kept may surface for
-const float NEAREST_M = 0.1;       // nearer is the ground underfoot, which has no least v
-#define PLACE float                // of the best: its distance
-const float NO_PLACE = 1e30;
-#else
-#define PLACE int                  // of the best: its strip
-const int NO_PLACE = 0x7ffffff0;
-#endif
 
 struct Hit { REAL v, z; int line, family; };   // family: 0 row, 1 lateral, 2 diagonal
 
@@ -124,11 +113,10 @@ void aim(int q, out int bin) {
     bin = clamp(bin, 0, bins - 1);
 }
 
-// The strips where the ray meets the window at distances that count, rounded outwards; returns
-// whether there are any.
+// The strips where the ray meets the window, rounded outwards; returns whether there are any.
 bool strips(out int s_first, out int s_last) {
-    float enter = clamp(max(z_enter, z_low), 0.0, 1e8);
-    float leave = clamp(min(z_leave, z_high), -1.0, 1e8);
+    float enter = clamp(z_enter, 0.0, 1e8);
+    float leave = clamp(z_leave, -1.0, 1e8);
     s_first = max(s_begin, ip + int(floor(float(fp) + enter - STRIP_SLACK * (1.0 + enter))));
     s_last = min(s_end - 1, ip + int(floor(float(fp) + leave + STRIP_SLACK * (1.0 + leave))));
     bool meets = leave >= 0.0 && s_last >= s_first;
@@ -179,11 +167,8 @@ REAL crossing(float h0, float h1, REAL f, REAL z, float sag) {
 }
 
 // Whether a crossing raises the hit's v, or makes it v again.
-bool counts(Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
+bool counts(Hit hit, int s, REAL v, REAL line, int family, bool there) {
     there = there && v >= hit.v;
-#ifdef SHELLS
-    there = there && z >= REAL(z_low) && z < REAL(z_high);
-#endif
 #ifdef DANGLING
     there = there && (triangle_there(s, int(line), family, true)
                       || triangle_there(s, int(line), family, false));
@@ -192,12 +177,12 @@ bool counts(Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
 }
 
 void keep_v(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
-    hit.v = counts(hit, s, v, z, line, family, there) ? v : hit.v;
+    hit.v = counts(hit, s, v, line, family, there) ? v : hit.v;
 }
 
 // The whole hit; of equal ones the nearest.
 void keep_all(inout Hit hit, int s, REAL v, REAL z, REAL line, int family, bool there) {
-    if (counts(hit, s, v, z, line, family, there) && (v > hit.v || z < hit.z)) {
+    if (counts(hit, s, v, line, family, there) && (v > hit.v || z < hit.z)) {
         hit = Hit(v, z, int(line), family);
     }
 }
@@ -243,11 +228,7 @@ void NAME(int s, bool on, REAL xn, REAL xf, int top, vec2 h[CELLS + 1], inout Hi
          on);                                                                                      \
 }
 
-#ifdef SHELLS
-STRIP(strip_best, keep_all)
-#else
 STRIP(strip_best, keep_v)
-#endif
 STRIP(strip_all, keep_all)
 STRIP(strip_rim, keep_rim)
 
@@ -268,21 +249,16 @@ void NAME(int s, bool on, inout Hit hit) {                                      
 ALONE(resolve, strip_all)
 ALONE(find_rim, strip_rim)
 
-// Take what a strip holds if it is higher than the best, or as high and nearer.
-void raise(inout float best, inout PLACE place, Hit hit, int s) {
+// Take what strip s holds if it is higher than the best, or as high and nearer.
+void raise(inout float best, inout int winner, Hit hit, int s) {
     float v = float(hit.v);
-    #ifdef SHELLS
-    PLACE here = float(hit.z);
-#else
-    PLACE here = s;
-#endif
-    bool take = v > best || (v == best && here < place);
-    place = take ? here : place;
+    bool take = v > best || (v == best && s < winner);
+    winner = take ? s : winner;
     best = take ? v : best;
 }
 
 // The two strips of a leaf, s and s + 1.
-void leaf(int s, int s_first, int s_last, inout float best, inout PLACE place) {
+void leaf(int s, int s_first, int s_last, inout float best, inout int winner) {
     Hit near = Hit(REAL(2.0 * NOTHING), REAL(1e30), 0, 0), far = near;
     REAL xn, xm, xf;
     int top_near, top_far;
@@ -307,8 +283,8 @@ void leaf(int s, int s_first, int s_last, inout float best, inout PLACE place) {
     for (int i = 0; i <= CELLS; ++i) h[i] = column(s, top_far + 1 - CELLS + i).yz;
 #endif
     strip_best(s + 1, s + 1 >= s_first && s + 1 <= s_last, xm, xf, top_far, h, far);
-    raise(best, place, near, s);
-    raise(best, place, far, s + 1);
+    raise(best, winner, near, s);
+    raise(best, winner, far, s + 1);
 }
 
 // Where the texel of the band that begins at strip s lies: of the block of columns in which the
@@ -367,15 +343,6 @@ int start_level(int s_first, int s_last) {
     return min((apart >= 16 ? 1 : 0) + (apart >= 128 ? 1 : 0) + (apart >= 1024 ? 1 : 0), top_level);
 }
 
-#ifdef SHELLS
-// The v that terrain at a depth must exceed to surface over the skyline when the eye is displaced
-// by up to reach_m: what the two parallaxes differ by, half of it for the nearer.
-float surfacing_tan(float sky_tan, float sky_depth_m, float at_depth_m) {
-    if (sky_tan < DATA || at_depth_m <= 0.0) return NOTHING;
-    return sky_tan - 0.5 * reach_m * (1.0 + abs(sky_tan)) * (1.0 / at_depth_m + 1.0 / sky_depth_m);
-}
-#endif
-
 // March over a tree, nearest slabs first. Slabs still to be looked into are kept in one word, eight bits
 // a level: its lowest bit is the deepest level's nearest slab. OPEN gives the slabs of a band that
 // matter, LEAF looks at two strips.
@@ -400,12 +367,12 @@ float surfacing_tan(float sky_tan, float sky_depth_m, float at_depth_m) {
 
 // Raise best to the column's greatest v, but for the leaf that is done already.
 void march_heights(
-    bool live, int bin, int s_first, int s_last, int done, inout float best, inout PLACE place
+    bool live, int bin, int s_first, int s_last, int done, inout float best, inout int winner
 ) {
 #define OPEN(s, log_slab, level)                                                                   \
     (higher_slabs(s, log_slab, level, bin, best) & slabs_between(s, log_slab, s_first, s_last)     \
      & ~(level == 0 && ((s ^ done) & ~15) == 0 ? 1u << uint((done & 15) >> 1) : 0u))
-    MARCH(OPEN, leaf(s, s_first, s_last, best, place);)
+    MARCH(OPEN, leaf(s, s_first, s_last, best, winner);)
 #undef OPEN
 }
 

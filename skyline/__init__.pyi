@@ -47,7 +47,7 @@ from .store import Locations, PlaceMap, RowCoding, Store, StoreHeader, open_stor
 from .terrain.dem import DemOptions, read_dem
 from .terrain.heightfield import HeightField, Provenance
 from .terrain.viewpoints import Viewpoints, stand_on
-from .views import Shells, Views
+from .views import Views
 
 __version__: str
 
@@ -89,7 +89,6 @@ __all__ = [
     "RetrievalConfig",
     "RowCoding",
     "SeenPeak",
-    "Shells",
     "Sight",
     "SkylineError",
     "Store",

@@ -26,6 +26,8 @@ from skyline.describe import (
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
+from skyline.paper.planning.plan import PlanConfig
+from skyline.paper.planning.strategies import STRATEGIES
 from skyline.pipeline import (
     BuildResult,
     PlaceConfig,
@@ -41,12 +43,9 @@ from skyline.pipeline import (
     save_depth_pictures,
 )
 from skyline.pipeline.config import ROWS
-from skyline.pipeline.places import DEFAULT_SPACING_M
+from skyline.pipeline.places import DEFAULT_LOSS
 from skyline.pipeline.shards import DEFAULT_TILE_M
-from skyline.planning.plan import PlanConfig
-from skyline.planning.strategies import STRATEGIES
 from skyline.planning.uniform import uniform_grid
-from skyline.prediction import shell_edges_m
 from skyline.store import is_store
 from skyline.store_cli import store_app
 from skyline.terrain.dem import DemOptions, read_dem
@@ -137,8 +136,18 @@ def build(
     spacing: Annotated[
         float | None,
         typer.Option(
-            help="Metres between places; with a planner, between viewpoints of its coarse grid.",
-            show_default=f"{DEFAULT_SPACING_M:g}; {_PLANNED.spacing.coarse_m:g} with a planner",
+            help="Metres between places of a uniform grid; with a planner, between viewpoints of "
+            "its coarse grid.",
+            show_default=f"places are planned; {_PLANNED.spacing.coarse_m:g} with a planner",
+        ),
+    ] = None,
+    loss: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE",
+            help="Share of the photos that may be missed because places lie apart. Places are "
+            "planned for it: dense where skylines are near, sparse where they are far.",
+            show_default=f"{DEFAULT_LOSS:g}",
         ),
     ] = None,
     bounds: Bounds = None,
@@ -194,12 +203,6 @@ def build(
             "--map", metavar="PNG", help="Planner: draw a map of viewpoints and their areas."
         ),
     ] = None,
-    shells: Annotated[
-        int | None,
-        typer.Option(
-            help="Renderings: distance shells to store with each; the default of cover is 12."
-        ),
-    ] = None,
     width: Annotated[
         int | None,
         typer.Option(
@@ -236,7 +239,6 @@ def build(
         "--map": coverage_map,
     }
     only_rendered: dict[str, object] = {
-        "--shells": shells,
         "--width": width,
         "--tolerance-px": tolerance_px,
         "--rows": rows,
@@ -244,16 +246,25 @@ def build(
     if planner is None:
         _refuse_given(only_planned | only_rendered, "a store of renderings; give --planner too")
         places = PlaceConfig(curvature=_curvature(k, no_curvature))
-        apart_m = DEFAULT_SPACING_M if spacing is None else spacing
+        if spacing is not None and loss is not None:
+            raise InputError(
+                f"--spacing {spacing:g} asks for a uniform grid, --loss {loss:g} for places that "
+                "are planned; give one of them"
+            )
+        share = DEFAULT_LOSS if loss is None else loss
         with runner_of(workers, scheduler) as runner, progress_bar("rendering") as progress:
             terrain = read_dem(dem, dem_options)
             if tiled:
-                plan = ShardPlan(apart_m, tile_m, corners)
+                plan = ShardPlan(spacing, tile_m, corners, share)
                 result = build_sharded(terrain, output, plan, places, runner, progress)
             else:
-                result = build_places(terrain, output, apart_m, corners, places, progress)
+                result = build_places(
+                    terrain, output, spacing, corners, places, progress, loss=share
+                )
         _say_built(result, output, "places")
         return
+    if loss is not None:
+        raise InputError(f"--loss {loss:g} is for places; leave out --planner {planner}")
     if planner != "uniform" and planner not in STRATEGIES:
         raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
     config = replace(
@@ -263,7 +274,6 @@ def build(
             k,
             no_curvature,
         ),
-        shell_edges_m=shell_edges_m(shells) if shells else (),
         rows=_DEFAULTS.rows if rows is None else rows,
     )
     coarse_m = _PLANNED.spacing.coarse_m if spacing is None else spacing
@@ -413,7 +423,7 @@ def _say_built(result: BuildResult, path: Path, what: str = "renderings") -> Non
 def _say_planned(done: PlannedResult) -> None:
     proof, made = done.verification, done.plan.progress
     typer.echo(
-        f"to {done.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
+        f"to {done.plan.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
         f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "
         f"{100 * proof.share:.1f} % hold, 95 % interval {100 * proof.low:.1f} to "
         f"{100 * proof.high:.1f}); overlap {made.overlap}, "

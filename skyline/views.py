@@ -1,15 +1,13 @@
 """Views: arrays of many rendered skylines, and what derives from them."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, FloatArray
 from skyline.camera import columns_u, elevation_deg, rotation
-from skyline.rows import Index
+from skyline.rows import Rows
 
 FLAG_TRUNCATED = 1
 """The skyline lies on the border of the data."""
@@ -22,40 +20,7 @@ FLAG_OUT_OF_IMAGE = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shells:
-    """The skyline of each of K ranges of forward depth alone, of N views.
-
-    Attributes
-    ----------
-    edges_m : (K + 1,) float64
-        Increasing forward depths; shell k holds the terrain in [edges_m[k], edges_m[k + 1]).
-    elevation_tan, depth_m : (N, K, W) float32
-        As of `Views`; NaN where a shell shows nothing, or nothing that could surface within the
-        reach it was rendered for.
-    """
-
-    edges_m: Float64Array
-    elevation_tan: FloatArray
-    depth_m: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.elevation_tan)
-
-    def __getitem__(self, index: Index) -> "Shells":
-        return Shells(self.edges_m, self.elevation_tan[index], self.depth_m[index])
-
-    @classmethod
-    def concatenate(cls, parts: Sequence["Shells"]) -> "Shells":
-        """Join shells with the same edges, in order; at least one part."""
-        return cls(
-            parts[0].edges_m,
-            np.concatenate([part.elevation_tan for part in parts]),
-            np.concatenate([part.depth_m for part in parts]),
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Views:
+class Views(Rows):
     """N views of W columns each.
 
     Attributes
@@ -70,8 +35,6 @@ class Views:
         Forward distance of the skyline; NaN where a column meets no data.
     flags : (N, W) uint8
         Bits `FLAG_TRUNCATED`, `FLAG_HOLE`, `FLAG_NO_DATA`, `FLAG_OUT_OF_IMAGE`.
-    shells : Shells, optional
-        The distance shells, where the renderer was asked for them.
     """
 
     easting_m: Float64Array
@@ -81,15 +44,9 @@ class Views:
     elevation_tan: FloatArray
     depth_m: FloatArray
     flags: NDArray[np.uint8]
-    shells: Shells | None = None
 
     def __len__(self) -> int:
         return len(self.heading)
-
-    def __getitem__(self, index: Index) -> "Views":
-        shells = None if self.shells is None else self.shells[index]
-        rows: Any = {name: getattr(self, name)[index] for name in ROW_FIELDS}
-        return Views(**rows, shells=shells)
 
     @property
     def width(self) -> int:
@@ -102,16 +59,6 @@ class Views:
         none = np.zeros(0)
         rows = np.zeros((0, width), dtype=np.float32)
         return cls(none, none, none, none.astype(np.uint8), rows, rows, rows.astype(np.uint8))
-
-    @classmethod
-    def concatenate(cls, parts: Iterable["Views"]) -> "Views":
-        """Join views of one width, in order; at least one part."""
-        parts = list(parts)
-        shells = [part.shells for part in parts if part.shells is not None]
-        rows: Any = {
-            name: np.concatenate([getattr(part, name) for part in parts]) for name in ROW_FIELDS
-        }
-        return cls(**rows, shells=Shells.concatenate(shells) if shells else None)
 
     def azimuth_deg(self) -> Float64Array:
         """Return grid azimuths of the columns, shape (N, W), degrees in [0, 360).
@@ -134,7 +81,3 @@ class Views:
         )
         turns = np.stack([rotation(heading) for heading in range(4)])[self.heading]
         return np.asarray(np.einsum("nwc,nck->nwk", camera, turns), dtype=np.float64)
-
-
-ROW_FIELDS = tuple(f.name for f in fields(Views) if f.name != "shells")
-"""The fields that hold one row a view."""

@@ -14,7 +14,8 @@ from skyline_bench.commands.photos import (
     sky_masks,
     train_sky_model,
 )
-from skyline_bench.commands.planning import planned_build, prediction_quality, table1
+from skyline_bench.commands.placing import placing
+from skyline_bench.commands.planning import prediction_quality, table1
 from skyline_bench.commands.scale import scale
 from skyline_bench.commands.search import accuracy_time, calibrate, retrieval_scale, strangers
 from skyline_bench.commands.skylines import (
@@ -37,9 +38,8 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         pipeline_speed: "a minute",
     },
     "Planning": {
-        table1: "5 minutes",
-        prediction_quality: "5 minutes",
-        planned_build: "10 minutes",
+        table1: "a minute",
+        prediction_quality: "a minute",
     },
     "Builds, stores and files": {
         sharded_build: "an hour",
@@ -50,6 +50,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         matching: "hours",
         uniform_adaptive: "hours",
         scale: "hours",
+        placing: "an hour",
         accuracy_time: "30 minutes",
         retrieval_scale: "5 minutes",
         strangers: "10 minutes",

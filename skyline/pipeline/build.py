@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Protocol, Self
+from typing import ClassVar, Generic, Protocol, Self, TypeVar
 
 import cv2
 import numpy as np
@@ -15,6 +15,7 @@ from skyline import report
 from skyline.camera import HEADINGS
 from skyline.features import polyline_keypoints
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
+from skyline.planning.adaptive import Blocks
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
@@ -25,7 +26,7 @@ from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
 Progress = Callable[[int, int], None]
-"""Called with the rows done and the rows there will be."""
+"""Called with how much is done and how much there is to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ class BuildResult:
     rows : int
         Renderings or places in the store.
     rendered : int
-        Of these, the ones rendered now; the others were there already.
+        Of these, the ones added now; the others were there already.
     seconds : float
     """
 
@@ -55,30 +56,35 @@ class _Renderer(Protocol):
     def release(self) -> None: ...
 
 
+Work = TypeVar("Work", Viewpoints, Blocks)
+"""What is rendered: viewpoints, or blocks of the map whose viewpoints are planned."""
+
+
 @dataclass(frozen=True)
-class RowRenderer(ABC):
-    """Renders viewpoints as rows of one kind of store.
+class RowRenderer(ABC, Generic[Work]):
+    """Renders viewpoints, or what a planner makes of blocks, as rows of one kind of store.
 
     Attributes
     ----------
-    rows_each : int
-        Rows a viewpoint.
-    viewpoints_a_commit : int
-        How many to render at a time.
+    at_a_time : int
+        How many of them to render between two looks at the progress.
     renderer
     header : StoreHeader
         Of the store that the rows are for.
     """
 
-    rows_each: ClassVar[int]
-    viewpoints_a_commit: ClassVar[int]
+    at_a_time: ClassVar[int]
 
     renderer: _Renderer
     header: StoreHeader
 
     @abstractmethod
-    def render_into(self, writer: StoreWriter, viewpoints: Viewpoints) -> None:
-        """Append the rows of viewpoints to a store."""
+    def render_into(self, writer: StoreWriter, work: Work) -> None:
+        """Append the rows of some work to a store."""
+
+    @abstractmethod
+    def missing(self, path: Path, work: Work) -> Work:
+        """Return the work of which a store lacks rows."""
 
     def __enter__(self) -> Self:
         return self
@@ -89,19 +95,22 @@ class RowRenderer(ABC):
 
 
 @dataclass(frozen=True)
-class ViewRows(RowRenderer):
+class ViewRows(RowRenderer[Viewpoints]):
     """Renders viewpoints in all four headings, views and their keypoints."""
 
-    rows_each = len(HEADINGS)
-    viewpoints_a_commit = 64
+    at_a_time = 64
 
     renderer: HorizonRenderer
     config: RenderConfig
 
-    def render_into(self, writer: StoreWriter, viewpoints: Viewpoints) -> None:
+    def render_into(self, writer: StoreWriter, work: Viewpoints) -> None:
         """See `RowRenderer.render_into`."""
-        views = self.renderer.render(viewpoints)
+        views = self.renderer.render(work)
         writer.append(views, polyline_keypoints(views, self.config.keypoint_tolerance_px))
+
+    def missing(self, path: Path, work: Viewpoints) -> Viewpoints:
+        """See `RowRenderer.missing`."""
+        return work[~held_whole(path, work, len(HEADINGS))]
 
 
 def view_rows(terrain: HeightField, config: RenderConfig, plan: dict[str, object]) -> ViewRows:
@@ -164,12 +173,9 @@ def uniform_plan(
 
 
 def render_missing(
-    path: str | Path,
-    rows: RowRenderer,
-    viewpoints: Viewpoints,
-    progress: Progress | None = None,
+    path: str | Path, rows: RowRenderer[Work], work: Work, progress: Progress | None = None
 ) -> BuildResult:
-    """Render those of some viewpoints that a store lacks; it is made where there is none.
+    """Render what a store lacks of some work; the store is made where there is none.
 
     Raises
     ------
@@ -178,10 +184,10 @@ def render_missing(
     """
     if not Path(path).exists():
         with create_store(path, rows.header) as writer:
-            return _render_into(writer, rows, viewpoints, progress)
+            return _render_into(writer, rows, work, len(work), progress)
     with open_for_append(path, rows.header) as writer:
-        left = viewpoints[~held_whole(path, viewpoints, rows.rows_each)]
-        return _render_into(writer, rows, left, progress)
+        left = rows.missing(Path(path), work)
+        return _render_into(writer, rows, left, len(work), progress)
 
 
 def render_to_store(
@@ -203,7 +209,7 @@ def render_to_store(
         view_rows(terrain, config, {"planner": "viewpoints"}) as rows,
         create_store(path, rows.header) as writer,
     ):
-        return _render_into(writer, rows, viewpoints, progress)
+        return _render_into(writer, rows, viewpoints, len(viewpoints), progress)
 
 
 def save_depth_pictures(
@@ -224,19 +230,22 @@ def save_depth_pictures(
 
 
 def _render_into(
-    writer: StoreWriter, rows: RowRenderer, viewpoints: Viewpoints, progress: Progress | None
+    writer: StoreWriter,
+    rows: RowRenderer[Work],
+    left: Work,
+    total: int,
+    progress: Progress | None,
 ) -> BuildResult:
-    """Render viewpoints into a store, a few a commit."""
+    """Render what is left of so much work into a store, a few at a time."""
     started = time.perf_counter()
     held = len(writer)
-    total = held + rows.rows_each * len(viewpoints)
-    for start in range(0, len(viewpoints), rows.viewpoints_a_commit):
+    for start in range(0, len(left), rows.at_a_time):
         if progress:
-            progress(len(writer), total)
-        rows.render_into(writer, viewpoints[start : start + rows.viewpoints_a_commit])
+            progress(total - len(left) + start, total)
+        rows.render_into(writer, left[start : start + rows.at_a_time])
     writer.flush()
     if progress:
-        progress(len(writer), total)
+        progress(total, total)
     return BuildResult(len(writer), len(writer) - held, time.perf_counter() - started)
 
 

@@ -34,10 +34,6 @@ class RenderConfig:
         How far a skyline may fall short of the exact one; 0 is exact but for float32.
     eye_height_m : float
         Eye above ground, where a viewpoint does not say.
-    shell_edges_m : tuple of float
-        Edges of distance shells to render and keep beside the skylines; empty for none.
-    reach_m : float
-        Shells keep what could surface within this distance of a viewpoint.
     keypoint_tolerance_px : float
         How far a skyline may be from the polyline whose vertices are its keypoints.
     curvature : Curvature
@@ -53,8 +49,6 @@ class RenderConfig:
     width: int = DEFAULT_WIDTH
     tolerance_px: float = 0.05
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
-    shell_edges_m: tuple[float, ...] = ()
-    reach_m: float = 300.0
     keypoint_tolerance_px: float = 1.0
     curvature: Curvature = field(default_factory=Curvature)
     rows: str = "compact"
@@ -66,14 +60,7 @@ class RenderConfig:
 
 def make_renderer(terrain: HeightField, config: RenderConfig) -> HorizonRenderer:
     """Return the renderer a configuration asks for."""
-    return HorizonRenderer(
-        terrain,
-        config.width,
-        config.curvature,
-        config.tolerance_px,
-        config.shell_edges_m or None,
-        config.reach_m,
-    )
+    return HorizonRenderer(terrain, config.width, config.curvature, config.tolerance_px)
 
 
 def store_header(
@@ -87,7 +74,6 @@ def store_header(
         renderer,
         {**plan, "rasterizer": "horizon", **settings},
         width=config.width,
-        shell_edges_m=config.shell_edges_m,
         coding=coding,
     )
 

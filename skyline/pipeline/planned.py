@@ -8,17 +8,17 @@ from functools import partial
 from pathlib import Path
 
 from skyline.features import polyline_keypoints
+from skyline.paper.planning.budget import check_coarse, spaced_for
+from skyline.paper.planning.candidates import lay_out
+from skyline.paper.planning.loop import plan
+from skyline.paper.planning.plan import Headings, Oracles, Plan, PlanConfig, PlanProgress
+from skyline.paper.planning.predicted import predict
+from skyline.paper.planning.tolerance import Neighbourhood, ToleranceMeter
+from skyline.paper.planning.truth import true_errors_px
+from skyline.paper.planning.verify import Checks, Verification, verify_coverage
 from skyline.pipeline.build import BuildResult
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
-from skyline.planning.budget import check_coarse, spaced_for
-from skyline.planning.candidates import lay_out
-from skyline.planning.loop import plan
-from skyline.planning.plan import Oracles, Plan, PlanConfig, PlanProgress
-from skyline.planning.requests import Headings
-from skyline.planning.tolerance import Neighbourhood, ToleranceMeter
 from skyline.planning.uniform import map_bounds
-from skyline.planning.verify import Checks, Verification, verify_coverage
-from skyline.prediction import PREDICTORS, predict, shell_edges_m, true_errors_px
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import (
     StoreWriter,
@@ -31,16 +31,6 @@ from skyline.store import (
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
-
-_SHELLS = 12
-"""What `cover` predicts from."""
-
-PREDICTING = ("rov",)
-"""Strategies that compute the areas of candidates; the others interpolate them."""
-
-_CAUTION = 0.8
-"""`cover` plans by predictions within this share of the threshold. Its errors are predicted to
-some tenths of a px, and it chooses: of what is predicted between 2.5 and 3 px only 75 % is."""
 
 _REACHED = "reached_px"
 """The setting that names the threshold a budget sufficed for."""
@@ -56,14 +46,11 @@ class PlannedResult:
     plan : Plan
     verification : Verification
         The predicted coverage held to renderings.
-    threshold_px : float
-        What was covered to: as asked, or with a budget what its renderings sufficed for.
     """
 
     built: BuildResult
     plan: Plan
     verification: Verification
-    threshold_px: float
 
 
 def build_planned(
@@ -76,11 +63,10 @@ def build_planned(
 ) -> PlannedResult:
     """Let a planner choose viewpoints until the area is covered; store what it has rendered.
 
-    `cover` plans by distance shells, which are kept in the store; the paper's strategies plan by
-    Equation 4 with the mean depth. A build that was stopped goes on: its plan is followed again,
-    and what the store holds is not rendered again. With a budget, distances of the plan are
-    widened to suit it (`spaced_for`), and the store's settings name the threshold that was reached
-    once it is.
+    Areas are those of Equation 4 with the mean depth. A build that was stopped goes on: its plan
+    is followed again, and what the store holds is not rendered again. With a budget, distances of
+    the plan are widened to suit it (`spaced_for`), and the store's settings name the threshold that
+    was reached once it is.
 
     Parameters
     ----------
@@ -106,10 +92,6 @@ def build_planned(
     planned = replace(planned, eye_height_m=config.eye_height_m)
     if planned.budget is not None:
         planned = replace(planned, spacing=spaced_for(planned.spacing, planned.budget, area))
-    if planned.strategy == "cover" and not config.shell_edges_m:
-        config = replace(
-            config, shell_edges_m=shell_edges_m(_SHELLS), reach_m=planned.spacing.reach_m
-        )
     started = time.perf_counter()
     settings: dict[str, object] = {
         "planner": planned.strategy,
@@ -131,23 +113,15 @@ def build_planned(
         else:
             writer = held.enter_context(open_for_append(path, header))
         before = len(writer)
-        cautious = replace(planned, threshold_px=_caution(planned) * planned.threshold_px)
-        oracles = _oracles(terrain, cautious, partial(_render_and_keep, renderer, writer, config))
-        done = plan(terrain, oracles, cautious, area, there, progress)
+        oracles = _oracles(terrain, planned, partial(_render_and_keep, renderer, writer, config))
+        done = plan(terrain, oracles, planned, area, there, progress)
         writer.close()
         built = BuildResult(len(writer), len(writer) - before, time.perf_counter() - started)
-        threshold_px = done.threshold_px / _caution(planned)
         if planned.budget is not None:
-            amend_config(path, {_REACHED: threshold_px})
+            amend_config(path, {_REACHED: done.threshold_px})
         # Stored views are rendered again rather than held: a rendering costs less than its memory.
         checks = Checks(renderer.render, renderer.render, true_errors_px)
-        proof = verify_coverage(done, checks, threshold_px)
-        return PlannedResult(built, done, proof, threshold_px)
-
-
-def _caution(planned: PlanConfig) -> float:
-    """Return the share of the threshold that a strategy's predictions have to stay within."""
-    return _CAUTION if planned.strategy == "cover" else 1.0
+        return PlannedResult(built, done, verify_coverage(done, checks, done.threshold_px))
 
 
 def _oracles(
@@ -155,16 +129,10 @@ def _oracles(
 ) -> Oracles:
     spacing = planned.spacing
     size = 2 * int(spacing.reach_m // spacing.pitch_m) + 1
-    shells = planned.strategy == "cover"
-    meter = ToleranceMeter(
-        terrain.height_at,
-        Neighbourhood(size, spacing.pitch_m),
-        PREDICTORS["shells" if shells else "affine-mean"],
-        planned.eye_height_m,
-        planned.threshold_px if shells and planned.budget is None else None,
-    )
-    foresee = partial(predict, with_shells=shells) if planned.strategy in PREDICTING else None
-    return Oracles(render, meter, foresee)
+    around = Neighbourhood(size, spacing.pitch_m)
+    meter = ToleranceMeter(terrain.height_at, around, eye_height_m=planned.eye_height_m)
+    # ROV computes the areas of candidates; the others interpolate them.
+    return Oracles(render, meter, predict if planned.strategy == "rov" else None)
 
 
 def _render_and_keep(

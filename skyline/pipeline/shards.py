@@ -1,10 +1,11 @@
-"""A uniform build cut into tiles, each an independent job that writes a store of its own.
+"""A build cut into tiles, each an independent job that writes a store of its own.
 
 Every job renders over the whole DEM: how far terrain can rise into a skyline has no bound but the
 DEM's own, and with one DEM there is one digest to hold all shards to. What is cut is the work, the
 lattice of viewpoints; a DEM that is to be small is cut before, by `skyline dem fetch`.
 
-A tile holds the viewpoints in its half-open square, so each is in one tile. A shard that is whole
+A tile holds the viewpoints, or the blocks of a planner, whose south-western corners are in its
+half-open square, so each is in one tile. A shard that is whole
 is left as it is, one that was begun is finished, and merging sorts the rows: who rendered what,
 when, in which tiles, and how often a worker died shows nowhere in the result.
 """
@@ -15,16 +16,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
+from skyline.camera import HEADINGS
 from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.pipeline.build import (
     BuildResult,
     Progress,
     RowRenderer,
-    ViewRows,
     held_whole,
     render_missing,
     uniform_plan,
@@ -32,7 +33,15 @@ from skyline.pipeline.build import (
 )
 from skyline.pipeline.config import RenderConfig, store_header
 from skyline.pipeline.jobs import Runner, collect, run_here
-from skyline.pipeline.places import PlaceConfig, PlaceRows, place_header, place_rows
+from skyline.pipeline.places import (
+    DEFAULT_LOSS,
+    PlaceConfig,
+    adaptive_plan,
+    place_header,
+    place_rows,
+    planned_rows,
+)
+from skyline.planning.adaptive import Blocks, blocks_of
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.store import StoreHeader, merge_stores, open_for_append
 from skyline.terrain.dem import DemOptions, read_dem
@@ -55,11 +64,12 @@ class Shard:
     name : str
         The tile's size and place: ``10000m_59_517`` spans eastings from 590 km to under 600 km and
         northings from 5170 km to under 5180 km.
-    viewpoints : Viewpoints
+    work : Viewpoints or Blocks
+        In the tile.
     """
 
     name: str
-    viewpoints: Viewpoints
+    work: Viewpoints | Blocks
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,22 +78,34 @@ class ShardPlan:
 
     Attributes
     ----------
-    spacing_m : float
-        Between viewpoints of the uniform grid.
+    spacing_m : float or None
+        Between viewpoints of a uniform grid; None for places that are planned.
     tile_m : float
         Side of the square tiles, which lie at whole multiples of it.
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
+    loss : float
+        Of places that are planned; see `build_places`.
     """
 
-    spacing_m: float
+    spacing_m: float | None = None
     tile_m: float = DEFAULT_TILE_M
     bounds_deg: tuple[float, float, float, float] | None = None
+    loss: float = DEFAULT_LOSS
 
     @property
     def record(self) -> dict[str, object]:
         """What the store's config says: nothing of tiles, for they leave no trace."""
+        if self.spacing_m is None:
+            return adaptive_plan(self.loss, self.bounds_deg)
         return uniform_plan(self.spacing_m, self.bounds_deg)
+
+    def work(self, terrain: HeightField, eye_height_m: float) -> Viewpoints | Blocks:
+        """Return what there is to render."""
+        area = map_bounds(terrain, self.bounds_deg)
+        if self.spacing_m is None:
+            return blocks_of(area)
+        return uniform_grid(terrain, self.spacing_m, area, eye_height_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,17 +170,22 @@ class Workplace:
         """
         path = Path(self._settings.folder) / f"{shard.name}.h5"
         Path(self._settings.folder).mkdir(parents=True, exist_ok=True)
-        done = render_missing(path, self._rows, shard.viewpoints)
-        due = self._rows.rows_each * len(shard.viewpoints)
-        if done.rows != due:
-            raise StoreError(
-                f"shard {path} holds {done.rows} {self._rows.header.holds} of what should be "
-                f"{due}; remove it and give the same command"
-            )
+        done = render_missing(path, self._rows, shard.work)
+        if isinstance(shard.work, Viewpoints):
+            due = _rows_each(self._settings.config) * len(shard.work)
+            if done.rows != due:
+                raise StoreError(
+                    f"shard {path} holds {done.rows} {self._rows.header.holds} of what should be "
+                    f"{due}; remove it and give the same command"
+                )
         return done
 
 
-def _row_renderer(terrain: HeightField, config: BuildConfig, plan: ShardPlan) -> RowRenderer:
+def _row_renderer(terrain: HeightField, config: BuildConfig, plan: ShardPlan) -> RowRenderer[Any]:
+    if plan.spacing_m is None:
+        if not isinstance(config, PlaceConfig):
+            raise InputError("a store of renderings needs a spacing; expected metres, e.g. 500")
+        return planned_rows(terrain, config, plan.loss, plan.bounds_deg)
     if isinstance(config, PlaceConfig):
         return place_rows(terrain, config, plan.spacing_m, plan.record)
     return view_rows(terrain, config, plan.record)
@@ -173,7 +200,7 @@ def _header(terrain: HeightField, config: BuildConfig, plan: ShardPlan) -> Store
 
 def _rows_each(config: BuildConfig) -> int:
     """Return how many rows a viewpoint has."""
-    return (PlaceRows if isinstance(config, PlaceConfig) else ViewRows).rows_each
+    return 1 if isinstance(config, PlaceConfig) else len(HEADINGS)
 
 
 _here: dict[ShardSettings, Workplace] = {}
@@ -191,8 +218,8 @@ def build_shard(settings: ShardSettings, shard: Shard) -> BuildResult:
     return _here[settings].build(shard)
 
 
-def cut_into_shards(viewpoints: Viewpoints, tile_m: float) -> list[Shard]:
-    """Cut viewpoints into squares, from the north-west row by row; those in one keep their order.
+def cut_into_shards(work: Viewpoints | Blocks, tile_m: float) -> list[Shard]:
+    """Cut work into squares, from the north-west row by row; what is in one keeps its order.
 
     Raises
     ------
@@ -201,13 +228,14 @@ def cut_into_shards(viewpoints: Viewpoints, tile_m: float) -> list[Shard]:
     """
     if not (np.isfinite(tile_m) and tile_m > 0.0):
         raise InputError(f"tile size is {tile_m} m; expected a positive number of metres")
-    col = np.floor(viewpoints.easting_m / tile_m).astype(np.int64)
-    row = np.floor(viewpoints.northing_m / tile_m).astype(np.int64)
+    easting_m, northing_m = work.easting_m, work.northing_m
+    col = np.floor(easting_m / tile_m).astype(np.int64)
+    row = np.floor(northing_m / tile_m).astype(np.int64)
     order = np.lexsort((col, -row))
     place = np.stack([row[order], col[order]])
     starts = np.flatnonzero(np.r_[True, (np.diff(place) != 0).any(axis=0)])
     return [
-        Shard(f"{tile_m:.12g}m_{place[1, start]}_{place[0, start]}", viewpoints[members])
+        Shard(f"{tile_m:.12g}m_{place[1, start]}_{place[0, start]}", work[members])
         for start, members in zip(starts, np.split(order, starts[1:]), strict=True)
     ]
 
@@ -220,7 +248,7 @@ def build_sharded(
     runner: Runner | None = None,
     progress: Progress | None = None,
 ) -> BuildResult:
-    """Render a uniform grid tile by tile into shards, and merge them into one store.
+    """Render a uniform grid, or planned places, by tiles into shards; merge them into one store.
 
     The result is, to the byte, what `compact_store` makes of the store that `build_uniform` gives,
     or with a `PlaceConfig` `build_places`.
@@ -237,7 +265,7 @@ def build_sharded(
     runner : Runner, optional
         What does the jobs; by default this process, one after another.
     progress : callable, optional
-        Called after each tile.
+        Called after each tile with how many are done, and with how many there are.
 
     Raises
     ------
@@ -250,12 +278,11 @@ def build_sharded(
     """
     started = time.perf_counter()
     path, config = Path(path).resolve(), config or RenderConfig()
-    area = map_bounds(terrain, plan.bounds_deg)
-    viewpoints = uniform_grid(terrain, plan.spacing_m, area, config.eye_height_m)
-    shards = cut_into_shards(viewpoints, plan.tile_m)
+    work = plan.work(terrain, config.eye_height_m)
+    shards = cut_into_shards(work, plan.tile_m)
     folder = path.with_name(f"{path.name}.shards")
     if path.exists():
-        held = _held_already(path, _header(terrain, config, plan), viewpoints, _rows_each(config))
+        held = _held_already(terrain, path, plan, config, work)
         _remove(folder, shards)
         return held
     settings = ShardSettings(
@@ -266,11 +293,11 @@ def build_sharded(
         config,
         str(folder),
     )
-    rendered = _run_all(settings, shards, runner, terrain, progress)
-    merge_stores([folder / f"{shard.name}.h5" for shard in shards], path)
+    done = _run_all(settings, shards, runner, terrain, progress)
+    merged = merge_stores([folder / f"{shard.name}.h5" for shard in shards], path)
     _remove(folder, shards)
-    rows = _rows_each(config) * len(viewpoints)
-    return BuildResult(rows, rendered, time.perf_counter() - started)
+    rendered = sum(result.rendered for result in done)
+    return BuildResult(merged.rows, rendered, time.perf_counter() - started)
 
 
 def _run_all(
@@ -279,44 +306,48 @@ def _run_all(
     runner: Runner | None,
     terrain: HeightField,
     progress: Progress | None,
-) -> int:
-    """Do all jobs and return how many rows were new."""
-    total = _rows_each(settings.config) * sum(len(shard.viewpoints) for shard in shards)
+) -> list[BuildResult]:
+    """Do all jobs."""
     names = [shard.name for shard in shards]
-    held = 0
+    finished = 0
 
-    def finished(result: BuildResult) -> None:
-        nonlocal held
-        held += result.rows
+    def tell(_: BuildResult) -> None:
+        nonlocal finished
+        finished += 1
         if progress:
-            progress(held, total)
+            progress(finished, len(shards))
 
     if progress:
-        progress(0, total)
+        progress(0, len(shards))
     if runner is None:
         with Workplace(settings, terrain) as here:
-            done = collect(run_here(here.build, shards, names), names, finished)
-    elif not settings.dem_files:
+            return collect(run_here(here.build, shards, names), names, tell)
+    if not settings.dem_files:
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
-    else:
-        work = partial(build_shard, settings)
-        done = collect(runner(work, shards, names), names, finished)
-    return sum(result.rendered for result in done)
+    return collect(runner(partial(build_shard, settings), shards, names), names, tell)
 
 
 def _held_already(
-    path: Path, header: StoreHeader, viewpoints: Viewpoints, rows_each: int
+    terrain: HeightField,
+    path: Path,
+    plan: ShardPlan,
+    config: BuildConfig,
+    work: Viewpoints | Blocks,
 ) -> BuildResult:
     """Return what a store has that was there before; it must be whole and of this build."""
+    if isinstance(work, Blocks):
+        # Which places it should have shows only as they are planned: what is left is done here.
+        with _row_renderer(terrain, config, plan) as rows:
+            return render_missing(path, rows, work)
     started = time.perf_counter()
-    with open_for_append(path, header) as writer:
-        rows = len(writer)
-    if not held_whole(path, viewpoints, rows_each).all():
+    with open_for_append(path, _header(terrain, config, plan)) as writer:
+        held = len(writer)
+    if not held_whole(path, work, _rows_each(config)).all():
         raise StoreError(
-            f"store {path} is there and lacks some of {len(viewpoints)} viewpoints; finish it "
+            f"store {path} is there and lacks some of {len(work)} viewpoints; finish it "
             "without tiles, remove it, or choose another name"
         )
-    return BuildResult(rows, 0, time.perf_counter() - started)
+    return BuildResult(held, 0, time.perf_counter() - started)
 
 
 def _remove(folder: Path, shards: Sequence[Shard]) -> None:

@@ -5,10 +5,8 @@ each column's ray over a tree of upper bounds and evaluates only what can still 
 (`shaders/horizon_march.glsl`); nothing but v, depth and flags of W columns a view comes back.
 """
 
-import itertools
 import logging
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Self
 
 import moderngl
@@ -27,14 +25,13 @@ from skyline.render.march import (
     FragmentMarcher,
     March,
     RayMarcher,
-    ResultPlace,
     Results,
     Settings,
 )
 from skyline.render.windows import Window, WindowTextures
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import FLAG_NO_DATA, Shells, Views
+from skyline.views import FLAG_NO_DATA, Views
 
 _log = logging.getLogger(__name__)
 
@@ -58,8 +55,6 @@ class ColumnRenderer:
     near_error : float
         What rounding may cost v near the eye before float64 is used.
     curvature : Curvature
-    shell_edges_m : (K + 1,) float64, optional
-    reach_m : float
 
     Raises
     ------
@@ -76,11 +71,8 @@ class ColumnRenderer:
         tolerance: Float64Array,
         near_error: float,
         curvature: Curvature,
-        shell_edges_m: Float64Array | None = None,
-        reach_m: float = np.inf,
     ) -> None:
         self.field, self.width, self.curvature = field, len(u), curvature
-        self.shell_edges_m = shell_edges_m
         self._near_error = near_error
         _check_spacing(field)
         self._context = acquire_context()
@@ -89,15 +81,13 @@ class ColumnRenderer:
             tolerance,
             (field.spacing_east_m, field.spacing_north_m),
             curvature.drop_per_m2,
-            len(_ranges(shell_edges_m)),
-            reach_m,
         )
         self._marcher: RayMarcher = (
             ComputeMarcher(self._context, settings)
             if self._context.has_compute
             else FragmentMarcher(self._context, settings)
         )
-        self._max_views = self._marcher.max_rows // (1 + len(_ranges(self.shell_edges_m)))
+        self._max_views = self._marcher.max_rows
         self._windows = Window.all_of(field)
         self._resident: dict[Window, WindowTextures] = {}
 
@@ -119,8 +109,8 @@ class ColumnRenderer:
     ) -> Iterator[tuple[slice, Results]]:
         """Render in batches that fit the GPU; where one does not, in halves of it.
 
-        Yields which views, and their rows in order: N skylines, then those of each shell. Without
-        data elevation_tan and depth_m are NaN, and skylines flagged.
+        Yields which views, and their skylines in order. Without data elevation_tan and depth_m are
+        NaN, and skylines flagged.
         """
         start = 0
         while start < len(viewpoints):
@@ -147,27 +137,17 @@ class ColumnRenderer:
     def _batch(self, viewpoints: Viewpoints, heading: NDArray[np.uint8]) -> Results:
         """Render one batch; see `_batches`."""
         eyes = Eyes(self.field, viewpoints, heading, self._near_error)
-        marcher, shells = self._marcher, _ranges(self.shell_edges_m)
-        marcher.begin((1 + len(shells)) * len(eyes))
-        windows = eyes.nearest_first(self._windows)
-        for place, window in enumerate(windows):
+        self._marcher.begin(len(eyes))
+        for place, window in enumerate(eyes.nearest_first(self._windows)):
             if place == 0 or self._may_rise(window, eyes):
-                self._march(window, eyes, March(first=place == 0))
-        if shells:
-            for place, window in enumerate(windows):
-                held = shells if place == 0 else _held(shells, *eyes.depths_m(window))
-                if held:
-                    march = March(shells_m=tuple(held), first=place == 0)
-                    self._march(window, eyes, march, shells.index(held[0]))
-        return _in_order(eyes, marcher.read())
+                self._march(window, eyes, first=place == 0)
+        return _in_order(eyes, self._marcher.read())
 
-    def _march(self, window: Window, eyes: Eyes, march: March, shell: int = 0) -> None:
-        """Raise the skylines, or shells from a first one on, by one window."""
+    def _march(self, window: Window, eyes: Eyes, first: bool) -> None:
+        """Raise the skylines by one window."""
         textures, near = self._load(window), eyes.relative_to(window)
         for rows, heading, double in eyes.groups():
-            kind = replace(march, heading=heading, double=double)
-            place = ResultPlace(rows.start, (1 + shell) * len(eyes) + rows.start, len(eyes))
-            self._marcher.run(kind, textures, near[rows], place)
+            self._marcher.run(March(heading, double, first), textures, near[rows], rows.start)
 
     def _may_rise(self, window: Window, eyes: Eyes) -> bool:
         """Return whether a window can raise any skyline found so far."""
@@ -176,7 +156,7 @@ class ColumnRenderer:
         highest_m = float(np.fmax.reduce(self.field.heights_m[rows, cols], axis=None))
         if np.isnan(highest_m):
             return False
-        least = self._marcher.read().elevation_tan[: len(eyes)].min(axis=1)
+        least = self._marcher.read().elevation_tan.min(axis=1)
         bound = eyes.greatest_tan(window, highest_m, self.curvature.drop_per_m2)
         return bool((bound > least).any())
 
@@ -203,17 +183,11 @@ class HorizonRenderer(ColumnRenderer):
         Defaults to the Earth's with k = 0.13.
     tolerance_px : float
         How far v may fall short of the skyline's; 0 is exact but for float32.
-    shell_edges_m : array_like, optional
-        K + 1 increasing forward depths: `render` gives the K shells between them as well. What
-        is nearer than 0.1 m, the ground underfoot, is in none.
-    reach_m : float
-        Shells keep what could surface over the skyline within this distance of the viewpoint;
-        all by default.
 
     Raises
     ------
     InputError
-        A width, tolerance or shells out of range, or samples much longer than wide.
+        A width or tolerance out of range, or samples much longer than wide.
     ContextError
         No OpenGL context can be made.
     """
@@ -224,8 +198,6 @@ class HorizonRenderer(ColumnRenderer):
         width: int = DEFAULT_WIDTH,
         curvature: Curvature | None = None,
         tolerance_px: float = 0.0,
-        shell_edges_m: ArrayLike | None = None,
-        reach_m: float = np.inf,
     ) -> None:
         pixel = pixel_size(check_width(width))
         self.tolerance_px = check_tolerance(tolerance_px, "px")
@@ -235,8 +207,6 @@ class HorizonRenderer(ColumnRenderer):
             np.full(width, self.tolerance_px * pixel),
             NEAR_ERROR_PX * pixel,
             curvature or Curvature(),
-            _check_shells(shell_edges_m),
-            _check_reach(reach_m),
         )
 
     @property
@@ -276,23 +246,14 @@ class HorizonRenderer(ColumnRenderer):
         )
 
     def _views(self, eyes: Viewpoints, heading: NDArray[np.uint8], rows: Results) -> Views:
-        count = len(eyes)
-        shells = None
-        if self.shell_edges_m is not None:
-            shape = (len(self.shell_edges_m) - 1, count, self.width)
-            stacks = (part[count:].reshape(shape) for part in (rows.elevation_tan, rows.depth_m))
-            shells = Shells(
-                self.shell_edges_m, *(np.ascontiguousarray(s.swapaxes(0, 1)) for s in stacks)
-            )
         return Views(
             eyes.easting_m,
             eyes.northing_m,
             eyes.eye_elevation_m,
             heading,
-            rows.elevation_tan[:count],
-            rows.depth_m[:count],
-            rows.flags[:count],
-            shells,
+            rows.elevation_tan,
+            rows.depth_m,
+            rows.flags,
         )
 
 
@@ -305,22 +266,6 @@ def _in_order(eyes: Eyes, rows: Results) -> Results:
     return Results(np.where(missing, nan, tan), np.where(missing, nan, depth), flags)
 
 
-def _ranges(edges_m: Float64Array | None) -> list[tuple[float, float]]:
-    return [] if edges_m is None else list(itertools.pairwise(edges_m.tolist()))
-
-
-def _held(
-    shells_m: list[tuple[float, float]], nearest_m: Float64Array, farthest_m: Float64Array
-) -> list[tuple[float, float]]:
-    """Return the shells, adjoining ones, in which eyes (N,) see any of a window."""
-    seen = [
-        index
-        for index, (low_m, high_m) in enumerate(shells_m)
-        if ((nearest_m < high_m) & (farthest_m >= low_m)).any()
-    ]
-    return shells_m[min(seen) : max(seen) + 1] if seen else []
-
-
 def check_tolerance(tolerance: float, unit: str) -> float:
     """Return ``tolerance`` if it is one, else raise `InputError`."""
     if not (np.isfinite(tolerance) and tolerance >= 0.0):
@@ -328,24 +273,6 @@ def check_tolerance(tolerance: float, unit: str) -> float:
             f"tolerance is {tolerance} {unit}; expected a finite number, 0 (exact) or more"
         )
     return float(tolerance)
-
-
-def _check_shells(edges_m: ArrayLike | None) -> Float64Array | None:
-    if edges_m is None:
-        return None
-    edges = np.asarray(edges_m, dtype=np.float64)
-    if edges.ndim != 1 or len(edges) < 2 or not (np.diff(edges) > 0.0).all() or edges[0] < 0.0:
-        raise InputError(
-            f"shell edges are {edges.tolist()}; expected two or more forward depths in metres, "
-            "increasing, the first at least 0"
-        )
-    return edges
-
-
-def _check_reach(reach_m: float) -> float:
-    if not reach_m > 0.0:
-        raise InputError(f"reach is {reach_m} m; expected metres above 0")
-    return float(reach_m)
 
 
 def _check_spacing(field: HeightField) -> None:

@@ -6,7 +6,7 @@ Both read the same windows and eyes and give the same skylines: `horizon_march.g
 import math
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import moderngl
@@ -36,7 +36,6 @@ _DOUBLE_VERSION = 400
 _MAX_GROUPS = 65_535
 _MAX_RESULT_BYTES = 1 << 26
 _MANY_EYES = 16
-_ANY_REACH_M = 1e12
 
 _Program = Any
 """`moderngl.Program` or `moderngl.ComputeShader`."""
@@ -50,19 +49,15 @@ class March:
     Attributes
     ----------
     heading : int
-    shells_m : tuple of (float, float)
-        Adjoining ranges of forward depth. Where there are any, what is looked for is the terrain
-        of each that could surface within the reach; else the skyline.
     double : bool
         Compute crossings in float64, where the OpenGL has it.
     first : bool
         Whether nothing was marched for these results before.
     """
 
-    heading: int = 0
-    shells_m: tuple[tuple[float, float], ...] = ()
-    double: bool = False
-    first: bool = True
+    heading: int
+    double: bool
+    first: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,18 +73,12 @@ class Settings:
     spacing_m : (float, float)
         East, north.
     drop_per_m2 : float
-    shells : int
-        The most shells a march has.
-    reach_m : float
-        How far an eye may be displaced for which shells are kept.
     """
 
     u: Float64Array
     tolerance: Float64Array
     spacing_m: tuple[float, float]
     drop_per_m2: float
-    shells: int
-    reach_m: float
 
     @property
     def width(self) -> int:
@@ -100,25 +89,6 @@ class Settings:
     def is_exact(self) -> bool:
         """Whether no column may fall short of its skyline."""
         return not self.tolerance.any()
-
-
-@dataclass(frozen=True, slots=True)
-class ResultPlace:
-    """The rows of the result arrays that one march fills.
-
-    Attributes
-    ----------
-    row : int
-        The row of the first eye's skyline.
-    shell_row : int
-        The row of that eye's first shell.
-    rows_a_shell : int
-        The number of rows from one shell to the next.
-    """
-
-    row: int
-    shell_row: int
-    rows_a_shell: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,9 +109,9 @@ class RayMarcher(Protocol):
         """Make room for results; the first march of each row writes it all."""
 
     def run(
-        self, march: March, window: WindowTextures, eyes: NDArray[np.void], place: ResultPlace
+        self, march: March, window: WindowTextures, eyes: NDArray[np.void], first_row: int
     ) -> None:
-        """March over a window from every eye; shells are held to the skylines."""
+        """March over a window from every eye; the first eye's result is in ``first_row``."""
 
     def read(self) -> Results:
         """Return the results."""
@@ -172,9 +142,9 @@ class ComputeMarcher:
         self._results = [self._ctx.buffer(reserve=max(4 * cells, 4)) for _ in range(3)]
 
     def run(
-        self, march: March, window: WindowTextures, eyes: NDArray[np.void], place: ResultPlace
+        self, march: March, window: WindowTextures, eyes: NDArray[np.void], first_row: int
     ) -> None:
-        """March over a window from every eye; shells are held to the skylines."""
+        """March over a window from every eye; the first eye's result is in ``first_row``."""
         program = self._programs.ready(march, window, eyes)
         buffer = self._ctx.buffer(eyes.tobytes())
         for binding, bound in enumerate((buffer, *self._results)):
@@ -186,9 +156,7 @@ class ComputeMarcher:
             values: dict[str, object] = {
                 "run": run,
                 "first_eye": first,
-                "first_row": place.row,
-                "first_shell_row": place.shell_row,
-                "rows_a_shell": place.rows_a_shell,
+                "first_row": first_row,
             }
             set_uniforms(program, values)
             program.run(min(at_once, len(eyes) - first) * groups)
@@ -224,8 +192,7 @@ class ComputeMarcher:
         self._results = []
 
     def _compile(self, defines: dict[str, str]) -> moderngl.ComputeShader:
-        name = "horizon_shells.comp" if "SHELLS" in defines else "horizon.comp"
-        return compile_compute(self._ctx, name, {"LANES": str(self._lanes), **defines})
+        return compile_compute(self._ctx, "horizon.comp", {"LANES": str(self._lanes), **defines})
 
 
 class FragmentMarcher:
@@ -246,24 +213,14 @@ class FragmentMarcher:
         self._results = _no_rows(rows, self._settings.width)
 
     def run(
-        self, march: March, window: WindowTextures, eyes: NDArray[np.void], place: ResultPlace
+        self, march: March, window: WindowTextures, eyes: NDArray[np.void], first_row: int
     ) -> None:
-        """March over a window from every eye; shells are held to the skylines."""
-        if not march.shells_m:
-            self._march(march, window, eyes, place.row, place.row)
-        for index, shell_m in enumerate(march.shells_m):
-            row = place.shell_row + index * place.rows_a_shell
-            self._march(replace(march, shells_m=(shell_m,)), window, eyes, row, place.row)
-
-    def _march(
-        self, march: March, window: WindowTextures, eyes: NDArray[np.void], row: int, sky_row: int
-    ) -> None:
-        """Draw one row an eye: of skylines, or of one shell."""
+        """March over a window from every eye; the first eye's result is in ``first_row``."""
         program = self._programs.ready(march, window, eyes)
         texels = np.concatenate(
             [eyes[name] for name in EYE_DTYPE.names or ()], axis=1, dtype=np.float32
         )
-        rows = slice(row, row + len(eyes))
+        rows = slice(first_row, first_row + len(eyes))
         results = self._results
         known = np.stack([results.elevation_tan[rows], results.depth_m[rows]], axis=-1)
         size = (self._settings.width, len(eyes))
@@ -273,15 +230,11 @@ class FragmentMarcher:
                 held.enter_context(self._texture(size, 2, known, "f4")),
                 held.enter_context(self._texture(size, 1, results.flags[rows], "u1")),
             ]
-            if march.shells_m:
-                sky = slice(sky_row, sky_row + len(eyes))
-                lines = np.stack([results.elevation_tan[sky], results.depth_m[sky]], axis=-1)
-                sources.append(held.enter_context(self._texture(size, 2, lines, "f4")))
             skyline = held.enter_context(self._texture(size, 2, None, "f4"))
             flags = held.enter_context(self._texture(size, 1, None, "u1"))
             for unit, source in enumerate(sources, start=2):
                 source.use(unit)
-            set_uniforms(program, {"eyes": 2, "known": 3, "known_flags": 4, "sky": 5})
+            set_uniforms(program, {"eyes": 2, "known": 3, "known_flags": 4})
             self._draw(program, [skyline, flags])
             values = np.frombuffer(skyline.read(), np.float32).reshape(len(eyes), -1, 2)
             results.elevation_tan[rows], results.depth_m[rows] = values[..., 0], values[..., 1]
@@ -341,7 +294,7 @@ class _Programs:
         """Return the program for a march, its uniforms set and the window's textures bound."""
         slope_max = window.slope_max[march.heading % 2]
         columns = window.columns[march.heading % 2]
-        rims = None if march.shells_m else window.rims
+        rims = window.rims
         defines = self._defines(march, slope_max, window.dangling, rims is not None)
         key = frozenset(defines.items())
         if key not in self._compiled:
@@ -363,8 +316,6 @@ class _Programs:
             "slope_max": slope_max,
             "width": settings.width,
             "aims": 8,
-            **self._shells(march),
-            "reach_m": min(settings.reach_m, _ANY_REACH_M),
         }
         set_uniforms(program, values)
         window.heights.use(0)
@@ -383,18 +334,6 @@ class _Programs:
             program.release()
         self._compiled = {}
 
-    def _shells(self, march: March) -> dict[str, object]:
-        if not march.shells_m:
-            return {}
-        edges_m = [march.shells_m[0][0], *(high_m for _, high_m in march.shells_m)]
-        # Uniform arrays are set as a whole.
-        edges_m += edges_m[-1:] * (self._settings.shells + 1 - len(edges_m))
-        return {
-            "shells": len(march.shells_m),
-            "shell_edges_m": edges_m,
-            "shell_m": march.shells_m[0],
-        }
-
     def _defines(
         self, march: March, slope_max: float, dangling: bool, holes: bool
     ) -> dict[str, str]:
@@ -409,7 +348,6 @@ class _Programs:
             "HEADING": str(march.heading),
             "CELLS": str(cells),
             "REAL": "double" if march.double and self._has_double else "float",
-            **({"SHELLS": str(self._settings.shells)} if march.shells_m else {}),
             **{name: "" for name, on in switches.items() if on},
         }
 

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS
-from skyline.coverage import Coverage
-from skyline.planning.candidates import CandidateMap
-from skyline.planning.plan import Plan
+from skyline.paper.planning.candidates import CandidateMap
+from skyline.paper.planning.coverage import Coverage
+from skyline.paper.planning.plan import Plan
 from skyline.report.pictures import save_figure
 from skyline.report.relief import Area, draw_bearings, draw_relief
 

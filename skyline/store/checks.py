@@ -26,6 +26,9 @@ from skyline.store.header import (
 
 _MAX_CHUNK_BYTES = 1 << 26
 
+_SHELLS = "shell_edges_m"
+"""An attribute of stores that earlier versions made with more than skylines."""
+
 _CHECKSUMMED = frozenset({h5py.h5z.FILTER_FLETCHER32})
 _PACKED = _CHECKSUMMED | {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}
 
@@ -43,6 +46,10 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     if "schema" not in file.attrs or _text(path, file, "schema") != SCHEMA:
         raise not_a_store(path)
     version = _schema_version(path, file)
+    if _SHELLS in file.attrs:
+        raise StoreError(
+            f"store {path} holds distance shells, which skyline no longer reads; build it again"
+        )
     config = json.loads(_text(path, file, "config"))
     files = json.loads(_text(path, file, "dem_files"))
     if not isinstance(config, dict):
@@ -98,7 +105,6 @@ def _layout_of_views(path: Path, file: h5py.File, rows: dict[str, Any]) -> dict[
     return {
         "width": _row_length(path, file, VIEW_SPECS["elevation_tan"][0]),
         "max_keypoints": _row_length(path, file, KEYPOINTS),
-        "shell_edges_m": _shell_edges(path, file),
         "coding": RowCoding(**steps) if steps else None,
     }
 
@@ -144,15 +150,6 @@ def _text(path: Path, file: h5py.File, name: str) -> str:
     if not isinstance(value, str):
         raise StoreError(f"store {path} has an attribute {name!r} that is not text; {REBUILD}")
     return value
-
-
-def _shell_edges(path: Path, file: h5py.File) -> tuple[float, ...]:
-    if "shell_edges_m" not in file.attrs:
-        return ()
-    edges = file.attrs["shell_edges_m"]
-    if not isinstance(edges, np.ndarray) or edges.dtype.kind != "f":
-        raise StoreError(f"store {path} has shell_edges_m that are not numbers; {REBUILD}")
-    return tuple(edges.ravel().tolist())
 
 
 def _row_length(path: Path, file: h5py.File, name: str) -> int:

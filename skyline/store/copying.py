@@ -65,7 +65,7 @@ def merge_stores(
     Parameters
     ----------
     paths : sequence of path-like
-        At least one, of the same frame, DEM, configuration, shells and coding.
+        At least one, of the same frame, DEM, configuration and coding.
     out : path-like
         Must not exist.
 

@@ -68,18 +68,7 @@ KEYPOINTS = "features/keypoint_column"
 CHECKSUM = "views/checksum"
 """CRC-32 of each row's bytes as stored (see `skyline.store.digest`)."""
 
-SHELL_SPECS = {
-    "elevation_tan": ("views/shell_tan", Spec("<f4", "shells")),
-    "depth_m": ("views/shell_depth_m", Spec("<f4", "shells")),
-}
-"""Field of `Shells` -> dataset and its layout, in stores that hold shells."""
-
-CODED = {
-    name: field
-    for specs in (VIEW_SPECS, SHELL_SPECS)
-    for field, (name, spec) in specs.items()
-    if spec.dtype == "<f4"
-}
+CODED = {name: field for field, (name, spec) in VIEW_SPECS.items() if spec.dtype == "<f4"}
 """Dataset that compact rows hold as codes -> what the codes stand for."""
 
 PLACE_SPECS = {
@@ -138,12 +127,10 @@ class StoreHeader:
         Columns W of a view; 0 in a store of places.
     max_keypoints : int
         Keypoints K a row has room for; 0 in a store of places.
-    shell_edges_m : tuple of float
-        Edges of the distance shells that are held beside each skyline; empty for none.
     coding : RowCoding, optional
         To what compact rows are rounded; None for exact rows.
     holds : str
-        "renderings" or "places". Places have no width, keypoints, shells or coding to choose.
+        "renderings" or "places". Places have no width, keypoints or coding to choose.
     package_version : str
         Release that created the store.
     schema_version : int
@@ -152,8 +139,8 @@ class StoreHeader:
     Raises
     ------
     InputError
-        The width, the number of keypoints or the shells are out of range or given for places, or
-        JSON cannot hold the config.
+        The width or the number of keypoints is out of range or given for places, or JSON cannot
+        hold the config.
     """
 
     frame_wkt: str
@@ -163,7 +150,6 @@ class StoreHeader:
     renderer: str
     width: int = 0
     max_keypoints: int = DEFAULT_MAX_KEYPOINTS
-    shell_edges_m: tuple[float, ...] = ()
     coding: RowCoding | None = None
     holds: str = RENDERINGS
     package_version: str = field(default_factory=package_version, compare=False)
@@ -171,8 +157,8 @@ class StoreHeader:
 
     def __post_init__(self) -> None:
         if self.holds == PLACES:
-            if self.width or self.shell_edges_m or self.coding:
-                raise InputError("a store of places has no width, shells or coding; leave them out")
+            if self.width or self.coding:
+                raise InputError("a store of places has no width or coding; leave them out")
             object.__setattr__(self, "max_keypoints", 0)
         else:
             self._check_views()
@@ -195,13 +181,6 @@ class StoreHeader:
                 f"max_keypoints is {self.max_keypoints}; expected 2 to {NO_KEYPOINT - 1} "
                 f"(the default is {DEFAULT_MAX_KEYPOINTS})"
             )
-        edges = np.asarray(self.shell_edges_m, dtype=np.float64)
-        if edges.ndim != 1 or len(edges) == 1 or not (np.diff(edges) > 0.0).all():
-            raise InputError(
-                f"shell_edges_m are {self.shell_edges_m}; expected none, or two or more depths in "
-                "metres, increasing"
-            )
-        object.__setattr__(self, "shell_edges_m", tuple(edges.tolist()))
 
     @property
     def rows(self) -> str:
@@ -233,17 +212,15 @@ class StoreHeader:
         if self.holds == PLACES:
             return dict(PLACE_SPECS.values()) | {PLACE_CHECKSUM: Spec("<u4")}
         held = dict(VIEW_SPECS.values()) | {KEYPOINTS: Spec("<u2", "keypoints")}
-        if self.shell_edges_m:
-            held |= dict(SHELL_SPECS.values())
         if self.schema_version >= CHECKED_SINCE:
             held |= {CHECKSUM: Spec("<u4")}
         if self.coding:
-            held |= {name: Spec("<u4", held[name].per_row) for name in CODED if name in held}
+            held |= {name: Spec("<u4", held[name].per_row) for name in CODED}
         return held
 
     @property
     def attributes(self) -> dict[str, str]:
-        """What the file's attributes say of the header, beside its version, shells and digest."""
+        """What the file's attributes say of the header, beside its version and digest."""
         coding: dict[str, object] = {"rows": self.rows}
         if self.coding:
             coding |= asdict(self.coding)
@@ -262,17 +239,17 @@ class StoreHeader:
     @property
     def digest(self) -> str:
         """SHA-256 of all the header says: HDF5 does not guard the text of attributes."""
-        facts = [self.schema_version, self.width, self.max_keypoints, self.shell_edges_m]
+        # The empty list stood for distance shells: stores that never had any keep their digest.
+        facts = [self.schema_version, self.width, self.max_keypoints, []]
         text = json.dumps([facts, self.attributes], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def row_shape(self, per_row: str) -> tuple[int, ...]:
-        """Return the shape of one row of a dataset: (), (W,) or (shells, W), for example."""
+        """Return the shape of one row of a dataset: (), or (W,) for example."""
         return {
             "one": (),
             "width": (self.width,),
             "keypoints": (self.max_keypoints,),
-            "shells": (max(len(self.shell_edges_m) - 1, 0), self.width),
             "rises": (BINS,),
             "distances": (DISTANCE_BINS,),
             "phases": (PHASE_BINS,),

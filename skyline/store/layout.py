@@ -45,8 +45,6 @@ def _lay_out(file: h5py.File, header: StoreHeader) -> None:
     for name, text in header.attributes.items():
         file.attrs[name] = text
     file.attrs["header_digest"] = header.digest
-    if header.shell_edges_m:
-        file.attrs["shell_edges_m"] = np.array(header.shell_edges_m)
     for name, spec in header.specs.items():
         shape = header.row_shape(spec.per_row)
         file.create_dataset(

@@ -13,7 +13,7 @@ def differences(one: StoreHeader, other: StoreHeader) -> list[tuple[str, object,
         names = _frame_name(one.frame_wkt), _frame_name(other.frame_wkt)
         pair = names if names[0] != names[1] else (one.frame_wkt, other.frame_wkt)
         found.append(("frame", *pair))
-    for name in ("dem_digest", "width", "max_keypoints", "shell_edges_m", "rows"):
+    for name in ("dem_digest", "width", "max_keypoints", "rows"):
         found.append((name, getattr(one, name), getattr(other, name)))
     if one.coding and other.coding:
         found.append(("coding", one.coding, other.coding))

@@ -119,11 +119,6 @@ class Store:
         return max(len(dataset) for dataset in self._datasets.values())
 
     @property
-    def stored_bytes(self) -> dict[str, int]:
-        """Bytes that the rows of each dataset take in the file, by the dataset's name."""
-        return {name: data.id.get_storage_size() for name, data in self._datasets.items()}
-
-    @property
     def in_use(self) -> bool:
         """Whether a writer had the store open when it was opened, or was killed at work."""
         return self._raw.superblock.in_use

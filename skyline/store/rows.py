@@ -1,6 +1,6 @@
 """Rows as a store holds them, by dataset, and as the `Views` or `Places` they stand for."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,11 @@ from skyline.store.header import (
     CODED,
     KEYPOINTS,
     PLACE_SPECS,
-    SHELL_SPECS,
     VIEW_SPECS,
     KeypointColumns,
     StoreHeader,
 )
-from skyline.views import Shells, Views
+from skyline.views import Views
 
 Columns = Mapping[str, NDArray[Any]]
 """N rows of several datasets, by the datasets' names, in the types they are stored in."""
@@ -33,8 +32,8 @@ def stored_rows(header: StoreHeader, views: Views, keypoint_columns: KeypointCol
     InputError
         Shapes or values that do not fit the store.
     """
-    _check_shells(header, views)
-    given = dict(_columns(views, keypoint_columns))
+    given = {name: getattr(views, field) for field, (name, _) in VIEW_SPECS.items()}
+    given[KEYPOINTS] = keypoint_columns
     for name, values in given.items():
         expected = (len(views), *header.row_shape(header.specs[name].per_row))
         if np.shape(values) != expected:
@@ -53,7 +52,7 @@ def stored_rows(header: StoreHeader, views: Views, keypoint_columns: KeypointCol
         raise InputError(f"a heading to append is not one of {HEADINGS}")
     if header.coding:
         encode = {"elevation_tan": header.coding.tan_codes, "depth_m": header.coding.depth_codes}
-        given |= {name: encode[CODED[name]](given[name]) for name in CODED if name in given}
+        given |= {name: encode[field](given[name]) for name, field in CODED.items()}
     # A copy in any case, so that the caller may use the arrays again.
     return {name: np.array(given[name], dtype=header.specs[name].dtype) for name in given}
 
@@ -82,13 +81,10 @@ def stored_places(header: StoreHeader, places: Places) -> Columns:
 
 def views_of(header: StoreHeader, columns: Columns) -> Views:
     """Return the views that stored rows stand for."""
-
-    def read(specs: Mapping[str, tuple[str, Any]]) -> Any:
-        return {field: _decoded(header, name, columns[name]) for field, (name, _) in specs.items()}
-
-    edges = header.shell_edges_m
-    shells = Shells(np.array(edges), **read(SHELL_SPECS)) if edges else None
-    return Views(**read(VIEW_SPECS), shells=shells)
+    fields: dict[str, Any] = {
+        field: _decoded(header, name, columns[name]) for field, (name, _) in VIEW_SPECS.items()
+    }
+    return Views(**fields)
 
 
 def as_stored(header: StoreHeader, views: Views) -> Views:
@@ -105,21 +101,3 @@ def _decoded(header: StoreHeader, name: str, values: NDArray[Any]) -> NDArray[An
         return values
     decode = {"elevation_tan": header.coding.elevation_tan, "depth_m": header.coding.depth_m}
     return decode[CODED[name]](values)
-
-
-def _check_shells(header: StoreHeader, views: Views) -> None:
-    edges = () if views.shells is None else tuple(views.shells.edges_m.tolist())
-    if edges != header.shell_edges_m:
-        raise InputError(
-            f"views to append have shells at {edges or 'no'} edges; the store has "
-            f"{header.shell_edges_m or 'none'}: render them as the store was begun"
-        )
-
-
-def _columns(views: Views, keypoint_columns: KeypointColumns) -> Iterator[tuple[str, NDArray[Any]]]:
-    for attribute, (name, _) in VIEW_SPECS.items():
-        yield name, getattr(views, attribute)
-    if views.shells is not None:
-        for attribute, (name, _) in SHELL_SPECS.items():
-            yield name, getattr(views.shells, attribute)
-    yield KEYPOINTS, keypoint_columns

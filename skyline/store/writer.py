@@ -115,17 +115,21 @@ class StoreWriter:
         check_holds(self._path, self._header, RENDERINGS)
         self.append_stored(stored_rows(self._header, views, keypoint_columns))
 
-    def append_places(self, places: Places) -> None:
-        """Add places to a store of places; raises as `append`."""
+    def append_places(self, places: Places, *, all_or_none: bool = False) -> None:
+        """Add places to a store of places; raises as `append`.
+
+        With ``all_or_none`` they are committed at once, and a kill leaves all of them or none.
+        """
         self._check_usable()
         check_holds(self._path, self._header, PLACES)
-        self.append_stored(stored_places(self._header, places))
+        self.append_stored(stored_places(self._header, places), all_or_none=all_or_none)
 
-    def append_stored(self, columns: Columns) -> None:
+    def append_stored(self, columns: Columns, *, all_or_none: bool = False) -> None:
         """Add rows of a store with the same header, as `Store.stored` reads them."""
         self._check_usable()
         self._pending.append({**columns, self._header.checksum: row_checksums(columns)})
-        self._commit(len(self) - len(self) % self._header.chunk_rows)
+        left = 0 if all_or_none else len(self) % self._header.chunk_rows
+        self._commit(len(self) - left)
 
     def flush(self) -> None:
         """Commit every appended row now; raises as `append`."""
@@ -236,9 +240,8 @@ def open_for_append(path: str | os.PathLike[str], header: StoreHeader) -> StoreW
     path : path-like
     header : StoreHeader
         What the new rows are built from and how. What it holds, the frame, DEM digest, config,
-        width, number of keypoints, shells and coding must equal the store's; its other fields are
-        kept. A store of
-        an older schema is lifted to the newest.
+        width, number of keypoints and coding must equal the store's; its other fields are kept. A
+        store of an older schema is lifted to the newest.
 
     Raises
     ------

@@ -18,7 +18,7 @@ def row(store, matcher, renderings, mean_m, used=None, group="all"):
         "matcher": matcher,
         "group": group,
         "renderings": renderings,
-        "bytes_used": used or 1000 * renderings,
+        "bytes": used or 1000 * renderings,
         "mean_m": mean_m,
         "mean_m_low": 0.8 * mean_m,
         "mean_m_high": 1.3 * mean_m,
@@ -32,10 +32,10 @@ ROWS = [
     row("uniform-128", "paper", 1600, 1.0, group="close"),
     row("uniform-512", "full", 100, 400.0, 400_000),
     row("uniform-128", "full", 1600, 25.0, 6_400_000),
-    row("cover-100", "paper", 100, 400.0),
-    row("cover-400", "paper", 400, 200.0),
-    row("cover-100", "full", 100, 200.0, 600_000),
-    row("cover-400", "full", 400, 50.0, 2_400_000),
+    row("lpov-100", "paper", 100, 400.0),
+    row("lpov-400", "paper", 400, 200.0),
+    row("lpov-100", "full", 100, 200.0, 600_000),
+    row("lpov-400", "full", 400, 50.0, 2_400_000),
 ]
 
 
@@ -51,11 +51,11 @@ def reached(matcher, goal, cost):
 
 def test_the_cheapest_store_as_good_as_the_finest_grid_is_found():
     one = reached("full", "paper on uniform-128", "renderings")
-    assert (one["store"], one["needed"], one["goal_cost"]) == ("cover-400", 400, 1600)
+    assert (one["store"], one["needed"], one["goal_cost"]) == ("lpov-400", 400, 1600)
     assert one["share"] == 0.25
     # The line from (100, 200 m) to (400, 50 m) on logarithmic axes is at 100 m half way.
     assert one["interpolated"] == pytest.approx(200.0)
-    in_bytes = reached("full", "paper on uniform-128", "bytes_used")
+    in_bytes = reached("full", "paper on uniform-128", "bytes")
     assert in_bytes["share"] == pytest.approx(2_400_000 / 1_600_000)
     assert in_bytes["interpolated"] == pytest.approx(1_200_000)
 
@@ -72,17 +72,17 @@ def test_what_no_store_reaches_is_said():
 def test_the_cheapest_budget_may_do_and_then_nothing_is_interpolated():
     easy = [row("uniform-512", "full", 100, 400.0), *ROWS[-2:]]
     one = reached_rows(easy)[0]
-    assert (one["store"], one["interpolated"]) == ("cover-100", None)
+    assert (one["store"], one["interpolated"]) == ("lpov-100", None)
 
 
 def test_stores_are_held_to_grids_of_as_many_renderings():
     told = {(one["store"], one["matcher"]): one for one in equal_rows(ROWS)}
     assert len(told) == 4
-    assert told["cover-100", "paper"]["gain"] == pytest.approx(4.0)
+    assert told["lpov-100", "paper"]["gain"] == pytest.approx(4.0)
     # Half way from 100 to 1600 renderings, and so from 1600 to 100 m.
-    assert told["cover-400", "paper"]["uniform_mean_m"] == pytest.approx(400.0)
-    assert told["cover-400", "full"]["gain"] == pytest.approx(100.0 / 50.0)
-    beyond = equal_rows([*ROWS[:2], row("cover-9000", "paper", 9000, 10.0)])
+    assert told["lpov-400", "paper"]["uniform_mean_m"] == pytest.approx(400.0)
+    assert told["lpov-400", "full"]["gain"] == pytest.approx(100.0 / 50.0)
+    beyond = equal_rows([*ROWS[:2], row("lpov-9000", "paper", 9000, 10.0)])
     assert (beyond[0]["uniform_mean_m"], beyond[0]["gain"]) == (None, None)
 
 
@@ -97,7 +97,7 @@ def test_costs_are_drawn_one_column_a_matcher_and_legible(tmp_path):
     assert "renderings" in figure.axes[0].get_xlabel()
     assert "MB" in figure.axes[2].get_xlabel()
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels == ["uniform in the paper", "adaptive in the paper", "uniform", "cover"]
+    assert labels == ["uniform in the paper", "adaptive in the paper", "uniform", "lpov"]
     data = encode_small_png(figure)
     assert len(data) <= SMALL_BYTES
     picture = np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))

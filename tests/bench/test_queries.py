@@ -127,18 +127,6 @@ def test_occluders_are_masked_or_left_in(terrain, masked):
             assert (found[seen] < true[seen]).all()
 
 
-def test_haze_hides_what_is_far(terrain):
-    clear = make_queries(terrain, AREA, 8, seed=8, config=EXACT)
-    hazy = make_queries(terrain, AREA, 8, seed=8, config=replace(EXACT, visibility_m=800.0))
-    unlimited = make_queries(terrain, AREA, 8, seed=8, config=replace(EXACT, visibility_m=1e5))
-    np.testing.assert_allclose(found_rows(unlimited), found_rows(clear), atol=1e-3)
-    sinks = found_rows(hazy) - found_rows(clear)
-    assert np.nanmin(sinks) > -1e-3
-    assert np.nanmax(sinks) > 3.0
-    assert max(query.distance_m for query in clear) > 800.0
-    assert all(not query.distance_m > 850.0 for query in hazy)
-
-
 @pytest.mark.parametrize(
     "config",
     [
@@ -163,5 +151,3 @@ def test_bad_requests_are_refused(terrain):
         make_queries(terrain, AREA, 1, seed=-1)
     with pytest.raises(InputError, match="no place on the surface"):
         make_queries(terrain, (1600.0, -1700.0, 1700.0, -1600.0), 1)
-    with pytest.raises(InputError, match="visibility"):
-        make_queries(terrain, AREA, 1, config=replace(PLAIN, visibility_m=0.0))

@@ -18,9 +18,9 @@ def side_m(bounds_deg):
 
 
 def test_plans_are_by_strategy_then_budget():
-    plans = AdaptiveConfig(strategies=("sov", "cover"), budgets=(900, 300), seed=4).plans()
+    plans = AdaptiveConfig(strategies=("sov", "lpov"), budgets=(900, 300), seed=4).plans()
     assert [(one.strategy, one.budget, one.seed) for one in plans] == [
-        ("sov", 300, 4), ("sov", 900, 4), ("cover", 300, 4), ("cover", 900, 4),
+        ("sov", 300, 4), ("sov", 900, 4), ("lpov", 300, 4), ("lpov", 900, 4),
     ]  # fmt: skip
 
 

@@ -108,7 +108,7 @@ def test_places_of_a_part_of_the_dem(run, dem, tmp_path):
 
 
 RENDERED_ALONE = {
-    "--width": 64, "--rows": "exact", "--tolerance-px": 0, "--shells": 12, "--pitch": 50,
+    "--width": 64, "--rows": "exact", "--tolerance-px": 0, "--pitch": 50,
     "--threshold-px": 3, "--coverage": 0.9, "--budget": 100, "--seed": 1, "--map": "map.png",
 }  # fmt: skip
 
@@ -134,7 +134,7 @@ def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_
     for arguments, kinds in [
         (("build", dem, "-o", renderings), "is 'renderings' there, 'places' here"),
         (("build", dem, "-o", store, "--planner", "uniform"), "is 'places' there, 'renderings'"),
-        (("build", dem, "-o", store, "--planner", "cover"), "holds places, not renderings"),
+        (("build", dem, "-o", store, "--planner", "lpov"), "holds places, not renderings"),
         (("render", dem, "-o", store, "--viewpoints", viewpoints_csv), "exists already"),
     ]:
         assert_refused(run(*arguments), kinds)
@@ -179,7 +179,7 @@ def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(places.PlaceRows, "viewpoints_a_commit", 512)
+        patch.setattr(places.PlaceRows, "at_a_time", 512)
         patch.setattr(cli, "build_places", lambda *given: build_places(*given[:-1], stop))
         done = run("build", dem, "-o", out)
     assert done.code == 130

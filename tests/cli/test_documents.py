@@ -42,7 +42,7 @@ from scenes import fractal
 import skyline
 from skyline import cli, read_dem, stand_on
 from skyline.fetch.sources import SOURCES
-from skyline.pipeline.places import DEFAULT_SPACING_M
+from skyline.pipeline.places import DEFAULT_LOSS
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
 from skyline_bench import cli as bench
@@ -178,7 +178,7 @@ def world(tmp_path_factory):
             make_queries()
             for block in to_run(README):
                 run_block(block)
-            for part in ("skyline extract", "--planner cover"):
+            for part in ("skyline extract", "--planner lpov"):
                 run_command(shown(part))
             shutil.copy("davos.h5", "other.h5")
             run_command(
@@ -204,13 +204,13 @@ def make_queries():
 
 
 def test_what_pages_share_is_what_they_say(world):
-    for name in ("report/index.html", "overlay.png", "trace.csv", "cover.png"):
+    for name in ("report/index.html", "overlay.png", "trace.csv", "planned.png"):
         assert (world / name).stat().st_size > 0, name
     with open_store(world / "davos.h5") as store:
         assert store.header.holds == "places"
         assert store.places().take(np.array([0])).rise.nbytes == 360
-    with open_store(world / "cover.h5") as store:
-        assert len(store.header.shell_edges_m) == 13
+    with open_store(world / "planned.h5") as store:
+        assert store.header.config["planner"] == "lpov"
 
 
 @pytest.mark.parametrize("document", DOCS, ids=page_id)
@@ -229,7 +229,7 @@ def test_decoded_as_the_docs_say_a_store_is_what_its_reader_returns(world):
     block = next(block for block in blocks_of(STORE_DOC) if "zigzag" in block.text)
     with chdir(world):
         names = run_block(block)
-    with open_store(world / "cover.h5") as store:
+    with open_store(world / "planned.h5") as store:
         views = store.views()
     np.testing.assert_allclose(names["elevation_tan"], views.elevation_tan, rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(names["depth_m"], views.depth_m, rtol=1e-6)
@@ -238,27 +238,19 @@ def test_decoded_as_the_docs_say_a_store_is_what_its_reader_returns(world):
 def test_a_store_holds_what_the_docs_say_and_no_more(world):
     attributes = {row["attribute"] for row in table_under(STORE_DOC, "attribute")}
     datasets = {row["dataset"]: row for row in table_under(STORE_DOC, "dataset")}
-    assert len(attributes) == 11
-    for name, rows in (("exact.h5", "exact rows"), ("cover.h5", "compact rows")):
+    assert len(attributes) == 10
+    for name, rows in (("exact.h5", "exact rows"), ("planned.h5", "compact rows")):
         with h5py.File(world / name) as file:
             found = datasets_of(file)
-            shells = "shell_edges_m" in file.attrs
-            only = "only in stores with shells"
-            said = {
-                path: row for path, row in datasets.items() if shells or only not in row["what"]
-            }
-            assert set(file.attrs) == attributes - (set() if shells else {"shell_edges_m"})
-            assert found.keys() == said.keys()
-            sizes = {
-                "N": int(file["committed"][()]), "W": 640, "P": 128, "K": 12,
-            }  # fmt: skip
-            for path, row in said.items():
+            assert set(file.attrs) == attributes
+            assert found.keys() == datasets.keys()
+            sizes = {"N": int(file["committed"][()]), "W": 640, "P": 128}
+            for path, row in datasets.items():
                 shape = tuple(sizes[size] for size in re.findall(r"\w", row["shape"]))
                 assert found[path].shape == shape, path
                 assert found[path].dtype == np.dtype(row[rows]), path
             assert file.attrs["schema"] == "skyline-store"
             assert file.attrs["schema_version"] == 3
-    assert shells
 
 
 def test_a_store_of_places_holds_what_the_docs_say_and_no_more(world):
@@ -266,7 +258,7 @@ def test_a_store_of_places_holds_what_the_docs_say_and_no_more(world):
     said = {row["places"]: row for row in table_under(STORE_DOC, "places")}
     with h5py.File(world / "davos.h5") as file:
         found = datasets_of(file)
-        assert set(file.attrs) == attributes - {"shell_edges_m"}
+        assert set(file.attrs) == attributes
         assert found.keys() == said.keys() | {"committed"}
         coding = json.loads(file.attrs["rows"])
         for path, row in said.items():
@@ -387,15 +379,16 @@ def test_the_version_is_one_everywhere():
     assert {first[1], *versions} == {versions[0]}
 
 
-def test_the_default_spacing_is_the_programs():
+def test_the_default_loss_is_the_programs():
     page = (ROOT / "docs" / "guide" / "your-own-area.md").read_text(encoding="utf-8")
-    (said,) = re.findall(r"(\d+) is the default", page)
-    assert float(said) == DEFAULT_SPACING_M
+    (said,) = re.findall(r"([\d.]+) is the default", page)
+    assert float(said) == DEFAULT_LOSS
 
 
 def test_a_new_part_needs_two_files_read_at_most():
     rows = table_under(ARCHITECTURE, "new part")
-    assert {"matcher", "planner", "server of tiles"} <= {row["new part"] for row in rows}
+    parts = {row["new part"] for row in rows}
+    assert {"matcher", "planner of renderings", "server of tiles"} <= parts
     for row in rows:
         assert 1 <= len(re.findall(r"`[\w/]+/[\w/]+\.py`", "`" + row["read these"] + "`")) <= 2
 

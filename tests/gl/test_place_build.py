@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import fractal, write_dem
 
-from skyline import RenderConfig, build_uniform, read_dem
+from skyline import RenderConfig, build_uniform, read_dem, stand_on
 from skyline.errors import InputError, StoreMismatchError
 from skyline.pipeline import (
     PlaceConfig,
@@ -22,6 +22,7 @@ from skyline.render.panorama import PanoramaRenderer
 from skyline.store import check_store, compact_store, open_store
 
 SPACING_M = 55.0
+LOSS = 0.3
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def test_places_are_what_was_rendered(terrain, built):
 
 def test_an_interrupted_build_goes_on(terrain, built, tmp_path, monkeypatch):
     path = tmp_path / "s.h5"
-    monkeypatch.setattr(places.PlaceRows, "viewpoints_a_commit", 500)
+    monkeypatch.setattr(places.PlaceRows, "at_a_time", 500)
 
     def stop(done, _total):
         if done >= 1000:
@@ -98,3 +99,75 @@ def test_other_settings_are_refused(terrain, built, tmp_path):
         build_places(terrain, tmp_path / "s.h5", 2000.0)
     with pytest.raises(InputError, match="spacing is 0"):
         build_places(terrain, tmp_path / "no.h5", 0.0)
+
+
+@pytest.fixture(scope="module")
+def wide(tmp_path_factory):
+    path = tmp_path_factory.mktemp("dem") / "dem.tif"
+    return read_dem([write_dem(path, fractal(350, 420, 700.0, seed=12))])
+
+
+@pytest.fixture(scope="module")
+def whole(wide, tmp_path_factory):
+    path = tmp_path_factory.mktemp("built") / "places.h5"
+    built = build_places(wide, path, loss=LOSS)
+    compact_store(path, path.with_name("compact.h5"))
+    return built, path, path.with_name("compact.h5").read_bytes()
+
+
+def test_a_plan_is_what_is_built_when_nothing_else_is_asked(wide, whole):
+    built, path, _ = whole
+    with open_store(path) as store:
+        assert store.header.config["planner"] == "adaptive"
+        assert store.header.config["loss"] == LOSS
+        places = Places.concatenate(list(store.places().blocks()))
+    assert built.rows == built.rendered == len(places) > 300
+    with PanoramaRenderer(wide, BINS) as renderer:
+        eyes = stand_on(wide, places.easting_m, places.northing_m)
+        wanted = Places.of(renderer.render(eyes), places.tolerance_m)
+    np.testing.assert_array_equal(places.rise, wanted.rise)
+    assert len(np.unique(places.tolerance_m)) > 2
+
+
+def test_an_interrupted_plan_goes_on(wide, whole, tmp_path):
+    path = tmp_path / "s.h5"
+
+    def stop(done, _total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build_places(wide, path, loss=LOSS, progress=stop)
+    again = build_places(wide, path, loss=LOSS)
+    assert 0 < again.rendered < again.rows == whole[0].rows
+    compact_store(path, tmp_path / "resumed.h5")
+    assert (tmp_path / "resumed.h5").read_bytes() == whole[2]
+    assert build_places(wide, path, loss=LOSS).rendered == 0
+
+
+@pytest.mark.parametrize("tile_m", [3000.0, 8000.0])
+def test_tiles_of_a_plan_leave_no_trace(wide, whole, tmp_path, tile_m):
+    path, plan = tmp_path / "s.h5", ShardPlan(tile_m=tile_m, loss=LOSS)
+    build_sharded(wide, path, plan, PlaceConfig())
+    assert path.read_bytes() == whole[2]
+    assert build_sharded(wide, path, plan, PlaceConfig()).rendered == 0
+
+
+def test_a_store_that_was_begun_is_finished_with_tiles(wide, whole, tmp_path):
+    path = tmp_path / "s.h5"
+
+    def stop(done, _total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        build_places(wide, path, loss=LOSS, progress=stop)
+    done = build_sharded(wide, path, ShardPlan(loss=LOSS), PlaceConfig())
+    assert 0 < done.rendered < done.rows == whole[0].rows
+
+
+def test_other_plans_are_refused(wide, whole, tmp_path):
+    with pytest.raises(StoreMismatchError, match=r"config loss is 0\.3 there, 0\.4 here"):
+        build_places(wide, whole[1], loss=0.4)
+    with pytest.raises(InputError, match="a store of renderings needs a spacing"):
+        build_sharded(wide, tmp_path / "s.h5", ShardPlan(), RenderConfig(width=80))

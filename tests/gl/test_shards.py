@@ -54,18 +54,18 @@ def test_every_viewpoint_is_in_one_tile():
     values = np.array([-2000.0, -1000.0, -1e-9, 0.0, 1e-9, 999.9999999999, 1000.0, 1500.0])
     east, north = (grid.ravel() for grid in np.meshgrid(values, values))
     shards = cut_into_shards(Viewpoints(east, north, np.arange(east.size, dtype=float)), 1000.0)
-    members = np.concatenate([shard.viewpoints.eye_elevation_m for shard in shards])
+    members = np.concatenate([shard.work.eye_elevation_m for shard in shards])
     assert sorted(members) == list(range(east.size))
     for shard in shards:
         _, col, row = shard.name.split("_")
-        assert (np.floor(shard.viewpoints.easting_m / 1000.0) == int(col)).all()
-        assert (np.floor(shard.viewpoints.northing_m / 1000.0) == int(row)).all()
+        assert (np.floor(shard.work.easting_m / 1000.0) == int(col)).all()
+        assert (np.floor(shard.work.northing_m / 1000.0) == int(row)).all()
     assert len({shard.name for shard in shards}) == len(shards) == 16
     assert [shard.name for shard in shards[:5]] == [
         "1000m_-2_1", "1000m_-1_1", "1000m_0_1", "1000m_1_1", "1000m_-2_0",
     ]  # fmt: skip
     with pytest.raises(InputError, match="tile size is -1"):
-        cut_into_shards(shards[0].viewpoints, -1.0)
+        cut_into_shards(shards[0].work, -1.0)
 
 
 def test_tiles_leave_no_trace(terrain, unbroken, tmp_path):
@@ -96,8 +96,8 @@ def test_progress_and_a_clean_folder(terrain, unbroken, tmp_path):
     )
     points = len(uniform_grid(terrain, PLAN.spacing_m))
     assert done.renderings == done.rendered == len(HEADINGS) * points
-    assert told[0] == (0, done.renderings)
-    assert told[-1] == (done.renderings, done.renderings)
+    tiles = len(cut_into_shards(uniform_grid(terrain, PLAN.spacing_m), PLAN.tile_m))
+    assert told == [(finished, tiles) for finished in range(tiles + 1)]
     assert [path.name for path in tmp_path.iterdir()] == ["s.h5"]
     assert (tmp_path / "s.h5").read_bytes() == unbroken
 
@@ -194,7 +194,7 @@ def die_once(flag, work, shard):
             Path(flag).write_text(str(writer.committed))
             os.kill(os.getpid(), signal.SIGKILL)
 
-    build.ViewRows.viewpoints_a_commit = 9
+    build.ViewRows.at_a_time = 9
     StoreWriter.append = append_and_die
     return work(shard)
 

@@ -13,7 +13,7 @@ from skyline.store import (
     Store,
     create_store,
 )
-from skyline.views import ROW_FIELDS
+from skyline.views import Views
 
 CHUNK = 32
 
@@ -23,7 +23,7 @@ def assert_holds(store: Store, count: int, index: object = slice(None)) -> None:
     views, keypoints = rows(0, count)
     wanted = np.atleast_1d(np.arange(count)[index])
     got = store.views(index)
-    for name in ROW_FIELDS:
+    for name in Views.__slots__:
         expected = getattr(views, name)[wanted]
         actual = getattr(got, name)
         np.testing.assert_array_equal(actual, expected, err_msg=name)

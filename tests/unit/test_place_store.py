@@ -209,9 +209,9 @@ class TestKinds:
         with pytest.raises(InputError, match="not renderings"):
             compact_store(places, tmp_path / "no.h5", RowCoding.within(24))
 
-    @pytest.mark.parametrize("change", [{"width": 24}, {"shell_edges_m": (0.0, 1.0)}])
+    @pytest.mark.parametrize("change", [{"width": 24}, {"coding": RowCoding.within(24)}])
     def test_headers_of_places_have_no_layout(self, change: dict[str, object]) -> None:
-        with pytest.raises(InputError, match="no width, shells or coding"):
+        with pytest.raises(InputError, match="no width or coding"):
             replace(PLACES, **change)
         with pytest.raises(InputError, match="not 'peaks'"):
             replace(HEADER, holds="peaks")

@@ -4,28 +4,28 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from prediction_scenes import WIDTH, U, layered, mountains, views_of
+from prediction_scenes import WIDTH, U, mountains, views_of
 from scenes import field_from
 
 from skyline.camera import columns_u
 from skyline.errors import InputError
-from skyline.paper.reprojection import displacements_m
-from skyline.prediction import predict
-from skyline.prediction.curves import (
+from skyline.paper.planning.predicted import (
     MAX_DEPTH_RATIO,
     MIN_DEPTH_M,
     NO_VIEW,
-    Reach,
-    Scenery,
-    block_means,
     flanks,
+    polylines,
+    predict,
+    reach_m,
     seen_from,
 )
+from skyline.paper.planning.reprojection import displacements_m
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import FLAG_NO_DATA, Views
 from skyline_bench.truth import oracle
 
 PX = 2.0 / WIDTH
+ALONE = np.array([NO_VIEW, NO_VIEW])
 
 
 def eyes(*east_up_north):
@@ -35,6 +35,15 @@ def eyes(*east_up_north):
 
 def zeros(count):
     return np.zeros(count, dtype=np.intp)
+
+
+def two_ridges():
+    """A near ridge to the left, a far one to the right of it."""
+    near = U < 0.1
+    return views_of(
+        np.where(near, mountains(U, 1, 0.2), mountains(U, 2, 0.12)),
+        np.where(near, 300.0 * (1.3 + U), 3000.0),
+    )
 
 
 @pytest.mark.parametrize(
@@ -50,7 +59,7 @@ def test_a_displacement_is_right_up_forward_in_the_axes_of_the_view(heading, exp
 def test_an_unknown_height_leaves_the_rest_of_a_displacement_known():
     moved = displacements_m(views_of(mountains(U), 900.0, 1), [[4.0]], [[9.0]], [[np.nan]])
     np.testing.assert_allclose(moved, [[[-9.0, np.nan, 4.0]]])
-    assert Reach.of(moved[0]) == Reach(pytest.approx(np.hypot(9.0, 4.0)), 0.0)
+    assert reach_m(moved[0]) == pytest.approx(np.hypot(9.0, 4.0))
 
 
 @given(right=st.floats(-200.0, 200.0), up=st.floats(-80.0, 80.0), forward=st.floats(-400.0, 400.0))
@@ -80,48 +89,10 @@ def test_what_is_far_away_does_not_move():
 
 
 def test_without_a_displacement_a_view_predicts_itself():
-    view = layered([(mountains(U, 1), 400.0), (mountains(U, 2, 0.12), 3000.0)])
+    view = two_ridges()
     predicted = predict(view, zeros(1), eyes((0.0, 0.0, 0.0)))
     np.testing.assert_allclose(predicted.elevation_tan, view.elevation_tan, atol=1e-6)
     np.testing.assert_allclose(predicted.depth_m, view.depth_m, rtol=1e-5)
-
-
-@given(
-    near_up=st.floats(60.0, 120.0),
-    far_up=st.floats(100.0, 700.0),
-    climb=st.floats(-40.0, 55.0),
-    back=st.floats(-150.0, 150.0),
-)
-def test_shells_reveal_a_hidden_ridge_exactly_when_the_geometry_says_so(
-    near_up, far_up, climb, back
-):
-    near, far = 500.0, 4000.0
-    view = layered([(near_up / near, near), (far_up / far, far)])
-    target = eyes((0.0, climb, -back))
-    predicted = predict(view, zeros(1), target, with_shells=True)
-    of_near, of_far = (near_up - climb) / (near + back), (far_up - climb) / (far + back)
-    middle = slice(60, -60)
-    np.testing.assert_allclose(
-        predicted.elevation_tan[0, middle], max(of_near, of_far), atol=0.01 * PX
-    )
-    if abs(of_near - of_far) > 0.01 * PX:
-        depth = (near if of_near > of_far else far) + back
-        np.testing.assert_allclose(predicted.depth_m[0, middle], depth, rtol=1e-4)
-    skyline_alone = predict(
-        views_of(view.elevation_tan, view.depth_m), zeros(1), target
-    ).elevation_tan[0, middle]
-    seen_before = near_up / near >= far_up / far
-    np.testing.assert_allclose(skyline_alone, of_near if seen_before else of_far, atol=0.01 * PX)
-
-
-def test_predicted_shells_hold_what_each_stored_shell_held():
-    view = layered([(0.3, 500.0), (0.2, 4000.0)])
-    shells = predict(view, zeros(1), eyes((0.0, 50.0, 100.0)), with_shells=True).shells
-    middle = slice(60, -60)
-    np.testing.assert_allclose(shells.elevation_tan[0, 0, middle], 100.0 / 400.0, rtol=1e-5)
-    np.testing.assert_allclose(shells.elevation_tan[0, 1, middle], 750.0 / 3900.0, rtol=1e-5)
-    np.testing.assert_allclose(shells.depth_m[0, 1, middle], 3900.0, rtol=1e-5)
-    np.testing.assert_array_equal(shells.edges_m, view.shells.edges_m)
 
 
 def test_a_depth_jump_is_a_gap_and_not_a_slope():
@@ -157,38 +128,34 @@ def naive_envelope(right, up, forward, joined, displacement, columns):
 
 def test_all_eyes_at_once_see_what_a_plain_loop_sees():
     generator = np.random.default_rng(3)
-    ridges = [(mountains(U, seed, 0.2), 200.0 * 2.5**seed * (1.3 + U)) for seed in range(3)]
-    scenery = Scenery.of(layered(ridges), 64, use_shells=True)
     moved = generator.uniform(-250.0, 250.0, (20, 3)) * [1.0, 0.2, 1.0]
-    polylines = scenery.polylines(0, Reach.of(moved))
-    seen = seen_from(polylines, moved, 48)
-    parts = polylines.right_m, polylines.up_m, polylines.forward_m, polylines.joined
+    lines = polylines(two_ridges(), 0, ALONE, reach_m(moved))
+    seen, _ = seen_from(lines, moved, 48)
+    parts = lines.right_m, lines.up_m, lines.forward_m, lines.joined
     expected = np.stack([naive_envelope(*parts, one, 48) for one in moved])
     assert np.isnan(expected).any()
     np.testing.assert_array_equal(np.isnan(seen), np.isnan(expected))
     np.testing.assert_allclose(seen, expected, atol=1e-4)
 
 
-def test_what_polylines_leave_out_is_never_seen():
+def test_what_stays_outside_the_frame_is_left_out_and_never_seen():
     generator = np.random.default_rng(4)
-    ridges = [(mountains(U, seed, 0.4 / 2.0**seed), 300.0 * 2.0**seed) for seed in range(6)]
-    scenery = Scenery.of(layered(ridges), 80, use_shells=True)
+    walls = views_of(np.tile(mountains(U), (4, 1)), 300.0 * (1.3 + U), [0, 1, 2, 3])
     moved = generator.uniform(-50.0, 50.0, (40, 3)) * [1.0, 0.3, 1.0]
-    some, everything = scenery.polylines(0, Reach.of(moved)), scenery.polylines(0, Reach(1e9, 1e9))
-    assert len(some.up_m) < 0.8 * len(everything.up_m)
-    # At the frame's sides what hides can leave it, and then nobody knows.
-    inner = slice(16, -16)
-    np.testing.assert_array_equal(
-        seen_from(some, moved, 80)[:, inner], seen_from(everything, moved, 80)[:, inner]
+    some, everything = (
+        polylines(walls, 0, flanks(walls)[0], reach) for reach in (reach_m(moved), 1e9)
     )
+    assert len(some.up_m) < 0.8 * len(everything.up_m)
+    for one, other in zip(
+        seen_from(some, moved, 80), seen_from(everything, moved, 80), strict=True
+    ):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_an_eye_that_is_nowhere_sees_nothing():
-    polylines = Scenery.of(views_of(mountains(U), 900.0), WIDTH, False).polylines(
-        0, Reach(100.0, 0.0)
-    )
+    lines = polylines(views_of(mountains(U), 900.0), 0, ALONE, 100.0)
     moved = np.array([[0.0, np.nan, 0.0], [np.nan, 0.0, 0.0], [0.0, 0.0, 1000.0]])
-    assert np.isnan(seen_from(polylines, moved, WIDTH)).all()
+    assert np.isnan(seen_from(lines, moved, WIDTH)).all()
 
 
 def test_views_without_data_predict_nothing():
@@ -196,22 +163,6 @@ def test_views_without_data_predict_nothing():
     predicted = predict(view, zeros(1), eyes((10.0, 0.0, 0.0)))
     assert np.isnan(predicted.elevation_tan).all()
     assert (predicted.flags == FLAG_NO_DATA).all()
-
-
-@given(width=st.integers(1, 50), blocks=st.integers(1, 50), seed=st.integers(0, 1000))
-def test_block_means_leave_unknown_columns_out(width, blocks, seed):
-    generator = np.random.default_rng(seed)
-    rows = generator.normal(size=(2, 3, width))
-    rows[generator.random(rows.shape) < 0.3] = np.nan
-    means = block_means(rows, blocks)
-    parts = np.split(rows, [b * width // blocks for b in range(1, blocks)], axis=-1)
-    if width <= blocks:
-        parts = np.split(rows, width, axis=-1)
-    for index, part in enumerate(parts):
-        known = ~np.isnan(part)
-        total = np.where(known, part, 0.0).sum(axis=-1)
-        expected = np.where(known.any(axis=-1), total / np.maximum(known.sum(axis=-1), 1), np.nan)
-        np.testing.assert_allclose(means[..., index], expected, rtol=1e-5, atol=1e-6)
 
 
 def test_flanks_are_the_neighbouring_headings_of_the_same_eye():
@@ -239,14 +190,13 @@ def test_flanks_show_what_enters_at_the_sides():
 def test_a_predicted_view_has_the_eye_of_its_target_and_the_heading_of_its_source():
     views = views_of(np.tile(mountains(U), (4, 1)), 5000.0, [0, 1, 2, 3])
     targets = eyes((5.0, 1.0, 6.0), (7.0, 2.0, 8.0), (9.0, 3.0, 10.0))
-    predicted = predict(views, np.array([3, 0, 3]), targets, columns=40)
+    predicted = predict(views, np.array([3, 0, 3]), targets)
     np.testing.assert_array_equal(predicted.heading, [3, 0, 3])
     np.testing.assert_array_equal(predicted.easting_m, targets.easting_m)
     np.testing.assert_array_equal(predicted.northing_m, targets.northing_m)
     np.testing.assert_array_equal(predicted.eye_elevation_m, targets.eye_elevation_m)
-    assert predicted.width == 40
-    assert predicted.shells is None
-    one = predict(views, np.array([3]), targets[2:], columns=40)
+    assert predicted.width == views.width
+    one = predict(views, np.array([3]), targets[2:])
     np.testing.assert_array_equal(one.elevation_tan[0], predicted.elevation_tan[2])
 
 
@@ -260,8 +210,6 @@ def test_bad_requests_say_what_is_wrong():
         predict(view, zeros(2), eyes((0.0, 0.0, 0.0)))
     with pytest.raises(InputError, match="from 1 to 1; expected rows of the 1 stored"):
         predict(view, np.array([1]), eyes((0.0, 0.0, 0.0)))
-    with pytest.raises(InputError, match="shell_edges_m"):
-        predict(view, zeros(1), eyes((0.0, 0.0, 0.0)), with_shells=True)
 
 
 def peaks(east, north):

@@ -1,11 +1,16 @@
-"""The measure that predictions are held to."""
+"""The measure that predictions are held to, and the fit of a warp behind it."""
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from prediction_scenes import WIDTH, U, mountains, views_of
 
+from skyline.camera import columns_u
 from skyline.errors import InputError
-from skyline.prediction import true_errors_px
+from skyline.paper.planning.reprojection import IDENTITY
+from skyline.paper.planning.truth import block_means, true_errors_px
+from skyline.paper.planning.warp_fit import WarpFit
 
 PX = 2.0 / WIDTH
 
@@ -64,3 +69,53 @@ def test_views_that_do_not_belong_together_are_refused():
         true_errors_px(views, views[:1])
     with pytest.raises(InputError, match="different headings"):
         true_errors_px(views, views[::-1])
+
+
+def test_the_fit_finds_the_warp_that_made_a_curve():
+    u = columns_u(80)
+    true = np.array([[1.08, 0.05, 0.04], [-0.06, 0.93, 0.02]])
+    finer = np.linspace(-1.5, 1.5, 3001)
+    curve = mountains(u)
+    x, y = true @ np.stack([finer, mountains(finer), np.ones_like(finer)])
+    target = np.interp(u, x, y)
+    distance, found = WarpFit(rounds=20).distances_px(
+        curve[np.newaxis], target[np.newaxis], IDENTITY[np.newaxis, np.newaxis], WIDTH
+    )
+    assert distance[0] < 0.1
+    np.testing.assert_allclose(found[0], true, atol=0.01)
+
+
+def test_the_fit_stays_within_its_bounds():
+    u = columns_u(80)
+    curve, flattened = mountains(u)[np.newaxis], 0.1 * mountains(u)[np.newaxis]
+    fit = WarpFit(rounds=20)
+    distance, found = fit.distances_px(curve, flattened, IDENTITY[np.newaxis, np.newaxis], WIDTH)
+    assert (np.abs(found[0, :, :2] - np.eye(2)) <= fit.max_change + 1e-9).all()
+    assert distance[0] > 3.0
+
+
+def test_the_fit_begins_with_the_best_start_and_ignores_missing_ones():
+    u = columns_u(80)
+    curve, target = mountains(u), mountains(u + 0.3)
+    shifted = IDENTITY + np.array([[0.0, 0.0, -0.3], [0.0, 0.0, 0.0]])
+    starts = np.stack([np.full((2, 3), np.nan), IDENTITY, shifted])[np.newaxis]
+    distance, _ = WarpFit(rounds=0).distances_px(
+        curve[np.newaxis], target[np.newaxis], starts, WIDTH
+    )
+    assert distance[0] < 0.2
+
+
+@given(width=st.integers(1, 50), blocks=st.integers(1, 50), seed=st.integers(0, 1000))
+def test_block_means_leave_unknown_columns_out(width, blocks, seed):
+    generator = np.random.default_rng(seed)
+    rows = generator.normal(size=(2, 3, width))
+    rows[generator.random(rows.shape) < 0.3] = np.nan
+    means = block_means(rows, blocks)
+    parts = np.split(rows, [b * width // blocks for b in range(1, blocks)], axis=-1)
+    if width <= blocks:
+        parts = np.split(rows, width, axis=-1)
+    for index, part in enumerate(parts):
+        known = ~np.isnan(part)
+        total = np.where(known, part, 0.0).sum(axis=-1)
+        expected = np.where(known.any(axis=-1), total / np.maximum(known.sum(axis=-1), 1), np.nan)
+        np.testing.assert_allclose(means[..., index], expected, rtol=1e-5, atol=1e-6)

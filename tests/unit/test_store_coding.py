@@ -14,7 +14,7 @@ from store_rows import HEADER, WIDTH, rows
 
 from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.store import RowCoding, as_stored, create_store, open_for_append, open_store
-from skyline.views import Shells, Views
+from skyline.views import Views
 
 CODING = RowCoding.within(WIDTH)
 COMPACT = replace(HEADER, coding=CODING)
@@ -126,22 +126,6 @@ class TestCompactStore:
         with open_store(tmp_path / "s.h5") as store:
             np.testing.assert_array_equal(store.views().elevation_tan, tan.astype(np.float32))
             np.testing.assert_allclose(store.views().depth_m, depth_m, rtol=1e-6)
-
-    def test_shells(self, tmp_path: Path) -> None:
-        edges = (0.0, 100.0, 1000.0, 5000.0)
-        views, keypoints = rows(0, 50)
-        tan = np.repeat(views.elevation_tan[:, np.newaxis], 3, axis=1)
-        tan[:, 1, ::3] = np.nan
-        tan[:, 2] = np.nan
-        shells = Shells(np.array(edges), tan, np.abs(tan) + np.float32(7.0))
-        header = replace(COMPACT, shell_edges_m=edges)
-        with create_store(tmp_path / "s.h5", header) as writer:
-            writer.append(replace(views, shells=shells), keypoints)
-        with open_store(tmp_path / "s.h5") as store:
-            read = store.views().shells
-        assert read is not None
-        assert_within_the_stated_error(read.elevation_tan, tan, 0.005 * PIXEL)
-        assert_within_the_stated_error(read.depth_m, shells.depth_m, 0.001 * shells.depth_m)
 
     def test_resumed_store_is_the_unbroken_one(self, tmp_path: Path) -> None:
         for name, stops in (("whole", [90]), ("broken", [10, 45, 90])):

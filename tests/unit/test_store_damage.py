@@ -89,6 +89,7 @@ class TestDamage:
             ("schema", "other", "not a skyline store"),
             ("schema_version", 4, "schema version 4; .* upgrade skyline"),
             ("schema_version", "one", "schema version 'one'"),
+            ("shell_edges_m", [0.0, 1e5], "distance shells, .*; build it again"),
             ("schema_version", -1, "schema version"),
             ("config", "{", "cannot be opened"),
             ("config", "[1]", "not a JSON object"),

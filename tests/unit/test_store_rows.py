@@ -13,15 +13,13 @@ from store_rows import HEADER, rows
 from skyline.errors import (
     InputError,
     StoreError,
-    StoreMismatchError,
 )
 from skyline.features import NO_KEYPOINT
 from skyline.store import (
     create_store,
-    open_for_append,
     open_store,
 )
-from skyline.views import Shells, Views
+from skyline.views import Views
 
 
 class TestRoundTrip:
@@ -155,44 +153,3 @@ class TestRoundTrip:
         store.close()
         with pytest.raises(StoreError, match="closed"):
             store.views()
-
-
-class TestShells:
-    EDGES = (0.0, 100.0, 1000.0, 5000.0)
-
-    @staticmethod
-    def shelled(start: int, stop: int) -> tuple[Views, np.ndarray]:
-        views, keypoints = rows(start, stop)
-        steps = np.arange(3, dtype=np.float32)[:, np.newaxis]
-        tan = views.elevation_tan[:, np.newaxis] - steps
-        tan[:, 1, ::3] = np.nan
-        shells = Shells(np.array(TestShells.EDGES), tan, tan + np.float32(7.0))
-        return replace(views, shells=shells), keypoints
-
-    def test_come_back_unchanged(self, tmp_path: Path) -> None:
-        header = replace(HEADER, shell_edges_m=self.EDGES)
-        with create_store(tmp_path / "s.h5", header) as writer:
-            writer.append(*self.shelled(0, 40))
-        with open_for_append(tmp_path / "s.h5", header) as writer:
-            writer.append(*self.shelled(40, 75))
-        with open_store(tmp_path / "s.h5") as store:
-            assert store.header.shell_edges_m == self.EDGES
-            read, wanted = store.views().shells, self.shelled(0, 75)[0].shells
-            assert read is not None
-            np.testing.assert_array_equal(read.edges_m, self.EDGES)
-            np.testing.assert_array_equal(read.elevation_tan, wanted.elevation_tan)
-            np.testing.assert_array_equal(read.depth_m, wanted.depth_m)
-
-    def test_are_all_or_none(self, tmp_path: Path) -> None:
-        refused = pytest.raises(InputError, match="render them as the store was begun")
-        header = replace(HEADER, shell_edges_m=self.EDGES)
-        with create_store(tmp_path / "a.h5", header) as writer, refused:
-            writer.append(*rows(0, 3))
-        with create_store(tmp_path / "b.h5", HEADER) as writer, refused:
-            writer.append(*self.shelled(0, 3))
-        with pytest.raises(StoreMismatchError, match="shell_edges_m"):
-            open_for_append(tmp_path / "a.h5", HEADER)
-
-    def test_edges_increase(self) -> None:
-        with pytest.raises(InputError, match="increasing"):
-            replace(HEADER, shell_edges_m=(5.0, 5.0))

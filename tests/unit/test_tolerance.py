@@ -6,8 +6,8 @@ from prediction_scenes import WIDTH, U, mountains, views_of
 from scenes import field_from
 
 from skyline.errors import InputError
-from skyline.planning.tolerance import Neighbourhood, ToleranceMeter
-from skyline.prediction import PREDICTORS
+from skyline.paper.planning.reprojection import PREDICTORS
+from skyline.paper.planning.tolerance import Neighbourhood, ToleranceMeter
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
@@ -34,7 +34,7 @@ def test_rows_go_south_and_columns_east():
 @pytest.mark.parametrize("heading", range(4))
 def test_ground_is_looked_up_on_the_map_whatever_the_heading(heading):
     meter = ToleranceMeter(plateau, Neighbourhood(5, 20.0), PREDICTORS["non-affine"])
-    errors = meter.errors_px(view_at(heading))[0]
+    errors = meter(view_at(heading))[0]
     assert np.isinf(errors[:, 3:]).all()
     assert np.isfinite(errors[:, :3]).all()
     # 50 m up moves the skyline by a thirtieth of the image plane at least.
@@ -46,21 +46,18 @@ def test_ground_is_looked_up_on_the_map_whatever_the_heading(heading):
 @pytest.mark.parametrize("heading", range(4))
 def test_moving_towards_the_mountains_is_along_the_heading(heading):
     meter = ToleranceMeter(level, Neighbourhood(3, 400.0), PREDICTORS["affine-mean"])
-    errors = meter.errors_px(view_at(heading, depth_m=300.0))[0]
+    errors = meter(view_at(heading, depth_m=300.0))[0]
     north, east, south, west = errors[0, 1], errors[1, 2], errors[2, 1], errors[1, 0]
     around = np.roll([north, east, south, west], -heading)
     # Ahead of the view the mountains are passed.
     np.testing.assert_array_equal(np.isinf(around), [True, False, False, False])
 
 
-def test_areas_hold_the_errors_within_the_threshold():
+def test_farther_mountains_tolerate_more():
     meter = ToleranceMeter(level, Neighbourhood(9, 60.0))
     views = views_of(np.tile(mountains(U), (2, 1)), [[800.0], [6000.0]] * (1.0 + 0.3 * U), eye=2.0)
-    errors, areas = meter(views), meter.areas(views, 1.0)
-    np.testing.assert_array_equal(areas, errors <= 1.0)
-    near, far = areas.sum(axis=(1, 2))
+    near, far = (meter(views) <= 1.0).sum(axis=(1, 2))
     assert 1 <= near < far <= 81
-    assert (meter.areas(views, 2.0).sum(axis=(1, 2)) >= areas.sum(axis=(1, 2))).all()
 
 
 def test_far_mountains_tolerate_every_move_and_near_ones_few():
@@ -77,14 +74,14 @@ def test_far_mountains_tolerate_every_move_and_near_ones_few():
         field = bowl(radius_m)
         views = oracle.skyline(field, stand_on(field, 0.0, 0.0), 128)
         meter = ToleranceMeter(field.height_at, Neighbourhood(11, 25.0))
-        sizes.append(meter.areas(views, 1.5).sum(axis=(1, 2)))
+        sizes.append((meter(views) <= 1.5).sum(axis=(1, 2)))
     assert (sizes[1] == 121).all()
     assert (sizes[0] < 100).all()
 
 
 def test_a_location_alone_is_its_own_neighbourhood():
     meter = ToleranceMeter(level, Neighbourhood(1, 30.0))
-    np.testing.assert_array_equal(meter.areas(view_at(), 3.0), [[[True]]])
+    np.testing.assert_array_equal(meter(view_at()), [[[0.0]]])
 
 
 def test_bad_settings_say_what_is_wrong():
@@ -95,30 +92,3 @@ def test_bad_settings_say_what_is_wrong():
             Neighbourhood(10, pitch)
     with pytest.raises(InputError, match="eye height is -1"):
         ToleranceMeter(level, eye_height_m=-1.0)
-    for threshold in (0.0, -1.0, np.nan):
-        with pytest.raises(InputError, match=r"threshold is .* px; expected above 0"):
-            ToleranceMeter(level).areas(view_at(), threshold)
-    with pytest.raises(InputError, match="shell_edges_m"):
-        ToleranceMeter(level, predictor=PREDICTORS["shells"]).areas(view_at(), 3.0)
-
-
-def rough(easting, northing):
-    return 40.0 * np.sin(easting / 90.0) * np.cos(northing / 70.0)
-
-
-@pytest.mark.parametrize("size", [9, 10])
-def test_areas_for_one_threshold_are_nearly_those_computed_in_full(size):
-    views = views_of(np.tile(mountains(U), (2, 1)), [[800.0], [3000.0]] * (1.0 + 0.3 * U), eye=2.0)
-    for predictor, threshold_px in (("affine-mean", 1.0), ("affine-mean", 3.0), ("curve", 0.3)):
-        options = (rough, Neighbourhood(size, 40.0), PREDICTORS[predictor], 2.0)
-        whole = ToleranceMeter(*options).areas(views, threshold_px)
-        sparse = ToleranceMeter(*options, threshold_px=threshold_px).areas(views, threshold_px)
-        assert 0.1 < whole.mean() < 0.9
-        assert np.count_nonzero(whole ^ sparse) <= 0.05 * np.count_nonzero(whole)
-
-
-def test_areas_for_one_threshold_leave_holes_and_the_map_s_border_out():
-    meter = ToleranceMeter(
-        plateau, Neighbourhood(9, 20.0), PREDICTORS["curve"], 2.0, threshold_px=3.0
-    )
-    assert np.isinf(meter.errors_px(view_at())[0][:, 5:]).all()

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from skyline.console import parse_bounds, progress_bar
-from skyline.planning.strategies import STRATEGIES
+from skyline.paper.planning.strategies import STRATEGIES
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands.options import (
     Bounds,

@@ -55,8 +55,12 @@ _FOUND = {
 def scale(
     dem: Dems,
     spacing: Annotated[
-        float, typer.Option(help="Of the store of places that is built, metres.")
+        float | None,
+        typer.Option(help="Of the store that is built, metres; by default places are planned."),
     ] = _SCALE.spacing_m,
+    loss: Annotated[
+        float, typer.Option(help="Share of the views that planned places may lose.")
+    ] = _SCALE.loss,
     bounds: Annotated[
         str | None,
         typer.Option(metavar="W,S,E,N", help="Of what is built, degrees; by default all."),
@@ -97,6 +101,7 @@ def scale(
     """
     config = ScaleConfig(
         spacing_m=spacing,
+        loss=loss,
         bounds_deg=parse_bounds(bounds) if bounds is not None else None,
         store=store,
         areas_km2=tuple(area or _SCALE.areas_km2),

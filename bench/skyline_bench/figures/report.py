@@ -32,14 +32,14 @@ _NEAR_M, _FAR_M = 30.0, 100.0
 """How far the views of Figure 1 and those of Figure 4 are apart."""
 _PAIRS = 250
 _COSTS_CAPTION = (
-    "Mean position error over all queries against renderings (above) and against the bytes a "
-    "matcher reads (below); bars are 95 % bootstrap intervals over the queries. Grey: Table 2 of "
-    "the paper, six photos of other terrain."
+    "Mean position error over all queries against renderings (above) and against the bytes of a "
+    "store (below); bars are 95 % bootstrap intervals over the queries. Grey: Table 2 of the "
+    "paper, six photos of other terrain."
 )
 
 _STORES = (
-    "All queries. A place counts as four renderings, planning as part of the build. MB are what "
-    "the matcher reads of the store, from and to bound the mean's 95 % interval."
+    "All queries. A place counts as four renderings, planning as part of the build. From and to "
+    "bound the mean's 95 % interval."
 )
 _REACHED = (
     "The cheapest adaptive store measured whose mean error is no worse than the finest uniform "

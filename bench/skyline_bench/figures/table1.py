@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skyline.planning.strategies import STRATEGIES
+from skyline.paper.planning.strategies import STRATEGIES
 from skyline_bench.figures.canvas import new_figure, save_figure
 from skyline_bench.truth.simulation import TABLE_1, Simulation, simulate
 
@@ -17,8 +17,7 @@ def save_table1(path: Path, seed: int = 0) -> None:
         for name, strategy in STRATEGIES.items():
             run = simulate(simulation, strategy, seed)
             rendered = np.arange(len(run.progress)) + len(simulation.corners())
-            width = 2.2 if name == "cover" else 1.2
-            axis.plot(rendered, 100.0 * run.progress, linewidth=width, label=name)
+            axis.plot(rendered, 100.0 * run.progress, linewidth=1.2, label=name)
         axis.axhline(100.0 * row.coverage, color="black", linewidth=0.8, linestyle=":")
         model = "affine" if row.affine else "non-affine"
         axis.set(

@@ -53,13 +53,13 @@ def store_lines(rows: Sequence[Row]) -> list[Row]:
         line = lines.setdefault((row["store"], row["matcher"]), {})
         line[str(row["group"])] = row["mean_m"]
         if row["group"] == ALL:
-            line |= {**row, "megabytes": float(str(row["bytes_used"])) / 1e6}
+            line |= {**row, "megabytes": float(str(row["bytes"])) / 1e6}
     return list(lines.values())
 
 
 def in_megabytes(row: Row) -> Row:
     """Return a row of what stores need, bytes as megabytes."""
-    if row["cost"] != "bytes_used":
+    if row["cost"] != "bytes":
         return row
     amounts = {key: row[key] for key in ("goal_cost", "needed", "interpolated")}
     scaled = {

@@ -17,7 +17,6 @@ from skyline_bench.trials.matchers import PAPER, WHAT
 _STYLES = {
     UNIFORM: ("#000000", "o"),
     "lpov": ("#0072B2", "s"),
-    "cover": ("#D55E00", "^"),
     "rov": ("#009E73", "D"),
     "arov": ("#CC79A7", "v"),
     "hov": ("#E69F00", "P"),
@@ -29,7 +28,7 @@ _PAPERS_UNIFORM = ((182, 1587.0), (665, 702.0), (2662, 411.0), (10648, 123.0))
 _PAPERS_ADAPTIVE = (2800, 117.0)
 """Renderings and mean error over the groups, metres: Table 2 of the paper."""
 _GREY = "#777777"
-_COSTS = (("renderings", 1.0), ("bytes_used", 1e-6))
+_COSTS = (("renderings", 1.0), ("bytes", 1e-6))
 """What the rows of panels show, and what one unit of it is drawn as."""
 
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from skyline.arrays import Float64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, columns_u, pixel_size
 from skyline.errors import InputError
-from skyline.paper.reprojection import IDENTITY
+from skyline.paper.planning.reprojection import IDENTITY
+from skyline.paper.planning.warp_fit import WarpFit
 from skyline.planning.uniform import MapBounds
-from skyline.prediction.warp_fit import WarpFit
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField

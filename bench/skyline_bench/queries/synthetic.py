@@ -58,8 +58,6 @@ class QueryConfig:
     occluders_masked : float
         Share of such things that the extraction has noticed and masked; the tops of the
         others are left in as skyline.
-    visibility_m : float
-        Terrain beyond is lost in haze.
     eye_height_m : float
         Eye above ground.
     width_px, height_px : int
@@ -79,7 +77,6 @@ class QueryConfig:
     masked_runs: int = 2
     occluded_share: tuple[float, float] = (0.0, 0.0)
     occluders_masked: float = 0.5
-    visibility_m: float = np.inf
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
     width_px: int = 640
     height_px: int = 960
@@ -218,7 +215,7 @@ def _queries(
     held = [_hold(terrain, bounds_m, [seed, index], config) for index in range(count)]
     easting_m, northing_m = np.array([place for place, _ in held]).T
     eyes = stand_on(terrain, easting_m, northing_m, config.eye_height_m)
-    rendered = panoramas(terrain, eyes, config.render_width, config.curvature, config.visibility_m)
+    rendered = panoramas(terrain, eyes, config.render_width, config.curvature)
     for index, (panorama, (_, camera)) in enumerate(zip(rendered, held, strict=True)):
         yield _photographed(panorama, camera, _truth(eyes, index, camera), [seed, index], config)
 

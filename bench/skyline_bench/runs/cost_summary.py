@@ -13,7 +13,7 @@ from skyline_bench.trials.distance_groups import ALL
 from skyline_bench.trials.matchers import PAPER, WHAT
 
 UNIFORM = "uniform"
-COSTS = ("renderings", "bytes_used")
+COSTS = ("renderings", "bytes")
 """Keys of a row that say what a store costs."""
 _LEAST_M = 1e-3
 """Errors below have no logarithm worth speaking of."""
@@ -27,8 +27,7 @@ class Store:
     ----------
     name, planner, matcher : str
     renderings : int
-    bytes_used : int
-        Without what the matcher never reads.
+    size_bytes : int
     mean_m, median_m : float
         Errors over all queries.
     """
@@ -37,13 +36,13 @@ class Store:
     planner: str
     matcher: str
     renderings: int
-    bytes_used: int
+    size_bytes: int
     mean_m: float
     median_m: float
 
     def cost(self, key: str) -> float:
         """Return one of the `COSTS`."""
-        return float(self.renderings if key == "renderings" else self.bytes_used)
+        return float(self.renderings if key == "renderings" else self.size_bytes)
 
 
 def stores_of(rows: Iterable[Row]) -> list[Store]:
@@ -54,7 +53,7 @@ def stores_of(rows: Iterable[Row]) -> list[Store]:
             str(row["planner"]),
             str(row["matcher"]),
             int(str(row["renderings"])),
-            int(str(row["bytes_used"])),
+            int(str(row["bytes"])),
             float(str(row["mean_m"])),
             float(str(row["median_m"])),
         )

@@ -19,7 +19,6 @@ from skyline.matching.confidence import Logistic
 from skyline.matching.full import FullMatcher
 from skyline.matching.retrieval import Retriever
 from skyline.pipeline import Progress, build_places
-from skyline.pipeline.places import DEFAULT_SPACING_M
 from skyline.pipeline.scene import RenderedScene
 from skyline.store import open_store
 from skyline.terrain.dem import DemOptions
@@ -111,7 +110,7 @@ def _matcher(terrain: HeightField, folder: Path) -> Iterator[FullMatcher]:
     store = folder / f"{terrain.digest[:12]}.h5"
     lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + [[-half, half], [-half, half]]))
     bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
-    build_places(terrain, store, DEFAULT_SPACING_M, bounds_deg)
+    build_places(terrain, store, bounds_deg=bounds_deg)
     with open_store(store) as opened:
         scene = RenderedScene.of_store(terrain, opened.header, MatchConfig())
         yield FullMatcher(Retriever(opened.places(), terrain.height_at), scene)

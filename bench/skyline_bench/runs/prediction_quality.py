@@ -1,4 +1,4 @@
-"""How good the predictors are on real terrain, held to renderings.
+"""How good reprojection errors are on real terrain, held to renderings.
 
 Views are rendered at random viewpoints, and again at random displacements from them. What a
 predictor says of a displacement is compared with `true_errors_px`: the stored skyline against the
@@ -14,8 +14,8 @@ from scipy.stats import rankdata
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.paper.reprojection import displacements_m
-from skyline.prediction import PREDICTORS, Predictor, true_errors_px
+from skyline.paper.planning.reprojection import PREDICTORS, Reprojection, displacements_m
+from skyline.paper.planning.truth import true_errors_px
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
@@ -43,8 +43,6 @@ class QualitySetup:
         Two skylines are alike within this.
     margin_m : float
         Least distance of a viewpoint from the map's border.
-    shells : tuple of int
-        Numbers of distance shells: 0, then from 60 m to 45 km in a geometric series.
     seed : int
     """
 
@@ -53,7 +51,6 @@ class QualitySetup:
     reach_m: float = 300.0
     threshold_px: float = 3.0
     margin_m: float = 3000.0
-    shells: tuple[int, ...] = (24, 12)
     seed: int = 41
 
 
@@ -64,10 +61,6 @@ class QualityRow:
     Attributes
     ----------
     predictor : str
-    shells : int
-        0 where the predictor needs none.
-    flanks : bool
-        Whether the neighbouring headings were there.
     precision, recall : float
         Of "alike within the threshold"; precision is NaN where nothing was predicted alike.
     precision_interval, recall_interval : (low, high)
@@ -80,8 +73,6 @@ class QualityRow:
     """
 
     predictor: str
-    shells: int
-    flanks: bool
     precision: float
     precision_interval: tuple[float, float]
     recall: float
@@ -97,20 +88,15 @@ class QualityPairs:
 
     Attributes
     ----------
-    eyes : Viewpoints
-        Of the views; the four headings of an eye follow one another.
+    views : Views
+        The four headings of an eye follow one another.
     displacements_m : (N, M, 3) float64
     true_px : (N, M) float32
     """
 
-    eyes: Viewpoints
+    views: Views
     displacements_m: Float64Array
     true_px: Float32Array
-
-
-def shell_edges_m(shells: int) -> Float64Array:
-    """Return the edges of shells: 0, then 60 m to 45 km in a geometric series."""
-    return np.concatenate([[0.0], np.geomspace(60.0, 45_000.0, shells)])
 
 
 def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:
@@ -136,62 +122,42 @@ def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:
         there.northing_m.reshape(shape),
         there.eye_elevation_m.reshape(shape),
     )
-    return QualityPairs(eyes, moved, true_px.reshape(shape))
+    return QualityPairs(stored, moved, true_px.reshape(shape))
 
 
 def prediction_quality(field: HeightField, setup: QualitySetup) -> list[QualityRow]:
     """Measure every predictor on one terrain; see `QualityRow`."""
     pairs = quality_pairs(field, setup)
     _log.info("alike within the threshold: %.3f", (pairs.true_px <= setup.threshold_px).mean())
-    rows = []
-    for shells in (0, *setup.shells):
-        edges = shell_edges_m(shells) if shells else None
-        with HorizonRenderer(field, shell_edges_m=edges) as renderer:
-            views = renderer.render(pairs.eyes)
-        for name, predictor in PREDICTORS.items():
-            if predictor.needs_shells != bool(shells):
-                continue
-            rows.append(_row(name, shells, views, pairs, setup))
-            if name in ("curve", "shells"):
-                rows.append(_row(name, shells, _kept_apart(views), pairs, setup, flanks=False))
-    return rows
+    return [_row(name, pairs, setup) for name in PREDICTORS]
 
 
-def _row(
-    name: str,
-    shells: int,
-    views: Views,
-    pairs: QualityPairs,
-    setup: QualitySetup,
-    flanks: bool = True,
-) -> QualityRow:
-    errors = PREDICTORS[name].errors_px(views, pairs.displacements_m)
+def _row(name: str, pairs: QualityPairs, setup: QualitySetup) -> QualityRow:
+    errors = PREDICTORS[name].errors_px(pairs.views, pairs.displacements_m)
     claimed, alike = errors <= setup.threshold_px, pairs.true_px <= setup.threshold_px
     precision, recall = _precision_recall(claimed, alike)
     intervals = _intervals(claimed, alike, setup.seed)
     row = QualityRow(
         name,
-        shells,
-        flanks and name in ("curve", "shells"),
         precision,
         intervals[0],
         recall,
         intervals[1],
         _rank_correlation(errors, pairs.true_px),
         float(np.isfinite(errors).mean()),
-        _ms_per_area(PREDICTORS[name], views, pairs),
+        _ms_per_area(PREDICTORS[name], pairs),
     )
     _log.info("%s", row)
     return row
 
 
-def _ms_per_area(predictor: Predictor, views: Views, pairs: QualityPairs) -> float:
+def _ms_per_area(predictor: Reprojection, pairs: QualityPairs) -> float:
     """Return the processor time of one area of 100 candidates, all of a batch of views."""
     some = slice(0, _TIMED)
     candidates = np.resize(np.arange(pairs.displacements_m.shape[1]), 100)
     moved = pairs.displacements_m[some][:, candidates]
     started = time.process_time()
-    predictor.errors_px(views[some], moved)
+    predictor.errors_px(pairs.views[some], moved)
     return 1e3 * (time.process_time() - started) / len(moved)
 
 
@@ -221,21 +187,6 @@ def _choose_eyes(field: HeightField, setup: QualitySetup) -> tuple[Viewpoints, V
         )
     eyes = stand_on(field, easting[chosen, 0], northing[chosen, 0])
     return eyes, stand_on(field, there[0][chosen].ravel(), there[1][chosen].ravel())
-
-
-def _kept_apart(views: Views) -> Views:
-    """Return the views with their eyes a micrometre apart, so that none flanks another."""
-    lifted = views.eye_elevation_m + 1e-6 * np.arange(len(views))
-    return Views(
-        views.easting_m,
-        views.northing_m,
-        lifted,
-        views.heading,
-        views.elevation_tan,
-        views.depth_m,
-        views.flags,
-        views.shells,
-    )
 
 
 def _precision_recall(claimed: BoolArray, alike: BoolArray) -> tuple[float, float]:

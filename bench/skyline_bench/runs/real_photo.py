@@ -10,7 +10,6 @@ import numpy as np
 
 from skyline import Matcher, read_dem
 from skyline.pipeline import build_places
-from skyline.pipeline.places import DEFAULT_SPACING_M
 from skyline.terrain.dem import DemOptions
 
 STATION_LON, STATION_LAT = 10.78277, 46.79586
@@ -26,7 +25,7 @@ def measure(folder: Path, store: Path, quick: bool) -> list[dict[str, object]]:
         STATION_LON - _QUICK_DEG, STATION_LAT - _QUICK_DEG,
         STATION_LON + _QUICK_DEG, STATION_LAT + _QUICK_DEG,
     )  # fmt: skip
-    built = build_places(terrain, store, DEFAULT_SPACING_M, around if quick else None)
+    built = build_places(terrain, store, bounds_deg=around if quick else None)
     started = time.perf_counter()
     matcher = Matcher(store, terrain)
     open_s = time.perf_counter() - started

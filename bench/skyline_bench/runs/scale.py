@@ -24,7 +24,7 @@ from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.pipeline import Matcher, PlaceConfig, Progress
 from skyline.pipeline.config import mapped_area_m
-from skyline.pipeline.places import DEFAULT_SPACING_M
+from skyline.pipeline.places import DEFAULT_LOSS
 from skyline.pipeline.scene import RenderedScene
 from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.store import open_store
@@ -56,6 +56,8 @@ GROUPS = {
 WHOLE = "all"
 """The name of the search of everything."""
 _KILOMETRE_M = 1000.0
+_NOWHERE_M = 20_000.0
+"""The error of a query without a candidate, and of one that is farther off."""
 _QUICK_QUERIES, _QUICK_KM2 = 5, 10.0
 
 
@@ -65,8 +67,10 @@ class ScaleConfig:
 
     Attributes
     ----------
-    spacing_m : float
-        Of the uniform store of places that is built.
+    spacing_m : float, optional
+        Of a uniform store of places that is built; by default they are planned.
+    loss : float
+        What they are planned for.
     bounds_deg : (float, float, float, float), optional
         West, south, east, north of what is built; by default all of the DEM.
     store : Path, optional
@@ -81,7 +85,8 @@ class ScaleConfig:
     query : QueryConfig
     """
 
-    spacing_m: float = DEFAULT_SPACING_M
+    spacing_m: float | None = None
+    loss: float = DEFAULT_LOSS
     bounds_deg: BoundsDeg | None = None
     store: Path | None = None
     areas_km2: tuple[float, ...] = (50.0, 1000.0, 10_000.0)
@@ -180,6 +185,14 @@ class Found:
 def measure(
     terrain: HeightField, config: ScaleConfig, folder: Path, progress: Progress | None = None
 ) -> tuple[Row, list[Row]]:
+    """Build or open a store of places, match queries in squares of it, and sum up."""
+    cost, searches, found = outcomes(terrain, config, folder, progress)
+    return cost, list(_rows(searches, found))
+
+
+def outcomes(
+    terrain: HeightField, config: ScaleConfig, folder: Path, progress: Progress | None = None
+) -> tuple[Row, list[Search], list[Found]]:
     """Build or open a store of places, and match queries in squares of it.
 
     Parameters
@@ -192,9 +205,8 @@ def measure(
 
     Returns
     -------
-    (dict, list of dict)
-        What the store cost, and a row for each search and each of the `GROUPS` that has queries.
-        A query without any candidate is nowhere near.
+    (dict, list of Search, list of Found)
+        What the store cost, what was searched, and what became of each query in each search.
 
     Raises
     ------
@@ -208,7 +220,13 @@ def measure(
     else:
         check_spacing(terrain, config.spacing_m, config.bounds_deg)
         store = place_store(
-            terrain, folder, config.spacing_m, config.bounds_deg, PlaceConfig(), progress
+            terrain,
+            folder,
+            config.spacing_m,
+            config.bounds_deg,
+            PlaceConfig(),
+            progress,
+            config.loss,
         )
     reset_peak()
     started = time.perf_counter()
@@ -246,8 +264,7 @@ def measure(
         "own_bytes": own_bytes(),
         "peak_bytes": peak_bytes(),
     }
-    shown = [results.found[query, search.name] for query, search in wanted]
-    return cost, list(_rows(searches, shown))
+    return cost, searches, [results.found[query, search.name] for query, search in wanted]
 
 
 class Results:
@@ -335,10 +352,11 @@ def _rows(searches: Sequence[Search], found: Sequence[Found]) -> Iterator[Row]:
                 if one.search == search.name and low <= one.distance_m < high
             ]
             if some:
-                yield {"search": search.name, "km2": search.km2, "group": group, **_summary(some)}
+                yield {"search": search.name, "km2": search.km2, "group": group, **summary(some)}
 
 
-def _summary(outcomes: Sequence[Outcome]) -> Row:
+def summary(outcomes: Sequence[Outcome]) -> Row:
+    """Return what became of queries; one without any candidate is nowhere near."""
     columns = {
         name.name: np.array([getattr(one, name.name) for one in outcomes], dtype=np.float64)
         for name in fields(Outcome)
@@ -350,6 +368,7 @@ def _summary(outcomes: Sequence[Outcome]) -> Row:
         "within_200m": float(right.mean()),
         "within_1km": float((error_m <= _KILOMETRE_M).mean()),
         "median_m": float(np.median(error_m)),
+        "mean_m": float(np.minimum(error_m, _NOWHERE_M).mean()),
         "answered": float(answered.mean()),
         "precision": float(right[answered].mean()) if answered.any() else None,
         "query_s": float(np.median(columns["seconds"])),

@@ -94,7 +94,6 @@ def _coding_rows(path: Path, folder: Path, renderings: int) -> list[dict[str, ob
         table.append(
             {
                 "store": path.stem,
-                "shells": max(len(header.shell_edges_m) - 1, 0),
                 "tan_error_px": errors[0] if errors else 0.0,
                 "depth_error": errors[1] if errors else 0.0,
                 "write_renderings_per_s": len(exact) / wrote_s,

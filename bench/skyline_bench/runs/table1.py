@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from skyline.errors import InputError
-from skyline.planning.strategies import STRATEGIES
+from skyline.paper.planning.strategies import STRATEGIES
 from skyline_bench.truth.simulation import TABLE_1, Run, Simulation, simulate
 
 SEEDS = 10

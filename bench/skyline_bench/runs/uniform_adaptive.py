@@ -9,10 +9,10 @@ import numpy as np
 
 from skyline import __version__
 from skyline.errors import InputError
+from skyline.paper.planning.budget import check_coarse, spaced_for
+from skyline.paper.planning.candidates import Spacing, lay_out
+from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline import FULL, PlaceConfig, Progress, RenderConfig
-from skyline.planning.budget import check_coarse, spaced_for
-from skyline.planning.candidates import Spacing, lay_out
-from skyline.planning.plan import PlanConfig
 from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
@@ -81,7 +81,7 @@ class AdaptiveConfig:
 
     bounds_deg: BoundsDeg | None = None
     spacings_m: tuple[float, ...] = (1024.0, 512.0, 256.0, 128.0)
-    strategies: tuple[str, ...] = ("lpov", "cover")
+    strategies: tuple[str, ...] = ("lpov",)
     budgets: tuple[int, ...] = (800, 1600, 2800)
     spacing: Spacing = field(default_factory=Spacing)
     matchers: tuple[str, ...] = (PAPER, RETRIEVED, FULL)
@@ -157,7 +157,7 @@ class Measured:
     trials: tuple[Trial, ...]
 
     def row(self, group: DistanceGroup, seed: int) -> dict[str, object]:
-        """Return the table's row of a group; ``bytes_used`` leaves out what is never read."""
+        """Return the table's row of a group."""
         store = self.store
         return {
             "store": store.name,
@@ -169,7 +169,6 @@ class Measured:
             **summarize([self.trials[index] for index in group.queries], seed),
             "renderings": store.renderings,
             "bytes": store.size_bytes,
-            "bytes_used": store.size_bytes - store.shell_bytes,
             "build_s": store.build_s,
             "build_cpu_s": store.build_cpu_s,
         }

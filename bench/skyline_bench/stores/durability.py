@@ -31,7 +31,7 @@ from skyline.store import (
     open_store,
 )
 from skyline.store.header import PLACES
-from skyline.views import ROW_FIELDS, Views
+from skyline.views import Views
 from skyline_bench.measuring.workers import fork, outcome_of
 
 Say = Callable[[int], None]
@@ -292,7 +292,7 @@ def readers_test(
 
 
 def _same_rows(got: Rows, wanted: Rows) -> bool:
-    names = [f.name for f in fields(Places)] if isinstance(wanted, Places) else ROW_FIELDS
     return all(
-        np.array_equal(getattr(got, name), getattr(wanted, name), equal_nan=True) for name in names
+        np.array_equal(getattr(got, f.name), getattr(wanted, f.name), equal_nan=True)
+        for f in fields(wanted)
     )

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from skyline.arrays import Float32Array, Float64Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
+from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline import (
     BuildResult,
     PlaceConfig,
@@ -23,8 +24,7 @@ from skyline.pipeline import (
     build_uniform,
 )
 from skyline.pipeline.build import render_missing
-from skyline.pipeline.places import place_rows
-from skyline.planning.plan import PlanConfig
+from skyline.pipeline.places import DEFAULT_LOSS, place_rows
 from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
 from skyline.store import open_store
 from skyline.store.header import PLACES
@@ -34,8 +34,6 @@ from skyline.terrain.viewpoints import Viewpoints
 _log = logging.getLogger(__name__)
 
 _NOTE = ".build.json"
-_SHELLS = "views/shell_"
-"""What the names of datasets of shells begin with."""
 _SECONDS = ("build_s", "build_cpu_s")
 
 
@@ -50,8 +48,6 @@ class ReferenceStore:
     holds : str
         Renderings or places.
     rows, size_bytes : int
-    shell_bytes : int
-        Of these bytes, what its distance shells take.
     build_s, build_cpu_s : float or None
         By the clock and of processor time, over all the runs it was built in; None where that
         was not noted.
@@ -62,7 +58,6 @@ class ReferenceStore:
     holds: str
     rows: int
     size_bytes: int
-    shell_bytes: int
     build_s: float | None
     build_cpu_s: float | None
 
@@ -77,8 +72,10 @@ class ReferenceStore:
         return self.renderings / len(HEADINGS)
 
 
-def check_spacing(terrain: HeightField, spacing_m: float, bounds_deg: MapBounds | None) -> None:
-    """Refuse a uniform grid that does not fit an area.
+def check_spacing(
+    terrain: HeightField, spacing_m: float | None, bounds_deg: MapBounds | None
+) -> None:
+    """Refuse a uniform grid that does not fit an area; without a spacing there is none.
 
     Raises
     ------
@@ -86,6 +83,8 @@ def check_spacing(terrain: HeightField, spacing_m: float, bounds_deg: MapBounds 
         A spacing that is not positive, or wider than the area.
     """
     bounds = map_bounds(terrain, bounds_deg)
+    if spacing_m is None:
+        return
     uniform_grid(terrain, spacing_m, bounds)
     width, height = bounds[2] - bounds[0], bounds[3] - bounds[1]
     if min(width, height) < spacing_m:
@@ -119,18 +118,19 @@ def uniform_store(
 def place_store(
     terrain: HeightField,
     folder: Path,
-    spacing_m: float,
+    spacing_m: float | None,
     bounds_deg: MapBounds | None,
     config: PlaceConfig,
     progress: Callable[[int, int], None] | None = None,
+    loss: float = DEFAULT_LOSS,
 ) -> ReferenceStore:
-    """Return a uniform store of places in a folder; as `uniform_store`."""
-    name = f"places-{spacing_m:g}"
+    """Return a store of places in a folder, planned without a spacing; as `uniform_store`."""
+    name = f"planned-{loss:g}" if spacing_m is None else f"places-{spacing_m:g}"
     path = folder / f"{name}.h5"
     return _built(
         name,
         path,
-        lambda: build_places(terrain, path, spacing_m, bounds_deg, config, progress),
+        lambda: build_places(terrain, path, spacing_m, bounds_deg, config, progress, loss=loss),
         {},
     )
 
@@ -277,13 +277,11 @@ def given_store(terrain: HeightField, path: Path) -> ReferenceStore:
 def _reference(name: str, path: Path) -> ReferenceStore:
     noted = _noted(path)
     with open_store(path) as store:
-        sizes = store.stored_bytes.items()
         return ReferenceStore(
             name,
             path,
             store.header.holds,
             store.committed,
             path.stat().st_size,
-            sum(size for dataset, size in sizes if dataset.startswith(_SHELLS)),
             *(noted.get(key) for key in _SECONDS),
         )

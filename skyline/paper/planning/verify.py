@@ -7,10 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Int64Array
-from skyline.coverage import Coverage
 from skyline.errors import InputError
-from skyline.planning.plan import Plan
-from skyline.planning.requests import Headings, Render, as_asked, places
+from skyline.paper.planning.coverage import Coverage
+from skyline.paper.planning.plan import Headings, Plan, Render, as_asked, places
 from skyline.views import Views
 
 TrueErrors = Callable[[Views, Views], NDArray[np.floating]]

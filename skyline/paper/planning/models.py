@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from skyline.arrays import Float32Array, Int64Array
-from skyline.planning.candidates import CandidateMap
+from skyline.paper.planning.candidates import CandidateMap
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
@@ -103,7 +103,6 @@ class PredictedModel:
     heading : int
     predict : Predict
     measure : Measure
-        Of predicted views; may be a cheaper one than that of rendered views.
     archive : Archive
         The views rendered in all headings.
     """

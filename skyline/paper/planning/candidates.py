@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
-from skyline.coverage import CandidateGrid
 from skyline.errors import InputError
+from skyline.paper.planning.coverage import CandidateGrid
 from skyline.planning.uniform import MapBounds
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on

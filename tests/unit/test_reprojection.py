@@ -4,20 +4,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from prediction_scenes import WIDTH, U, layered, mountains, views_of
+from prediction_scenes import WIDTH, U, mountains, views_of
 from scenes import field_from
 
-from skyline.camera import columns_u
 from skyline.errors import InputError
-from skyline.paper.reprojection import IDENTITY, equation_4, least_squares
-from skyline.prediction import PREDICTORS
-from skyline.prediction.warp_fit import WarpFit
+from skyline.paper.planning.reprojection import IDENTITY, PREDICTORS, equation_4, least_squares
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
 PX = 2.0 / WIDTH
 AFFINE = ("affine-mean", "affine-median", "affine-least-squares")
-FROM_SKYLINE = ("non-affine", *AFFINE, "curve")
 
 
 def errors(name, view, *displacements):
@@ -27,9 +23,8 @@ def errors(name, view, *displacements):
 
 @pytest.mark.parametrize("name", PREDICTORS)
 def test_an_eye_that_has_not_moved_makes_no_error(name):
-    view = layered([(mountains(U, 1), 500.0), (mountains(U, 2), 3000.0)])
-    # The envelope of the shells' means over columns is not quite the mean of their envelope.
-    assert errors(name, view, (0.0, 0.0, 0.0))[0, 0] < (0.1 if name == "shells" else 0.01)
+    view = views_of(mountains(U), np.where(U < 0.1, 500.0, 3000.0))
+    assert errors(name, view, (0.0, 0.0, 0.0))[0, 0] < 0.01
 
 
 @pytest.mark.parametrize("name", AFFINE)
@@ -57,7 +52,6 @@ def test_there_is_no_warp_where_the_skyline_is_reached_or_passed():
     for name in AFFINE[:2]:
         reached = errors(name, view, (0.0, 0.0, 290.0), (0.0, 0.0, 300.0), (0.0, 0.0, 400.0))
         assert np.isinf(reached).all()
-    assert np.isinf(errors("curve", view, (0.0, 0.0, 400.0))).all()
 
 
 def test_mean_and_median_depth_answer_for_different_skylines():
@@ -74,7 +68,7 @@ def test_unknown_columns_do_not_count():
     hollow = tan.copy()
     hollow[40:90] = np.nan
     moved = (60.0, 10.0, 100.0)
-    for name in (*AFFINE, "curve"):
+    for name in AFFINE:
         assert errors(name, views_of(hollow, depth), moved)[0, 0] == pytest.approx(
             errors(name, views_of(tan, depth), moved)[0, 0], abs=0.25
         )
@@ -82,20 +76,20 @@ def test_unknown_columns_do_not_count():
 
 @pytest.mark.parametrize("name", PREDICTORS)
 def test_an_empty_skyline_and_an_eye_that_is_nowhere_are_outside(name):
-    empty = layered([(np.full(WIDTH, np.nan), np.nan)])
+    empty = views_of(np.full(WIDTH, np.nan), np.nan)
     assert np.isinf(errors(name, empty, (0.0, 0.0, 0.0), (10.0, 0.0, 0.0))).all()
-    view = layered([(mountains(U), 2000.0)])
+    view = views_of(mountains(U), 2000.0)
     assert np.isinf(errors(name, view, (0.0, np.nan, 0.0), (np.nan, np.nan, np.nan))).all()
 
 
-@pytest.mark.parametrize("name", FROM_SKYLINE)
+@pytest.mark.parametrize("name", PREDICTORS)
 def test_fewer_than_three_points_are_outside(name):
     tan = np.full(WIDTH, np.nan)
     tan[[100, 200]] = 0.1
     assert np.isinf(errors(name, views_of(tan, 2000.0), (1.0, 0.0, 0.0))).all()
 
 
-@pytest.mark.parametrize("name", FROM_SKYLINE)
+@pytest.mark.parametrize("name", PREDICTORS)
 def test_a_skyline_that_has_left_the_frame_is_outside(name):
     view = views_of(mountains(U), 100.0)
     assert np.isinf(errors(name, view, (2000.0, 0.0, 0.0))).all()
@@ -104,7 +98,7 @@ def test_a_skyline_that_has_left_the_frame_is_outside(name):
 @pytest.mark.parametrize("name", PREDICTORS)
 @pytest.mark.parametrize("tan", [np.zeros(WIDTH), 0.1 + 0.2 * U])
 def test_a_straight_skyline_has_an_answer(name, tan):
-    view = layered([(tan, 2000.0)])
+    view = views_of(tan, 2000.0)
     error = errors(name, view, (50.0, 20.0, 100.0), (-50.0, 5.0, -100.0))
     assert np.isfinite(error).all()
     if name != "non-affine":
@@ -116,8 +110,6 @@ def test_many_views_and_eyes_at_once_are_as_one_by_one(name):
     generator = np.random.default_rng(5)
     field = field_from(lambda e, n: 300.0 * np.sin(e / 310.0) * np.cos(n / 270.0), 61, 40.0)
     stored = oracle.skyline(field, stand_on(field, [0.0, 150.0], [30.0, -90.0]), 96)
-    if PREDICTORS[name].needs_shells:
-        stored = layered([(mountains(columns_u(96)), 400.0), (0.12, 2500.0)], width=96)
     moved = generator.uniform(-150.0, 150.0, (len(stored), 7, 3)) * [1.0, 0.2, 1.0]
     together = PREDICTORS[name].errors_px(stored, moved)
     assert together.shape == (len(stored), 7)
@@ -125,49 +117,6 @@ def test_many_views_and_eyes_at_once_are_as_one_by_one(name):
     for candidate in range(7):
         alone = PREDICTORS[name].errors_px(stored, moved[:, [candidate]])[:, 0]
         np.testing.assert_allclose(together[:, candidate], alone, rtol=1e-3, atol=1e-3)
-
-
-def test_shells_know_of_the_hidden_ridge_and_the_skyline_does_not():
-    near, far = 0.3 + 0.0 * U, 0.26 + 0.03 * np.sin(25.0 * U)
-    view = layered([(near, 300.0), (far, 8000.0)])
-    over_it = (0.0, 80.0, 0.0)
-    assert errors("curve", view, over_it)[0, 0] < 0.1
-    # The ridge behind waves by 0.03 about its middle; no warp makes a wave of a straight line.
-    assert errors("shells", view, over_it)[0, 0] > 0.5 * 0.03 * 2.0 / np.pi / PX
-
-
-def test_the_fit_finds_the_warp_that_made_a_curve():
-    u = columns_u(80)
-    true = np.array([[1.08, 0.05, 0.04], [-0.06, 0.93, 0.02]])
-    finer = np.linspace(-1.5, 1.5, 3001)
-    curve = mountains(u)
-    x, y = true @ np.stack([finer, mountains(finer), np.ones_like(finer)])
-    target = np.interp(u, x, y)
-    distance, found = WarpFit(rounds=20).distances_px(
-        curve[np.newaxis], target[np.newaxis], IDENTITY[np.newaxis, np.newaxis], WIDTH
-    )
-    assert distance[0] < 0.1
-    np.testing.assert_allclose(found[0], true, atol=0.01)
-
-
-def test_the_fit_stays_within_its_bounds():
-    u = columns_u(80)
-    curve, flattened = mountains(u)[np.newaxis], 0.1 * mountains(u)[np.newaxis]
-    fit = WarpFit(rounds=20)
-    distance, found = fit.distances_px(curve, flattened, IDENTITY[np.newaxis, np.newaxis], WIDTH)
-    assert (np.abs(found[0, :, :2] - np.eye(2)) <= fit.max_change + 1e-9).all()
-    assert distance[0] > 3.0
-
-
-def test_the_fit_begins_with_the_best_start_and_ignores_missing_ones():
-    u = columns_u(80)
-    curve, target = mountains(u), mountains(u + 0.3)
-    shifted = IDENTITY + np.array([[0.0, 0.0, -0.3], [0.0, 0.0, 0.0]])
-    starts = np.stack([np.full((2, 3), np.nan), IDENTITY, shifted])[np.newaxis]
-    distance, _ = WarpFit(rounds=0).distances_px(
-        curve[np.newaxis], target[np.newaxis], starts, WIDTH
-    )
-    assert distance[0] < 0.2
 
 
 def test_least_squares_is_exact_where_the_images_are_affine():
@@ -181,31 +130,6 @@ def test_least_squares_is_exact_where_the_images_are_affine():
 
 def test_bad_requests_say_what_is_wrong():
     view = views_of(mountains(U), 900.0)
-    with pytest.raises(InputError, match="shell_edges_m"):
-        errors("shells", view, (0.0, 0.0, 0.0))
     for name in PREDICTORS:
         with pytest.raises(InputError, match=r"shape \(4, 3\); expected \(1, C, 3\)"):
             PREDICTORS[name].errors_px(view, np.zeros((4, 3)))
-
-
-def test_a_threshold_leaves_what_is_near_it_as_it_is_and_what_is_beyond_beyond():
-    view = layered([(mountains(U, 1), 500.0), (mountains(U, 2), 3000.0)])
-    moved = np.array([[(30.0 * k, 0.0, -20.0 * k) for k in range(-8, 9)]])
-    whole = PREDICTORS["shells"].errors_px(view, moved)
-    threshold = float(np.median(whole))
-    quick = PREDICTORS["shells"].errors_px(view, moved, threshold)
-    np.testing.assert_array_equal(quick <= threshold, whole <= threshold)
-    assert (quick >= whole).all()
-    near = (quick > 0.5 * threshold) & (quick <= threshold)
-    assert near.any()
-    np.testing.assert_array_equal(quick[near], whole[near])
-
-
-def test_an_eye_that_is_nowhere_costs_nothing_and_is_answered_with_inf():
-    view = layered([(mountains(U, 1), 500.0), (mountains(U, 2), 3000.0)])
-    moved = np.array([[(30.0, 0.0, 0.0), (np.nan, np.nan, np.nan), (0.0, np.nan, 0.0)]])
-    found = PREDICTORS["shells"].errors_px(view, moved)
-    assert np.isfinite(found[0]).tolist() == [True, False, False]
-    alone = PREDICTORS["shells"].errors_px(view, moved[:, :1])
-    np.testing.assert_allclose(found[:, :1], alone)
-    assert np.isinf(PREDICTORS["shells"].errors_px(view, moved[:, 1:])).all()

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import Float32Array, Float64Array, FloatArray
 from skyline.errors import InputError
-from skyline.paper.reprojection import (
+from skyline.paper.planning.reprojection import (
     IDENTITY,
     Projected,
     displacements_m,
@@ -12,8 +12,7 @@ from skyline.paper.reprojection import (
     least_squares,
     median_depth_m,
 )
-from skyline.prediction.curves import block_means
-from skyline.prediction.warp_fit import WarpFit
+from skyline.paper.planning.warp_fit import WarpFit
 from skyline.views import Views
 
 _FIT = WarpFit(rounds=6)
@@ -86,3 +85,27 @@ def _starts(stored: Views, rendered: Views) -> Float64Array:
     by_points = least_squares(projected.points_uv, projected.there_uv, projected.usable)
     by_depth = equation_4(median_depth_m(stored.depth_m), moved)
     return np.concatenate([np.broadcast_to(IDENTITY, by_depth.shape), by_depth, by_points], axis=1)
+
+
+def block_means(rows: FloatArray, blocks: int) -> Float32Array:
+    """Return means over runs of columns, unknown ones left out.
+
+    Parameters
+    ----------
+    rows : (..., W) floating
+        NaN is unknown.
+    blocks : int
+        Number of runs, as equal as can be.
+
+    Returns
+    -------
+    (..., min(blocks, W)) float32, NaN where all of a run is unknown
+    """
+    width = rows.shape[-1]
+    if width <= blocks:
+        return rows.astype(np.float32)
+    starts = np.arange(blocks) * width // blocks
+    known = np.isfinite(rows)
+    count = np.add.reduceat(known, starts, axis=-1, dtype=np.float32)
+    total = np.add.reduceat(np.where(known, rows, 0.0), starts, axis=-1)
+    return np.where(count > 0.0, total / np.maximum(count, 1.0), np.nan).astype(np.float32)

@@ -1,15 +1,30 @@
-"""What a plan is asked for, whom it asks, and what it has come to."""
+"""What a plan is asked for, whom it asks, and what it has come to.
 
+What comes back from a renderer is matched with what was asked for by place and heading.
+"""
+
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from skyline.coverage import Coverage, check_target, check_threshold
-from skyline.errors import named
-from skyline.planning.budget import check_budget
-from skyline.planning.candidates import CandidateMap, Spacing
-from skyline.planning.models import Measure, Predict
-from skyline.planning.requests import Render
-from skyline.planning.strategies import STRATEGIES
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError, named
+from skyline.paper.planning.budget import check_budget
+from skyline.paper.planning.candidates import CandidateMap, Spacing
+from skyline.paper.planning.coverage import Coverage, check_target, check_threshold
+from skyline.paper.planning.models import Measure, Predict
+from skyline.paper.planning.strategies import STRATEGIES
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
+from skyline.views import Views
+
+Headings = NDArray[np.uint8]
+
+Render = Callable[[Viewpoints, Headings], Views]
+"""Renders N viewpoints along N headings; the N views may come in any order."""
+
+Place = tuple[float, float, int]
+"""Easting, northing and heading."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +34,7 @@ class PlanConfig:
     Attributes
     ----------
     strategy : str
-        A name of `skyline.planning.strategies.STRATEGIES`.
+        A name of `skyline.paper.planning.strategies.STRATEGIES`.
     spacing : Spacing
     threshold_px : float
         A location is covered where some view's skyline is predicted within this.
@@ -38,7 +53,7 @@ class PlanConfig:
         that does not suffice for one location.
     """
 
-    strategy: str = "cover"
+    strategy: str = "lpov"
     spacing: Spacing = field(default_factory=Spacing)
     threshold_px: float = 3.0
     coverage: float = 0.98
@@ -61,18 +76,15 @@ class Oracles:
     ----------
     render : Render
     measure : Measure
-        Tolerance areas of rendered views.
+        Tolerance areas of rendered and of predicted views.
     predict : Predict, optional
         Views at candidates that have not been rendered. Without it, areas of candidates are
         interpolated from those of the rendered views around.
-    measure_predicted : Measure, optional
-        Tolerance areas of predicted views; by default ``measure``.
     """
 
     render: Render
     measure: Measure
     predict: Predict | None = None
-    measure_predicted: Measure | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,3 +143,33 @@ class Plan:
     def coverage(self) -> float:
         """Predicted coverage over all headings."""
         return self.progress.coverage
+
+
+def places(viewpoints: Viewpoints | Views, heading: Headings) -> list[Place]:
+    """Return the places of N viewpoints along N headings, or of N views."""
+    easting, northing = viewpoints.easting_m.tolist(), viewpoints.northing_m.tolist()
+    return list(zip(easting, northing, heading.tolist(), strict=True))
+
+
+def rows_by_place(views: Views) -> dict[Place, int]:
+    """Return where in ``views`` each place is."""
+    return {place: row for row, place in enumerate(places(views, views.heading))}
+
+
+def as_asked(views: Views, asked: list[Place]) -> Views:
+    """Return views in the order they were asked for, some of them more than once perhaps.
+
+    Raises
+    ------
+    InputError
+        A view that was asked for is not there.
+    """
+    row = rows_by_place(views)
+    missing = [place for place in asked if place not in row]
+    if missing:
+        easting, northing, heading = missing[0]
+        raise InputError(
+            f"there is no view at easting {easting:.2f}, northing {northing:.2f}, heading "
+            f"{heading}; expected one for each of the {len(asked)} asked for ({len(missing)} such)"
+        )
+    return views[np.array([row[place] for place in asked], dtype=np.int64)]

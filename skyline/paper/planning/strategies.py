@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from skyline.arrays import BoolArray, Int64Array
-from skyline.coverage import Coverage, Problem, Requests
+from skyline.paper.planning.coverage import Coverage, Problem, Requests, Strategy
 
 _DRAWN = 10
 """How many candidate locations ROV and AROV draw for each viewpoint they select."""
@@ -195,3 +195,12 @@ def draw(generator: np.random.Generator, candidates: Int64Array, number: int) ->
     if len(candidates) <= number:
         return candidates
     return generator.choice(candidates, number, replace=False)
+
+
+STRATEGIES: dict[str, Strategy] = {
+    "rov": rov,
+    "arov": arov,
+    "hov": hov,
+    "sov": sov,
+    "lpov": lpov,
+}

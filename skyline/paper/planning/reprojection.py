@@ -6,8 +6,9 @@ metres, and up holds the change of the ground's height; the T of Equation 4 is -
 (2, 3): it takes (u, v, 1) to the abscissa and ordinate in the other image.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -216,15 +217,27 @@ class Reprojection:
     columns: int = 80
     min_points: int = 3
 
-    @property
-    def needs_shells(self) -> bool:
-        """False: the skyline and its depth suffice."""
-        return False
+    def errors_px(self, views: Views, displacements_m: FloatArray) -> Float32Array:
+        """Return reprojection errors of candidates.
 
-    def errors_px(
-        self, views: Views, displacements_m: FloatArray, within_px: float | None = None
-    ) -> Float32Array:
-        """Return errors; see `skyline.prediction.Predictor.errors_px`."""
+        Parameters
+        ----------
+        views : Views
+            N views.
+        displacements_m : (N, C, 3) floating
+            Right, up, forward of C candidate eyes in each view's own axes; NaN is no eye.
+
+        Returns
+        -------
+        (N, C) float32
+            Mean distance in px (2 / W in v); inf where the view predicts nothing: no warp, too
+            little of the skyline in frame, no eye.
+
+        Raises
+        ------
+        InputError
+            Displacements of another shape.
+        """
         check_displacements(views, displacements_m)
         candidates = displacements_m.shape[1]
         errors = np.empty((len(views), candidates), dtype=np.float32)
@@ -263,9 +276,15 @@ def _least_squares_warp(projected: Projected) -> Float64Array:
     return least_squares(projected.points_uv, projected.there_uv, projected.usable)
 
 
-NON_AFFINE = Reprojection(_no_warp)
 AFFINE_MEAN = Reprojection(_mean_depth_warp)
-"""The paper's own; the others are what it is compared with."""
+"""The paper's own."""
 
-AFFINE_MEDIAN = Reprojection(_median_depth_warp)
-AFFINE_LEAST_SQUARES = Reprojection(_least_squares_warp)
+PREDICTORS: Mapping[str, Reprojection] = MappingProxyType(
+    {
+        "non-affine": Reprojection(_no_warp),
+        "affine-mean": AFFINE_MEAN,
+        "affine-median": Reprojection(_median_depth_warp),
+        "affine-least-squares": Reprojection(_least_squares_warp),
+    }
+)
+"""By name: ``affine-mean`` is the planners', the others are compared with it."""

@@ -1,4 +1,4 @@
-"""The affine warp that takes one curve nearest to another; see `skyline.paper.reprojection`."""
+"""The affine warp that takes one curve nearest to another; see `Reprojection` for warps."""
 
 from dataclasses import dataclass
 
@@ -6,14 +6,11 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, FloatArray
 from skyline.camera import columns_u, pixel_size
-from skyline.paper.reprojection import IDENTITY
+from skyline.paper.planning.reprojection import IDENTITY
 from skyline.rows import Rows
 
 _DAMPING = 1e-3
 _RIDGE = 1e-9
-_CLEARLY_INSIDE = 0.5
-_HOPELESS = 4.0
-"""Of curves this many times too far apart after one step, 0.4 % come within (Davos)."""
 
 _STEEPEST = 0.3
 """Least stretch of the abscissa that the slope of a warped curve is trusted for."""
@@ -47,7 +44,6 @@ class WarpFit:
         targets: FloatArray,
         starts: Float64Array,
         width: int,
-        within_px: float | None = None,
     ) -> tuple[Float64Array, Float64Array]:
         """Warp curves onto others as well as an affine map within bounds can.
 
@@ -59,9 +55,6 @@ class WarpFit:
             Warps to begin with: the best of them is improved. NaN is none.
         width : int
             Columns W of the view, which say what a px is.
-        within_px : float, optional
-            The distance that matters: what is clearly nearer, or hopelessly far after the first
-            step, is not improved further. By default all are.
 
         Returns
         -------
@@ -77,21 +70,13 @@ class WarpFit:
         )
         errors = np.stack([pair.state(start).error for start in np.moveaxis(starts, 1, 0)], axis=1)
         state = pair.state(starts[np.arange(len(starts)), errors.argmin(axis=1)])
-        error, affine = state.error.copy(), state.affine.copy()
-        left, damping = np.arange(len(starts)), np.full(len(starts), _DAMPING)
-        for done in range(self.rounds):
-            if within_px is not None:
-                open_ = state.error > _CLEARLY_INSIDE * within_px * pixel
-                if done:
-                    open_ &= state.error < _HOPELESS * within_px * pixel
-                left, damping = left[open_], damping[open_]
-                pair, state = pair[open_], state[open_]
+        damping = np.full(len(starts), _DAMPING)
+        for _ in range(self.rounds):
             trial = pair.state(pair.step(state, damping))
             better = trial.error < state.error
             state = state.replaced(better, trial)
             damping = np.where(better, 0.3 * damping, 8.0 * damping)
-            error[left], affine[left] = state.error, state.affine
-        return error / pixel, affine.reshape(-1, 2, 3)
+        return state.error / pixel, state.affine.reshape(-1, 2, 3)
 
 
 @dataclass(slots=True, eq=False)
@@ -129,9 +114,6 @@ class _Pair:
             [np.broadcast_to(self.u, known.shape), known, np.ones_like(known)], 1
         )
         self.row = np.arange(len(curves))[:, np.newaxis] * self.columns
-
-    def __getitem__(self, rows: BoolArray) -> "_Pair":
-        return _Pair(self.v[rows], self.targets[rows], self.settings, self.pixel)
 
     def state(self, affine: Float64Array) -> _State:
         a, b, c, d, e, f = affine.T[:, :, np.newaxis]

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Int64Array
 from skyline.camera import HEADINGS
-from skyline.coverage import CandidateGrid
 from skyline.errors import InputError
-from skyline.planning.candidates import CandidateMap, Spacing
+from skyline.paper.planning.candidates import CandidateMap, Spacing
+from skyline.paper.planning.coverage import CandidateGrid
 from skyline.planning.uniform import MapBounds
 
 AIMS = (0.6, 0.9, 1.0)

@@ -1,11 +1,10 @@
 """The planning loop on real terrain (paper 4): strategies ask, a renderer renders, areas grow.
 
-Every heading is a problem of its own. The paper's strategies run in every square of the coarse
-grid, ours over the whole area; all run in step, so that what they ask for in a round goes to the
-renderer as one batch. What comes back is put in order by where it was rendered, so the order it
-comes back in makes no difference. Nothing is random but what the seed says: given the views of a
-plan that was stopped, the same plan asks for the same views again, is handed those there are, and
-goes on where they end.
+Every heading and every square of the coarse grid is a problem of its own. All run in step, so that
+what they ask for in a round goes to the renderer as one batch. What comes back is put in order by
+where it was rendered, so the order it comes back in makes no difference. Nothing is random but what
+the seed says: given the views of a plan that was stopped, the same plan asks for the same views
+again, is handed those there are, and goes on where they end.
 """
 
 import logging
@@ -18,14 +17,22 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Int64Array
 from skyline.camera import HEADINGS
-from skyline.coverage import AreaModel, Coverage, Problem
 from skyline.errors import InputError
-from skyline.planning.budget import AIMS, ENOUGH, Outlook, check_coarse, covering_px
-from skyline.planning.candidates import CandidateMap, lay_out
-from skyline.planning.models import Archive, InterpolatedModel, PredictedModel
-from skyline.planning.plan import Oracles, Plan, PlanConfig, PlanProgress
-from skyline.planning.requests import Headings, as_asked, places, rows_by_place
-from skyline.planning.strategies import STRATEGIES
+from skyline.paper.planning.budget import AIMS, ENOUGH, Outlook, check_coarse, covering_px
+from skyline.paper.planning.candidates import CandidateMap, lay_out
+from skyline.paper.planning.coverage import AreaModel, Coverage, Problem
+from skyline.paper.planning.models import Archive, InterpolatedModel, PredictedModel
+from skyline.paper.planning.plan import (
+    Headings,
+    Oracles,
+    Plan,
+    PlanConfig,
+    PlanProgress,
+    as_asked,
+    places,
+    rows_by_place,
+)
+from skyline.paper.planning.strategies import STRATEGIES
 from skyline.planning.uniform import MapBounds
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -206,11 +213,12 @@ class _Loop:
         oracles = self._oracles
         if oracles.predict is None:
             return InterpolatedModel(self._candidates)
-        measure = oracles.measure_predicted or oracles.measure
-        return PredictedModel(self._candidates, heading, oracles.predict, measure, self._archive)
+        return PredictedModel(
+            self._candidates, heading, oracles.predict, oracles.measure, self._archive
+        )
 
     def _start(self, heading: int) -> list[_Pending]:
-        """Start the strategy, in every square or over the whole, up to the first requests."""
+        """Start the strategy in every square, up to the first requests."""
         config = self._config
         waiting = []
         for number, region in enumerate(self._regions()):
@@ -230,8 +238,6 @@ class _Loop:
 
     def _regions(self) -> list[BoolArray]:
         valid = self._candidates.grid.valid
-        if self._config.strategy == "cover":
-            return [valid]
         squares = np.unique(self._candidates.square[valid])
         return [valid & (self._candidates.square == square) for square in squares]
 

@@ -1,0 +1,94 @@
+"""Placing measured: uniform grids against planned places."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skyline.console import parse_bounds, progress_bar
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline_bench.commands.options import (
+    Crs,
+    Dems,
+    JsonFile,
+    PlotFile,
+    Quick,
+    Seed,
+    check_outputs,
+    keep_record,
+    print_rows,
+    store_folder,
+)
+from skyline_bench.figures.placing import save_placing
+from skyline_bench.runs.placing import PlacingConfig, measure
+
+_PLACING = PlacingConfig()
+_COLUMNS = {
+    "layout": "layout",
+    "places": "places",
+    "megabytes": "MB",
+    "build_cpu_s": "cpu s",
+    "group": "skyline",
+    "n": "n",
+    "within_200m": "in 200 m",
+    "within_1km": "in 1 km",
+    "median_m": "median m",
+    "mean_m": "mean m",
+    "answered": "answered",
+    "precision": "right of these",
+    "claimed_loss": "claimed loss",
+    "expected_loss": "expected",
+    "lost": "lost",
+    "model_precision": "model's precision",
+    "model_recall": "recall",
+}
+
+
+def placing(
+    dem: Dems,
+    spacing: Annotated[
+        list[float] | None,
+        typer.Option(metavar="M", help="Of a uniform grid; may be repeated [320 160 80]."),
+    ] = None,
+    loss: Annotated[
+        list[float] | None,
+        typer.Option(metavar="SHARE", help="Of planned places; may be repeated [0.35 0.27 0.2]."),
+    ] = None,
+    bounds: Annotated[
+        str | None, typer.Option(metavar="W,S,E,N", help="Degrees; by default all.")
+    ] = None,
+    queries: Annotated[int, typer.Option(help="Each is looked for in every store.")] = (
+        _PLACING.queries
+    ),
+    folder: Annotated[
+        Path | None,
+        typer.Option(help="Where stores and results are kept: a run that was stopped goes on."),
+    ] = None,
+    json_file: JsonFile = None,
+    plot: PlotFile = None,
+    seed: Seed = _PLACING.seed,
+    quick: Quick = False,
+    crs: Crs = None,
+) -> None:
+    """Placing: what uniform grids and planned places find for what they cost.
+
+    A query is lost that is not found within 1 km. The claimed loss is what the planner expects
+    over the area, the expected one what it expects of the queries; precision and recall are those
+    of foretelling which are found.
+    """
+    config = PlacingConfig(
+        tuple(spacing or _PLACING.spacings_m),
+        tuple(loss or _PLACING.losses),
+        parse_bounds(bounds) if bounds is not None else None,
+        queries,
+        seed,
+    )
+    check_outputs(json_file, plot)
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    config = config.quick(terrain) if quick else config
+    with store_folder(folder) as place, progress_bar("building and matching") as progress:
+        rows = measure(terrain, config, place, progress)
+    print_rows([{**row, "megabytes": float(str(row["bytes"])) / 1e6} for row in rows], _COLUMNS)
+    keep_record(json_file, "placing", rows)
+    if plot is not None:
+        save_placing(rows, plot)

@@ -1,0 +1,334 @@
+"""Places laid out adaptively: dense where skylines are near, sparse where they are far.
+
+The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. What a
+place's skyline says of its surroundings (`skyline.planning.loss`) tells whether more places there
+would pay: whether they save more views than the same number would elsewhere. Where they would, the
+next lattice, twice as dense, is filled in; a place that has been rendered stays, so nothing is
+rendered that is not kept. Blocks of the map are planned each on its own and come out the same
+whoever plans them, and in whatever order.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skyline.arrays import BoolArray, Float64Array, Int64Array
+from skyline.errors import InputError
+from skyline.horizons import Horizons
+from skyline.places import Places
+from skyline.planning.loss import lost_shares
+from skyline.planning.uniform import MapBounds
+from skyline.rows import Rows
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+
+Look = Callable[[Viewpoints], Horizons]
+"""Renders viewpoints."""
+
+_COARSEST_M = 1280.0
+_FINEST_M = 20.0
+_LEVELS = 13
+_SPACING_M: Float64Array = _COARSEST_M / 2.0 ** (np.arange(_LEVELS) / 2.0)
+"""Of each level's lattice: the side of the square that each of its places has to itself."""
+
+_DENSITY = 1.0 / _SPACING_M**2
+
+_ROOTS = 4
+"""Squares of the coarsest lattice to a side of a block."""
+
+BLOCK_M = _ROOTS * _COARSEST_M
+
+_UNITS = round(_COARSEST_M / _FINEST_M)
+"""The finest spacings that the coarsest is long."""
+
+_BLIND_LEVEL = 6
+"""Level down to which a square is halved when there is no surface to stand on at its corner."""
+
+_SAMPLE = 512
+_BISECTIONS = 60
+_UNSEEN, _NO_SURFACE = -1, -2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks(Rows):
+    """N squares of the map, with sides of `BLOCK_M` at whole multiples of it.
+
+    Attributes
+    ----------
+    col, row : (N,) int64
+        Which multiples their western and southern sides are at.
+    """
+
+    col: Int64Array
+    row: Int64Array
+
+    def __len__(self) -> int:
+        return len(self.col)
+
+    @property
+    def easting_m(self) -> Float64Array:
+        """Of the south-western corners, (N,)."""
+        return np.asarray(self.col * BLOCK_M, dtype=np.float64)
+
+    @property
+    def northing_m(self) -> Float64Array:
+        """Of the south-western corners, (N,)."""
+        return np.asarray(self.row * BLOCK_M, dtype=np.float64)
+
+    def holding(self, easting_m: Float64Array, northing_m: Float64Array) -> BoolArray:
+        """Return which blocks hold one of some locations, shape (N,)."""
+        held = np.floor(easting_m / BLOCK_M) + 1j * np.floor(northing_m / BLOCK_M)
+        return np.isin(self.col + 1j * self.row, held)
+
+
+def blocks_of(area: MapBounds) -> Blocks:
+    """Return the blocks that meet an area, row by row from the north-west."""
+    west, south, east, north = (side / BLOCK_M for side in area)
+    col = np.arange(np.floor(west), np.ceil(east), dtype=np.int64)
+    row = np.arange(np.ceil(north) - 1, np.floor(south) - 1, -1, dtype=np.int64)
+    cols, rows = np.meshgrid(col, row)
+    return Blocks(cols.ravel(), rows.ravel())
+
+
+def price_of(loss: float, sample: Horizons) -> float:
+    """Return what a place must save for a plan to lose no more than a share of the views.
+
+    Parameters
+    ----------
+    loss : float
+        The share, in (0, 1).
+    sample : Horizons
+        Skylines of viewpoints spread over the area; see `spread_over`.
+
+    Returns
+    -------
+    float
+        Square metres of views.
+
+    Raises
+    ------
+    InputError
+        A loss outside (0, 1), or below that of the finest lattice.
+    """
+    if not 0.0 < loss < 1.0:
+        raise InputError(f"loss is {loss}; expected a share between 0 and 1, for example 0.2")
+    lost = lost_shares(sample.distance_m, _SPACING_M)
+    least = float(lost[:, -1].mean())
+    if loss < least:
+        raise InputError(
+            f"loss is {loss:g}; places {_FINEST_M:g} m apart, the closest there are, are expected "
+            f"to lose {least:.3f} of the views here; give a larger one"
+        )
+    low, high = 1e-3, 1e12
+    for _ in range(_BISECTIONS):
+        price = float(np.sqrt(low * high))
+        level = np.argmin(lost + price * _DENSITY, axis=1)
+        if lost[np.arange(len(level)), level].mean() > loss:
+            high = price
+        else:
+            low = price
+    return low
+
+
+def spread_over(terrain: HeightField, area: MapBounds, eye_height_m: float) -> Viewpoints:
+    """Return some hundred viewpoints spread evenly over an area, always the same ones.
+
+    Raises
+    ------
+    InputError
+        None of them falls on the surface.
+    """
+    # The sequence of the plastic number (Roberts 2018) fills a square evenly.
+    step = np.array([0.7548776662466927, 0.5698402909980532])
+    share = (0.5 + np.arange(1, _SAMPLE + 1)[:, None] * step) % 1.0
+    west, south, east, north = area
+    easting = west + share[:, 0] * (east - west)
+    northing = south + share[:, 1] * (north - south)
+    on_surface = ~np.isnan(terrain.height_at(easting, northing))
+    if not on_surface.any():
+        raise InputError(
+            f"no viewpoint falls on the surface in easting {west:.0f} to {east:.0f}, northing "
+            f"{south:.0f} to {north:.0f}; choose another area"
+        )
+    return stand_on(terrain, easting[on_surface], northing[on_surface], eye_height_m)
+
+
+class AdaptivePlanner:
+    """Lays out and renders places, block by block.
+
+    Parameters
+    ----------
+    terrain : HeightField
+    look : Look
+    area : MapBounds
+        Places outside are not kept.
+    price : float
+        See `price_of`.
+    eye_height_m : float
+    """
+
+    def __init__(
+        self, terrain: HeightField, look: Look, area: MapBounds, price: float, eye_height_m: float
+    ) -> None:
+        self._terrain = terrain
+        self._look = look
+        self._area = area
+        self._price = price
+        self._eye_height_m = eye_height_m
+
+    def places(self, blocks: Blocks) -> Places | None:
+        """Return the places of blocks, in order; None where nobody can stand."""
+        parts = [
+            self._of_block(col * BLOCK_M, row * BLOCK_M)
+            for col, row in zip(blocks.col.tolist(), blocks.row.tolist(), strict=True)
+        ]
+        there = [places for places in parts if places is not None]
+        return Places.concatenate(there) if there else None
+
+    def _of_block(self, west_m: float, south_m: float) -> Places | None:
+        """Return the places of a block, row by row from the north-west."""
+        seen = _Seen(west_m, south_m)
+        # Those round about too: what they see says more of the squares at the block's sides.
+        self._fill(seen, _lattice_of_roots(-1, _ROOTS + 2))
+        nodes, kept = _lattice_of_roots(0, _ROOTS), []
+        for level in range(_LEVELS):
+            nodes = nodes[self._in_reach(seen, nodes, level)]
+            if not len(nodes):
+                break
+            self._fill(seen, nodes)
+            halved = self._pays(seen, nodes, level)
+            kept.append(seen.places(nodes[~halved], float(_SPACING_M[level])))
+            nodes = _next_lattice(nodes[halved], level)
+        return self._inside([places for places in kept if places is not None])
+
+    def _fill(self, seen: "_Seen", nodes: Int64Array) -> None:
+        """Render what has not been rendered of nodes (N, 2)."""
+        left = nodes[seen.row(nodes) == _UNSEEN]
+        easting, northing = seen.position_m(left)
+        stands = ~np.isnan(self._terrain.height_at(easting, northing))
+        seen.bar(left[~stands])
+        if stands.any():
+            eyes = stand_on(self._terrain, easting[stands], northing[stands], self._eye_height_m)
+            seen.add(left[stands], self._look(eyes))
+
+    def _pays(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:
+        """Return at which of nodes (N, 2) a denser lattice pays."""
+        if level == _LEVELS - 1:
+            return np.zeros(len(nodes), dtype=bool)
+        cost = seen.lost_around(nodes, level) + self._price * _DENSITY
+        denser = cost[:, level + 1 :].min(axis=1) < cost[:, level]
+        return np.where(np.isnan(cost[:, 0]), level < _BLIND_LEVEL, denser)
+
+    def _in_reach(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:
+        """Return which of nodes (N, 2) have the square that they are of meet the area."""
+        side = _side(level)
+        west, south = seen.position_m(nodes - nodes % side)
+        reach_m = side * _FINEST_M
+        area = self._area
+        return np.asarray(
+            (west <= area[2])
+            & (west + reach_m > area[0])
+            & (south <= area[3])
+            & (south + reach_m > area[1])
+        )
+
+    def _inside(self, parts: list[Places]) -> Places | None:
+        """Return those of places that lie in the area, in order."""
+        if not parts:
+            return None
+        places = Places.concatenate(parts)
+        west, south, east, north = self._area
+        order = np.lexsort((places.easting_m, -places.northing_m))
+        east_m, north_m = places.easting_m[order], places.northing_m[order]
+        order = order[(east_m >= west) & (east_m <= east) & (north_m >= south) & (north_m <= north)]
+        return places[order] if len(order) else None
+
+
+class _Seen:
+    """What has been rendered in a block and round about, by its place on the finest lattice.
+
+    Nodes are columns and rows of that lattice, from the block's south-western corner.
+    """
+
+    def __init__(self, west_m: float, south_m: float) -> None:
+        self._corner_m = np.array([west_m, south_m])
+        side = (_ROOTS + 2) * _UNITS
+        self._row: Int64Array = np.full((side, side), _UNSEEN, dtype=np.int64)
+        self._places: list[Places] = []
+        self._lost: Float64Array = np.zeros((0, _LEVELS))
+
+    def row(self, nodes: Int64Array) -> Int64Array:
+        """Return which of the rendered ones nodes (N, 2) are, or why they are none."""
+        return np.asarray(self._row[nodes[:, 0] + _UNITS, nodes[:, 1] + _UNITS])
+
+    def position_m(self, nodes: Int64Array) -> tuple[Float64Array, Float64Array]:
+        """Return the eastings and northings of nodes (N, 2)."""
+        position = self._corner_m + nodes * _FINEST_M
+        return position[:, 0], position[:, 1]
+
+    def bar(self, nodes: Int64Array) -> None:
+        """Note that nobody can stand at nodes (N, 2)."""
+        self._set(nodes, _NO_SURFACE)
+
+    def add(self, nodes: Int64Array, horizons: Horizons) -> None:
+        """Note what is seen from nodes (N, 2)."""
+        self._set(nodes, len(self._lost) + np.arange(len(nodes)))
+        self._places.append(Places.of(horizons, 0.0))
+        self._lost = np.concatenate([self._lost, lost_shares(horizons.distance_m, _SPACING_M)])
+
+    def lost_around(self, nodes: Int64Array, level: int) -> Float64Array:
+        """Return what each spacing loses at nodes (N, 2) and their neighbours, on average.
+
+        Shape (N, levels); NaN where nothing is known of either.
+        """
+        if not len(self._lost):
+            return np.full((len(nodes), _LEVELS), np.nan)
+        side = _side(level)
+        steps = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]) * side
+        if level % 2:
+            steps = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)]) * (side // 2)
+        around = nodes[:, None] + np.concatenate([np.zeros((1, 2), np.int64), steps])
+        row = self.row(around.reshape(-1, 2)).reshape(len(nodes), -1)
+        known = (row >= 0)[..., None]
+        total = np.where(known, self._lost[row], 0.0).sum(axis=1)
+        number = known.sum(axis=1)
+        return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+
+    def places(self, nodes: Int64Array, spacing_m: float) -> Places | None:
+        """Return the places at nodes (N, 2), of a lattice of a spacing; None without any."""
+        row = self.row(nodes)
+        row = row[row >= 0]
+        if not len(row):
+            return None
+        self._places = [Places.concatenate(self._places)]
+        half_m = np.full(len(row), spacing_m / 2.0, dtype=np.float32)
+        return replace(self._places[0][row], tolerance_m=half_m)
+
+    def _set(self, nodes: Int64Array, row: int | Int64Array) -> None:
+        self._row[nodes[:, 0] + _UNITS, nodes[:, 1] + _UNITS] = row
+
+
+def _side(level: int) -> int:
+    """Return the side of the squares that a level's places lie at, in finest spacings.
+
+    Those of an even level lie at their corners; an odd level has one in the middle of each too.
+    """
+    return _UNITS >> level // 2
+
+
+def _lattice_of_roots(first: int, number: int) -> Int64Array:
+    """Return the nodes of the coarsest lattice, a number of them a side, shape (N, 2)."""
+    at = np.arange(first, first + number) * _UNITS
+    return np.stack(np.meshgrid(at, at), axis=2).reshape(-1, 2)
+
+
+def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
+    """Return nodes (N, 2) of a level, each with the one that the next level has beside it."""
+    half = _side(level) // 2
+    beside = nodes + half
+    if level % 2:
+        # From the corner to the middle of a side, and from the middle to that of the other.
+        step = np.where(nodes[:, 0] % _side(level) == 0, half, -half)
+        beside = nodes + np.stack([step, np.zeros_like(step)], axis=1)
+    return np.concatenate([nodes, beside])
