@@ -59,7 +59,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Photographs": {
         photo_quality: "5 minutes",
         sky_masks: "a minute",
-        train_sky_model: "an hour",
+        train_sky_model: "hours",
         photo: "5 minutes",
         readme_picture: "a minute",
     },

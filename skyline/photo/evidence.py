@@ -24,6 +24,9 @@ _MULTIPLE_PX = 32
 _WORK_PIXELS = 400_000
 """Photos are reduced to this for their edges and for the path along them."""
 
+_LEVELS = (1.0, 99.0)
+"""Percentiles of a channel that become its darkest and its brightest."""
+
 _LEAST_LOG_SHARE = -10.0
 """Below it a row is as unlikely as any: what the network has never seen must not decide alone."""
 _ODDS_WEIGHT = 0.25
@@ -98,6 +101,13 @@ def _network() -> cv2.dnn.Net:
     return cv2.dnn.readNetFromONNX(np.frombuffer(gzip.decompress(packed), dtype=np.uint8))
 
 
+def levelled(rgb: UInt8Array) -> Float32Array:
+    """Return (H, W, 3) from -1 to 1, each channel over its own range: without a photo's tint."""
+    low, high = np.percentile(rgb.reshape(-1, 3), _LEVELS, axis=0).astype(np.float32)
+    share = (rgb - low) / np.maximum(high - low, np.float32(1.0))
+    return np.asarray(2.0 * np.clip(share, 0.0, 1.0) - 1.0, dtype=np.float32)
+
+
 def _network_odds(photo: UInt8Array) -> Float32Array:
     """Return log-odds, (h', w'), of each column's skyline running there against it having none."""
     height, width = photo.shape[:2]
@@ -105,7 +115,7 @@ def _network_odds(photo: UInt8Array) -> Float32Array:
     h, w = (max(1, round(side * shrink / _MULTIPLE_PX)) * _MULTIPLE_PX for side in (height, width))
     small = cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA)
     picture = np.empty((1, 4, h, w), dtype=np.float32)
-    picture[0, :3] = small.transpose(2, 0, 1) / np.float32(127.5) - np.float32(1.0)
+    picture[0, :3] = levelled(np.asarray(small, dtype=np.uint8)).transpose(2, 0, 1)
     picture[0, 3] = np.linspace(-1.0, 1.0, h, dtype=np.float32)[:, np.newaxis]
     with _network_lock:
         _network().setInput(picture)

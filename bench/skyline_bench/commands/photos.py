@@ -63,8 +63,8 @@ def train_sky_model(
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="FILE", help="The model, ONNX zipped.")
     ],
-    photos: Annotated[int, typer.Option(help="Photographs to draw.")] = 1800,
-    steps: Annotated[int, typer.Option(help="Batches of 16 to train on.")] = 1900,
+    photos: Annotated[int, typer.Option(help="Photographs to draw.")] = 4000,
+    steps: Annotated[int, typer.Option(help="Batches of 16 to train on.")] = 3000,
     seed: Seed = 1,
     quick: Quick = False,
 ) -> None:

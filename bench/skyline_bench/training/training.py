@@ -16,6 +16,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from skyline.arrays import Float32Array, UInt8Array
 from skyline.files import write_whole
+from skyline.photo.evidence import levelled
 from skyline.pipeline import Progress
 from skyline_bench.training.photographs import TrainingPhoto
 from skyline_bench.training.sky_net import INPUTS, SkyNet
@@ -68,15 +69,15 @@ def _batch(photos: Sequence[TrainingPhoto], rng: np.random.Generator) -> tuple[T
     shape = _SHAPES[rng.choice(len(_SHAPES), p=_SHAPE_SHARES)]
     cuts = [_cut(photos[int(i)], shape, rng) for i in rng.integers(0, len(photos), _BATCH)]
     image, label, row = (np.stack(parts) for parts in zip(*cuts, strict=True))
-    light = torch.from_numpy(image.transpose(0, 3, 1, 2)).float() / 255.0
+    light = torch.from_numpy(image.transpose(0, 3, 1, 2).copy())
     down = torch.linspace(-1, 1, shape[0]).view(1, 1, -1, 1).expand(_BATCH, 1, *shape)
-    picture = torch.cat([2.0 * light - 1.0, down], 1).contiguous(memory_format=torch.channels_last)
+    picture = torch.cat([light, down], 1).contiguous(memory_format=torch.channels_last)
     return picture, torch.from_numpy(label[:, ::2, ::2].copy()).long(), torch.from_numpy(row)
 
 
 def _cut(
     photo: TrainingPhoto, shape: tuple[int, int], rng: np.random.Generator
-) -> tuple[UInt8Array, UInt8Array, Float32Array]:
+) -> tuple[Float32Array, UInt8Array, Float32Array]:
     """Return a rectangle of a photograph at another size, mirrored half of the times."""
     height, width = photo.label.shape
     share = rng.uniform(0.7, 1.0)
@@ -93,7 +94,11 @@ def _cut(
     row = (photo.row_px[across] - top) * np.float32(shape[0] / h)
     if rng.random() < 0.5:
         image, label, row = image[:, ::-1], label[:, ::-1], row[::-1]
-    return np.asarray(image, np.uint8), np.asarray(label, np.uint8), np.asarray(row, np.float32)
+    return (
+        levelled(np.asarray(image, dtype=np.uint8)),
+        np.asarray(label, dtype=np.uint8),
+        np.asarray(row, dtype=np.float32),
+    )
 
 
 def _tones(rng: np.random.Generator) -> UInt8Array:
