@@ -14,6 +14,8 @@ from skyline_bench.training.covers import GROUND, SKY, dark, put_in_front
 from skyline_bench.training.landscapes import draw_landscape, draw_sky, fractal
 
 _SIZE_PX = (400, 304)
+_FAR_RIDGES_CHANCE = 0.2
+"""Of pale ridges behind the mountains."""
 _NEAR_SLOPE_CHANCE = 0.5
 """Of a dark slope before the mountains: it must not be taken for the skyline."""
 _LEAST_CONTRAST = 2.5
@@ -72,6 +74,8 @@ def draw_training_photo(seed: tuple[int, ...], width: int, height: int) -> Train
         label = land.is_ground.astype(np.uint8)
         inside = (land.row_px > 1) & (land.row_px < height - 1)
         row = np.where(inside, land.row_px, row)
+    if kind != "ground" and rng.random() < _FAR_RIDGES_CHANCE:
+        row = _far_ridges(rng, picture, label, row, haze)
     if rng.random() < _NEAR_SLOPE_CHANCE:
         row = _near_slope(rng, picture, label, row, haze)
     if rng.random() < 0.12:
@@ -97,6 +101,31 @@ def _seen(row: Float32Array, label: UInt8Array, image: UInt8Array) -> Float32Arr
     apart = ndimage.median_filter(np.abs(step).max(axis=1), 9) > _LEAST_CONTRAST
     free = apart & (above == SKY) & (below == GROUND)
     return np.asarray(np.where(free, row, np.nan), dtype=np.float32)
+
+
+def _far_ridges(
+    rng: np.random.Generator,
+    picture: Float32Array,
+    label: UInt8Array,
+    row: Float32Array,
+    haze: Float32Array,
+) -> Float32Array:
+    """Put pale ridges behind the mountains, one before another; return the skyline of all."""
+    height, width = label.shape
+    known = row[np.isfinite(row)]
+    line = float(np.median(known)) if known.size else 0.5 * height
+    rows = np.arange(height)[:, np.newaxis] + 0.5
+    free = label == SKY
+    dark_rgb = haze * rng.uniform(0.2, 0.8) + rng.normal(0.0, 6.0, 3)
+    for left in np.sort(rng.uniform(0.06, 0.7, rng.integers(1, 4))):
+        swing = rng.uniform(0.01, 0.08) * height
+        ridge = line + swing * fractal(rng, (1, width), rng.uniform(1.3, 2.0), 1.0, width / 2)[0]
+        share = np.clip(rows - ridge, 0.0, 1.0) * free
+        picture += share[..., np.newaxis] * (haze + left * (dark_rgb - haze) - picture)
+        label[share > 0.5] = GROUND
+        row = np.fmin(row, np.where((ridge > 1) & (ridge < height - 1), ridge, np.nan))
+        line += rng.uniform(0.0, 0.08) * height
+    return np.asarray(row, dtype=np.float32)
 
 
 def _near_slope(
