@@ -1,6 +1,6 @@
 """Training photographs: landscapes with what stands in front and what the camera made of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -10,10 +10,13 @@ from skyline.arrays import Float32Array, UInt8Array
 from skyline.pipeline import Progress
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.measuring.workers import crew
-from skyline_bench.training.covers import GROUND, SKY, dark, put_in_front
+from skyline_bench.queries.drawn_photos import CONDITIONS, draw_recipe
+from skyline_bench.training.covers import GROUND, SKY, UNKNOWN, dark, put_in_front
 from skyline_bench.training.landscapes import draw_landscape, draw_sky, fractal
 
 _SIZE_PX = (400, 304)
+_PLAIN_EVERY = 8
+"""One photograph of so many is drawn in another way: no way of drawing is like the world."""
 _FAR_RIDGES_CHANCE = 0.2
 """Of pale ridges behind the mountains."""
 _NEAR_SLOPE_CHANCE = 0.5
@@ -50,7 +53,20 @@ def draw_training_photos(count: int, seed: int, progress: Progress) -> list[Trai
 
 
 def _drawn(seed: int, index: int) -> TrainingPhoto:
+    if index % _PLAIN_EVERY == 0:
+        return _plain_photo((seed, index))
     return draw_training_photo((seed, index), *_SIZE_PX)
+
+
+def _plain_photo(seed: tuple[int, ...]) -> TrainingPhoto:
+    """Draw one photograph in the other, plainer way, whose pixels have no labels."""
+    rng = np.random.default_rng([11, *seed])
+    recipe = CONDITIONS[str(rng.choice(list(CONDITIONS)))]
+    photo = draw_recipe(rng, replace(recipe, size_px=_SIZE_PX))
+    label = np.full(photo.image.shape[:2], UNKNOWN, dtype=np.uint8)
+    # Rows of drawn photos count pixel centres.
+    row = np.where(photo.visible, photo.row_px + 0.5, np.nan)
+    return TrainingPhoto(photo.image, label, np.asarray(row, dtype=np.float32))
 
 
 def draw_training_photo(seed: tuple[int, ...], width: int, height: int) -> TrainingPhoto:

@@ -18,6 +18,7 @@ from skyline.arrays import Float32Array, UInt8Array
 from skyline.files import write_whole
 from skyline.photo.evidence import levelled
 from skyline.pipeline import Progress
+from skyline_bench.training.covers import UNKNOWN
 from skyline_bench.training.photographs import TrainingPhoto
 from skyline_bench.training.sky_net import INPUTS, SkyNet
 
@@ -120,7 +121,7 @@ def _step(
         scores = net(picture)
     scores = scores.float()
     skyline = _skyline_loss(scores[:, 0], row / 2.0)
-    labels = functional.cross_entropy(scores[:, 1:], label)
+    labels = functional.cross_entropy(scores[:, 1:], label, ignore_index=UNKNOWN)
     (skyline + _SEGMENTATION_WEIGHT * labels).backward()
     nn.utils.clip_grad_norm_(net.parameters(), 1.0)
     optimizer.step()
