@@ -27,9 +27,10 @@ from skyline.pipeline import (
     build_places,
     build_uniform,
     save_depth_pictures,
+    save_panorama,
 )
 from skyline.render.depth import DepthRenderer
-from skyline.report import Found, save_map, save_panorama
+from skyline.report import Found, save_map
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
@@ -38,9 +39,8 @@ from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.sample import write_sample_dem
 
 BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
-PLACES_M = 120.0
 RENDERINGS_M = 400.0
-"""How far apart the eyes of the two stores are."""
+"""How far apart the eyes of the renderings are."""
 QUERIES = 5
 SEED = 2014
 FOCAL_LENGTH_35MM = 31
@@ -71,7 +71,7 @@ def main() -> None:
     places, renderings = out / "places.h5", out / "renderings.h5"
     for store in (places, renderings):
         store.unlink(missing_ok=True)
-    built = build_places(terrain, places, PLACES_M, BOUNDS_DEG)
+    built = build_places(terrain, places, bounds_deg=BOUNDS_DEG)
     console.print(f"{built.rows} places in {built.seconds:.0f} s -> {places}")
     built = build_uniform(terrain, renderings, RENDERINGS_M, BOUNDS_DEG)
     console.print(f"{built.rows} renderings in {built.seconds:.0f} s -> {renderings}")
@@ -130,10 +130,8 @@ def draw(
     """Save depth images, the panorama and the map."""
     first = stand_on(terrain, queries[0].easting_m, queries[0].northing_m)
     save_depth_pictures(terrain, first, out / "depth", RenderConfig())
-    with DepthRenderer(terrain) as renderer:
-        views = renderer.render(first)
-    convergence = float(terrain.frame.convergence_deg(first.easting_m, first.northing_m)[0])
-    save_panorama(views, convergence, out / "panorama.png")
+    lon, lat = terrain.frame.to_lonlat(first.easting_m, first.northing_m)
+    save_panorama(terrain, float(lon[0]), float(lat[0]), out / "panorama.png")
     found = []
     for query, result in zip(queries, results, strict=True):
         answer = result.answer
@@ -151,11 +149,7 @@ def draw(
 
 def table_of(matcher: str, queries: list[Query], results: list[MatchResult]) -> Table:
     """Say where each picture was put and how far off that is."""
-    searched = (
-        f"places {PLACES_M:.0f} m apart"
-        if matcher == FULL
-        else f"renderings {RENDERINGS_M:.0f} m apart"
-    )
+    searched = "places" if matcher == FULL else f"renderings {RENDERINGS_M:.0f} m apart"
     table = Table(title=f"{len(queries)} pictures, {searched}, matcher: {matcher}")
     for name in ("query", "put at (E, N)", "off by", "heading", "off by", "sure", "seconds"):
         table.add_column(name, justify="right")

@@ -7,7 +7,7 @@
 #define PRECISE
 #include "horizon_march.glsl"
 
-uniform sampler2D eyes;           // two texels an eye: nearest, offset; offset_low, elevation_m
+uniform sampler2D eyes;           // three texels an eye, as struct Eye: the last is half empty
 uniform int first_row;            // of the target, the first eye's
 uniform sampler2D known;          // v and depth so far
 uniform usampler2D known_flags;
@@ -21,7 +21,8 @@ void main() {
     ivec2 here = ivec2(gl_FragCoord.xy);
     vec4 first = texelFetch(eyes, ivec2(0, here.y - first_row), 0);
     vec4 second = texelFetch(eyes, ivec2(1, here.y - first_row), 0);
-    face(Eye(ivec2(first.xy), first.zw, second.xy, second.zw));
+    vec4 third = texelFetch(eyes, ivec2(2, here.y - first_row), 0);
+    face(Eye(ivec2(first.xy), first.zw, second.xy, second.zw, third.xy));
     skyline = texelFetch(known, here, 0).xy;
     flags = texelFetch(known_flags, here, 0).x;
     int s_first, s_last, bin;

@@ -20,6 +20,7 @@ struct Eye {
     vec2 offset;       // eye minus that sample, cells south and east, each in [-0.5, 0.5]
     vec2 offset_low;   // what float32 left of it
     vec2 elevation_m;  // high and low part
+    vec2 turn_tan;     // tangent of the angle by which all columns are turned clockwise, in two parts
 };
 
 uniform sampler2D heights_m;      // the window's samples with an apron of one; holes HOLE_M
@@ -56,6 +57,7 @@ const int SIGN = FORWARD ? 1 : -1;
 int ip, iw;                        // the eye's sample
 REAL fp, fw, fd;                   // its offset, and where it stands among the diagonals
 float eye_high_m, eye_low_m;
+REAL turn_tan;
 float metres_per_strip, metres_across;
 vec3 sag_m;                        // drop of an edge's middle under its chord: row, lateral, diagonal
 int w_first, w_last;               // cells of the window, relative to iw
@@ -81,6 +83,7 @@ void face(Eye eye) {
     if (ALONG_COLUMNS) fd = -fd;
     eye_high_m = eye.elevation_m.x;
     eye_low_m = eye.elevation_m.y;
+    turn_tan = REAL(eye.turn_tan.x) + REAL(eye.turn_tan.y);
     metres_per_strip = ALONG_COLUMNS ? spacing_m.x : spacing_m.y;
     metres_across = ALONG_COLUMNS ? spacing_m.y : spacing_m.x;
     float along2 = metres_per_strip * metres_per_strip, across2 = metres_across * metres_across;
@@ -95,8 +98,10 @@ void face(Eye eye) {
 // Aim at column q; bin is that of its slope.
 void aim(int q, out int bin) {
     vec3 own = texelFetch(aims, ivec2(min(q, width - 1), 0), 0).xyz;
-    REAL u = REAL(own.x) + REAL(own.y);
-    tolerance = own.z;
+    REAL unturned = REAL(own.x) + REAL(own.y), shrunk = REAL(1) - unturned * turn_tan;
+    REAL u = clamp((unturned + turn_tan) / shrunk, REAL(-1), REAL(1));
+    // Of an angle: it grows with the inverse cosine of the column's azimuth.
+    tolerance = own.z * sqrt(float(REAL(1) + turn_tan * turn_tan)) / float(shrunk);
     k = REAL(HEADING < 2 ? 1 : -1) * u * REAL(metres_per_strip) / REAL(metres_across);
     rate = k - REAL(SIGN);
     inverse_k = REAL(1) / k;

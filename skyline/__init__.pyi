@@ -31,7 +31,9 @@ from .photo import (
 )
 from .pipeline.build import BuildResult, build_uniform, render_to_store, render_views
 from .pipeline.config import RenderConfig
+from .pipeline.local_horizons import horizon
 from .pipeline.match import Matcher, MatchResult
+from .pipeline.panorama import PanoramaConfig, save_panorama
 from .pipeline.places import PlaceConfig, build_places
 from .pipeline.reports import report_matches
 from .pipeline.tables import to_geodataframe
@@ -43,6 +45,7 @@ from .report.located import write_located
 from .report.matched import Matched
 from .report.peaks import Peaks, read_peaks
 from .report.tiles import ReliefTiles
+from .solar import LocalHorizons, sky_view_factor
 from .store import Locations, PlaceMap, RowCoding, Store, StoreHeader, open_store
 from .terrain.dem import DemOptions, read_dem
 from .terrain.heightfield import HeightField, Provenance
@@ -65,6 +68,7 @@ __all__ = [
     "FullConfig",
     "HeightField",
     "InputError",
+    "LocalHorizons",
     "Locations",
     "MatchConfig",
     "MatchResult",
@@ -74,6 +78,7 @@ __all__ = [
     "Narrowing",
     "NotedPlace",
     "OffMapError",
+    "PanoramaConfig",
     "Peaks",
     "Photo",
     "PlaceConfig",
@@ -103,6 +108,7 @@ __all__ = [
     "build_places",
     "build_uniform",
     "export_matches",
+    "horizon",
     "open_store",
     "read_dem",
     "read_peaks",
@@ -112,6 +118,8 @@ __all__ = [
     "render_to_store",
     "render_views",
     "report_matches",
+    "save_panorama",
+    "sky_view_factor",
     "stand_on",
     "to_geodataframe",
     "write_located",

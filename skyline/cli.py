@@ -1,4 +1,4 @@
-"""The command line: ``skyline render build match extract serve info explain store dem`` ."""
+"""The command line: ``skyline COMMAND``."""
 
 import json
 from collections.abc import Mapping
@@ -8,8 +8,13 @@ from typing import Annotated
 
 import typer
 
-from skyline import dem_cli, page_cli, photo_cli, report
+from skyline import dem_cli, horizon_cli, page_cli, panorama_cli, photo_cli, report
 from skyline.console import (
+    Crs,
+    Dems,
+    NoCurvature,
+    RefractionK,
+    Reproject,
     Scheduler,
     Workers,
     command_line,
@@ -45,10 +50,12 @@ from skyline.pipeline import (
 from skyline.pipeline.config import ROWS
 from skyline.pipeline.places import DEFAULT_LOSS
 from skyline.pipeline.shards import DEFAULT_TILE_M
+from skyline.places import Places
 from skyline.planning.uniform import uniform_grid
-from skyline.store import is_store
+from skyline.store import is_store, open_store
 from skyline.store_cli import store_app
 from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoint_csv import read_viewpoints
 from skyline.terrain.viewpoints import stand_on
 
@@ -59,22 +66,11 @@ app = command_line("skyline", "A photo of mountains in, a place on the map out."
 app.add_typer(dem_cli.app)
 app.add_typer(store_app, name="store")
 
-Dems = Annotated[
-    list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
-]
 Output = Annotated[Path, typer.Option("--output", "-o", help="The store to write (HDF5).")]
 Width = Annotated[int, typer.Option(help="Columns of a 90 degree view.")]
 Tolerance = Annotated[
     float,
     typer.Option("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact."),
-]
-RefractionK = Annotated[float, typer.Option("--k", help="Refraction coefficient.")]
-NoCurvature = Annotated[bool, typer.Option("--no-curvature", help="Take the Earth as flat.")]
-Crs = Annotated[
-    str | None, typer.Option(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")
-]
-Reproject = Annotated[
-    bool, typer.Option("--reproject", help="Warp a DEM whose CRS is not conformal.")
 ]
 Bounds = Annotated[
     str | None, typer.Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
@@ -165,11 +161,11 @@ def build(
             f"chooses their viewpoints: uniform, {', '.join(STRATEGIES)}."
         ),
     ] = None,
-    pitch: Annotated[
+    candidate_spacing: Annotated[
         float | None,
         typer.Option(
             help="Planner: metres between candidates.",
-            show_default=f"{_PLANNED.spacing.pitch_m:g}",
+            show_default=f"{_PLANNED.spacing.candidate_m:g}",
         ),
     ] = None,
     threshold_px: Annotated[
@@ -200,7 +196,10 @@ def build(
     coverage_map: Annotated[
         Path | None,
         typer.Option(
-            "--map", metavar="PNG", help="Planner: draw a map of viewpoints and their areas."
+            "--map",
+            metavar="PNG",
+            help="Draw a map of the places and how far apart they lie; with a planner, of "
+            "viewpoints and their areas.",
         ),
     ] = None,
     width: Annotated[
@@ -231,12 +230,11 @@ def build(
     tiled = (shard_km, workers, scheduler) != (None, None, None)
     tile_m = DEFAULT_TILE_M if shard_km is None else 1000.0 * shard_km
     only_planned: dict[str, object] = {
-        "--pitch": pitch,
+        "--candidate-spacing": candidate_spacing,
         "--threshold-px": threshold_px,
         "--coverage": coverage,
         "--budget": budget,
         "--seed": seed,
-        "--map": coverage_map,
     }
     only_rendered: dict[str, object] = {
         "--width": width,
@@ -246,11 +244,8 @@ def build(
     if planner is None:
         _refuse_given(only_planned | only_rendered, "a store of renderings; give --planner too")
         places = PlaceConfig(curvature=_curvature(k, no_curvature))
-        if spacing is not None and loss is not None:
-            raise InputError(
-                f"--spacing {spacing:g} asks for a uniform grid, --loss {loss:g} for places that "
-                "are planned; give one of them"
-            )
+        if spacing is not None:
+            _refuse_given({"--loss": loss}, f"planned places, --spacing {spacing:g} for a grid")
         share = DEFAULT_LOSS if loss is None else loss
         with runner_of(workers, scheduler) as runner, progress_bar("rendering") as progress:
             terrain = read_dem(dem, dem_options)
@@ -262,9 +257,10 @@ def build(
                     terrain, output, spacing, corners, places, progress, loss=share
                 )
         _say_built(result, output, "places")
+        if coverage_map is not None:
+            _draw_places(terrain, output, coverage_map)
         return
-    if loss is not None:
-        raise InputError(f"--loss {loss:g} is for places; leave out --planner {planner}")
+    _refuse_given({"--loss": loss}, f"places; leave out --planner {planner}")
     if planner != "uniform" and planner not in STRATEGIES:
         raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
     config = replace(
@@ -278,6 +274,7 @@ def build(
     )
     coarse_m = _PLANNED.spacing.coarse_m if spacing is None else spacing
     if planner == "uniform":
+        only_planned["--map"] = coverage_map
         _refuse_given(only_planned, "a planner that chooses viewpoints; uniform does not choose")
         with runner_of(workers, scheduler) as runner, progress_bar("rendering") as progress:
             terrain = read_dem(dem, dem_options)
@@ -292,10 +289,10 @@ def build(
         raise InputError(
             f"planner {planner} plans one area as a whole; tiles and workers are for uniform grids"
         )
-    pitch_m = _PLANNED.spacing.pitch_m if pitch is None else pitch
+    candidate_m = _PLANNED.spacing.candidate_m if candidate_spacing is None else candidate_spacing
     planned = PlanConfig(
         planner,
-        replace(_PLANNED.spacing, coarse_m=coarse_m, pitch_m=pitch_m),
+        replace(_PLANNED.spacing, coarse_m=coarse_m, candidate_m=candidate_m),
         _PLANNED.threshold_px if threshold_px is None else threshold_px,
         _PLANNED.coverage if coverage is None else coverage,
         seed=_PLANNED.seed if seed is None else seed,
@@ -319,6 +316,12 @@ def build(
         report.save_coverage_map(done.plan, coverage_map)
 
 
+def _draw_places(terrain: HeightField, store: Path, path: Path) -> None:
+    with open_store(store) as opened:
+        places = Places.concatenate(list(opened.places().blocks()))
+    report.save_place_map(terrain, places, path)
+
+
 def _refuse_given(options: Mapping[str, object], why: str) -> None:
     """Raise `InputError` where one of some options was given."""
     for name, value in options.items():
@@ -329,6 +332,10 @@ def _refuse_given(options: Mapping[str, object], why: str) -> None:
 app.command()(photo_cli.match)
 app.command()(photo_cli.extract)
 app.command()(page_cli.serve)
+app.command()(horizon_cli.horizon)
+app.command()(horizon_cli.sun)
+app.command()(panorama_cli.panorama)
+app.command()(panorama_cli.peaks)
 
 
 @app.command()

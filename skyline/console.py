@@ -32,6 +32,18 @@ Scheduler = Annotated[
     ),
 ]
 
+Dems = Annotated[
+    list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
+]
+RefractionK = Annotated[float, typer.Option("--k", help="Refraction coefficient.")]
+NoCurvature = Annotated[bool, typer.Option("--no-curvature", help="Take the Earth as flat.")]
+Crs = Annotated[
+    str | None, typer.Option(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")
+]
+Reproject = Annotated[
+    bool, typer.Option("--reproject", help="Warp a DEM whose CRS is not conformal.")
+]
+
 
 def command_line(name: str, about: str) -> typer.Typer:
     """Return a command line that says, without a command, its help or the version.
@@ -127,6 +139,19 @@ def parse_bounds(text: str) -> tuple[float, float, float, float]:
             f"bounds are `{text}`; expected four numbers W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
         ) from error
     return west, south, east, north
+
+
+def parse_place(text: str) -> tuple[float, float]:
+    """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
+    try:
+        lon, lat = (float(part) for part in text.split(","))
+    except ValueError:
+        lon = lat = float("nan")
+    if not (-180.0 <= lon <= 360.0 and -90.0 <= lat <= 90.0):
+        raise InputError(
+            f"the place is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
+        )
+    return lon, lat
 
 
 def complain(message: str) -> None:

@@ -8,6 +8,7 @@ from skyline.pipeline import MatchResult, RenderConfig
 from skyline.render.context import describe_context
 from skyline.report.records import MatchRecord, describe_candidates
 from skyline.store import StoreHeader, open_store
+from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.products import model_of
 from skyline.terrain.scene import SceneNeeds
@@ -127,6 +128,11 @@ def describe_store(path: str) -> Facts:
         if store.committed:
             lon, lat = frame.to_lonlat(eyes.easting_m, eyes.northing_m)
             facts["locations"] = len(np.unique(eyes.easting_m + 1j * eyes.northing_m))
+            if header.holds == PLACES:
+                spacing_m = 2.0 * np.concatenate(
+                    [block.tolerance_m for block in store.places().blocks()]
+                )
+                facts["spacing_m"] = [float(v) for v in np.quantile(spacing_m, [0.0, 0.5, 1.0])]
             facts["bounds_deg"] = [float(v) for v in (lon.min(), lat.min(), lon.max(), lat.max())]
         return facts
 

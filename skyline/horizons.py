@@ -37,7 +37,7 @@ def quadrant_azimuths_rad(bins: int) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Horizons(Rows):
-    """The skylines of N eyes in B bins of azimuth; see `bin_azimuths_rad`.
+    """The skylines of N eyes in B bins of azimuth, `bin_azimuths_rad` unless other were asked for.
 
     Attributes
     ----------

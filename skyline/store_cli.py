@@ -1,4 +1,4 @@
-"""``skyline store check repair merge compact``: looking after stores."""
+"""``skyline store check repair merge compact export``: looking after stores."""
 
 import json
 from dataclasses import asdict
@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from skyline.errors import InputError
+from skyline.report.geopackage import write_geopackage
 from skyline.store import (
     CopyReport,
     RowCoding,
@@ -21,7 +22,9 @@ from skyline.store.header import RENDERINGS, check_holds
 
 _DAMAGED = 2
 
-store_app = typer.Typer(help="Check, repair, merge and compact stores.", no_args_is_help=True)
+store_app = typer.Typer(
+    help="Check, repair, merge, compact and export stores.", no_args_is_help=True
+)
 
 StoreFile = Annotated[Path, typer.Argument(metavar="STORE")]
 NewStore = Annotated[Path, typer.Option("--output", "-o", help="The new store; must not exist.")]
@@ -92,6 +95,19 @@ def compact(
             check_holds(store, opened.header, RENDERINGS)
             coding = RowCoding.within(opened.header.width, tan_error_px, depth_error)
     _say_copied(compact_store(store, output, coding), output)
+
+
+@store_app.command()
+def export(
+    store: StoreFile,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FILE.gpkg", help="The GeoPackage to write.")
+    ],
+) -> None:
+    """Write where the places are as a GeoPackage, for QGIS, with its style (extra `geo`)."""
+    with open_store(store) as opened:
+        count = write_geopackage(opened, output)
+    typer.echo(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
 
 
 def _say_copied(report: CopyReport, path: Path) -> None:

@@ -19,6 +19,7 @@ from skyline_bench.commands.planning import prediction_quality, table1
 from skyline_bench.commands.scale import scale
 from skyline_bench.commands.search import accuracy_time, calibrate, retrieval_scale, strangers
 from skyline_bench.commands.skylines import (
+    horizon,
     large_dem,
     pipeline_speed,
     place_speed,
@@ -33,6 +34,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         speed_error: "10 minutes",
         stability: "5 minutes",
         place_speed: "a minute",
+        horizon: "3 minutes",
         summits: "a minute",
         large_dem: "2 minutes",
         pipeline_speed: "a minute",

@@ -12,19 +12,23 @@ from skyline.pipeline.build import (
 )
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
+from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizon, horizons_of
 from skyline.pipeline.match import Matcher, MatchResult
 from skyline.pipeline.matchers import FULL, MATCHERS
+from skyline.pipeline.panorama import PanoramaConfig, save_panorama
 from skyline.pipeline.places import PlaceConfig, build_places
 from skyline.pipeline.planned import PlannedResult, build_planned
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.shards import ShardPlan, build_sharded
 
 __all__ = [
+    "DEFAULT_STEP_DEG",
     "FULL",
     "MATCHERS",
     "BuildResult",
     "MatchResult",
     "Matcher",
+    "PanoramaConfig",
     "PlaceConfig",
     "PlannedResult",
     "Progress",
@@ -36,6 +40,8 @@ __all__ = [
     "build_sharded",
     "build_uniform",
     "explain_scene",
+    "horizon",
+    "horizons_of",
     "local_runner",
     "match_many",
     "matched",
@@ -44,4 +50,5 @@ __all__ = [
     "render_views",
     "report_matches",
     "save_depth_pictures",
+    "save_panorama",
 ]

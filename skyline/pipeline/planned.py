@@ -128,8 +128,8 @@ def _oracles(
     terrain: HeightField, planned: PlanConfig, render: Callable[[Viewpoints, Headings], Views]
 ) -> Oracles:
     spacing = planned.spacing
-    size = 2 * int(spacing.reach_m // spacing.pitch_m) + 1
-    around = Neighbourhood(size, spacing.pitch_m)
+    size = 2 * int(spacing.reach_m // spacing.candidate_m) + 1
+    around = Neighbourhood(size, spacing.candidate_m)
     meter = ToleranceMeter(terrain.height_at, around, eye_height_m=planned.eye_height_m)
     # ROV computes the areas of candidates; the others interpolate them.
     return Oracles(render, meter, predict if planned.strategy == "rov" else None)

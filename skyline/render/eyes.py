@@ -28,6 +28,8 @@ class Eyes:
     viewpoints : Viewpoints
         The N eyes as given.
     heading : (N,) uint8
+    turn_rad : (N,) float64
+        By how much all columns of an eye are turned clockwise.
     """
 
     def __init__(
@@ -36,6 +38,7 @@ class Eyes:
         viewpoints: Viewpoints,
         heading: NDArray[np.uint8],
         near_error: float,
+        turn_rad: Float64Array,
     ) -> None:
         self.viewpoints, self.heading = viewpoints, heading
         self._spacing_m = np.array([field.spacing_north_m, field.spacing_east_m])
@@ -45,6 +48,7 @@ class Eyes:
         row, col = field.to_grid(viewpoints.easting_m, viewpoints.northing_m)
         self._place = np.stack([row, col], axis=-1)[self._order]
         self._elevation_m = viewpoints.eye_elevation_m[self._order]
+        self._turn_tan = np.tan(turn_rad)[self._order]
 
     def __len__(self) -> int:
         return len(self.heading)
@@ -72,6 +76,7 @@ class Eyes:
         eyes["offset"], eyes["offset_low"] = split_float(self._place - nearest)
         high, low = split_float(self._elevation_m)
         eyes["elevation_m"] = np.stack([high, low], axis=-1)
+        eyes["turn_tan"] = np.stack(split_float(self._turn_tan), axis=-1)
         return eyes
 
     def nearest_first(self, windows: list[Window]) -> list[Window]:

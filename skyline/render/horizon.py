@@ -105,9 +105,11 @@ class ColumnRenderer:
         self.release()
 
     def _batches(
-        self, viewpoints: Viewpoints, heading: NDArray[np.uint8]
+        self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
     ) -> Iterator[tuple[slice, Results]]:
         """Render in batches that fit the GPU; where one does not, in halves of it.
+
+        ``turn_rad`` (N,) turns the columns of an eye clockwise; none may leave its view.
 
         Yields which views, and their skylines in order. Without data elevation_tan and depth_m are
         NaN, and skylines flagged.
@@ -116,7 +118,7 @@ class ColumnRenderer:
         while start < len(viewpoints):
             part = slice(start, min(start + self._max_views, len(viewpoints)))
             try:
-                rows = self._batch(viewpoints[part], heading[part])
+                rows = self._batch(viewpoints[part], heading[part], turn_rad[part])
             except moderngl.Error as error:
                 self._halve_batch(str(error))
             else:
@@ -134,9 +136,11 @@ class ColumnRenderer:
             "out of GPU memory (%s); going on with %d views a batch", said, self._max_views
         )
 
-    def _batch(self, viewpoints: Viewpoints, heading: NDArray[np.uint8]) -> Results:
+    def _batch(
+        self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
+    ) -> Results:
         """Render one batch; see `_batches`."""
-        eyes = Eyes(self.field, viewpoints, heading, self._near_error)
+        eyes = Eyes(self.field, viewpoints, heading, self._near_error, turn_rad)
         self._marcher.begin(len(eyes))
         for place, window in enumerate(eyes.nearest_first(self._windows)):
             if place == 0 or self._may_rise(window, eyes):
@@ -235,13 +239,14 @@ class HorizonRenderer(ColumnRenderer):
             heading = np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints))
         else:
             eye, heading = np.arange(len(viewpoints)), _check_headings(headings, len(viewpoints))
+        straight = np.zeros(len(eye))
         if len(eye) == 0:
-            return self._views(viewpoints, heading, self._batch(viewpoints, heading))
+            return self._views(viewpoints, heading, self._batch(viewpoints, heading, straight))
         eyes = viewpoints[eye]
         return Views.concatenate(
             [
                 self._views(eyes[part], heading[part], rows)
-                for part, rows in self._batches(eyes, heading)
+                for part, rows in self._batches(eyes, heading, straight)
             ]
         )
 

@@ -25,9 +25,14 @@ EYE_DTYPE = np.dtype(
         ("offset", "<f4", 2),
         ("offset_low", "<f4", 2),
         ("elevation_m", "<f4", 2),
+        ("turn_tan", "<f4", 2),
     ]
 )
-"""As struct Eye of the shaders; ``nearest`` is relative to the window."""
+"""As struct Eye of the shaders; ``nearest`` is relative to the window.
+
+``turn_tan`` is the tangent of an angle by which all of an eye's columns are turned clockwise; none
+may leave the view of 90 degrees.
+"""
 
 NOTHING = np.float32(-1e30)
 """v of a column that has met no data yet."""
@@ -218,7 +223,9 @@ class FragmentMarcher:
         """March over a window from every eye; the first eye's result is in ``first_row``."""
         program = self._programs.ready(march, window, eyes)
         texels = np.concatenate(
-            [eyes[name] for name in EYE_DTYPE.names or ()], axis=1, dtype=np.float32
+            [*(eyes[name] for name in EYE_DTYPE.names or ()), np.zeros((len(eyes), 2))],
+            axis=1,
+            dtype=np.float32,
         )
         rows = slice(first_row, first_row + len(eyes))
         results = self._results
@@ -226,7 +233,7 @@ class FragmentMarcher:
         size = (self._settings.width, len(eyes))
         with ExitStack() as held:
             sources = [
-                held.enter_context(self._texture((2, len(eyes)), 4, texels, "f4")),
+                held.enter_context(self._texture((3, len(eyes)), 4, texels, "f4")),
                 held.enter_context(self._texture(size, 2, known, "f4")),
                 held.enter_context(self._texture(size, 1, results.flags[rows], "u1")),
             ]
@@ -295,7 +302,9 @@ class _Programs:
         slope_max = window.slope_max[march.heading % 2]
         columns = window.columns[march.heading % 2]
         rims = window.rims
-        defines = self._defines(march, slope_max, window.dangling, rims is not None)
+        turned = bool(eyes["turn_tan"].any())
+        steepest = slope_max * (1.0 if turned else float(np.abs(self._settings.u).max()))
+        defines = self._defines(march, steepest, window.dangling, rims is not None)
         key = frozenset(defines.items())
         if key not in self._compiled:
             self._compiled[key] = self._compile(defines)
@@ -335,10 +344,10 @@ class _Programs:
         self._compiled = {}
 
     def _defines(
-        self, march: March, slope_max: float, dangling: bool, holes: bool
+        self, march: March, steepest: float, dangling: bool, holes: bool
     ) -> dict[str, str]:
         # Rays fall short of slope_max by a column's half: at equal spacings two cells do.
-        cells = math.ceil(slope_max * float(np.abs(self._settings.u).max())) + 1
+        cells = math.ceil(steepest) + 1
         switches = {
             "HOLES": holes,
             "DANGLING": dangling,

@@ -3,8 +3,9 @@
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from skyline.arrays import Int64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, MAX_WIDTH, pixel_size
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -53,7 +54,7 @@ class PanoramaRenderer(ColumnRenderer):
             raise InputError(f"{bins} azimuth bins; expected at most {4 * MAX_WIDTH}")
         self.tolerance_deg = check_tolerance(tolerance_deg, "degrees")
         azimuth = quadrant_azimuths_rad(bins)
-        self._cosine = np.cos(azimuth).astype(np.float32)
+        self._azimuth_rad = azimuth
         super().__init__(
             field,
             np.tan(azimuth),
@@ -68,27 +69,48 @@ class PanoramaRenderer(ColumnRenderer):
         tolerance = f", tolerance {self.tolerance_deg:g} degrees" if self.tolerance_deg else ""
         return f"horizon {self.bins} azimuths{tolerance}; {self._context.renderer}"
 
-    def render(self, viewpoints: Viewpoints) -> Horizons:
-        """Render the horizons of N eyes, in order."""
-        count = len(viewpoints)
+    def render(
+        self, viewpoints: Viewpoints, first_azimuth_rad: ArrayLike | None = None
+    ) -> Horizons:
+        """Render the horizons of N eyes, in order.
+
+        Parameters
+        ----------
+        viewpoints : Viewpoints
+        first_azimuth_rad : (N,) array_like, optional
+            Grid azimuth of each eye's bin 0, from which the others go on clockwise: the negative
+            of the meridian convergence makes azimuths count from true north. By default that of
+            `skyline.horizons.bin_azimuths_rad`.
+        """
+        count, step_rad = len(viewpoints), 2.0 * np.pi / self.bins
+        first = np.full(count, 0.5 * step_rad)
+        if first_azimuth_rad is not None:
+            first[:] = first_azimuth_rad
+        first_bin = np.floor(first / step_rad)
+        # Within half a step a column stays in its view of 90 degrees.
+        turn = np.repeat(first - (first_bin + 0.5) * step_rad, len(HEADINGS))
         heading = np.tile(np.array(HEADINGS, dtype=np.uint8), count)
         eyes = viewpoints[np.repeat(np.arange(count), len(HEADINGS))]
         shape = (count * len(HEADINGS), self.width)
         tan, distance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         flags = np.empty(shape, np.uint8)
-        for part, rows in self._batches(eyes, heading):
-            np.multiply(rows.elevation_tan, self._cosine, out=tan[part])
-            np.divide(rows.depth_m, self._cosine, out=distance[part])
+        for part, rows in self._batches(eyes, heading, turn):
+            cosine = np.cos(self._azimuth_rad + turn[part, np.newaxis]).astype(np.float32)
+            np.multiply(rows.elevation_tan, cosine, out=tan[part])
+            np.divide(rows.depth_m, cosine, out=distance[part])
             flags[part] = rows.flags
+        bins = (np.arange(self.bins) + first_bin[:, np.newaxis]).astype(np.int64) % self.bins
         return Horizons(
             viewpoints.easting_m,
             viewpoints.northing_m,
             viewpoints.eye_elevation_m,
-            self._turned(tan),
-            self._turned(distance),
-            self._turned(flags),
+            self._turned(tan, bins),
+            self._turned(distance, bins),
+            self._turned(flags, bins),
         )
 
-    def _turned(self, values: NDArray[_Scalar]) -> NDArray[_Scalar]:
-        """Return (4 N, B/4) values of views as (N, B) of bins: the first view begins before 0."""
-        return np.roll(values.reshape(-1, self.bins), -self.bins // 8, axis=1)
+    def _turned(self, values: NDArray[_Scalar], bins: Int64Array) -> NDArray[_Scalar]:
+        """Return (4 N, B/4) values of views in the order of bins (N, B)."""
+        # The first view begins an eighth of a turn before bin 0.
+        turned = values.reshape(-1, self.bins)
+        return np.take_along_axis(turned, (bins + self.bins // 8) % self.bins, axis=1)

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import moderngl
@@ -21,6 +22,8 @@ SLOPE_BINS = 16
 _MAX_CODE = 65535
 _TEXELS_A_LINE = 16
 _TREES_A_STACK = 2
+_TREES_AT_ONCE = 2
+"""Built in threads: NumPy lets them run side by side, and each takes its memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +40,12 @@ class HeightCode:
 
     def packed(self, maxima: Float32Array) -> NDArray[np.uint32]:
         """Return (..., 4) words of two codes, rounded up, of (..., 8) heights."""
-        above_m = np.maximum(maxima, np.float32(self.lowest_m)) - np.float32(self.lowest_m)
+        codes = np.maximum(maxima, np.float32(self.lowest_m))
+        codes -= np.float32(self.lowest_m)
+        codes /= np.float32(self.step_m)
         # A fiftieth of a step is more than float32 rounds off.
-        codes = np.ceil(above_m / np.float32(self.step_m) + np.float32(0.02)).astype(np.uint32)
-        words: NDArray[np.uint32] = codes[..., 0::2] | codes[..., 1::2] << 16
+        codes += np.float32(0.02)
+        words: NDArray[np.uint32] = np.ceil(codes, out=codes).astype("<u2").view("<u4")
         return words
 
 
@@ -69,11 +74,14 @@ class Trees:
         levels: int,
     ) -> "Trees":
         """Build the bounds of heights (rows, cols); headings of one axis share a tree."""
-        axes = []
-        for seen, steepest in zip((heights_m, heights_m.T), slope_max, strict=True):
+
+        def built(seen: Float32Array, steepest: float) -> list[_Packed]:
             slopes = np.linspace(-steepest, steepest, SLOPE_BINS + 1)
             tree = slab_levels(np.ascontiguousarray(seen), slopes, levels)
-            axes.append([_Packed(code.packed(level.maxima), level.first_block) for level in tree])
+            return [_Packed(code.packed(level.maxima), level.first_block) for level in tree]
+
+        with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:
+            axes = list(pool.map(built, (heights_m, heights_m.T), slope_max))
         return cls._stack(ctx, axes, "u4")
 
     @classmethod
@@ -85,18 +93,18 @@ class Trees:
         levels: int,
     ) -> "Trees":
         """Mark where rays may come upon the surface again, for triangles with an apron of one."""
-        headings = []
-        for heading in HEADINGS:
+
+        def built(heading: int) -> list[_Packed]:
             steepest = slope_max[heading % 2]
             halves = []
             for grows, bounds in ((False, (-steepest, 0.0)), (True, (0.0, steepest))):
                 marks = triangles.entries(*_quadrant(heading, grows))[1:-1, 1:-1].view(np.uint8)
                 seen = np.ascontiguousarray(marks.T if heading % 2 else marks)
                 halves.append(slab_levels(seen, np.linspace(*bounds, SLOPE_BINS // 2 + 1), levels))
-            headings.append(
-                [_packed_marks(lower, upper) for lower, upper in zip(*halves, strict=True)]
-            )
-        return cls._stack(ctx, headings, "u1")
+            return [_packed_marks(lower, upper) for lower, upper in zip(*halves, strict=True)]
+
+        with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:
+            return cls._stack(ctx, list(pool.map(built, HEADINGS)), "u1")
 
     @classmethod
     def _stack(
@@ -142,7 +150,7 @@ class _Packed:
 
 def _packed_marks(lower: SlabLevel, upper: SlabLevel) -> _Packed:
     marks = np.concatenate([lower.maxima, upper.maxima])
-    return _Packed(np.packbits(marks > 0, axis=-1, bitorder="little"), lower.first_block)
+    return _Packed(np.packbits(marks, axis=-1, bitorder="little"), lower.first_block)
 
 
 def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:

@@ -11,10 +11,10 @@ from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 
 from skyline.matching.ranking import Candidate
-from skyline.report.peaks import Sighting
 from skyline.report.pictures import save_figure
 from skyline.report.relief import Area, draw_bearings, draw_relief
 from skyline.report.shapes import Ellipse, view_wedge_m
+from skyline.report.sightings import Sighting
 from skyline.report.surroundings import Surroundings
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints

@@ -16,9 +16,9 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.matching.ranking import Candidate
 from skyline.photo import QuerySkyline
 from skyline.report.labels import Placed, place_labels
-from skyline.report.peaks import Sighting
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, PosedPicture
+from skyline.report.sightings import Sighting
 
 FOUND_COLOUR, RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
 

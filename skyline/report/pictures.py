@@ -1,4 +1,4 @@
-"""Pictures of what was rendered: depth images with their skyline, and panoramas."""
+"""Pictures of what was rendered: depth images with their skyline."""
 
 import io
 from pathlib import Path
@@ -49,29 +49,6 @@ def save_depth_images(images: NDArray[np.float32], views: Views, path: Path) -> 
     ticks = ticks[(np.log10(ticks) >= low) & (np.log10(ticks) <= high)]
     bar.set_ticks(np.log10(ticks), labels=[f"{tick:g} m" for tick in ticks])
     bar.set_label("forward depth")
-    save_figure(figure, path)
-
-
-def save_panorama(views: Views, convergence_deg: float, path: Path) -> None:
-    """Save the skyline of one viewpoint all the way round, from true north, coloured by depth."""
-    azimuth = (views.azimuth_deg() + convergence_deg) % 360.0
-    order = np.argsort(azimuth, axis=None)
-    azimuth, elevation = azimuth.ravel()[order], views.elevation_deg().ravel()[order]
-    depth_km = views.depth_m.ravel()[order] / 1000.0
-    figure = Figure(figsize=(14, 3.6), layout="constrained")
-    axis = figure.subplots()
-    floor = np.nanmin(elevation) - 1.0 if np.isfinite(elevation).any() else -1.0
-    axis.fill_between(azimuth, floor, elevation, color="#c9c3b8", linewidth=0)
-    dots = axis.scatter(azimuth, elevation, c=depth_km, s=3, cmap="viridis_r")
-    axis.set(
-        xlim=(0, 360),
-        xticks=np.arange(0, 361, 45),
-        xlabel="azimuth from true north (degrees)",
-        ylabel="elevation (degrees)",
-    )
-    axis.set_ylim(bottom=floor)
-    axis.grid(alpha=0.3)
-    figure.colorbar(dots, ax=axis, label="forward depth (km)", pad=0.01)
     save_figure(figure, path)
 
 

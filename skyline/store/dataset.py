@@ -46,6 +46,27 @@ def dataset_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> A
     )
 
 
+def table_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> Any:
+    """Return places as a table of points; see `Store.to_geodataframe`."""
+    try:
+        import geopandas  # noqa: PLC0415  (optional, and a second to load)
+    except ImportError as error:
+        raise InputError(
+            "a GeoDataFrame needs geopandas, which is not installed; pip install 'skyline[geo]'"
+        ) from error
+    lon, lat = frame.to_lonlat(places.easting_m, places.northing_m)
+    columns = {
+        "place": rows,
+        "lon": lon,
+        "lat": lat,
+        "eye_elevation_m": places.eye_elevation_m,
+        "tolerance_m": places.tolerance_m,
+        "spacing_m": 2.0 * places.tolerance_m,
+    }
+    points = geopandas.points_from_xy(places.easting_m, places.northing_m)
+    return geopandas.GeoDataFrame(columns, geometry=points, crs=frame.crs)
+
+
 def dataset_of_views(views: Views, rows: NDArray[np.intp], frame: Frame) -> Any:
     """Return views as a dataset; see `Store.to_xarray`."""
     columns = ("view", "column")

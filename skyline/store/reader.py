@@ -21,7 +21,7 @@ from skyline.errors import (
 from skyline.features import NO_KEYPOINT
 from skyline.geodesy import Frame
 from skyline.store.checks import checked_dataset, read_committed, read_header
-from skyline.store.dataset import dataset_of_places, dataset_of_views
+from skyline.store.dataset import dataset_of_places, dataset_of_views, table_of_places
 from skyline.store.digest import row_checksums
 from skyline.store.explain import REBUILD, UNREADABLE, explained
 from skyline.store.header import (
@@ -228,6 +228,31 @@ class Store:
         if self._header.holds == PLACES:
             return dataset_of_places(self.places().take(rows), rows, frame)
         return dataset_of_views(self.views(index), rows, frame)
+
+    def to_geodataframe(self, index: RowIndex = slice(None)) -> Any:
+        """Return places as points (extra ``geo``), in memory.
+
+        Parameters
+        ----------
+        index : int, slice, integer or boolean array
+            Rows in the order wanted, as of `views`.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            Points in the store's frame, with ``place`` (the row), ``lon``, ``lat``,
+            ``eye_elevation_m``, ``tolerance_m`` (how far from the eye, east and north, the place
+            stands for) and ``spacing_m``, twice as much.
+
+        Raises
+        ------
+        InputError
+            A store of renderings, a row that is not committed, or GeoPandas is not installed.
+        StoreError
+            Damaged data.
+        """
+        rows, frame = self._rows(index), Frame(self._header.frame_wkt)
+        return table_of_places(self.places().take(rows), rows, frame)
 
     def _rows(self, index: RowIndex) -> NDArray[np.intp]:
         try:

@@ -81,10 +81,12 @@ def _ground_m(field: HeightField, easting: Float64Array, northing: Float64Array)
         west, south, east, north = field.bounds_m
         inside = west <= easting[first] <= east and south <= northing[first] <= north
         place = "on a hole of the DEM" if inside else "off the map"
+        lon, lat = field.frame.to_lonlat(easting[first], northing[first])
         raise OffMapError(
-            f"viewpoint {first} (easting {easting[first]:.2f}, northing {northing[first]:.2f}) is "
-            f"{place}; the DEM covers easting {west:.1f} to {east:.1f}, northing {south:.1f} to "
-            f"{north:.1f}: move it or remove it ({missing.size} such)"
+            f"viewpoint {first} (lon {lon:.5f}, lat {lat:.5f}; easting {easting[first]:.2f}, "
+            f"northing {northing[first]:.2f}) is {place}; the DEM covers easting {west:.1f} "
+            f"to {east:.1f}, northing {south:.1f} to {north:.1f}: move it "
+            f"or remove it ({missing.size} such)"
         )
     return ground
 

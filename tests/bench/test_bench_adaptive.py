@@ -21,7 +21,8 @@ PICTURES = (
     "fig6-viewpoints-lpov.png", "fig7-costs.png",
 )  # fmt: skip
 COARSE = (
-    "--spacing", 600, "--strategy", "lpov", "--budget", 60, "--pitch", 250, "--queries", 3,
+    "--spacing", 600, "--strategy", "lpov", "--budget", 60, "--candidate-spacing", 250,
+    "--queries", 3,
 )  # fmt: skip
 
 

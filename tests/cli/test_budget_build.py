@@ -16,7 +16,7 @@ NARROW = RenderConfig(width=64)
 
 
 def planned(strategy, budget=BUDGET):
-    spacing = Spacing(coarse_m=600.0, pitch_m=50.0, reach_m=150.0)
+    spacing = Spacing(coarse_m=600.0, candidate_m=50.0, reach_m=150.0)
     return PlanConfig(strategy, spacing, threshold_px=0.2, coverage=0.9, budget=budget)
 
 

@@ -78,7 +78,7 @@ def test_longitudes_and_latitudes_name_the_same_places(run, dem, tmp_path):
 @pytest.mark.parametrize(
     ("options", "rows", "holds"),
     [
-        ((), 1804, "places"),
+        (("--spacing", "80"), 1804, "places"),
         (("--spacing", "300"), 121, "places"),
         (("--planner", "uniform", "--spacing", "900", "--width", "64"), 4 * 4 * 4, "renderings"),
     ],
@@ -102,14 +102,14 @@ def test_places_of_a_part_of_the_dem(run, dem, tmp_path):
     assert done.code == 0, done.err
     with open_store(out) as opened:
         eyes = opened.eyes()
-    assert len(eyes.easting_m) == pytest.approx(900 * 700 / 80**2, rel=0.25)
+    assert len(eyes.easting_m) > 10
     assert abs(eyes.easting_m - 601_450.0).max() < 450.0 + 30.0
     assert abs(eyes.northing_m - 5_178_350.0).max() < 350.0 + 30.0
 
 
 RENDERED_ALONE = {
-    "--width": 64, "--rows": "exact", "--tolerance-px": 0, "--pitch": 50,
-    "--threshold-px": 3, "--coverage": 0.9, "--budget": 100, "--seed": 1, "--map": "map.png",
+    "--width": 64, "--rows": "exact", "--tolerance-px": 0, "--candidate-spacing": 50,
+    "--threshold-px": 3, "--coverage": 0.9, "--budget": 100, "--seed": 1,
 }  # fmt: skip
 
 
@@ -121,12 +121,35 @@ def test_places_have_no_options_of_renderings(run, dem, tmp_path, option):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("option", ["--pitch", "--coverage", "--budget", "--seed", "--map"])
+PLANNED_ALONE = {
+    "--candidate-spacing": 50, "--coverage": 0.9, "--budget": 100, "--seed": 1, "--map": "map.png",
+    "--loss": 0.3,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("option", PLANNED_ALONE)
 def test_a_uniform_grid_plans_nothing(run, dem, tmp_path, option):
     out = tmp_path / "s.h5"
-    done = run("build", dem, "-o", out, "--planner", "uniform", option, RENDERED_ALONE[option])
-    assert_refused(done, "uniform does not")
+    done = run("build", dem, "-o", out, "--planner", "uniform", option, PLANNED_ALONE[option])
+    assert_refused(done, "leave out --planner" if option == "--loss" else "uniform does not")
     assert not out.exists()
+
+
+def test_places_are_planned_and_drawn(run, dem, tmp_path):
+    out, drawn = tmp_path / "s.h5", tmp_path / "map.png"
+    done = run("build", dem, "-o", out, "--loss", 0.4, "--map", drawn)
+    assert done.code == 0, done.err
+    assert cv2.imread(str(drawn)).shape[1] > 500
+    facts = json.loads(run("info", out, "--json").out)
+    low, middle, high = facts["spacing_m"]
+    assert 20.0 <= low <= middle <= high <= 1280.0
+    assert_refused(
+        run("build", dem, "-o", tmp_path / "no.h5", "--loss", 0.4, "--spacing", 80),
+        "--loss 0.4 is for planned places, --spacing 80 for a grid",
+    )
+    assert_refused(run("build", dem, "-o", tmp_path / "no.h5", "--loss", 1.5), "between 0 and 1")
+    assert_refused(run("build", dem, "-o", tmp_path / "no.h5", "--loss", 0.0001), "a larger one")
+    assert not (tmp_path / "no.h5").exists()
 
 
 def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_csv, tmp_path):
@@ -169,10 +192,9 @@ def test_an_interrupted_build_goes_on_to_the_same_store(dem, tmp_path):
         np.testing.assert_array_equal(first.keypoint_columns(), second.keypoint_columns())
 
 
-def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(
-    run, dem, store, tmp_path, monkeypatch
-):
-    out = tmp_path / "store.h5"
+def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(run, dem, tmp_path, monkeypatch):
+    out, whole = tmp_path / "store.h5", tmp_path / "all.h5"
+    build = "build", dem, "--spacing", 80, "-o"
 
     def stop(done, _total):
         if done >= 1024:
@@ -180,15 +202,18 @@ def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(
 
     with monkeypatch.context() as patch:
         patch.setattr(places.PlaceRows, "at_a_time", 512)
-        patch.setattr(cli, "build_places", lambda *given: build_places(*given[:-1], stop))
-        done = run("build", dem, "-o", out)
+        patch.setattr(
+            cli, "build_places", lambda *given, loss: build_places(*given[:-1], stop, loss=loss)
+        )
+        done = run(*build, out)
     assert done.code == 130
     assert "the same command continues" in done.err
     assert done.err.count("\n") == 1
-    again = run("build", dem, "-o", out)
+    again = run(*build, out)
     assert again.code == 0, again.err
+    assert run(*build, whole).code == 0
     assert "1804 places, 780 of them new" in again.out
-    for name, path in (("whole", store), ("resumed", out)):
+    for name, path in (("whole", whole), ("resumed", out)):
         assert run("store", "compact", path, "-o", tmp_path / f"{name}.h5").code == 0
     assert (tmp_path / "resumed.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
 

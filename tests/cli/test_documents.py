@@ -57,7 +57,7 @@ ARCHITECTURE = ROOT / "docs" / "architecture.md"
 SMALLER = {
     "--bounds 9.8,46.7,9.9,46.8": "--spacing 400 --bounds 9.8,46.7,9.9,46.8",
     "bounds_deg=(9.8, 46.7, 9.9, 46.8)": "spacing_m=400.0, bounds_deg=(9.8, 46.7, 9.9, 46.8)",
-    "--threshold-px 3 --coverage 0.98": "--threshold-px 9 --coverage 0.5 --pitch 200",
+    "--threshold-px 3 --coverage 0.98": "--threshold-px 9 --coverage 0.5 --candidate-spacing 200",
 }
 """What the documents say -> what is run."""
 

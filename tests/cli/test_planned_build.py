@@ -12,7 +12,7 @@ from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline import RenderConfig, build_planned
 from skyline.store import open_store
 
-SMALL = Spacing(coarse_m=400.0, pitch_m=100.0, reach_m=200.0)
+SMALL = Spacing(coarse_m=400.0, candidate_m=100.0, reach_m=200.0)
 NARROW = RenderConfig(width=64)
 
 
@@ -88,7 +88,7 @@ def test_seeds_decide_and_nothing_else(valley, tmp_path):
 def test_command_line(dem, run, tmp_path):
     told = run(
         *("build", dem, "-o", tmp_path / "s.h5", "--planner", "lpov", "--spacing", 1000),
-        *("--pitch", 250, "--threshold-px", 3, "--coverage", 0.9, "--width", 64),
+        *("--candidate-spacing", 250, "--threshold-px", 3, "--coverage", 0.9, "--width", 64),
         *("--map", tmp_path / "map.png"),
     )
     assert told.code == 0, told.err

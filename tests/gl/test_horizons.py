@@ -33,9 +33,9 @@ def rough():
     return field, stand_on(field, easting[there], northing[there])
 
 
-def render(field, eyes, bins=BINS, tolerance_deg=0.0, **options):
-    with PanoramaRenderer(field, bins, tolerance_deg=tolerance_deg, **options) as renderer:
-        return renderer.render(eyes)
+def render(field, eyes, bins=BINS, tolerance_deg=0.0, first_rad=None):
+    with PanoramaRenderer(field, bins, tolerance_deg=tolerance_deg) as renderer:
+        return renderer.render(eyes, first_rad)
 
 
 def true_horizons(field, eyes, bins=BINS):
@@ -93,6 +93,32 @@ def test_equals_the_oracle_flags_and_distances_too(rough):
         np.testing.assert_array_equal(getattr(horizons, name), getattr(eyes, name))
 
 
+def test_bins_begin_where_they_are_asked_to(rough):
+    field, eyes = rough
+    step = 2.0 * np.pi / BINS
+    straight = render(field, eyes)
+    for bins in (0, 1, -7, 3 * BINS + 60):
+        turned = render(field, eyes, first_rad=(bins + 0.5) * step)
+        rolled = np.roll(straight.elevation_tan, -bins, axis=1)
+        # The same columns, but for the last bit of their directions.
+        np.testing.assert_allclose(turned.elevation_tan, rolled, atol=2e-4)
+    first = np.linspace(-1.0, 7.0, len(eyes))
+    found = render(field, eyes, first_rad=first)
+    for index in range(len(eyes)):
+        away = (first[index] + np.arange(BINS) * step + np.pi / 4.0) % (np.pi / 2.0) - np.pi / 4.0
+        columns = np.sort(np.unique(away.round(9)))
+        views = oracle.skyline_at(field, eyes[index : index + 1], np.tan(columns), Curvature())
+        tan = (views.elevation_tan * np.cos(columns)).ravel()
+        begins = round((first[index] + np.pi / 4.0 - (columns[0] + np.pi / 4.0)) / step)
+        true_tan, distance_m = (
+            np.roll(values, -begins) for values in (tan, (views.depth_m / np.cos(columns)).ravel())
+        )
+        error = np.abs(found.elevation_tan[index] - true_tan)
+        bound = bound_of(field, true_tan, distance_m) + 1e-6
+        assert (error <= bound)[np.isfinite(true_tan)].mean() > 0.995
+        np.testing.assert_array_equal(np.isnan(found.elevation_tan[index]), np.isnan(true_tan))
+
+
 @pytest.mark.parametrize("bins", [8, 120, 720])
 @pytest.mark.parametrize("azimuth_deg", [4.0, 44.0, 46.0, 91.0, 134.0, 200.0, 226.0, 300.0, 359.0])
 def test_a_peak_is_in_the_bin_of_its_azimuth(azimuth_deg, bins):
@@ -140,23 +166,29 @@ def test_neither_the_batch_nor_its_order_matters(rough, monkeypatch):
         assert_same(renderer.render(eyes), together)
 
 
-def test_fragment_and_compute_shaders_agree(rough, monkeypatch):
+TURNS = [None, np.linspace(-8.0, 8.0, 12)]
+"""Where bin 0 of each of the twelve eyes lies."""
+
+
+@pytest.mark.parametrize("first_rad", TURNS, ids=["grid north", "turned"])
+def test_fragment_and_compute_shaders_agree(rough, monkeypatch, first_rad):
     field, eyes = rough
-    with_compute = render(field, eyes)
+    with_compute = render(field, eyes, first_rad=first_rad)
     monkeypatch.setattr(horizon, "ComputeMarcher", FragmentMarcher)
-    without = render(field, eyes)
+    without = render(field, eyes, first_rad=first_rad)
     error = np.abs(without.elevation_tan - with_compute.elevation_tan)
     bound = bound_of(field, with_compute.elevation_tan, with_compute.distance_m)
     assert (error <= 2.0 * bound)[np.isfinite(error)].all()
     np.testing.assert_array_equal(without.flags, with_compute.flags)
 
 
-def test_windows_of_a_large_field_give_the_same_horizons(rough, monkeypatch):
+@pytest.mark.parametrize("first_rad", TURNS, ids=["grid north", "turned"])
+def test_windows_of_a_large_field_give_the_same_horizons(rough, monkeypatch, first_rad):
     field, eyes = rough
-    whole = render(field, eyes)
+    whole = render(field, eyes, first_rad=first_rad)
     monkeypatch.setattr(windows, "MAX_FIELD_CELLS", 30)
     monkeypatch.setattr(windows, "MAX_WINDOW_CELLS", 23)
-    assert_same(render(field, eyes), whole)
+    assert_same(render(field, eyes, first_rad=first_rad), whole)
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from skyline.paper.planning.plan import Oracles, PlanConfig
 from skyline.views import Views
 
 REACH = 6
-SPACING = Spacing(coarse_m=300.0, pitch_m=30.0, reach_m=180.0)
+SPACING = Spacing(coarse_m=300.0, candidate_m=30.0, reach_m=180.0)
 DAVOS = (0.0, 0.0, 5_000.0, 10_000.0)
 
 
@@ -76,7 +76,7 @@ def test_the_threshold_that_views_cover_to():
 def test_distances_suit_the_budget(budget):
     given = Spacing()
     spacing = spaced_for(given, budget, DAVOS)
-    assert spacing.pitch_m >= given.pitch_m
+    assert spacing.candidate_m >= given.candidate_m
     assert spacing.reach_m >= given.reach_m
     assert spacing.coarse_m >= given.coarse_m
     disc_m2 = np.pi * (spacing.reach_m / 2.0) ** 2

@@ -2,15 +2,18 @@
 
 import sys
 from dataclasses import fields, replace
+from xml.etree import ElementTree
 
 import geopandas
 import numpy as np
+import pyogrio
 import pytest
 from scenes import candidate_at
 from store_rows import HEADER, rows
 
 import skyline
 from skyline import Candidate, Frame, InputError, MatchResult, QuerySkyline, open_store
+from skyline.report.geopackage import write_geopackage
 from skyline.store import create_store
 from skyline_bench.stores.durability import numbered_places
 
@@ -114,6 +117,55 @@ def test_azimuths_are_from_true_north_at_each_place(kind, request):
     assert Frame.from_crs(data.spatial_ref.attrs["crs_wkt"]).crs == UTM.crs
 
 
+def test_places_are_a_table_of_points_with_their_spacing(place_store):
+    table, places = place_store.to_geodataframe(), numbered_places(0, 50)
+    assert list(table["place"]) == list(range(50))
+    np.testing.assert_array_equal(table.geometry.x, places.easting_m)
+    np.testing.assert_array_equal(table.geometry.y, places.northing_m)
+    assert (table["spacing_m"] == 50.0).all()
+    assert (table["tolerance_m"] == 25.0).all()
+    degrees = table.to_crs("EPSG:4326").geometry
+    np.testing.assert_allclose(degrees.x, table["lon"], atol=1e-9)
+    np.testing.assert_allclose(degrees.y, table["lat"], atol=1e-9)
+    assert place_store.to_geodataframe([7, 3])["place"].tolist() == [7, 3]
+
+
+def test_a_geopackage_is_opened_by_gdal_and_brings_its_style(place_store, tmp_path):
+    path = tmp_path / "places.gpkg"
+    path.write_bytes(b"what was there")
+    assert write_geopackage(place_store, path) == 50
+    assert [file.name for file in tmp_path.glob("*.gpkg*")] == ["places.gpkg"]
+    about = pyogrio.read_info(path, layer="places")
+    assert (about["driver"], about["geometry_type"], about["features"]) == ("GPKG", "Point", 50)
+    read = geopandas.read_file(path, layer="places")
+    assert read.crs == UTM.crs
+    assert read.drop(columns="geometry").equals(
+        place_store.to_geodataframe().drop(columns="geometry")
+    )
+    (row,) = pyogrio.read_dataframe(path, layer="layer_styles").to_dict("records")
+    assert (row["f_table_name"], row["f_geometry_column"]) == ("places", "geom")
+    assert row["useAsDefault"] == 1
+    style = ElementTree.fromstring(row["styleQML"])
+    fields = [
+        option.get("value") for option in style.iter("Option") if option.get("name") == "field"
+    ]
+    assert fields == ["spacing_m"]
+
+
+def test_a_geopackage_that_cannot_be_is_refused_and_leaves_nothing(
+    place_store, view_store, tmp_path
+):
+    before = sorted(tmp_path.iterdir())
+    for store, path, said in (
+        (place_store, tmp_path / "places.shp", "ends in .gpkg"),
+        (place_store, tmp_path / "none" / "places.gpkg", "cannot be written"),
+        (view_store, tmp_path / "views.gpkg", "renderings"),
+    ):
+        with pytest.raises(InputError, match=said):
+            write_geopackage(store, path)
+    assert sorted(tmp_path.iterdir()) == before
+
+
 def test_without_the_extra_one_line_says_what_is_missing(monkeypatch, place_store):
     monkeypatch.setitem(sys.modules, "geopandas", None)
     monkeypatch.setitem(sys.modules, "xarray", None)
@@ -121,3 +173,5 @@ def test_without_the_extra_one_line_says_what_is_missing(monkeypatch, place_stor
         MatchResult(QUERY, (BEST,), 0.1).to_geodataframe()
     with pytest.raises(InputError, match=r"xarray.*skyline\[geo\]"):
         place_store.to_xarray()
+    with pytest.raises(InputError, match=r"geopandas.*skyline\[geo\]"):
+        place_store.to_geodataframe()

@@ -15,7 +15,7 @@ from skyline.views import Views
 from skyline_bench.truth.simulation import TABLE_1, Simulation, simulate
 
 REACH = 4
-SPACING = Spacing(coarse_m=300.0, pitch_m=30.0, reach_m=120.0)
+SPACING = Spacing(coarse_m=300.0, candidate_m=30.0, reach_m=120.0)
 
 
 def disc(radius):

@@ -23,6 +23,12 @@ def test_importing_skyline_loads_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
+def test_the_command_line_loads_what_draws_only_where_it_draws():
+    code = "import sys, skyline.cli; print({'matplotlib', 'pandas', 'ephem'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "set()"
+
+
 def test_every_public_name_is_there_once():
     assert len(set(skyline.__all__)) == len(skyline.__all__)
     assert set(dir(skyline)) >= set(skyline.__all__)

@@ -5,7 +5,7 @@ import numpy as np
 from scenes import field_of, fractal
 
 from skyline.planning.uniform import uniform_grid
-from skyline.report import Found, save_depth_images, save_map, save_panorama
+from skyline.report import Found, save_depth_images, save_map
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
@@ -33,10 +33,8 @@ def test_map_shows_true_and_found_positions(tmp_path):
     assert crimson(picture(tmp_path / "bare.png")).sum() == 0
 
 
-def test_panorama_and_depth_images_are_not_blank(tmp_path):
+def test_depth_images_are_not_blank(tmp_path):
     views = oracle.skyline(FIELD, stand_on(FIELD, 1800.0, 1800.0), 64)
-    save_panorama(views, 0.5, tmp_path / "panorama.png")
-    picture(tmp_path / "panorama.png")
     images = np.full((4, 64, 64), np.inf, dtype=np.float32)
     images[:, 40:] = 100.0
     save_depth_images(images, views, tmp_path / "depth.png")

@@ -55,9 +55,9 @@ def uniform_adaptive(
             f"[{' '.join(map(str, _CONFIG.budgets))}]."
         ),
     ] = None,
-    pitch: Annotated[
+    candidate_spacing: Annotated[
         float, typer.Option(help="Between places that a planner chooses from, metres.")
-    ] = _CONFIG.spacing.pitch_m,
+    ] = _CONFIG.spacing.candidate_m,
     matcher: Annotated[
         list[str] | None,
         typer.Option(help=f"May be repeated [{' '.join(_CONFIG.matchers)}]: {', '.join(WHAT)}."),
@@ -95,7 +95,7 @@ def uniform_adaptive(
         spacings_m=tuple(spacing or _CONFIG.spacings_m),
         strategies=tuple(strategy or _CONFIG.strategies),
         budgets=tuple(budget or _CONFIG.budgets),
-        spacing=replace(_CONFIG.spacing, pitch_m=pitch),
+        spacing=replace(_CONFIG.spacing, candidate_m=candidate_spacing),
         matchers=tuple(matcher or _CONFIG.matchers),
         queries=queries,
         seed=seed,

@@ -26,6 +26,7 @@ from skyline_bench.commands.options import (
 from skyline_bench.figures.speed_error import save_speed_error
 from skyline_bench.figures.stability import save_stability
 from skyline_bench.measuring.record import machine
+from skyline_bench.runs import horizon as horizon_tools
 from skyline_bench.runs import large_dem as large_dems
 from skyline_bench.runs import pipeline_speed as pipeline_stages
 from skyline_bench.runs import place_speed as ways_to_places
@@ -121,6 +122,25 @@ def place_speed(
     rows = ways_to_places.measure(terrain, min(eyes, 100) if quick else eyes)
     print_rows(rows)
     keep_record(json_file, "place-speed", rows)
+
+
+def horizon(
+    dem: Dems,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+    quick: Quick = False,
+    crs: Crs = None,
+) -> None:
+    """Horizons of 1,000 places every half degree: Skyline, Embree's rays and GRASS.
+
+    Embree needs embreex (extra peers), GRASS `grass` on the path; what is not there is left out.
+    """
+    check_outputs(json_file, None)
+    config = horizon_tools.HorizonConfig(seed=seed)
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    rows = horizon_tools.measure(terrain, config.quick() if quick else config)
+    print_rows(rows)
+    keep_record(json_file, "horizon", rows)
 
 
 def summits(

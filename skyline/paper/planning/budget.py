@@ -56,13 +56,15 @@ def spaced_for(spacing: Spacing, budget: int, bounds_m: MapBounds) -> Spacing:
     west, south, east, north = bounds_m
     own_m2 = (east - west) * (north - south) * len(HEADINGS) / budget
     radius_m = np.sqrt(own_m2 / np.pi)
-    pitch_m = spacing.pitch_m * max(1, round(radius_m / _CANDIDATES_A_RADIUS / spacing.pitch_m))
-    widest = max(east - west, north - south) // pitch_m
-    coarse = np.ceil(max(spacing.coarse_m, np.sqrt(own_m2 / _COARSE_SHARE)) / pitch_m - 1e-9)
-    reach = np.ceil(max(spacing.reach_m, _REACH_RADII * radius_m) / pitch_m - 1e-9)
-    if spacing.coarse_m <= pitch_m * widest:
+    candidate_m = spacing.candidate_m * max(
+        1, round(radius_m / _CANDIDATES_A_RADIUS / spacing.candidate_m)
+    )
+    widest = max(east - west, north - south) // candidate_m
+    coarse = np.ceil(max(spacing.coarse_m, np.sqrt(own_m2 / _COARSE_SHARE)) / candidate_m - 1e-9)
+    reach = np.ceil(max(spacing.reach_m, _REACH_RADII * radius_m) / candidate_m - 1e-9)
+    if spacing.coarse_m <= candidate_m * widest:
         coarse = min(coarse, widest)
-    return Spacing(float(coarse * pitch_m), float(pitch_m), float(reach * pitch_m))
+    return Spacing(float(coarse * candidate_m), float(candidate_m), float(reach * candidate_m))
 
 
 def check_coarse(candidates: CandidateMap, budget: int | None) -> None:

@@ -21,8 +21,8 @@ class Spacing:
     Attributes
     ----------
     coarse_m : float
-        Of the grid that is rendered to begin with; a whole multiple of ``pitch_m``.
-    pitch_m : float
+        Of the grid that is rendered to begin with; a whole multiple of ``candidate_m``.
+    candidate_m : float
         Of the candidates.
     reach_m : float
         How far a tolerance area may extend from its view.
@@ -34,34 +34,35 @@ class Spacing:
     """
 
     coarse_m: float = 1000.0
-    pitch_m: float = 50.0
+    candidate_m: float = 50.0
     reach_m: float = 300.0
 
     def __post_init__(self) -> None:
-        for name, value in (("coarse", self.coarse_m), ("candidate", self.pitch_m)):
+        for name, value in (("coarse", self.coarse_m), ("candidate", self.candidate_m)):
             if not 0.0 < value < np.inf:
                 raise InputError(
                     f"{name} spacing is {value} m; expected a positive number of metres"
                 )
-        if not self.pitch_m <= self.reach_m < np.inf:
+        if not self.candidate_m <= self.reach_m < np.inf:
             raise InputError(
-                f"reach is {self.reach_m} m; expected at least the candidates' {self.pitch_m} m"
+                f"reach is {self.reach_m} m; expected at least the candidates' {self.candidate_m} m"
             )
-        if abs(self.coarse_m / self.pitch_m - self.stride) > 1e-9 * self.stride:
+        if abs(self.coarse_m / self.candidate_m - self.stride) > 1e-9 * self.stride:
             raise InputError(
                 f"spacing of {self.coarse_m} m is no whole multiple of the candidates' "
-                f"{self.pitch_m} m; choose one that is, for example {self.stride * self.pitch_m} m"
+                f"{self.candidate_m} m; choose one that is, for example "
+                f"{self.stride * self.candidate_m} m"
             )
 
     @property
     def stride(self) -> int:
         """Candidates from one viewpoint of the coarse grid to the next."""
-        return max(1, round(self.coarse_m / self.pitch_m))
+        return max(1, round(self.coarse_m / self.candidate_m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateMap:
-    """Candidates at whole multiples of the pitch, in the frame of a field.
+    """Candidates at whole multiples of their spacing, in the frame of a field.
 
     Attributes
     ----------
@@ -111,16 +112,16 @@ def lay_out(
             f"spacing of {spacing.coarse_m:g} m is larger than the area of {east - west:.0f} x "
             f"{north - south:.0f} m; choose a smaller spacing or a larger area"
         )
-    pitch = spacing.pitch_m
-    col = np.arange(np.ceil(west / pitch), np.floor(east / pitch) + 1.0)
-    row = np.arange(np.floor(north / pitch), np.ceil(south / pitch) - 1.0, -1.0)
+    apart = spacing.candidate_m
+    col = np.arange(np.ceil(west / apart), np.floor(east / apart) + 1.0)
+    row = np.arange(np.floor(north / apart), np.ceil(south / apart) - 1.0, -1.0)
     if len(row) * len(col) > _MOST_CANDIDATES:
         raise InputError(
-            f"{len(row) * len(col)} candidates {pitch:g} m apart are too many to plan at once; "
+            f"{len(row) * len(col)} candidates {apart:g} m apart are too many to plan at once; "
             "plan smaller bounds one after the other, or put the candidates further apart"
         )
-    easting, northing = np.meshgrid(col * pitch, row * pitch)
-    grid = CandidateGrid(_can_stand(field, easting, northing), int(spacing.reach_m // pitch))
+    easting, northing = np.meshgrid(col * apart, row * apart)
+    grid = CandidateGrid(_can_stand(field, easting, northing), int(spacing.reach_m // apart))
     stride = spacing.stride
     on_coarse = (row[:, None] % stride == 0) & (col % stride == 0) & grid.valid
     if not on_coarse.any():
@@ -135,8 +136,8 @@ def lay_out(
     return CandidateMap(
         field,
         grid,
-        col * pitch,
-        row * pitch,
+        col * apart,
+        row * apart,
         square.astype(np.int64),
         np.flatnonzero(on_coarse),
         eye_height_m,

@@ -252,7 +252,7 @@ class _Loop:
             raise InputError(
                 f"measured errors have shape {errors.shape}; expected "
                 f"{(len(views), window, window)}: a neighbourhood of {window} x {window} "
-                f"candidates {self._config.spacing.pitch_m:g} m apart"
+                f"candidates {self._config.spacing.candidate_m:g} m apart"
             )
         if self._oracles.predict is not None:
             self._archive.add(candidates, views)

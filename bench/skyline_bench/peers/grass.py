@@ -1,0 +1,103 @@
+"""A peer to be measured against: GRASS' r.horizon, place by place (`grass` on the path).
+
+It stands on the ground of the nearest sample, knows no curvature in metric frames, counts its
+azimuths from true north and has no angle below zero. So the height field is its map, and what
+it is compared with stands there too, on a flat Earth, and is cut off at zero.
+"""
+
+import re
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from rasterio.transform import from_origin
+
+from skyline.arrays import Float64Array
+from skyline.errors import SkylineError
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+
+_SCRIPT = """set -e
+r.in.gdal input={dem} output=dem --quiet
+g.region raster=dem
+for place in {places}; do
+  r.horizon -dc elevation=dem step={step} coordinates=$place
+  date +"took %s.%N"
+done
+"""
+
+
+def is_installed() -> bool:
+    """Whether ``grass`` is there to be run."""
+    return shutil.which("grass") is not None
+
+
+def horizons(
+    field: HeightField, eyes: Viewpoints, step_deg: float
+) -> tuple[Float64Array, Float64Array]:
+    """Return r.horizon's elevation angles from true north and its seconds a place.
+
+    Parameters
+    ----------
+    field : HeightField
+        Without holes.
+    eyes : Viewpoints
+        N; their heights are not used.
+    step_deg : float
+
+    Returns
+    -------
+    elevation_deg : (N, A) float64
+    seconds : (N - 1,) float64
+        Of all places but the first.
+
+    Raises
+    ------
+    SkylineError
+        GRASS fails.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        dem, script = Path(folder, "dem.tif"), Path(folder, "horizons.sh")
+        _write(field, dem)
+        places = [f"{e},{n}" for e, n in zip(eyes.easting_m, eyes.northing_m, strict=True)]
+        text = _SCRIPT.format(dem=dem, step=step_deg, places=" ".join(places))
+        script.write_text(text, encoding="utf-8")
+        begun = time.perf_counter()
+        done = subprocess.run(
+            ["grass", "--tmp-location", str(dem), "--exec", "sh", str(script)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        taken = time.perf_counter() - begun
+    angles = re.findall(r"^([\d.]+),(-?[\d.]+)$", done.stdout, re.MULTILINE)
+    ends = np.array(re.findall(r"^took ([\d.]+)$", done.stdout, re.MULTILINE), dtype=np.float64)
+    steps = round(360.0 / step_deg)
+    if done.returncode or len(ends) != len(eyes) or len(angles) < len(eyes) * steps:
+        said = " ".join(done.stderr.split())[-200:]
+        raise SkylineError(f"r.horizon gave {len(angles)} angles in {taken:.0f} s: {said}")
+    table = np.array(angles, dtype=np.float64).reshape(len(eyes), -1, 2)
+    order = np.argsort(np.round(table[0, :, 0] % 360.0, 6), kind="stable")
+    return table[:, order, 1][:, -steps:], np.diff(ends)
+
+
+def _write(field: HeightField, path: Path) -> None:
+    """Write the samples as the centres of a raster's cells."""
+    west = field.west_m - 0.5 * field.spacing_east_m
+    north = field.north_m + 0.5 * field.spacing_north_m
+    with rasterio.open(
+        path,
+        "w",
+        driver="GTiff",
+        width=field.cols,
+        height=field.rows,
+        count=1,
+        dtype="float32",
+        crs=field.frame.wkt,
+        transform=from_origin(west, north, field.spacing_east_m, field.spacing_north_m),
+    ) as file:
+        file.write(field.heights_m.astype(np.float32), 1)

@@ -1,0 +1,155 @@
+"""Named peaks of an area from an Overpass server, which serves OpenStreetMap's places."""
+
+import http.client
+import json
+import math
+import time
+from pathlib import Path
+from typing import Any
+from urllib.error import HTTPError, URLError
+from urllib.parse import urlencode, urlsplit
+from urllib.request import Request, urlopen
+
+from skyline.errors import FetchError, InputError
+from skyline.fetch.remote import HttpOptions, shown
+from skyline.fetch.sources import Bounds, check_bounds
+from skyline.files import write_whole
+
+_MOST_BYTES = 1 << 26
+_AGAIN = (429, 500, 502, 503, 504)
+
+
+def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, options: HttpOptions) -> int:
+    """Write the named peaks and volcanoes of a box as GeoJSON, as `skyline.read_peaks` reads it.
+
+    Parameters
+    ----------
+    bounds_deg : (float, float, float, float)
+        West, south, east, north.
+    server : str
+        Address of an Overpass interpreter: ``https://host/api/interpreter``.
+    path : Path
+        Written whole or not at all.
+    options : HttpOptions
+        An answer must be there whole within its timeout.
+
+    Returns
+    -------
+    int
+        How many there are.
+
+    Raises
+    ------
+    InputError
+        Bounds that are not in order, a server that is no http address, or a file that cannot be
+        written.
+    FetchError
+        The server fails, is too slow, or answers with something that is not peaks of the box.
+    """
+    west, south, east, north = check_bounds(bounds_deg)
+    if urlsplit(server).scheme not in ("http", "https") or not urlsplit(server).hostname:
+        raise InputError(
+            f"server is {server!r}; expected the address of an Overpass interpreter, e.g. "
+            "https://host/api/interpreter"
+        )
+    spans = [(west, east)] if west < east else [(west, 180.0), (-180.0, east)]
+    wanted = "".join(
+        f'node["natural"~"^(peak|volcano)$"]["name"]({south},{begin},{north},{end});'
+        for begin, end in spans
+    )
+    query = f"[out:json][timeout:{options.timeout_s}];({wanted});out;"
+    answer = _ask(server, urlencode({"data": query}).encode(), options)
+    features = [_feature(server, one, (south, north), spans) for one in _elements(server, answer)]
+    if not features:
+        raise FetchError(f"{shown(server)} knows no named peak in the bounds; choose larger bounds")
+    collection = {
+        "type": "FeatureCollection",
+        "attribution": "OpenStreetMap contributors, ODbL",
+        "features": features,
+    }
+    write_whole(path, json.dumps(collection, ensure_ascii=False, indent=1) + "\n")
+    return len(features)
+
+
+def _ask(server: str, query: bytes, options: HttpOptions) -> bytes:
+    """Return the body of the answer; what another attempt may mend is tried again."""
+    delay_s = options.retry_delay_s
+    for attempt in range(1, options.retries + 2):
+        reason, again = "", True
+        try:
+            return _post(server, query, options.timeout_s)
+        except HTTPError as error:
+            reason, again = f"the server answers HTTP {error.code}", error.code in _AGAIN
+        except URLError as error:
+            reason = f"no answer ({error.reason})"
+        except (OSError, http.client.HTTPException) as error:
+            reason = f"no whole answer ({error or type(error).__name__})"
+        if not again or attempt > options.retries:
+            raise FetchError(
+                f"{shown(server)}: {reason}, tried {attempt} times; check the address, or give the "
+                "same command again later"
+            )
+        time.sleep(delay_s)
+        delay_s *= 2.0
+    raise AssertionError("the last attempt returns or raises")
+
+
+def _post(server: str, query: bytes, timeout_s: float) -> bytes:
+    request = Request(server, query, {"User-Agent": "skyline", "Accept": "application/json"})
+    deadline = time.monotonic() + timeout_s
+    body = bytearray()
+    with urlopen(request, timeout=timeout_s) as answer:
+        promised = answer.length
+        while piece := answer.read1(1 << 16):
+            body += piece
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"not there whole after {timeout_s} s")
+            if len(body) > _MOST_BYTES:
+                raise FetchError(
+                    f"{shown(server)}: the answer is larger than {_MOST_BYTES >> 20} MiB; choose "
+                    "smaller bounds"
+                )
+    if promised is not None and len(body) < promised:
+        raise http.client.IncompleteRead(bytes(body), promised - len(body))
+    return bytes(body)
+
+
+def _elements(server: str, answer: bytes) -> list[Any]:
+    try:
+        told = json.loads(answer)
+        elements, remark = told["elements"], told.get("remark", "")
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        begins = " ".join(answer[:60].decode("utf-8", "replace").split())
+        raise FetchError(
+            f"{shown(server)}: the answer is not what Overpass answers (it begins `{begins}`); "
+            "check the address"
+        ) from None
+    if "error" in str(remark):
+        raise FetchError(
+            f"{shown(server)}: the server gave up ({' '.join(str(remark).split())[:120]}); choose "
+            "smaller bounds, or raise --timeout"
+        )
+    if not isinstance(elements, list):
+        raise FetchError(f"{shown(server)}: the answer has no list of elements; check the address")
+    return elements
+
+
+def _feature(
+    server: str, element: Any, lats: tuple[float, float], spans: list[tuple[float, float]]
+) -> dict[str, object]:
+    """Return an element as a GeoJSON feature; `FetchError` where it is no peak of the box."""
+    try:
+        lon, lat = float(element["lon"]), float(element["lat"])
+        name, height = element["tags"]["name"], element["tags"].get("ele")
+    except (KeyError, TypeError, ValueError, AttributeError):
+        lon = lat = math.nan
+        name = height = None
+    inside = lats[0] <= lat <= lats[1] and any(west <= lon <= east for west, east in spans)
+    if not inside or not isinstance(name, str):
+        raise FetchError(
+            f"{shown(server)}: the answer has {str(element)[:80]!r}, which is no named peak in the "
+            "bounds; nothing was written"
+        )
+    properties = {"name": name} if height is None else {"name": name, "ele": str(height)}
+    geometry = {"type": "Point", "coordinates": [lon, lat]}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}

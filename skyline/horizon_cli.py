@@ -1,0 +1,127 @@
+"""``skyline horizon`` and ``skyline sun``: the horizon round places, and the sun behind it."""
+
+import logging
+from datetime import date
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from skyline.console import (
+    Crs,
+    Dems,
+    NoCurvature,
+    RefractionK,
+    Reproject,
+    parse_place,
+    progress_bar,
+)
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.pipeline import DEFAULT_STEP_DEG, horizons_of
+from skyline.solar import SUFFIXES, LocalHorizons, horizon_csv, write_horizons
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoint_csv import read_viewpoints
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
+
+_CURVATURE = Curvature()
+_log = logging.getLogger(__name__)
+
+At = Annotated[
+    list[str] | None,
+    typer.Option("--at", metavar="LON,LAT", help="A place, degrees (WGS 84); may be repeated."),
+]
+EyeHeight = Annotated[float, typer.Option("--eye-height", metavar="M", help="Metres above ground.")]
+
+
+def horizon(
+    dem: Dems,
+    at: At = None,
+    points: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Places as CSV: lon,lat[,eye_height_m]."),
+    ] = None,
+    eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
+    step_deg: Annotated[
+        float, typer.Option("--step-deg", help="Degrees between azimuths.")
+    ] = DEFAULT_STEP_DEG,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help=f"{', '.join(SUFFIXES)}: a table, JSON, PVGIS' format or a plot. CSV is printed "
+            "by default.",
+        ),
+    ] = None,
+    k: RefractionK = _CURVATURE.refraction_k,
+    no_curvature: NoCurvature = False,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Give the horizon round places: elevation angle and distance by azimuth from true north."""
+    if bool(at) == (points is not None):
+        raise InputError("give places as --at LON,LAT or as --points FILE.csv")
+    if output is not None and output.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"--output is {output}; expected a name that ends in {', '.join(SUFFIXES)}"
+        )
+    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    if points is not None:
+        eyes = read_viewpoints(points, terrain, eye_height)
+    else:
+        eyes = _eyes(terrain, at or [], eye_height)
+    with progress_bar("rendering") as progress:
+        found = horizons_of(terrain, eyes, step_deg, _curvature(k, no_curvature), progress)
+    if output is None:
+        typer.echo(horizon_csv(found), nl=False)
+    else:
+        write_horizons(found, output)
+    _warn(found)
+
+
+def sun(
+    dem: Dems,
+    at: At,
+    day: Annotated[str, typer.Option("--date", metavar="YYYY-MM-DD", help="The day at the place.")],
+    eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Say when the sun is above the mountains on a day: CSV of times in UTC (extra `sun`)."""
+    try:
+        asked = date.fromisoformat(day)
+    except ValueError as error:
+        raise InputError(f"--date is `{day}`; expected a day such as 2026-12-21") from error
+    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    found = horizons_of(terrain, _eyes(terrain, at or [], eye_height))
+    typer.echo("lon,lat,from_utc,to_utc")
+    for place in range(len(found)):
+        for begin, end in found.sun_above(asked, place):
+            times = ",".join(f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (begin, end))
+            typer.echo(f"{found.lon[place]:.7f},{found.lat[place]:.7f},{times}")
+    _warn(found)
+
+
+def _eyes(terrain: HeightField, at: list[str], eye_height_m: float) -> Viewpoints:
+    lon, lat = np.transpose([parse_place(text) for text in at])
+    return stand_on(terrain, *terrain.frame.from_lonlat(lon, lat), eye_height_m)
+
+
+def _curvature(k: float, no_curvature: bool) -> Curvature:
+    return Curvature(refraction_k=k, enabled=not no_curvature)
+
+
+def _warn(found: LocalHorizons) -> None:
+    """Tell where terrain beyond the data may be higher."""
+    unsure = (found.flags & (FLAG_TRUNCATED | FLAG_HOLE)) != 0
+    if unsure.any():
+        _log.warning(
+            "of the azimuths %.2g %% look over the DEM's border or over a "
+            "hole, where higher terrain may be hidden; give a DEM of a wider area",
+            100.0 * unsure.mean(),
+        )

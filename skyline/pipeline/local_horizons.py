@@ -1,0 +1,99 @@
+"""Renders the horizons round places that a person names."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skyline.camera import MAX_WIDTH
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.horizons import Horizons
+from skyline.pipeline.build import Progress
+from skyline.render.panorama import PanoramaRenderer
+from skyline.solar import LocalHorizons
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+
+DEFAULT_STEP_DEG = 0.5
+_AT_ONCE = 2048
+_LEAST_STEPS = 8
+
+
+def horizon(
+    terrain: HeightField,
+    lon: ArrayLike,
+    lat: ArrayLike,
+    eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
+    step_deg: float = DEFAULT_STEP_DEG,
+    curvature: Curvature | None = None,
+) -> LocalHorizons:
+    """Return the horizons round places: exact on the surface of the DEM, but for float32.
+
+    Parameters
+    ----------
+    terrain : HeightField
+    lon, lat : array_like, degrees (WGS 84), broadcast to N places
+    eye_height_m : array_like, metres above ground
+    step_deg : float
+        Between azimuths, the first of which is true north.
+    curvature : Curvature, optional
+        Defaults to the Earth's with k = 0.13.
+
+    Raises
+    ------
+    OffMapError
+        A place off the map or on a hole, or an eye height below 0.
+    InputError
+        Steps that are no whole share of a turn.
+    ContextError
+        No OpenGL context can be made.
+    """
+    easting_m, northing_m = terrain.frame.from_lonlat(*np.broadcast_arrays(lon, lat))
+    eyes = stand_on(terrain, easting_m, northing_m, eye_height_m)
+    return horizons_of(terrain, eyes, step_deg, curvature)
+
+
+def horizons_of(
+    terrain: HeightField,
+    eyes: Viewpoints,
+    step_deg: float = DEFAULT_STEP_DEG,
+    curvature: Curvature | None = None,
+    progress: Progress | None = None,
+) -> LocalHorizons:
+    """Return the horizons of eyes; as `horizon` otherwise."""
+    steps = _check_step(step_deg)
+    # The renderer's steps to a turn are a multiple of 8: some are left out.
+    every = 8 // math.gcd(steps, 8)
+    lon, lat = terrain.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
+    to_grid_rad = -np.radians(terrain.frame.convergence_deg(eyes.easting_m, eyes.northing_m))
+    parts: list[Horizons] = []
+    with PanoramaRenderer(terrain, steps * every, curvature, tolerance_deg=0.0) as renderer:
+        for start in range(0, len(eyes), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            parts.append(renderer.render(eyes[part], to_grid_rad[part]))
+            if progress is not None:
+                progress(min(part.stop, len(eyes)), len(eyes))
+    rendered = Horizons.concatenate(parts)
+    azimuth_deg = np.arange(steps) * (360.0 / steps)
+    return LocalHorizons(
+        lon,
+        lat,
+        eyes.eye_elevation_m,
+        np.broadcast_to(azimuth_deg, (len(eyes), steps)),
+        np.degrees(np.arctan(rendered.elevation_tan[:, ::every])),
+        rendered.distance_m[:, ::every],
+        rendered.flags[:, ::every],
+    )
+
+
+def _check_step(step_deg: float) -> int:
+    """Return the number of steps to a turn."""
+    most = MAX_WIDTH // 2
+    steps = round(360.0 / step_deg) if 0.0 < step_deg <= 360.0 else 0
+    if not (_LEAST_STEPS <= steps <= most and math.isclose(steps * step_deg, 360.0, rel_tol=1e-6)):
+        raise InputError(
+            f"step is {step_deg:g} degrees; expected a whole share of 360, from {360.0 / most:.3g} "
+            f"to {360.0 / _LEAST_STEPS:g}: 0.5, 1 or 7.5"
+        )
+    return steps

@@ -1,0 +1,104 @@
+"""Makes labelled panoramas of what is seen from a place."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from skyline import report
+from skyline.errors import InputError
+from skyline.files import write_whole
+from skyline.geodesy import Curvature
+from skyline.report.peaks import Peaks
+from skyline.report.sightings import visible_peaks
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+
+PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
+_LEAST_FOV_DEG = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class PanoramaConfig:
+    """What a panorama shows; by default all the way round, from north to north.
+
+    Attributes
+    ----------
+    heading_deg, fov_deg : float
+        The picture's middle, from true north, and its angle, 5 to 360 degrees.
+    eye_height_m : float
+        Above ground.
+    """
+
+    heading_deg: float = 180.0
+    fov_deg: float = 360.0
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+
+    def __post_init__(self) -> None:
+        if not (_LEAST_FOV_DEG <= self.fov_deg <= 360.0 and math.isfinite(self.heading_deg)):
+            raise InputError(
+                f"heading is {self.heading_deg:g} and field of view {self.fov_deg:g} degrees; "
+                f"expected a field of view of {_LEAST_FOV_DEG:g} to 360"
+            )
+
+    @property
+    def start_deg(self) -> float:
+        """The picture's left border."""
+        return (self.heading_deg - 0.5 * self.fov_deg) % 360.0
+
+
+def save_panorama(
+    terrain: HeightField,
+    lon: float,
+    lat: float,
+    path: str | Path,
+    peaks: Peaks | None = None,
+    config: PanoramaConfig | None = None,
+) -> int:
+    """Draw what is seen from a place, with the names of the peaks that are seen.
+
+    Parameters
+    ----------
+    terrain : HeightField
+    lon, lat : float
+        Degrees (WGS 84).
+    path : str or Path
+        ``.png``, ``.svg`` or ``.pdf``.
+    peaks : Peaks, optional
+        `skyline.read_peaks`.
+    config : PanoramaConfig, optional
+
+    Returns
+    -------
+    int
+        How many of the peaks are seen in the picture. The lower of two whose names would overlap
+        goes without its name.
+
+    Raises
+    ------
+    OffMapError
+        The place is off the map or on a hole.
+    InputError
+        Another suffix, or a file that cannot be written.
+    """
+    config = config or PanoramaConfig()
+    path = Path(path)
+    if path.suffix.lower() not in PANORAMA_SUFFIXES:
+        raise InputError(f"{path} is no picture; expected {', '.join(PANORAMA_SUFFIXES)}")
+    eye = stand_on(terrain, *terrain.frame.from_lonlat(lon, lat), config.eye_height_m)
+    view = panorama_view(terrain, eye, peaks, config)
+    write_whole(path, report.encode_panorama(report.draw_panorama(view), path.suffix[1:].lower()))
+    return len(view.sightings)
+
+
+def panorama_view(
+    terrain: HeightField, eye: Viewpoints, peaks: Peaks | None, config: PanoramaConfig
+) -> "report.PanoramaView":
+    """Look at what one eye sees and find its peaks; see `save_panorama`."""
+    start_deg, fov_deg = config.start_deg, config.fov_deg
+    landscape = report.Landscape.of(terrain, eye, report.picture_azimuths_deg(start_deg, fov_deg))
+    seen = [] if peaks is None else visible_peaks(terrain, eye, peaks, Curvature())
+    convergence_deg = float(terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0]))
+    inside = [
+        one for one in seen if (one.azimuth_deg + convergence_deg - start_deg) % 360.0 < fov_deg
+    ]
+    return report.PanoramaView(terrain, eye, landscape, inside, start_deg, fov_deg)

@@ -1,0 +1,73 @@
+"""Places of a store as a GeoPackage, drawn by QGIS as squares of the ground they stand for.
+
+The style lies in the file, in the table that QGIS keeps styles in, so that QGIS uses it at once.
+"""
+
+import contextlib
+import sqlite3
+import tempfile
+from pathlib import Path
+
+from skyline.errors import InputError
+from skyline.store import Store
+
+_LAYER = "places"
+_STYLE = Path(__file__).with_name("places.qml")
+_STYLES_TABLE = """
+CREATE TABLE layer_styles (
+    id INTEGER PRIMARY KEY AUTOINCREMENT NOT NULL, f_table_catalog TEXT(256),
+    f_table_schema TEXT(256), f_table_name TEXT(256), f_geometry_column TEXT(256),
+    styleName TEXT(30), styleQML TEXT, styleSLD TEXT, useAsDefault BOOLEAN, description TEXT,
+    owner TEXT(30), ui TEXT(30), update_time DATETIME
+);
+INSERT INTO gpkg_contents (table_name, data_type, identifier) VALUES
+    ('layer_styles', 'attributes', 'layer_styles');
+"""
+
+
+def write_geopackage(store: Store, path: Path) -> int:
+    """Write the places of a store as points, with their spacing and tolerance.
+
+    Parameters
+    ----------
+    store : Store
+        Of places.
+    path : Path
+        Ends in ``.gpkg``; written whole or not at all.
+
+    Returns
+    -------
+    int
+        How many there are.
+
+    Raises
+    ------
+    InputError
+        A store of renderings, another suffix, a file that cannot be written, or GeoPandas is not
+        installed.
+    StoreError
+        Damaged data.
+    """
+    if path.suffix.lower() != ".gpkg":
+        raise InputError(f"--output is {path}; expected a name that ends in .gpkg")
+    table = store.to_geodataframe()
+    try:
+        with tempfile.TemporaryDirectory(dir=path.absolute().parent) as folder:
+            partial = Path(folder, path.name)
+            table.to_file(partial, layer=_LAYER, driver="GPKG")
+            with contextlib.closing(sqlite3.connect(partial)) as file:
+                file.executescript(_STYLES_TABLE)
+                file.execute(
+                    "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, "
+                    "f_geometry_column, styleName, styleQML, useAsDefault, update_time) VALUES "
+                    "('', '', ?, 'geom', 'places', ?, 1, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
+                    (_LAYER, _STYLE.read_text(encoding="utf-8")),
+                )
+                file.commit()
+            partial.replace(path)
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be written ({error.strerror or error}); name a file in a folder that "
+            "exists"
+        ) from error
+    return len(table)

@@ -1,0 +1,305 @@
+"""A panorama to print: terrain that fades with distance, ridges, a compass, named summits."""
+
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+from matplotlib.ticker import MaxNLocator
+from scipy.ndimage import map_coordinates
+
+from skyline.arrays import Float64Array
+from skyline.report.labels import place_labels
+from skyline.report.landscape import Landscape
+from skyline.report.sightings import Sighting
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+
+ROW_DEG = 120.0
+"""The widest row; a wider panorama has several rows, of one width."""
+
+SUMMIT = "summit"
+"""The id of names in the figure."""
+
+_WIDTH_IN, _MARGIN_IN, _SCALE_IN, _TITLE_IN = 16.0, 0.45, 0.7, 0.45
+_NAMES_APART_IN = 0.015
+_DPI = 150
+_COLUMNS = round((_WIDTH_IN - 2.0 * _MARGIN_IN) * _DPI)
+_BELOW_DEG, _LEAST_DEG = 7.0, 12.0
+_FONT_PT = 8.0
+_LIGHT_ASIDE, _LIGHT_UP = np.radians(60.0), np.radians(40.0)
+"""Light falls over the onlooker's left shoulder, wherever the onlooker looks."""
+_ROCK, _HAZE = np.array([0.46, 0.47, 0.38]), np.array([0.80, 0.87, 0.93])
+_SKY = "#f4f8fb"
+_POINTS = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 315: "NW"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PanoramaView:
+    """What a panorama shows.
+
+    Attributes
+    ----------
+    terrain : HeightField
+    eye : Viewpoints
+        One.
+    landscape : Landscape
+        Its columns are the picture's, `picture_azimuths_deg`.
+    sightings : sequence of Sighting
+        Summits that the eye sees, the most important first.
+    start_deg, fov_deg : float
+        The azimuth from true north at the left border, and how far the picture goes on.
+    """
+
+    terrain: HeightField
+    eye: Viewpoints
+    landscape: Landscape
+    sightings: Sequence[Sighting]
+    start_deg: float
+    fov_deg: float
+
+    @property
+    def convergence_deg(self) -> float:
+        """Azimuth from true north minus grid azimuth."""
+        eye = self.eye
+        return float(self.terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0]))
+
+    def span_deg(self, columns: slice) -> tuple[float, float]:
+        """Return the lowest and highest elevation angle to show of columns of the landscape."""
+        skyline = self.landscape.skyline_deg[columns]
+        high = float(skyline.max()) + 1.0
+        low = max(float(skyline.min()) - _BELOW_DEG, -89.0)
+        return min(low, high - _LEAST_DEG), high
+
+    def within(self, ends: tuple[float, float]) -> list[tuple[Sighting, float]]:
+        """Return the summits between two azimuths, and their azimuths from true north."""
+        turned = [
+            (one, ends[0] + (one.azimuth_deg + self.convergence_deg - ends[0]) % 360.0)
+            for one in self.sightings
+        ]
+        return [(one, azimuth) for one, azimuth in turned if azimuth < ends[1]]
+
+
+def picture_azimuths_deg(start_deg: float, fov_deg: float) -> Float64Array:
+    """Return the azimuths from true north of all columns of a panorama's pixels, row by row."""
+    columns = _rows(fov_deg) * _COLUMNS
+    return np.asarray(start_deg + (np.arange(columns) + 0.5) * (fov_deg / columns), np.float64)
+
+
+def _rows(fov_deg: float) -> int:
+    return int(np.ceil(fov_deg / ROW_DEG - 1e-9))
+
+
+def draw_panorama(view: PanoramaView) -> Figure:
+    """Draw a panorama, in rows of at most `ROW_DEG`; degrees are as long upwards as sideways."""
+    figure = Figure(dpi=_DPI)
+    FigureCanvasAgg(figure)
+    rows = [_Row.of(view, row, figure) for row in range(_rows(view.fov_deg))]
+    total_in = _TITLE_IN + sum(row.total_in for row in rows)
+    figure.set_size_inches(_WIDTH_IN, total_in)
+    left, wide = _MARGIN_IN / _WIDTH_IN, 1.0 - 2.0 * _MARGIN_IN / _WIDTH_IN
+    top_in = total_in - _TITLE_IN
+    for row in rows:
+        bottom_in = top_in - row.names_in - row.high_in
+        axis = figure.add_axes((left, bottom_in / total_in, wide, row.high_in / total_in))
+        _draw_row(axis, view, row)
+        _draw_names(axis, row)
+        top_in -= row.total_in
+    figure.text(left, 1.0 - 0.3 / total_in, _title(view), fontsize=11, va="baseline")
+    return figure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Row:
+    """One row of the picture: its azimuths, elevation angles and names.
+
+    Attributes
+    ----------
+    columns : slice
+        Of the landscape.
+    ends_deg, span_deg : (float, float)
+    names : list of (label, azimuth_deg, summit_deg, wide_in, high_in)
+        Wide and high as the label is written lying.
+    """
+
+    columns: slice
+    ends_deg: tuple[float, float]
+    span_deg: tuple[float, float]
+    names: list[tuple[str, float, float, float, float]]
+
+    @classmethod
+    def of(cls, view: PanoramaView, row: int, figure: Figure) -> "_Row":
+        columns = slice(row * _COLUMNS, (row + 1) * _COLUMNS)
+        row_deg = view.fov_deg / _rows(view.fov_deg)
+        ends = view.start_deg + row * row_deg, view.start_deg + (row + 1) * row_deg
+        names, span_deg = [], view.span_deg(columns)
+        for one, azimuth in view.within(ends):
+            label = f"{one.label}  {one.distance_m / 1000.0:.1f} km"
+            summit_deg = float(np.degrees(np.arctan(one.elevation_tan)))
+            if summit_deg > span_deg[0]:
+                names.append((label, azimuth, summit_deg, *_extent_in(figure, label)))
+        return cls(columns, ends, span_deg, names)
+
+    @property
+    def in_a_deg(self) -> float:
+        """Inches a degree, sideways and upwards."""
+        return (_WIDTH_IN - 2.0 * _MARGIN_IN) / (self.ends_deg[1] - self.ends_deg[0])
+
+    @property
+    def high_in(self) -> float:
+        """Height of the landscape."""
+        return self.in_a_deg * (self.span_deg[1] - self.span_deg[0])
+
+    @property
+    def names_in(self) -> float:
+        """Height of the names over it."""
+        return max((name[3] for name in self.names), default=0.0) + 0.35 * bool(self.names)
+
+    @property
+    def total_in(self) -> float:
+        """Height of all."""
+        return self.names_in + self.high_in + _SCALE_IN
+
+
+def encode_panorama(figure: Figure, kind: str) -> bytes:
+    """Return a panorama as ``png``, ``svg`` or ``pdf``."""
+    picture = io.BytesIO()
+    figure.savefig(picture, format=kind, dpi=_DPI)
+    return picture.getvalue()
+
+
+def _draw_row(axis: Axes, view: PanoramaView, row: _Row) -> None:
+    """Draw the landscape of a row, and its scales."""
+    (begin, end), (low, high) = row.ends_deg, row.span_deg
+    pixel_deg = (end - begin) / _COLUMNS
+    azimuth = view.landscape.azimuth_deg[row.columns]
+    elevation = np.arange(low + 0.5 * pixel_deg, high, pixel_deg)
+    distance_m = view.landscape.seen_m(row.columns, elevation)
+    reach_m = view.landscape.reach_m
+    axis.imshow(
+        _shaded(view, azimuth, distance_m, reach_m),
+        extent=(begin, end, low, high),
+        origin="lower",
+        aspect="auto",
+        interpolation="nearest",
+    )
+    haze = _haze(view.landscape.ridge_m, reach_m)[::-1, np.newaxis]
+    lines = view.landscape.ridge_deg[::-1, row.columns]
+    axis.add_collection(
+        LineCollection(
+            [np.stack([azimuth, line], axis=1) for line in lines],
+            colors=(1.0 - haze) * 0.35 * _ROCK + haze * 0.72 * _HAZE,
+            linewidths=0.7,
+        )
+    )
+    axis.set(xlim=(begin, end), ylim=(low, high), facecolor=_SKY)
+    _draw_compass(axis, (begin, end))
+
+
+def _shaded(
+    view: PanoramaView, azimuth_deg: Float64Array, distance_m: Float64Array, reach_m: float
+) -> Float64Array:
+    """Return the picture (R, P, 4) of what is seen at distances (R, P); the sky is transparent."""
+    terrain, eye = view.terrain, view.eye
+    grid = np.radians(azimuth_deg - view.convergence_deg)
+    ground = np.isfinite(distance_m)
+    away = np.where(ground, distance_m, 0.0)
+    row, col = terrain.to_grid(
+        eye.easting_m[0] + away * np.sin(grid), eye.northing_m[0] + away * np.cos(grid)
+    )
+    north, east = (
+        map_coordinates(slope, [row, col], order=1, mode="nearest")
+        for slope in np.gradient(
+            terrain.heights_m, -terrain.spacing_north_m, terrain.spacing_east_m
+        )
+    )
+    towards = grid + np.pi - _LIGHT_ASIDE
+    lit = np.sin(_LIGHT_UP) - np.cos(_LIGHT_UP) * (east * np.sin(towards) + north * np.cos(towards))
+    light = np.nan_to_num(np.clip(lit / np.sqrt(1.0 + east**2 + north**2), 0.0, 1.0), nan=0.5)
+    haze = _haze(away, reach_m)[..., np.newaxis]
+    lighted = _ROCK * (0.25 + 1.25 * light[..., np.newaxis])
+    colour = np.clip((1.0 - haze) * lighted + haze * _HAZE, 0.0, 1.0)
+    return np.concatenate([colour, ground[..., np.newaxis]], axis=-1)
+
+
+def _haze(distance_m: Float64Array, reach_m: float) -> Float64Array:
+    return np.asarray(0.85 * (1.0 - np.exp(-2.0 * distance_m / reach_m)))
+
+
+def _draw_compass(axis: Axes, ends: tuple[float, float]) -> None:
+    """Draw degrees along the bottom, with the points of the compass, and up the side."""
+    wide = ends[1] - ends[0]
+    step, fine = (15, 1.0) if wide > 60.0 else (5, 1.0) if wide > 20.0 else (1, 0.1)
+    ticks = np.arange(np.ceil(ends[0] / step) * step, ends[1] + 1e-9, step)
+    names = [f"{tick % 360:.0f}°\n{_POINTS.get(int(tick) % 360, '')}" for tick in ticks]
+    axis.set_xticks(ticks, names)
+    # Hundreds of ticks as such would take a second.
+    axis.vlines(
+        np.arange(np.ceil(ends[0] / fine) * fine, ends[1], fine),
+        -0.012,
+        0.0,
+        transform=axis.get_xaxis_transform(),
+        color="black",
+        linewidth=0.5,
+        clip_on=False,
+    )
+    axis.tick_params(labelsize=_FONT_PT)
+    axis.yaxis.set_major_locator(MaxNLocator("auto", integer=True))
+    axis.yaxis.set_major_formatter("{x:.0f}°")
+    for side in ("top", "right", "left"):
+        axis.spines[side].set_visible(False)
+
+
+def _draw_names(axis: Axes, row: _Row) -> None:
+    """Write upright names over the landscape, with lines down to their summits."""
+    (begin, end), in_a_deg = row.ends_deg, row.in_a_deg
+    placed = place_labels(
+        [(azimuth - begin) * in_a_deg for _, azimuth, *_ in row.names],
+        [high_in for *_, high_in in row.names],
+        (end - begin) * in_a_deg,
+        rows=1,
+        gap_px=_NAMES_APART_IN,
+    )
+    leaders = []
+    for label in placed:
+        text, azimuth, summit_deg, _, _ = row.names[label.index]
+        middle = begin + 0.5 * (label.left_px + label.right_px) / in_a_deg
+        high = row.span_deg[1]
+        foot = high + 0.15 / in_a_deg
+        leaders.append([(azimuth, summit_deg), (azimuth, high), (middle, foot)])
+        axis.text(
+            middle,
+            foot + 0.04 / in_a_deg,
+            text,
+            gid=SUMMIT,
+            rotation=90,
+            ha="center",
+            va="bottom",
+            fontsize=_FONT_PT,
+        )
+    axis.add_collection(LineCollection(leaders, colors="#333333", linewidths=0.45, clip_on=False))
+
+
+def _extent_in(figure: Figure, text: str) -> tuple[float, float]:
+    """Return width and height of a text, inches."""
+    drawn = Text(0, 0, text, fontsize=_FONT_PT, figure=figure)
+    canvas: Any = figure.canvas
+    box = drawn.get_window_extent(canvas.get_renderer())
+    return box.width / figure.dpi, box.height / figure.dpi
+
+
+def _title(view: PanoramaView) -> str:
+    eye = view.eye
+    lon, lat = (float(at[0]) for at in view.terrain.frame.to_lonlat(eye.easting_m, eye.northing_m))
+    ground_m = float(view.terrain.height_at(eye.easting_m, eye.northing_m)[0])
+    return (
+        f"{abs(lat):.5f}° {'N' if lat >= 0 else 'S'}, {abs(lon):.5f}° {'E' if lon >= 0 else 'W'}, "
+        f"{ground_m:.0f} m, seen from {eye.eye_elevation_m[0] - ground_m:.1f} m above ground; "
+        "azimuths from true north"
+    )

@@ -1,0 +1,158 @@
+"""``skyline horizon``, ``sun`` and ``panorama`` as a user meets them."""
+
+import csv
+import io
+import json
+
+import numpy as np
+import pytest
+from commands import assert_refused, csv_of
+from scenes import fractal, write_dem
+
+from skyline import horizon, read_dem
+
+AT = "10.3224,46.7484"
+
+
+@pytest.fixture(scope="module")
+def dem(tmp_path_factory):
+    heights = 1500.0 + fractal(120, 140, 900.0, seed=6)
+    heights[5:9, 5:9] = np.nan
+    heights[4:30, 60:100] = np.nan
+    return write_dem(tmp_path_factory.mktemp("dem") / "dem.tif", heights, nodata=np.nan)
+
+
+@pytest.fixture(scope="module")
+def places(dem):
+    """Return three places on the DEM, as LON,LAT."""
+    terrain = read_dem([dem])
+    lon, lat = terrain.frame.to_lonlat(*terrain.to_map([60.0, 80.0, 40.0], [70.0, 30.0, 20.0]))
+    return [f"{a:.7f},{b:.7f}" for a, b in zip(lon, lat, strict=True)]
+
+
+def table(text):
+    return list(csv.DictReader(io.StringIO(text)))
+
+
+def test_csv_is_printed_and_is_what_python_gives(run, dem, places):
+    done = run("horizon", dem, "--at", places[0], "--at", places[1])
+    assert done.code == 0, done.err
+    rows = table(done.out)
+    assert list(rows[0]) == ["lon", "lat", "azimuth_deg", "elevation_deg", "distance_m"]
+    assert len(rows) == 2 * 720
+    lon, lat = np.array([place.split(",") for place in places[:2]], dtype=float).T
+    found = horizon(read_dem([dem]), lon, lat)
+    for name, values in (
+        ("azimuth_deg", found.azimuth_deg),
+        ("elevation_deg", found.elevation_deg),
+        ("distance_m", found.distance_m),
+    ):
+        told = [float(row[name]) for row in rows]
+        np.testing.assert_allclose(told, values.ravel(), rtol=1e-5, atol=0.05)
+    assert rows[720]["lon"] == places[1].split(",")[0]
+
+
+def test_points_are_read_and_json_is_written(run, dem, places, tmp_path):
+    points = csv_of(tmp_path / "points.csv", places, "lon,lat")
+    target = tmp_path / "horizons.json"
+    done = run("horizon", dem, "--points", points, "--step-deg", "10", "-o", target)
+    assert done.code == 0, done.err
+    told = json.loads(target.read_text())["places"]
+    assert len(told) == 3
+    assert told[2]["azimuth_deg"] == list(range(0, 360, 10))
+    assert 0.0 < told[0]["sky_view_factor"] < 1.0
+    assert len(told[1]["elevation_deg"]) == len(told[1]["distance_m"]) == 36
+
+
+def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp_path):
+    target = tmp_path / "horizon.txt"
+    assert run("horizon", dem, "--at", places[0], "--step-deg", "7.5", "-o", target).code == 0
+    angles = [float(line) for line in target.read_text().splitlines()]
+    lon, lat = (float(part) for part in places[0].split(","))
+    found = horizon(read_dem([dem]), lon, lat, step_deg=7.5)
+    np.testing.assert_allclose(angles, np.maximum(found.elevation_deg[0], 0.0), atol=0.0051)
+
+
+@pytest.mark.parametrize(("suffix", "begins"), [(".png", b"\x89PNG"), (".svg", b"<?xml")])
+def test_a_plot_is_drawn(run, dem, places, tmp_path, suffix, begins):
+    target = tmp_path / f"horizon{suffix}"
+    assert run("horizon", dem, "--at", places[0], "-o", target).code == 0
+    assert target.read_bytes().startswith(begins)
+
+
+def test_a_horizon_on_the_border_is_warned_of(run, dem, places, caplog):
+    assert run("horizon", dem, "--at", places[0]).code == 0
+    assert "look over the DEM's border or over a hole" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--at", "7.0,46.8"), "viewpoint 0 (lon 7.00000, lat 46.80000;"),
+        (("--at", "46.8"), "expected LON,LAT in degrees"),
+        (("--at", "9.8,95"), "expected LON,LAT in degrees"),
+        ((), "give places as --at LON,LAT or as --points"),
+        (("--at", AT, "--points", "points.csv"), "give places as --at LON,LAT or as --points"),
+        (("--at", AT, "-o", "horizon.doc"), "expected a name that ends in .csv"),
+        (("--at", AT, "--step-deg", "7"), "expected a whole share of 360"),
+        (("--at", AT, "--eye-height", "-3"), "below the ground"),
+        (("--points", "no.csv"), "no.csv does not exist"),
+    ],
+)
+def test_bad_input_is_one_line(run, dem, places, arguments, said):
+    arguments = [places[0] if word == AT else word for word in arguments]
+    assert_refused(run("horizon", dem, *arguments), said)
+
+
+def test_a_place_on_a_hole_is_one_line(run, dem, tmp_path):
+    terrain = read_dem([dem])
+    lon, lat = (float(at) for at in terrain.frame.to_lonlat(*terrain.to_map(15.0, 80.0)))
+    for command in (("horizon",), ("sun", "--date", "2026-06-21"),
+                    ("panorama", "-o", tmp_path / "panorama.png")):  # fmt: skip
+        done = run(command[0], dem, "--at", f"{lon:.6f},{lat:.6f}", *command[1:])
+        assert_refused(done, "is on a hole of the DEM")
+    assert not list(tmp_path.iterdir())
+
+
+def test_files_for_one_place_refuse_two_and_leave_nothing(run, dem, places, tmp_path):
+    target = tmp_path / "horizon.txt"
+    done = run("horizon", dem, "--at", places[0], "--at", places[1], "-o", target)
+    assert_refused(done, "would hold 2 horizons, but .txt holds one")
+    assert not target.exists()
+
+
+def test_the_sun_comes_and_goes(run, dem, places):
+    done = run("sun", dem, "--at", places[0], "--date", "2026-06-21")
+    assert done.code == 0, done.err
+    rows = table(done.out)
+    assert rows
+    assert all(row["from_utc"] < row["to_utc"] for row in rows)
+    assert rows[0]["from_utc"].startswith("2026-06-21T")
+    assert_refused(run("sun", dem, "--at", places[0], "--date", "21.6."), "expected a day such as")
+
+
+def test_a_panorama_with_geojson_peaks(run, dem, places, tmp_path):
+    terrain = read_dem([dem])
+    row, col = np.unravel_index(np.nanargmax(terrain.heights_m), terrain.heights_m.shape)
+    lon, lat = (float(at) for at in terrain.frame.to_lonlat(*terrain.to_map(row, col)))
+    point = {"type": "Point", "coordinates": [lon, lat]}
+    features = [
+        {"type": "Feature", "properties": properties, "geometry": geometry}
+        for properties, geometry in (
+            ({"name": "Top", "ele": "about 2400"}, point),
+            ({"ele": "2400"}, point),
+            ({"name": "A way"}, {"type": "LineString", "coordinates": [[lon, lat]]}),
+        )
+    ]
+    peaks = tmp_path / "peaks.geojson"
+    peaks.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    target = tmp_path / "panorama.svg"
+    arguments = ("panorama", dem, "--at", places[1], "--eye-height", "900", "-o", target)
+    done = run(*arguments, "--peaks", peaks)
+    assert done.code == 0, done.err
+    assert "1 of 1 peaks are seen" in done.out
+    assert target.read_bytes().startswith(b"<?xml")
+    for text in ('{"features": 3}', "[]", "{", '{"features": [{"properties": null}]}'):
+        peaks.write_text(text)
+        assert_refused(run(*arguments, "--peaks", peaks), "peaks.geojson")
+    assert_refused(run(*arguments, "--fov-deg", "2"), "expected a field of view of 5 to 360")

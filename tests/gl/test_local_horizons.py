@@ -1,0 +1,160 @@
+"""Horizons round places: against the oracle from true north, and what is made of them."""
+
+from datetime import UTC, date, datetime, timedelta
+
+import numpy as np
+import pandas as pd
+import pytest
+from pyproj import Geod
+from scenes import field_from, fractal
+
+from skyline import Curvature, Frame, HeightField, InputError, OffMapError, horizon, stand_on
+from skyline_bench.truth import oracle
+
+# Ten degrees east of its middle: north of the map is seven degrees from true north.
+UTM = Frame.from_crs("EPSG:32632")
+EAST_M, NORTH_M = 1_270_000.0, 5_250_000.0
+
+
+def far_east(heights_m, spacing_m=30.0):
+    return HeightField(
+        np.asarray(heights_m, np.float32), EAST_M, NORTH_M, spacing_m, spacing_m, UTM
+    )
+
+
+@pytest.fixture(scope="module")
+def rough():
+    return far_east(fractal(90, 80, relief_m=700.0, seed=3))
+
+
+def places_on(field, count, seed=4):
+    place = np.random.default_rng(seed)
+    row, col = place.uniform(3, field.rows - 4, count), place.uniform(3, field.cols - 4, count)
+    return field.frame.to_lonlat(*field.to_map(row, col))
+
+
+@pytest.mark.parametrize("step_deg", [0.5, 7.5, 10.0])
+def test_equals_the_oracle_at_azimuths_from_true_north(rough, step_deg):
+    lon, lat = places_on(rough, 6)
+    found = horizon(rough, lon, lat, 2.0, step_deg)
+    steps = round(360.0 / step_deg)
+    assert found.elevation_deg.shape == (6, steps)
+    np.testing.assert_array_equal(found.azimuth_deg[3], np.arange(steps) * step_deg)
+    easting, northing = UTM.from_lonlat(lon, lat)
+    turn = UTM.convergence_deg(easting, northing)
+    assert turn.min() > 6.0
+    for index in range(6):
+        grid_deg = (found.azimuth_deg[index] - turn[index]) % 360.0
+        heading = np.round(grid_deg / 90.0).astype(int) % 4
+        away = np.radians((grid_deg - 90.0 * heading + 180.0) % 360.0 - 180.0)
+        for side in range(4):
+            columns = np.flatnonzero(heading == side)
+            columns = columns[np.argsort(away[columns])]
+            eye = stand_on(rough, easting[index], northing[index])
+            truth = oracle.skyline_at(rough, eye, np.tan(away[columns]), Curvature())
+            cosine = np.cos(away[columns])
+            true_deg = np.degrees(np.arctan(truth.elevation_tan[side] * cosine))
+            off_deg = found.elevation_deg[index, columns] - true_deg
+            assert np.abs(off_deg).max() < 2e-3
+            np.testing.assert_array_equal(found.flags[index, columns], truth.flags[side])
+            clear = np.abs(off_deg) < 1e-4
+            assert clear.mean() > 0.9
+            away_m = truth.depth_m[side] / cosine
+            np.testing.assert_allclose(
+                found.distance_m[index, columns][clear], away_m[clear], rtol=1e-4
+            )
+
+
+@pytest.mark.parametrize("azimuth_deg", [0.0, 44.5, 137.0, 271.5])
+def test_a_tower_is_at_its_geodesic_azimuth(azimuth_deg):
+    heights = np.zeros((401, 401), np.float32)
+    field = far_east(heights)
+    lon, lat = (float(at) for at in UTM.to_lonlat(*field.to_map(200.0, 200.0)))
+    there = Geod(ellps="WGS84").fwd(lon, lat, azimuth_deg, 4000.0)
+    row, col = (int(np.rint(at)) for at in field.to_grid(*UTM.from_lonlat(*there[:2])))
+    heights[row, col] = 900.0
+    found = horizon(far_east(heights), lon, lat, step_deg=0.1)
+    peak = np.flatnonzero(found.elevation_deg[0] > 11.0)
+    off_deg = (found.azimuth_deg[0, peak] - azimuth_deg + 180.0) % 360.0 - 180.0
+    # A sample lies up to 21 m beside the tower: 0.3 degrees.
+    assert np.abs(off_deg.mean()) < 0.35
+    assert len(peak) < 12
+
+
+def test_one_turn_does_not_matter_to_another(rough):
+    lon, lat = places_on(rough, 40)
+    together = horizon(rough, lon, lat)
+    alone = horizon(rough, lon[7], lat[7])
+    np.testing.assert_array_equal(together.elevation_deg[7:8], alone.elevation_deg)
+
+
+def test_a_dataset_and_a_series(rough):
+    found = horizon(rough, *places_on(rough, 3))
+    data = found.to_xarray()
+    assert data.elevation_deg.dims == ("point", "azimuth_deg")
+    at_east = data.sel(azimuth_deg=90.0).elevation_deg.to_numpy()
+    np.testing.assert_array_equal(at_east, found.elevation_deg[:, 180])
+    series = found.to_series(2)
+    assert (series.index.name, series.name) == ("horizon_azimuth", "horizon_elevation")
+    assert series[90.0] == found.elevation_deg[2, 180]
+
+
+@pytest.mark.parametrize(
+    ("heights", "expected"),
+    [
+        (lambda east, north: 0.0 * east * north, 1.0),
+        # Its rim is 2,000 m high and 2,500 m away, all the way round.
+        (lambda east, north: np.clip(np.hypot(east, north) - 500.0, 0.0, 2000.0), 1.0 / 1.64),
+        (lambda east, north: np.abs(east) + 0.0 * north, np.sqrt(0.5)),
+    ],
+    ids=["plain", "crater", "valley"],
+)
+def test_sky_view_factors_of_rendered_scenes(heights, expected):
+    field = field_from(heights, 2001, 10.0)
+    flat = Curvature(enabled=False)
+    found = horizon(field, *field.frame.to_lonlat(0.0, 0.0), 0.001, curvature=flat)
+    # The valley is 20 km long and not endless, and a grid cuts the crater's circle.
+    assert found.sky_view_factor()[0] == pytest.approx(expected, abs=0.002)
+
+
+def test_the_sun_rises_behind_a_ridge_when_another_ephemeris_says_so():
+    pvlib = pytest.importorskip("pvlib")
+    ridge = field_from(
+        lambda east, north: 1500.0 + 900.0 * np.exp(-(((np.abs(east) - 4000.0) / 700.0) ** 2))
+        + 0.05 * north, 401, 30.0,
+    )  # fmt: skip
+    lon, lat = (float(at) for at in ridge.frame.to_lonlat(0.0, 0.0))
+    found = horizon(ridge, lon, lat)
+    for day in (date(2026, 3, 20), date(2026, 6, 21), date(2026, 12, 21)):
+        ((rise, set_),) = found.sun_above(day)
+        noon = datetime(day.year, day.month, day.day, 12, tzinfo=UTC) - timedelta(hours=lon / 15.0)
+        times = pd.date_range(noon - timedelta(hours=12), noon + timedelta(hours=12), freq="5s")
+        sun = pvlib.solarposition.get_solarposition(times, lat, lon, altitude=1500.0)
+        line = np.interp(sun.azimuth, found.azimuth_deg[0], found.elevation_deg[0], period=360.0)
+        shines = times[sun.apparent_elevation + 0.2666 > line]
+        assert shines[0] > noon - timedelta(hours=7)
+        assert abs((rise - shines[0]).total_seconds()) < 60.0
+        assert abs((set_ - shines[-1]).total_seconds()) < 60.0
+        # The ridge, and not the sea's horizon, hides the sun.
+        flat = times[sun.apparent_elevation > 0.0]
+        assert (rise - flat[0]).total_seconds() > 3000.0
+
+
+def test_the_sun_of_a_polar_summer_never_sets_and_of_a_polar_winter_never_rises():
+    plain = field_from(lambda east, north: 0.0 * east * north, 101, 30.0)
+    far_north = HeightField(plain.heights_m, 0.0, 0.0, 30.0, 30.0, Frame.local(20.0, 75.0))
+    found = horizon(far_north, *far_north.frame.to_lonlat(1500.0, -1500.0))
+    ((begin, end),) = found.sun_above(date(2026, 6, 21))
+    assert end - begin == timedelta(days=1)
+    assert found.sun_above(date(2026, 12, 21)) == []
+
+
+@pytest.mark.parametrize("step_deg", [0.0, -1.0, 7.0, 90.0, 0.001, np.nan])
+def test_steps_that_are_no_share_of_a_turn(rough, step_deg):
+    with pytest.raises(InputError, match="expected a whole share of 360"):
+        horizon(rough, *places_on(rough, 1), step_deg=step_deg)
+
+
+def test_places_off_the_map_are_named_in_degrees(rough):
+    with pytest.raises(OffMapError, match=r"lon 9\.00000, lat 47\.00000; .*off the map"):
+        horizon(rough, 9.0, 47.0)

@@ -1,0 +1,181 @@
+"""What an eye sees of a wall before a higher wall, and which names stand where in a panorama."""
+
+import numpy as np
+import pytest
+from scenes import FRAME, HeightField, field_from, fractal
+from scipy.ndimage import maximum_filter
+
+from skyline import PanoramaConfig, Peaks, horizon, save_panorama, stand_on
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.pipeline.panorama import panorama_view
+from skyline.report.landscape import Landscape
+from skyline.report.panorama import SUMMIT, draw_panorama
+
+AZIMUTH_DEG = 10.0 + np.arange(2000) * 0.05
+
+
+@pytest.fixture(scope="module")
+def two_walls():
+    """What is seen of a ring 600 m away, and of a higher one 3,000 m away, over a plain."""
+    field = field_from(
+        lambda east, north: (
+            50.0 * (np.abs(np.hypot(east, north) - 600.0) < 20.0)
+            + 530.0 * (np.hypot(east, north) >= 3000.0)
+        ),
+        701, 10.0,
+    )  # fmt: skip
+    return Landscape.of(field, stand_on(field, 0.0, 0.0, 2.0), AZIMUTH_DEG)
+
+
+def test_the_nearer_wall_hides_the_plain_and_the_farther_one_stands_over_it(two_walls):
+    near_deg, far_deg = np.degrees(np.arctan([48.0 / 600.0, 528.0 / 3000.0]))
+    np.testing.assert_allclose(two_walls.skyline_deg, far_deg, atol=0.1)
+    assert two_walls.reach_m == pytest.approx(3000.0, rel=0.01)
+    elevation = np.array(
+        [-60.0, -1.0, near_deg - 0.3, near_deg + 0.3, far_deg - 0.1, far_deg + 0.1]
+    )
+    seen_m = two_walls.seen_m(slice(100, 140), elevation)
+    assert seen_m.shape == (6, 40)
+    np.testing.assert_allclose(seen_m[0], 2.0 / np.tan(np.radians(60.0)), atol=10.0)
+    np.testing.assert_allclose(seen_m[1], 2.0 / np.tan(np.radians(1.0)), atol=10.0)
+    np.testing.assert_allclose(seen_m[2], 600.0, atol=35.0)
+    np.testing.assert_allclose(seen_m[3:5], 3000.0, atol=25.0)
+    assert np.isinf(seen_m[5]).all()
+
+
+def test_ridges_are_where_the_terrain_drops_out_of_sight(two_walls):
+    there = np.isfinite(two_walls.ridge_deg)
+    assert there.any(axis=0).all()
+    for low_m, high_m, tan in ((550.0, 650.0, 48.0 / 600.0), (2900.0, 3100.0, 528.0 / 3000.0)):
+        lines = two_walls.ridge_deg[
+            (two_walls.ridge_m > low_m / 1.08) & (two_walls.ridge_m < high_m)
+        ]
+        highest = np.nanmax(lines, axis=0)
+        np.testing.assert_allclose(highest, np.degrees(np.arctan(tan)), atol=0.25)
+    between = (two_walls.ridge_m > 700.0) & (two_walls.ridge_m < 2700.0)
+    assert not there[between].any()
+
+
+def test_the_skyline_is_the_renderers(mountains):
+    field, _ = mountains
+    eye = stand_on(field, *field.to_map(100.0, 180.0), 20.0)
+    lon, lat = (float(at[0]) for at in field.frame.to_lonlat(eye.easting_m, eye.northing_m))
+    exact = horizon(field, lon, lat, 20.0, 0.1)
+    seen = Landscape.of(field, eye, exact.azimuth_deg[0])
+    short_deg = exact.elevation_deg[0] - seen.skyline_deg
+    # Steps are 42 m or a tenth of a degree apart, so that the highest edge may lie between two.
+    assert short_deg.min() > -1e-3
+    assert np.percentile(short_deg, [50, 95]).max() < 0.25
+
+
+@pytest.fixture(scope="module")
+def mountains():
+    heights = 1500.0 + fractal(300, 300, 1500.0, seed=8)
+    field = HeightField(heights.astype(np.float32), 0.0, 0.0, 60.0, 60.0, FRAME)
+    # The highest within 180 m, so that each is the summit that its name stands for.
+    row, col = np.nonzero(field.heights_m == maximum_filter(field.heights_m, 7))
+    easting, northing = field.to_map(row, col)
+    names = tuple(f"{'Great ' * (index % 3)}Peak {index}" for index in range(len(row)))
+    return field, Peaks(names, easting, northing, field.heights_m[row, col].astype(np.float64))
+
+
+PLACES = [(0.5, 0.5), (0.3, 0.6), (0.7, 0.2), (0.55, 0.8), (0.2, 0.35)]
+
+
+@pytest.mark.parametrize("share", PLACES)
+def test_no_name_overlaps_another_or_leaves_the_picture(mountains, share):
+    field, peaks = mountains
+    eye = stand_on(field, *field.to_map(300.0 * share[0], 300.0 * share[1]), 500.0)
+    view = panorama_view(field, eye, peaks, PanoramaConfig())
+    figure = draw_panorama(view)
+    figure.canvas.draw()
+    names = figure.findobj(lambda one: one.get_gid() == SUMMIT)
+    assert len(names) > 8
+    extents = [name.get_window_extent() for name in names]
+    page = figure.bbox
+    for index, extent in enumerate(extents):
+        assert page.x0 <= extent.x0 <= extent.x1 <= page.x1
+        assert page.y0 <= extent.y0 <= extent.y1 <= page.y1
+        assert not any(extent.overlaps(other) for other in extents[:index])
+    title = figure.texts[0].get_window_extent()
+    assert not any(title.overlaps(extent) for extent in extents)
+
+
+def test_only_peaks_that_are_seen_are_named_and_they_stand_on_the_landscape(mountains):
+    field, peaks = mountains
+    eye = stand_on(field, *field.to_map(150.0, 150.0), 500.0)
+    view = panorama_view(field, eye, peaks, PanoramaConfig())
+    assert 8 < len(view.sightings) < len(peaks) / 2
+    named = {one.label for one in view.sightings}
+    landscape, hidden, free = view.landscape, 0, 0
+    for index, name in enumerate(peaks.names):
+        east = peaks.easting_m[index] - eye.easting_m[0]
+        north = peaks.northing_m[index] - eye.northing_m[0]
+        away_m = np.hypot(east, north)
+        if away_m < 2000.0:
+            continue
+        azimuth = (np.degrees(np.arctan2(east, north)) + view.convergence_deg) % 360.0
+        column = np.argmin(np.abs(landscape.azimuth_deg - azimuth))
+        up = peaks.height_m[index] - eye.eye_elevation_m[0] - Curvature().drop_m(away_m)
+        summit_deg = np.degrees(np.arctan(up / away_m))
+        before = landscape.top_deg[column, landscape.distance_m < away_m - 150.0][-1]
+        seen = f"{name} {peaks.height_m[index]:.0f} m" in named
+        # The landscape's steps may pass over the highest edge.
+        if before > summit_deg + 0.3:
+            hidden += 1
+            assert not seen, name
+        if before < summit_deg - 0.2:
+            free += 1
+            assert seen, name
+    assert hidden > 50
+    assert free > 10
+
+
+def test_a_peak_below_the_picture_has_no_name(mountains):
+    field, _ = mountains
+    eye = stand_on(field, *field.to_map(150.0, 150.0), 500.0)
+    east, north = float(eye.easting_m[0]) + 400.0, float(eye.northing_m[0])
+    below = Peaks(("Below",), np.array([east]), np.array([north]), np.array([np.nan]))
+    view = panorama_view(field, eye, below, PanoramaConfig())
+    assert len(view.sightings) == 1
+    assert not draw_panorama(view).findobj(lambda one: one.get_gid() == SUMMIT)
+
+
+def test_a_part_of_the_round_has_its_peaks_alone(mountains):
+    field, peaks = mountains
+    eye = stand_on(field, *field.to_map(150.0, 150.0), 500.0)
+    whole = panorama_view(field, eye, peaks, PanoramaConfig())
+    part = panorama_view(field, eye, peaks, PanoramaConfig(heading_deg=350.0, fov_deg=60.0))
+    assert 0 < len(part.sightings) < len(whole.sightings)
+    off = [(one.azimuth_deg + part.convergence_deg - 350.0 + 180.0) % 360.0 - 180.0
+           for one in part.sightings]  # fmt: skip
+    assert np.abs(off).max() <= 30.0
+    azimuth = part.landscape.azimuth_deg
+    assert 320.0 < azimuth[0] < 320.1
+    assert 379.9 < azimuth[-1] < 380.0
+    there = np.interp(
+        azimuth % 360.0, whole.landscape.azimuth_deg, whole.landscape.skyline_deg, period=360.0
+    )
+    assert np.abs(part.landscape.skyline_deg - there).mean() < 0.05
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_pictures_are_of_their_kind(mountains, tmp_path, suffix):
+    field, peaks = mountains
+    path = tmp_path / f"panorama{suffix}"
+    lon, lat = (float(at) for at in field.frame.to_lonlat(*field.to_map(150.0, 150.0)))
+    assert save_panorama(field, lon, lat, path, peaks, PanoramaConfig(90.0, 40.0)) >= 0
+    begins = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[suffix]
+    assert path.read_bytes().startswith(begins)
+
+
+@pytest.mark.parametrize(("heading", "fov"), [(0.0, 4.0), (0.0, 361.0), (np.nan, 90.0)])
+def test_angles_out_of_range(heading, fov):
+    with pytest.raises(InputError, match="expected a field of view of 5 to 360"):
+        PanoramaConfig(heading, fov)
+
+
+def test_a_suffix_that_is_no_picture(mountains, tmp_path):
+    with pytest.raises(InputError, match=r"expected \.png, \.svg, \.pdf"):
+        save_panorama(mountains[0], 9.8, 46.8, tmp_path / "panorama.txt")

@@ -1,0 +1,50 @@
+"""Sky view factors where they are known in closed form."""
+
+import numpy as np
+import pytest
+
+from skyline import sky_view_factor
+
+AZIMUTH_DEG = np.arange(720) * 0.5
+
+
+def test_a_plain_sees_the_whole_sky():
+    assert sky_view_factor(AZIMUTH_DEG, np.full(720, -0.3)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("wall_deg", [5.0, 30.0, 70.0])
+def test_the_bottom_of_a_cone_sees_a_cap(wall_deg):
+    expected = np.cos(np.radians(wall_deg)) ** 2
+    assert sky_view_factor(AZIMUTH_DEG, np.full(720, wall_deg)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("wall_deg", [5.0, 30.0, 60.0])
+def test_the_bottom_of_an_endless_valley_sees_the_cosine_of_its_walls(wall_deg):
+    # The mean of 1 / (1 + t^2 cos^2 a) over a turn is 1 / sqrt(1 + t^2).
+    across = np.abs(np.cos(np.radians(AZIMUTH_DEG)))
+    elevation = np.degrees(np.arctan(np.tan(np.radians(wall_deg)) * across))
+    expected = np.cos(np.radians(wall_deg))
+    assert sky_view_factor(AZIMUTH_DEG, elevation) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 20.0, 60.0, 90.0])
+@pytest.mark.parametrize("facing_deg", [0.0, 180.0, 251.0])
+def test_a_module_on_a_plain_sees_half_of_one_plus_its_cosine(tilt_deg, facing_deg):
+    expected = 0.5 * (1.0 + np.cos(np.radians(tilt_deg)))
+    factor = sky_view_factor(AZIMUTH_DEG, np.zeros(720), tilt_deg, facing_deg)
+    assert factor == pytest.approx(expected, abs=2e-5)
+
+
+def test_a_module_is_shaded_by_what_it_faces_and_not_by_what_is_behind():
+    south = np.where(np.abs(AZIMUTH_DEG - 180.0) < 45.0, 30.0, 0.0)
+    faced, behind = (sky_view_factor(AZIMUTH_DEG, south, 60.0, to) for to in (180.0, 0.0))
+    assert faced < 0.65
+    assert behind == pytest.approx(0.75, abs=2e-5)
+
+
+def test_many_horizons_at_once_and_one_that_is_not_known():
+    elevation = np.full((2, 720), 30.0)
+    elevation[1, 5] = np.nan
+    factors = sky_view_factor(AZIMUTH_DEG, elevation)
+    assert factors[0] == pytest.approx(0.75)
+    assert np.isnan(factors[1])
