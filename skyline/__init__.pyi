@@ -18,6 +18,7 @@ from .matching.retrieval import RetrievalConfig
 from .matching.screening import Alike
 from .photo import (
     Correction,
+    Lens,
     NotedPlace,
     Photo,
     Projection,
@@ -68,6 +69,7 @@ __all__ = [
     "FullConfig",
     "HeightField",
     "InputError",
+    "Lens",
     "LocalHorizons",
     "Locations",
     "MatchConfig",

@@ -2,6 +2,7 @@
 
 import logging
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Annotated, Any
@@ -21,6 +22,7 @@ _UsageError: Any = typer.BadParameter.__base__
 
 _INTERRUPTED = 130
 """Exit code of a command stopped with Ctrl-C, which newer typers return instead of raising."""
+_PATIENCE_S = 5.0
 
 Workers = Annotated[
     int | None, typer.Option(metavar="N", help="Spread the work over N processes of this machine.")
@@ -42,6 +44,11 @@ Crs = Annotated[
 ]
 Reproject = Annotated[
     bool, typer.Option("--reproject", help="Warp a DEM whose CRS is not conformal.")
+]
+Width = Annotated[int, typer.Option(help="Columns of a 90 degree view.")]
+Tolerance = Annotated[
+    float,
+    typer.Option("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact."),
 ]
 
 
@@ -119,6 +126,19 @@ def progress_bar(what: str) -> Iterator[Progress]:
     with bar:
         task = bar.add_task(what, total=None, visible=False)
         yield lambda done, total: bar.update(task, completed=done, total=total, visible=True)
+
+
+@contextmanager
+def patience(doing: str) -> Iterator[None]:
+    """Say what is being done, on the error stream, where it takes more than five seconds."""
+    said = f"{doing} takes a while ..."
+    timer = threading.Timer(_PATIENCE_S, print, [said], {"file": sys.stderr, "flush": True})
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def runner_of(workers: int | None, scheduler: str | None) -> AbstractContextManager[Runner | None]:

@@ -6,7 +6,8 @@ from skyline.camera import pixel_size
 from skyline.geodesy import Frame
 from skyline.pipeline import MatchResult, RenderConfig
 from skyline.render.context import describe_context
-from skyline.report.records import MatchRecord, describe_candidates
+from skyline.report.claims import claim_in_words, describe_claim
+from skyline.report.records import CandidateRecord, LensRecord, MatchRecord, describe_candidates
 from skyline.store import StoreHeader, open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
@@ -18,7 +19,7 @@ from skyline.views import Views
 Facts = dict[str, object]
 
 
-def describe_match(query: str, result: MatchResult) -> MatchRecord:
+def describe_match(query: str, result: MatchResult, loading_seconds: float) -> MatchRecord:
     """Return what was found for a query, in the public JSON's terms."""
     candidates = describe_candidates(result.candidates)
     record = MatchRecord(
@@ -26,10 +27,60 @@ def describe_match(query: str, result: MatchResult) -> MatchRecord:
         answer=candidates[0] if result.answer else None,
         candidates=candidates,
         seconds=result.seconds,
+        loading_seconds=loading_seconds,
     )
     if result.refusal:
         record["refusal"] = result.refusal
+    lens = result.query.lens
+    if lens is not None and lens.said:
+        record["lens"] = LensRecord(
+            fov_deg=lens.fov_deg, sd_deg=lens.sd_deg, most_deg=lens.most_deg, said=lens.said
+        )
+    claim = describe_claim(result.query.noted, next(iter(result.candidates), None))
+    if claim is not None:
+        record["exif"] = claim
     return record
+
+
+def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
+    """Return what was found for a query as lines for a person who asked for so many candidates."""
+    places = record["candidates"]
+    said = [f"{record['query']} ({record['seconds']:.2f} s)"]
+    if record["answer"] is not None:
+        said.append("  the answer is candidate 1; all candidates, best first:")
+    if "refusal" in record:
+        said.append(f"  no answer: {record['refusal']}")
+    said += [
+        f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
+        f"{place['easting']:.0f} northing {place['northing']:.0f}  heading "
+        f"{place['heading_deg']:.1f} from true north  pitch {place['pitch_deg']:.1f}  fov "
+        f"{place['fov_deg']:.1f}  "
+        f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"
+        for rank, place in enumerate(places, start=1)
+    ]
+    if 0 < len(places) < asked_for:
+        count = f"{len(places)} of {asked_for} candidates"
+        said.append(f"  {count}: no other place was worth refining to the end")
+    if "lens" in record:
+        said.append(f"  field of view: {_lens_in_words(record['lens'])}")
+    if "exif" in record:
+        heading_deg = places[0]["heading_deg"] if places else None
+        is_answer = record["answer"] is not None
+        said.append(f"  {claim_in_words(record['exif'], heading_deg, is_answer)}")
+    return said
+
+
+def _lens_in_words(lens: LensRecord) -> str:
+    if lens["fov_deg"] is None:
+        return f"not known; {lens['said']}"
+    sure = "" if lens["sd_deg"] is None else f", give or take {lens['sd_deg']:.0f}"
+    return f"{lens['fov_deg']:.1f} degrees{sure}; {lens['said']}"
+
+
+def _how_sure(place: CandidateRecord) -> str:
+    if place["confidence"] is None:
+        return f"score {place['score']:.3f}"
+    return f"confidence {place['confidence']:.2f}"
 
 
 def describe_gl() -> Facts:

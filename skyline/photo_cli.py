@@ -1,17 +1,21 @@
 """``skyline match extract``: photos in, places and skylines out."""
 
+import hashlib
 import json
 import math
-from collections.abc import Iterable, Iterator, Sequence
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from skyline.console import Scheduler, Workers, complain, parse_bounds, runner_of
-from skyline.describe import describe_match
-from skyline.errors import InputError, MissingFileError, SkylineError
+from skyline.console import Scheduler, Workers, complain, parse_bounds, patience, runner_of
+from skyline.describe import describe_match, match_in_words
+from skyline.errors import InputError, SkylineError
 from skyline.matching import Narrowing
 from skyline.matching.match_config import MatchConfig
 from skyline.photo import Projection, extract_photo, write_overlay, write_trace
@@ -20,15 +24,17 @@ from skyline.pipeline import (
     MATCHERS,
     Matcher,
     MatchResult,
-    QueryReading,
+    Query,
+    listed,
     match_many,
     matched,
     report_matches,
 )
 from skyline.pipeline.match import terrain_at_hand
 from skyline.report.exports import EXPORTS, check_export, export_matches
-from skyline.report.peaks import read_peaks
-from skyline.report.records import CandidateRecord, MatchRecord
+from skyline.report.peaks import Peaks, read_peaks
+from skyline.report.records import FailureRecord
+from skyline.report.results import RESULTS, Results, open_results, row_of
 
 _DEFAULTS = MatchConfig()
 
@@ -49,7 +55,10 @@ def match(
     store: Annotated[Path, typer.Argument(metavar="STORE.h5")],
     query: Annotated[
         list[Path],
-        typer.Argument(metavar="QUERY...", help="Photos, sky masks (white = sky) or CSV traces."),
+        typer.Argument(
+            metavar="QUERY...",
+            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists.",
+        ),
     ],
     fov_deg: FieldOfView = None,
     projection: PhotoProjection = None,
@@ -86,6 +95,12 @@ def match(
         float,
         typer.Option(help="Standard deviation of the field of view, as a share of it."),
     ] = _DEFAULTS.fov_slack,
+    use_gps: Annotated[
+        bool,
+        typer.Option(
+            "--use-gps", help="Let each photo's own GPS position draw its search, never bind it."
+        ),
+    ] = False,
     eye_height: Annotated[
         float | None,
         typer.Option(metavar="M", help="Camera above the ground; by default it is found."),
@@ -111,55 +126,130 @@ def match(
             help=f"Write the candidates, by the suffix: {', '.join(EXPORTS)}; may be repeated.",
         ),
     ] = None,
+    results: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help=f"Write a row a photo as it is done ({', '.join(RESULTS)}). Photos that the file "
+            "has are not matched again.",
+        ),
+    ] = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
 ) -> None:
     """Find where photos were taken and in which direction the camera looked."""
     exports = export or []
-    _check_queries(query)
-    _check_outputs(exports, [store, *query])
-    for path in exports:
-        check_export(path)
     if peaks is not None and report is None:
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
     config = replace(
         _DEFAULTS, refine=not no_refine, min_confidence=min_confidence, fov_slack=fov_slack
     )
-    narrowing = replace(_narrowing(near, bounds, heading, elevation), eye_height_m=eye_height)
+    if use_gps and no_refine:
+        raise InputError("--use-gps acts in refinement; leave one of --use-gps, --no-refine out")
+    narrowing = replace(
+        _narrowing(near, bounds, heading, elevation), eye_height_m=eye_height, use_gps=use_gps
+    )
+    common = Query("", fov_deg, None, projection, sky_model, narrowing)
+    queries = list(listed(query, common))
+    _check_outputs([*exports, results], [store, *query, *(Path(one.path) for one in queries)])
+    for path in exports:
+        check_export(path)
+    kept = _Kept(results, _search(store, matcher, config, common), as_json, top)
+    queries = kept.left(queries)
+    refused = _refused(queries)
+    usable = [one for one in queries if one not in refused]
+    if not usable:
+        kept.tell_all(queries, refused, iter(()))
+        raise typer.Exit(kept.exit_code)
     # Workers may have another working directory.
     tiles = tuple(str(Path(one).absolute()) if Path(one).is_file() else one for one in dem or ())
     asked = (str(store), tiles or None, matcher, config)
-    matching = Matcher(*asked)
+    opened = time.perf_counter()
+    with patience(f"opening {store} and its elevation model"):
+        matching = Matcher(*asked)
+    kept.loading_s = time.perf_counter() - opened
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
-    reading = QueryReading(fov_deg, projection, sky_model)
-    results, failed = [], 0
     with runner_of(workers, scheduler) as runner:
         if runner is None:
-            found = _matched_here(matching, query, reading, top, narrowing)
+            found = _matched_here(matching, usable, top)
         else:
-            found = match_many(runner, asked, query, reading, top, narrowing)
-        for path, result in zip(query, found, strict=True):
+            found = match_many(runner, asked, usable, top)
+        matches = kept.tell_all(queries, refused, found)
+    _write(matching, matches, exports, report, gazetteer)
+    if kept.exit_code:
+        raise typer.Exit(kept.exit_code)
+
+
+class _Kept:
+    """Prints what is found of each query, and keeps it in a file where one is asked for."""
+
+    def __init__(self, results: Path | None, search: str, as_json: bool, top: int) -> None:
+        self.loading_s, self.exit_code = 0.0, 0
+        self._path, self._search, self._as_json, self._top = results, search, as_json, top
+        self._file: Results | None = None
+        self._had: set[str] = set()
+        if results is not None:
+            self._file, self._had = open_results(results, search)
+
+    def left(self, queries: list[Query]) -> list[Query]:
+        """Return the queries that the file does not have, and say how many those are not."""
+        left = [one for one in queries if one.path not in self._had]
+        if len(left) < len(queries):
+            done = len(queries) - len(left)
+            print(f"{self._path}: {done} of {len(queries)} are there already", file=sys.stderr)
+        return left
+
+    def tell_all(
+        self,
+        queries: Sequence[Query],
+        refused: Mapping[Query, SkylineError],
+        found: Iterator[MatchResult | SkylineError],
+    ) -> list[tuple[Path, MatchResult]]:
+        """Tell of all queries in order, as they come; return those that could be matched."""
+        matches: list[tuple[Path, MatchResult]] = []
+        for one in queries:
+            with nullcontext() if matches else patience(f"matching {one.path}"):
+                result = refused.get(one) or next(found)
             if isinstance(result, SkylineError):
-                _say_failed(path, result, as_json)
-                failed = result.exit_code
+                self._tell_failed(one, result, is_said=one in refused)
                 continue
-            results.append((path, result))
-            record = describe_match(str(path), result)
-            if as_json:
-                typer.echo(json.dumps(record))
-            else:
-                _say_match(record)
-    for path in exports if results else ():
+            matches.append((Path(one.path), result))
+            record = describe_match(one.path, result, self.loading_s)
+            said = match_in_words(record, self._top)
+            typer.echo(json.dumps(record) if self._as_json else "\n".join(said))
+            if self._file is not None:
+                self._file.add(row_of(record, self._search))
+        return matches
+
+    def _tell_failed(self, one: Query, error: SkylineError, is_said: bool) -> None:
+        """Tell of a query that cannot be matched; one that was not tried is tried again."""
+        self.exit_code = error.exit_code
+        record = FailureRecord(query=one.path, error=str(error))
+        if not is_said:
+            complain(str(error))
+        if self._as_json:
+            typer.echo(json.dumps(record))
+        if self._file is not None and not is_said:
+            self._file.add(row_of(record, self._search))
+
+
+def _write(
+    matching: Matcher,
+    matches: Sequence[tuple[Path, MatchResult]],
+    exports: Sequence[Path],
+    report: Path | None,
+    gazetteer: Peaks | None,
+) -> None:
+    """Write what was found, where anything was, to the files asked for."""
+    for path in exports if matches else ():
         packed = path.suffix.lower() == ".kmz"
-        told_of = [matched(one, result, with_photo=packed) for one, result in results]
+        told_of = [matched(one, result, with_photo=packed) for one, result in matches]
         export_matches(path, told_of, matching.frame)
-    if report is not None and results:
-        done = [f"The matcher `{matcher}` searched a store of {matching.rows} {matching.holds}."]
-        told = (matched(path, result, done) for path, result in results)
+    if report is not None and matches:
+        done = [f"{matching.rows} {matching.holds} of the store were searched."]
+        told = (matched(path, result, done) for path, result in matches)
         terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
         report_matches(report, matching, told, terrain, gazetteer)
-    if failed:
-        raise typer.Exit(failed)
 
 
 def extract(
@@ -184,16 +274,12 @@ def extract(
 
 
 def _matched_here(
-    matching: Matcher,
-    queries: Sequence[Path],
-    reading: QueryReading,
-    top: int,
-    narrowing: Narrowing,
+    matching: Matcher, queries: Sequence[Query], top: int
 ) -> Iterator[MatchResult | SkylineError]:
     """Yield what was found for each query, or why it cannot be matched."""
-    for path in queries:
+    for one in queries:
         try:
-            yield matching.match(reading.read(path), top=top, narrowing=narrowing)
+            yield one.match(matching, top)
         except SkylineError as error:
             yield error
 
@@ -222,16 +308,26 @@ def _numbers(name: str, text: str | None, wanted: str, count: int) -> tuple[floa
     return values
 
 
-def _check_queries(queries: Sequence[Path]) -> None:
-    """Raise `MissingFileError` where there is nothing to match, before a store is opened for it."""
-    if not any(path.exists() for path in queries):
-        raise MissingFileError(f"{queries[0]} does not exist; expected a photo, a mask or a trace")
+def _search(store: Path, matcher: str, config: MatchConfig, common: Query) -> str:
+    """Return what tells this search from others: a store, how it is searched, what is known."""
+    written = store.stat().st_mtime_ns if store.exists() else 0
+    settings = repr((store.name, written, matcher, config, common))
+    return hashlib.sha256(settings.encode()).hexdigest()[:12]
 
 
-def _say_failed(path: Path, error: SkylineError, as_json: bool) -> None:
-    complain(str(error))
-    if as_json:
-        typer.echo(json.dumps({"query": str(path), "error": str(error)}))
+def _refused(queries: Sequence[Query]) -> dict[Query, SkylineError]:
+    """Return what cannot be matched and why, said at once.
+
+    A store is opened for minutes, and a DEM read: nobody should wait for a wrong name.
+    """
+    refused: dict[Query, SkylineError] = {}
+    for one in queries:
+        try:
+            one.check()
+        except SkylineError as error:
+            refused[one] = error
+            complain(str(error))
+    return refused
 
 
 def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:
@@ -240,25 +336,3 @@ def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> No
     for path in outputs:
         if path is not None and path.exists() and any(path.samefile(one) for one in read):
             raise InputError(f"{path} is an input; choose another name for the output")
-
-
-def _how_sure(place: CandidateRecord) -> str:
-    if place["confidence"] is None:
-        return f"score {place['score']:.3f}"
-    return f"confidence {place['confidence']:.2f}"
-
-
-def _say_match(record: MatchRecord) -> None:
-    typer.echo(f"{record['query']} ({record['seconds']:.2f} s)")
-    if record["answer"] is not None:
-        typer.echo("  the answer is candidate 1; all candidates, best first:")
-    if "refusal" in record:
-        typer.echo(f"  no answer: {record['refusal']}")
-    for rank, place in enumerate(record["candidates"], start=1):
-        typer.echo(
-            f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
-            f"{place['easting']:.0f} northing {place['northing']:.0f}  heading "
-            f"{place['heading_deg']:.1f} from true north  pitch {place['pitch_deg']:.1f}  fov "
-            f"{place['fov_deg']:.1f}  "
-            f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"
-        )

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 from scenes import fractal, write_dem
 
-from skyline import build_places, build_uniform, read_dem, stand_on
+from skyline import build_places, build_uniform, console, read_dem, stand_on
 from skyline.pipeline.cluster import local_cluster
 from skyline.render.context import acquire_context
 from skyline.render.depth import DepthRenderer
@@ -52,6 +52,8 @@ def no_gl_error():
 @pytest.fixture
 def run_main(monkeypatch, capsys):
     """Return a function that runs a command's main with arguments."""
+    # How long a command takes here must not be in what it says.
+    monkeypatch.setattr(console, "_PATIENCE_S", 1e6)
 
     def run_command(main, name, *arguments):
         monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
@@ -74,7 +76,7 @@ def dem(tmp_path_factory):
 def store(dem, tmp_path_factory):
     """A store of places over that DEM."""
     path = tmp_path_factory.mktemp("store") / "store.h5"
-    build_places(read_dem([dem]), path)
+    build_places(read_dem([dem]), path, 80.0)
     return path
 
 

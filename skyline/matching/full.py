@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.matching import confidence
+from skyline.matching.claim import Claim
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.match_config import FullConfig
 from skyline.matching.narrowing import Narrowed
@@ -80,7 +81,9 @@ class FullMatcher(Ranker):
         if not len(found):
             return Ranking(found)
         height_m = None if narrowed is None else narrowed.narrowing.eye_height_m
-        poses = self.refine(found, query, top, height_m)
+        claim = None if narrowed is None else narrowed.claim
+        claimed = self._with_claimed(found, query, narrowed)
+        poses = self.refine(claimed, query, top, height_m, claim)
         if poses is None:
             sure = self._sure("retrieved", confidence.retrieved_figures(found, query))
             chosen = self._chosen(found, top)
@@ -114,6 +117,7 @@ class FullMatcher(Ranker):
         query: QueryRays,
         least: int = 1,
         eye_height_m: float | None = None,
+        claim: Claim | None = None,
     ) -> Poses | None:
         """Return retrieved poses refined, as far as it takes; None without a scene.
 
@@ -123,12 +127,12 @@ class FullMatcher(Ranker):
             return None
         quick = _naming(self._config.quick, least, eye_height_m)
         with one_blas_thread():
-            poses = refine(found, query, self._scene, quick)
+            poses = refine(found, query, self._scene, quick, claim)
             if len(poses) and poses.margin[0] > self._config.sure_margin:
                 return poses
             spent = poses.renderings
             whole = _naming(self._config.refine, least, eye_height_m)
-            poses = refine(found, query, self._scene, whole)
+            poses = refine(found, query, self._scene, whole, claim)
         return replace(poses, renderings=spent + poses.renderings)
 
     def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking | None:
@@ -143,6 +147,26 @@ class FullMatcher(Ranker):
         with one_blas_thread():
             poses = refine(start, query, self._scene, config)
         return Ranking(poses.hypotheses[:1], None, poses.covariance_m2[:1])
+
+    def _with_claimed(
+        self, found: Hypotheses, query: QueryRays, narrowed: Narrowed | None
+    ) -> Hypotheses:
+        """Return what was found with what lies where the photo says that it was taken.
+
+        There the best counts as much as the best of all: which is better, refinement says.
+        """
+        there = None if narrowed is None else narrowed.about_the_claim()
+        if there is None:
+            return found
+        with one_blas_thread():
+            alike = self._retriever.screened(query, there)
+            if not len(alike):
+                return found
+            near = self._retriever.shortlist(query, self._config.shortlist // 4, there, alike)
+        if not len(near):
+            return found
+        raised = near.score - near.score.min() + found.score.min()
+        return Hypotheses.concatenate([found, replace(near, score=raised)])
 
     def _sure(self, model: str, figures: dict[str, Float64Array]) -> Float64Array:
         return self._models[model].probability(figures)

@@ -63,7 +63,9 @@ class MatchConfig:
         Below it there is no answer, only candidates. With the default at least 97 % of
         the answers to the queries that confidence was learned from are right.
     min_visible_deg : float
-        Nor is there where a query shows less of a skyline.
+        Nor is there where a query shows less of a skyline. Screening compares rises over 2 degrees,
+        and a pose has seven unknowns: below 14 degrees there are fewer rises than unknowns. How
+        little more than that is worth, the confidence has learned.
     fov_slack : float
         Standard deviation of a field of view that is given, as a share of it.
     fov_range_deg : (float, float)
@@ -81,7 +83,7 @@ class MatchConfig:
 
     refine: bool = True
     min_confidence: float = 0.8
-    min_visible_deg: float = 20.0
+    min_visible_deg: float = 14.0
     fov_slack: float = 0.025
     fov_range_deg: tuple[float, float] = (25.0, 100.0)
     usual_fov_deg: tuple[float, float] = (55.0, 14.0)

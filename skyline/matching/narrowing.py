@@ -1,6 +1,6 @@
 """Narrowing: where a search looks, and which way the camera may have looked."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Self
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, Rectangle
+from skyline.matching.claim import Claim
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.screening import turns_within
 from skyline.places import Places
@@ -34,6 +35,9 @@ class Narrowing:
         The lowest and the highest the camera may have stood, above the DEM's datum.
     eye_height_m : float, optional
         How high above the ground the camera stood; by default it is found with the pose.
+    use_gps : bool
+        Whether the place and the direction that the photo's own EXIF notes draw the search. They
+        never end it: a place far off wins where its skyline fits well enough.
 
     Raises
     ------
@@ -46,6 +50,7 @@ class Narrowing:
     heading_deg: tuple[float, float] | None = None
     elevation_m: tuple[float, float] | None = None
     eye_height_m: float | None = None
+    use_gps: bool = False
 
     def __post_init__(self) -> None:
         if self.near is not None:
@@ -73,11 +78,14 @@ class Narrowing:
                 f"the eye is {self.eye_height_m:g} m above the ground; expected 0 or more"
             )
 
-    def within(self, frame: Frame) -> "Narrowed | None":
-        """Return this as a test of places in a frame; None where nothing is known."""
-        if self == Narrowing():
+    def within(self, frame: Frame, claim: Claim | None = None) -> "Narrowed | None":
+        """Return this as a test of places in a frame; None where nothing is known.
+
+        ``claim`` is what the photo's own EXIF says.
+        """
+        if self == Narrowing() and claim is None:
             return None
-        return Narrowed.of(self, frame)
+        return Narrowed.of(self, frame, claim)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,32 +96,43 @@ class Narrowed:
     ----------
     narrowing : Narrowing
     frame_wkt : str
-    centre_m : (float, float), optional
-        Of the circle: east, north.
+    circles_m : tuple of (float, float, float)
+        East, north and radius of circles that all hold what is searched.
     rectangle_m : (float, float, float, float), optional
         Around the bounds.
     open_turns : (180,) bool, optional
         The turns that are screened; see `turns_within`.
+    claim : Claim, optional
+        Where the photo says that it was taken.
     """
 
     narrowing: Narrowing
     frame_wkt: str
-    centre_m: tuple[float, float] | None
+    circles_m: tuple[tuple[float, float, float], ...]
     rectangle_m: Rectangle | None
     open_turns: BoolArray | None
+    claim: Claim | None = None
 
     @classmethod
-    def of(cls, narrowing: Narrowing, frame: Frame) -> Self:
+    def of(cls, narrowing: Narrowing, frame: Frame, claim: Claim | None = None) -> Self:
         """Prepare a narrowing for places in a frame; raises as `Frame.rectangle_m`."""
-        centre, turns, bounds_deg = None, None, narrowing.bounds_deg
+        turns, bounds_deg = None, narrowing.bounds_deg
+        circles: tuple[tuple[float, float, float], ...] = ()
         if narrowing.near is not None:
             east, north = frame.from_lonlat(narrowing.near[0], narrowing.near[1])
-            centre = float(east), float(north)
+            circles = ((float(east), float(north), 1000.0 * narrowing.near[2]),)
         if narrowing.heading_deg is not None:
             heading, slack = narrowing.heading_deg
             turns = turns_within(heading, slack + _CONVERGENCE_DEG)
         rectangle = None if bounds_deg is None else frame.rectangle_m(bounds_deg)
-        return cls(narrowing, frame.wkt, centre, rectangle, turns)
+        return cls(narrowing, frame.wkt, circles, rectangle, turns, claim)
+
+    def about_the_claim(self) -> "Narrowed | None":
+        """Return this, narrowed to where the photo says that it was taken; None without a claim."""
+        if self.claim is None:
+            return None
+        circle = self.claim.easting_m, self.claim.northing_m, self.claim.reach_m
+        return replace(self, circles_m=(*self.circles_m, circle))
 
     def __call__(self, places: Places) -> BoolArray:
         """Return which places (N,) are searched."""
@@ -137,9 +156,7 @@ class Narrowed:
         if narrowing.elevation_m is not None:
             low, high = narrowing.elevation_m
             held &= (elevation_m >= low) & (elevation_m <= high)
-        if self.centre_m is not None and narrowing.near is not None:
-            east, north = self.centre_m
-            radius_m = 1000.0 * narrowing.near[2]
+        for east, north, radius_m in self.circles_m:
             held &= (easting_m - east) ** 2 + (northing_m - north) ** 2 <= radius_m**2
         if self.rectangle_m is not None:
             west, south, east, north = self.rectangle_m

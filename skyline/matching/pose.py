@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
+from skyline.matching.claim import Claim
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.panoramas import Panoramas
 from skyline.matching.progress import tell
@@ -98,7 +99,11 @@ class Poses:
 
 
 def refine(
-    hypotheses: Hypotheses, query: QueryRays, scene: Scene, config: RefineConfig | None = None
+    hypotheses: Hypotheses,
+    query: QueryRays,
+    scene: Scene,
+    config: RefineConfig | None = None,
+    claim: Claim | None = None,
 ) -> Poses:
     """Refine the hypotheses of one query.
 
@@ -113,13 +118,15 @@ def refine(
     query : QueryRays
     scene : Scene
     config : RefineConfig, optional
+    claim : Claim, optional
+        Where the photo says that it was taken; it is in the scores.
 
     Returns
     -------
     Poses
         Distinct ones that fit, best first; empty where none does.
     """
-    return _Refinement(query, scene, config or RefineConfig()).run(hypotheses)
+    return _Refinement(query, scene, config or RefineConfig(), claim).run(hypotheses)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,15 +151,19 @@ class _Particles(Rows):
 class _Refinement:
     """The refinement of one query."""
 
-    def __init__(self, query: QueryRays, scene: Scene, config: RefineConfig) -> None:
+    def __init__(
+        self, query: QueryRays, scene: Scene, config: RefineConfig, claim: Claim | None
+    ) -> None:
         self._scene = scene
         self._config = config
+        if claim is not None:
+            claim = replace(claim, weight=config.temperature)
         height_sd_m = scene.height_sd_m
         eye = EyeHeight(config.eye_height_m, 0.0 if config.eye_height_known else height_sd_m)
         scouting, query = thinned(query, config.scout_bins), thinned(query, config.bins)
-        self._scout = Solver(scouting, config.rough, eye, height_sd_m)
-        self._rough = Solver(query, config.rough, eye, height_sd_m)
-        self._fine = Solver(query, config.fine, eye, height_sd_m)
+        self._scout = Solver(scouting, config.rough, eye, height_sd_m, claim)
+        self._rough = Solver(query, config.rough, eye, height_sd_m, claim)
+        self._fine = Solver(query, config.fine, eye, height_sd_m, claim)
         self._renderings = self._seen_times = 0
         rounds = config.rounds + config.restart_rounds + config.final_rounds
         self._rounds = rounds + (config.shortlist > config.particles)
@@ -258,7 +269,10 @@ class _Refinement:
         self._renderings += len(row)
         views = self._scene.render(eyes, heading.astype(np.uint8))
         panoramas = Panoramas.from_views(views, row, len(easting_m), bins)
-        return Curves.of(panoramas, self._slope(easting_m, northing_m, ground_m), height_m)
+        slope = self._slope(easting_m, northing_m, ground_m)
+        # Who stands off the map fits nowhere, whatever the ground is.
+        ground_m = np.nan_to_num(ground_m)
+        return Curves.of(panoramas, easting_m + 1j * northing_m, ground_m, slope, height_m)
 
     def _slope(
         self, easting_m: Float64Array, northing_m: Float64Array, ground_m: Float64Array

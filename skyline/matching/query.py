@@ -90,17 +90,22 @@ class QueryRays:
 
     @classmethod
     def about(
-        cls, u: Float64Array, v: Float64Array, weight: Float64Array, fov_deg: float, slack: float
+        cls,
+        u: Float64Array,
+        v: Float64Array,
+        weight: Float64Array,
+        fov_deg: float,
+        sd_deg: float,
+        most_deg: float = math.inf,
     ) -> "QueryRays":
         """Make rays whose field of view is about the one that they were made with.
 
-        Its deviation is a share ``slack`` of it, and four deviations about it are searched; without
-        slack it is just that.
+        Four deviations about it are searched, up to the greatest that is possible; without a
+        deviation it is just that.
         """
-        if slack == 0.0:
+        if sd_deg == 0.0:
             return cls(u, v, weight, fov_deg)
-        sd_deg = slack * fov_deg
-        widest_deg = min(fov_deg + _FOV_DEVIATIONS * sd_deg, 0.5 * (fov_deg + 180.0))
+        widest_deg = min(fov_deg + _FOV_DEVIATIONS * sd_deg, 0.5 * (fov_deg + 180.0), most_deg)
         narrowest_deg = max(fov_deg - _FOV_DEVIATIONS * sd_deg, 0.5 * fov_deg)
         return cls(u, v, weight, fov_deg, (narrowest_deg, widest_deg), sd_deg)
 

@@ -17,9 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
+from skyline.matching.claim import Claim
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.noise import HeightErrors, Judged, Noise, judge
 from skyline.matching.panoramas import Panoramas
@@ -148,16 +150,27 @@ class Curves(Rows):
     channels : (M, B, 6) float64
         Elevation tangent, its slope by azimuth, its change by a metre east, by a metre north
         and by a metre up, and distance, at azimuth 360 b / B degrees; NaN where unknown.
+    place_m : (M,) complex128
+        Where they stand: easting, and northing as the imaginary part.
+    ground_m : (M,) float64
+        The ground's height there.
     eye_height_m : (M,) float64
         Above the ground.
     """
 
     channels: Float64Array
+    place_m: NDArray[np.complex128]
+    ground_m: Float64Array
     eye_height_m: Float64Array
 
     @classmethod
     def of(
-        cls, panoramas: Panoramas, ground_slope: Float64Array, eye_height_m: Float64Array
+        cls,
+        panoramas: Panoramas,
+        place_m: NDArray[np.complex128],
+        ground_m: Float64Array,
+        ground_slope: Float64Array,
+        eye_height_m: Float64Array,
     ) -> "Curves":
         """Prepare panoramas of eyes above ground of slopes (M, 2): rise a metre east, north."""
         y, distance = panoramas.y, panoramas.distance_m
@@ -167,7 +180,7 @@ class Curves(Rows):
         east = (y * sine + slope * cosine - ground_slope[:, :1]) / distance
         north = (y * cosine - slope * sine - ground_slope[:, 1:]) / distance
         channels = np.stack([y, slope, east, north, -1.0 / distance, distance], axis=-1)
-        return cls(channels, eye_height_m)
+        return cls(channels, place_m, ground_m, eye_height_m)
 
     def at(self, azimuth_rad: Float64Array) -> Float64Array:
         """Return the channels, (M, R, 6), at azimuths (M, R), linear between bins."""
@@ -216,12 +229,18 @@ class Linear:
     jacobian : (M, R, 7) float64
     azimuth_rad, distance_m : (M, R) float64
         Of the terrain's skyline under each column.
+    place_m : (M,) complex128
+        Where the states' eyes stand; see `Curves`.
+    eye_m : (M,) float64
+        Their elevations, the ground taken to be level about where the curve was seen.
     """
 
     residual_rad: Float64Array
     jacobian: Float64Array
     azimuth_rad: Float64Array
     distance_m: Float64Array
+    place_m: NDArray[np.complex128]
+    eye_m: Float64Array
 
 
 class Solver:
@@ -234,12 +253,20 @@ class Solver:
     eye : EyeHeight
     height_sd_m : float
         Deviation of the terrain model's heights to be expected.
+    claim : Claim, optional
+        Where the photo says that it was taken.
     """
 
     def __init__(
-        self, query: QueryRays, config: SolverConfig, eye: EyeHeight, height_sd_m: float
+        self,
+        query: QueryRays,
+        config: SolverConfig,
+        eye: EyeHeight,
+        height_sd_m: float,
+        claim: Claim | None = None,
     ) -> None:
         self.query = query
+        self._claim = claim
         self.config = config
         self.noise = replace(config.noise, height_sd_m=height_sd_m)
         self._eye = eye
@@ -349,8 +376,9 @@ class Solver:
 
     def covariance(self, linear: Linear, judged: Judged) -> Float64Array:
         """Return the covariance (M, 7, 7) of states, priors included."""
-        normal = judged.product(linear.jacobian, linear.jacobian)
-        return np.asarray(np.linalg.inv(normal + np.diag(self._information)))
+        normal = judged.product(linear.jacobian, linear.jacobian) + np.diag(self._information)
+        self._draw(linear, normal, np.zeros(normal.shape[:2]))
+        return np.asarray(np.linalg.inv(normal))
 
     def linearize(self, curves: Curves, state: Float64Array) -> Linear:
         """Return residuals and their derivatives at states (M, 7)."""
@@ -375,6 +403,8 @@ class Solver:
             np.where(known[..., np.newaxis], jacobian, 0.0),
             azimuth,
             there[..., 5],
+            curves.place_m + state[:, EAST] + 1j * state[:, NORTH],
+            curves.ground_m + state[:, EYE_HEIGHT],
         )
 
     def _errors(self, linear: Linear, curves: Curves) -> HeightErrors:
@@ -394,6 +424,8 @@ class Solver:
         _, log_det = np.linalg.slogdet(normal + np.diag(self._information[attitude]))
         prior = 0.5 * fit.state**2 @ self._prior
         prior += self.config.terrain_weight * self._eye.cost(fit.state[:, EYE_HEIGHT])
+        if self._claim is not None:
+            prior += self._claim.cost(linear.place_m, linear.eye_m, fit.state[:, HEADING])
         cost = judged.cost + 0.5 * log_det + prior + self._noise_cost[noise[1]]
         return replace(judged, cost=cost)
 
@@ -434,6 +466,7 @@ class Solver:
         normal = judged.product(linear.jacobian, linear.jacobian)
         normal += (prior + damping)[:, np.newaxis] * np.eye(7)
         gradient = judged.product(linear.jacobian, miss)[..., 0] + prior * off
+        self._draw(linear, normal, gradient)
         state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
         bounded = np.clip(state, self._low, self._high)
         outside = bounded != state
@@ -445,6 +478,18 @@ class Solver:
             state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
             state = np.clip(state, self._low, self._high)
         return replace(fit, state=state)
+
+    def _draw(self, linear: Linear, normal: Float64Array, gradient: Float64Array) -> None:
+        """Add to normal equations what draws eyes (M,) to the claim."""
+        if self._claim is None:
+            return
+        precision = self._claim.precision(linear.place_m)
+        gradient[:, :EYE_HEIGHT] += precision[:, np.newaxis] * self._claim.offset_m(linear.place_m)
+        for axis in (EAST, NORTH):
+            normal[:, axis, axis] += precision
+        precision, off_m = self._claim.lift(linear.eye_m)
+        gradient[:, EYE_HEIGHT] += precision * off_m
+        normal[:, EYE_HEIGHT, EYE_HEIGHT] += precision
 
 
 def _log_tangent(fov_deg: Float64Array | float) -> Float64Array:

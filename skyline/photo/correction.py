@@ -138,7 +138,7 @@ class Correction:
                 confidence[touched] = np.maximum(confidence[touched], _PAINTED_CONFIDENCE)
         known = np.isfinite(row_px)
         query = self._extraction.query(row_px, np.where(known, confidence, 0.0))
-        return replace(query, fov_deg=self._photo.fov_deg, projection=self._photo.projection)
+        return self._photo.described(query)
 
     def _began(self, found: QuerySkyline | None) -> tuple[Float64Array, Float64Array]:
         extraction = self._extraction

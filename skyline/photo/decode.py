@@ -8,7 +8,7 @@ stderr, and shrinks huge JPEGs while decoding them.
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from threading import Lock
@@ -20,8 +20,10 @@ from PIL.ExifTags import IFD, Base
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
-from skyline.photo.exif import NotedPlace, fov_from_exif, place_from_exif
+from skyline.photo.exif import NotedPlace, place_from_exif
+from skyline.photo.lens import Lens, lens_of
 from skyline.photo.projection import Projection, panorama_of_xmp
+from skyline.photo.query import QuerySkyline
 
 MAX_DECODED_PIXELS = 100_000_000
 """Larger JPEGs are decoded at a half to an eighth of their size; other formats are refused."""
@@ -51,12 +53,25 @@ class Photo:
         Perspective, unless XMP says that it is a panorama.
     place : NotedPlace
         Where it was taken and which way, as far as EXIF has it.
+    lens : Lens, optional
+        Whence the field of view is, where EXIF has been asked.
     """
 
     rgb: UInt8Array
     fov_deg: float | None
     projection: Projection
     place: NotedPlace
+    lens: Lens | None = None
+
+    def described(self, query: QuerySkyline) -> QuerySkyline:
+        """Return a skyline of this photo with what the file notes of it."""
+        return replace(
+            query,
+            fov_deg=self.fov_deg,
+            projection=self.projection,
+            noted=self.place,
+            lens=self.lens,
+        )
 
 
 def decode_image(path: str | Path) -> Photo:
@@ -96,12 +111,15 @@ def _decode(path: Path) -> Photo:
     with Image.open(path, formats=_formats()) as image:
         exif = image.getexif()
         turned = exif.get(Base.Orientation) in _TURNED_ORIENTATIONS
-        fov_deg = fov_from_exif({**exif, **exif.get_ifd(IFD.Exif)}, image.size, turned)
         panorama = panorama_of_xmp(_xmp(image))
-        projection, fov_deg = panorama or (Projection.PERSPECTIVE, fov_deg)
+        lens = None
+        if panorama is None:
+            lens = lens_of({**exif, **exif.get_ifd(IFD.Exif)}, image.size, turned)
+        noted = None if lens is None else lens.fov_deg
+        projection, fov_deg = panorama or (Projection.PERSPECTIVE, noted)
         _require_bounded(path, image)
         place = place_from_exif(exif.get_ifd(IFD.GPSInfo))
-        return Photo(_to_rgb(ImageOps.exif_transpose(image)), fov_deg, projection, place)
+        return Photo(_to_rgb(ImageOps.exif_transpose(image)), fov_deg, projection, place, lens)
 
 
 def _formats() -> list[str]:

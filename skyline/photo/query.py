@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
+from skyline.photo.exif import NOTHING_NOTED, NotedPlace
+from skyline.photo.lens import Lens
 from skyline.photo.projection import MIN_FOV_DEG, Projection
 
 
@@ -27,6 +29,12 @@ class QuerySkyline:
         Horizontal field of view, where it is known.
     projection : Projection
         How columns and rows become rays.
+    noted : NotedPlace
+        Where the photo says that it was taken.
+    lens : Lens, optional
+        How good `fov_deg` is, where it is what the photo's EXIF says.
+    eye_height_m : float, optional
+        Of the camera above the ground, where it is known.
     """
 
     row_px: Float64Array
@@ -35,6 +43,9 @@ class QuerySkyline:
     height_px: int
     fov_deg: float | None = None
     projection: Projection = Projection.PERSPECTIVE
+    noted: NotedPlace = NOTHING_NOTED
+    lens: Lens | None = None
+    eye_height_m: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("row_px", "confidence"):
@@ -62,7 +73,7 @@ class QuerySkyline:
 
     def with_fov(self, fov_deg: float) -> "QuerySkyline":
         """Return the same skyline with another horizontal field of view, degrees."""
-        return replace(self, fov_deg=fov_deg)
+        return replace(self, fov_deg=fov_deg, lens=None)
 
     def image_plane(self, fov_deg: float | None = None) -> tuple[Float64Array, Float64Array]:
         """Return the trusted columns on the image plane at unit focal length.

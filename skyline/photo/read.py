@@ -14,6 +14,7 @@ from skyline.errors import InputError
 from skyline.files import write_whole
 from skyline.photo.decode import Photo, decode_image
 from skyline.photo.extract import extract_skyline
+from skyline.photo.lens import MAX_PINHOLE_ASPECT
 from skyline.photo.mask import is_sky_mask, skyline_of_mask
 from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
 from skyline.photo.query import QuerySkyline
@@ -25,6 +26,7 @@ log = logging.getLogger(__name__)
 SkyModel = SkySession | str | Path | None
 
 _FULL_CIRCLE_DEG = 360.0
+_LENSES = (None, Projection.PERSPECTIVE)
 _SKYLINE_RGB = (255, 0, 60)
 
 
@@ -55,10 +57,9 @@ def read_query(
     InputError
         The file cannot be used, or no skyline is found in it.
     """
-    _check_fov(fov_deg, projection)
+    check_fov(fov_deg, projection)
     if Path(path).suffix.lower() == ".csv":
-        trace = read_trace(path)
-        return replace(trace, fov_deg=fov_deg, projection=projection or Projection.PERSPECTIVE)
+        return _read_trace(path, fov_deg, projection or Projection.PERSPECTIVE)
     return extract_photo(path, fov_deg, projection=projection, sky_model=sky_model)[1]
 
 
@@ -79,11 +80,12 @@ def extract_photo(
     query : QuerySkyline
     """
     photo = read_photo(path, fov_deg, projection=projection)
+    _doubt_strip(path, photo)
     try:
         query = _find(photo.rgb, sky_model)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return photo.rgb, replace(query, fov_deg=photo.fov_deg, projection=photo.projection)
+    return photo.rgb, photo.described(query)
 
 
 def read_photo(
@@ -109,22 +111,39 @@ def read_photo(
     InputError
         It cannot be decoded, or is a sliver.
     """
-    _check_fov(fov_deg, projection)
+    check_fov(fov_deg, projection)
     decoded = decode_image(path)
-    fov_deg = decoded.fov_deg if fov_deg is None else fov_deg
+    # What the lens was says nothing of a panorama, nor where a person knows better.
+    lens = decoded.lens if fov_deg is None and projection in _LENSES else None
+    if fov_deg is None and (lens is not None or decoded.lens is None):
+        fov_deg = decoded.fov_deg
     projection = projection or decoded.projection
     image, fov_deg = _with_rays(decoded.rgb, fov_deg, projection)
     if min(image.shape[:2]) < 2:
         height, width = image.shape[:2]
         raise InputError(f"{path} has {width} x {height} px; expected a photo or a sky mask")
-    return Photo(image, fov_deg, projection, decoded.place)
+    return Photo(image, fov_deg, projection, decoded.place, lens)
 
 
-def _check_fov(fov_deg: float | None, projection: Projection | None) -> None:
-    """Refuse an impossible field of view before the file is looked at."""
+def _doubt_strip(path: str | Path, photo: Photo) -> None:
+    """Warn of a photo that has the shape of a panorama, where nobody says that it is none."""
+    height, width = photo.rgb.shape[:2]
+    is_said = photo.fov_deg is not None or photo.projection is not Projection.PERSPECTIVE
+    if not is_said and width > MAX_PINHOLE_ASPECT * height:
+        log.warning(
+            "%s has %d x %d px and is matched as a strip of a photo; if it is a panorama, give "
+            "--projection cylindrical and --fov-deg",
+            path,
+            width,
+            height,
+        )
+
+
+def check_fov(fov_deg: float | None, projection: Projection | None) -> None:
+    """Refuse an impossible field of view before a file is looked at; raises `InputError`."""
     if fov_deg is None:
         return
-    if projection in {None, Projection.PERSPECTIVE}:
+    if projection in _LENSES:
         Projection.PERSPECTIVE.check_fov_deg(fov_deg)
     elif not MIN_FOV_DEG <= fov_deg <= _FULL_CIRCLE_DEG:
         raise InputError(
@@ -147,14 +166,43 @@ def _with_rays(
     image: UInt8Array, fov_deg: float | None, projection: Projection
 ) -> tuple[UInt8Array, float | None]:
     """Cut a panorama to the part that has rays, and say so."""
-    too_wide = fov_deg is not None and fov_deg > MAX_PANORAMA_DEG
-    if projection is Projection.PERSPECTIVE or fov_deg is None or not too_wide:
+    if projection is Projection.PERSPECTIVE or fov_deg is None:
         return image, fov_deg
     width = image.shape[1]
+    middle = _middle(width, fov_deg)
+    kept = middle.stop - middle.start
+    return np.ascontiguousarray(image[:, middle]), fov_deg * kept / width
+
+
+def _read_trace(path: str | Path, fov_deg: float | None, projection: Projection) -> QuerySkyline:
+    """Read a trace; one of a panorama is cut as its photo is."""
+    if projection is Projection.PERSPECTIVE:
+        return read_trace(path, fov_deg)
+    trace = read_trace(path)
+    fov_deg = fov_deg or trace.fov_deg
+    if fov_deg is None:
+        return replace(trace, projection=projection)
+    middle = _middle(trace.width_px, fov_deg)
+    kept = middle.stop - middle.start
+    return replace(
+        trace,
+        row_px=trace.row_px[middle],
+        confidence=trace.confidence[middle],
+        width_px=kept,
+        fov_deg=fov_deg * kept / trace.width_px,
+        projection=projection,
+        lens=None,
+    )
+
+
+def _middle(width: int, fov_deg: float) -> slice:
+    """Return the columns of a panorama that have rays, and say so where those are not all."""
+    if fov_deg <= MAX_PANORAMA_DEG:
+        return slice(0, width)
     kept = max(1, int(width * MAX_PANORAMA_DEG / fov_deg))
     start = (width - kept) // 2
     log.warning("panorama of %.0f degrees cut to the %.0f in its middle", fov_deg, MAX_PANORAMA_DEG)
-    return np.ascontiguousarray(image[:, start : start + kept]), fov_deg * kept / width
+    return slice(start, start + kept)
 
 
 def read_picture(path: str | Path) -> UInt8Array | None:

@@ -10,13 +10,16 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
+from skyline.photo.lens import Lens
+from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 
 MAX_GAP_SHARE = 0.1
 """Points farther apart than this share of the width are not joined."""
 MAX_SIDE_PX = 100_000
 _COLUMNS = ("column_px", "row_px")
-_SIZE = re.compile(r"#\s*width\s*=\s*(\d+)\s+height\s*=\s*(\d+)\s*")
+_NOTE = re.compile(r"(\w+)\s*=\s*(\S+)")
+_NOTES = ("width", "height", "fov_deg", "fov_slack", "eye_height_m")
 _FORM = "expected a first line '# width=W height=H', then the header 'column_px,row_px'"
 
 
@@ -24,9 +27,16 @@ def write_trace(query: QuerySkyline, path: str | Path) -> None:
     """Write a skyline as CSV: one row per trusted column, one break per run of masked ones.
 
     A break is a row whose ``row_px`` is ``nan``: the points on its two sides are not joined.
-    `read_trace` gives back the same rows, bit for bit.
+    `read_trace` gives back the same rows, bit for bit, and the field of view of a camera.
     """
-    lines = [f"# width={query.width_px} height={query.height_px}", ",".join(_COLUMNS)]
+    lines = [f"# width={query.width_px} height={query.height_px}"]
+    if query.fov_deg is not None and query.projection is Projection.PERSPECTIVE:
+        lines.append(f"# fov_deg={query.fov_deg:.3f}")
+        if query.lens is not None and query.lens.sd_deg is not None:
+            lines[-1] += f" fov_slack={query.lens.sd_deg / query.fov_deg:.4f}"
+    if query.eye_height_m is not None:
+        lines.append(f"# eye_height_m={query.eye_height_m:g}")
+    lines.append(",".join(_COLUMNS))
     trusted = query.trusted
     starts_gap = ~trusted
     starts_gap[1:] &= trusted[:-1]
@@ -39,7 +49,9 @@ def read_trace(path: str | Path, fov_deg: float | None = None) -> QuerySkyline:
     """Read a trace: points of a skyline, sparse or fractional, joined by straight lines.
 
     The first line is ``# width=W height=H``, the header ``column_px,row_px``; pixel centres are
-    at whole numbers. Consecutive points are joined unless they are more than a tenth of the
+    at whole numbers. Lines that begin with # may also note ``fov_deg=``, with ``fov_slack=`` (its
+    deviation as a share of it), and ``eye_height_m=``; a field of view that is given goes before.
+    Consecutive points are joined unless they are more than a tenth of the
     width apart or a row with an empty or ``nan`` ``row_px`` stands between them. Drawn columns
     have confidence 1.
 
@@ -57,30 +69,58 @@ def read_trace(path: str | Path, fov_deg: float | None = None) -> QuerySkyline:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path} cannot be read as text ({error}); {_FORM}") from error
-    size = _SIZE.fullmatch(lines[0].strip()) if lines else None
-    if size is None:
+    notes, heading = _notes(path, lines)
+    if not {"width", "height"} <= notes.keys():
         raise InputError(f"{path} starts with {(lines or [''])[0][:60]!r}; {_FORM}")
-    width, height = (int(side) for side in size.groups())
+    width, height = (int(notes[side]) for side in ("width", "height"))
     if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):
         raise InputError(f"{path} is {width} x {height} px; expected 1 to {MAX_SIDE_PX} each")
-    column, row = _points(path, lines, width, height)
+    column, row = _points(path, lines, heading, width, height)
     row_px = _joined(column, row, width)
     if np.isnan(row_px).all():
         raise InputError(f"{path} draws no column of the skyline; add points to it")
-    return QuerySkyline(row_px, np.isfinite(row_px).astype(float), width, height, fov_deg)
+    lens, height_m = None, notes.get("eye_height_m")
+    if fov_deg is None and "fov_deg" in notes:
+        fov_deg = notes["fov_deg"]
+        slack = notes.get("fov_slack")
+        lens = None if slack is None else Lens(fov_deg, slack * fov_deg)
+    try:
+        return QuerySkyline(
+            row_px, np.isfinite(row_px).astype(float), width, height, fov_deg,
+            lens=lens, eye_height_m=height_m,
+        )  # fmt: skip
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def _notes(path: Path, lines: list[str]) -> tuple[dict[str, float], int]:
+    """Return what the lines before the header note, and the header's index."""
+    heading = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
+    notes: dict[str, float] = {}
+    for number, line in enumerate(lines[:heading], start=1):
+        for name, text in _NOTE.findall(line):
+            if name not in _NOTES:
+                raise InputError(
+                    f"{path}, line {number} notes {name!r}; expected some of {', '.join(_NOTES)}"
+                )
+            value = _number(path, number, text)
+            if not (math.isfinite(value) and value >= 0.0):
+                raise InputError(f"{path}, line {number}: {name} is {text}; expected 0 or more")
+            notes[name] = value
+    return notes, heading
 
 
 def _points(
-    path: Path, lines: list[str], width: int, height: int
+    path: Path, lines: list[str], heading: int, width: int, height: int
 ) -> tuple[Float64Array, Float64Array]:
     """Return columns and rows in order of the columns; a NaN row is a break."""
-    records = list(csv.reader(lines[1:]))
+    records = list(csv.reader(lines[heading:]))
     header = tuple(name.strip() for name in records[0]) if records else ()
     if header[:2] != _COLUMNS:
         raise InputError(f"{path} has the header {','.join(header)!r}; {_FORM}")
     points = [
         (_column(path, number, record, width), _row(path, number, record, height))
-        for number, record in enumerate(records[1:], start=3)
+        for number, record in enumerate(records[1:], start=heading + 2)
         if any(field.strip() for field in record)
     ]
     table = np.array(sorted(points), dtype=np.float64).reshape(-1, 2)
@@ -121,7 +161,7 @@ def _number(path: Path, number: int, text: str) -> float:
         return float(text)
     except ValueError:
         raise InputError(
-            f"{path}, line {number}: {text.strip()!r} is not a number; expected pixels"
+            f"{path}, line {number}: {text.strip()!r} is not a number; expected one"
         ) from None
 
 

@@ -1,6 +1,6 @@
 """The one place that ties renderer, store, planner, photo and matcher together."""
 
-from skyline.pipeline.batch import QueryReading, match_many
+from skyline.pipeline.batch import match_many
 from skyline.pipeline.build import (
     BuildResult,
     Progress,
@@ -18,6 +18,7 @@ from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.pipeline.panorama import PanoramaConfig, save_panorama
 from skyline.pipeline.places import PlaceConfig, build_places
 from skyline.pipeline.planned import PlannedResult, build_planned
+from skyline.pipeline.queries import Query, listed
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.shards import ShardPlan, build_sharded
 
@@ -32,7 +33,7 @@ __all__ = [
     "PlaceConfig",
     "PlannedResult",
     "Progress",
-    "QueryReading",
+    "Query",
     "RenderConfig",
     "ShardPlan",
     "build_places",
@@ -42,6 +43,7 @@ __all__ = [
     "explain_scene",
     "horizon",
     "horizons_of",
+    "listed",
     "local_runner",
     "match_many",
     "matched",

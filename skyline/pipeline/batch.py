@@ -6,55 +6,26 @@ to the bit.
 """
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
 from skyline.errors import SkylineError
-from skyline.matching.narrowing import Narrowing
 from skyline.matching.screening import Alike
-from skyline.photo import Projection, QuerySkyline, SkySession, load_sky_model, read_query
+from skyline.photo import QuerySkyline
 from skyline.pipeline.jobs import Runner, in_order
 from skyline.pipeline.match import Matcher, MatchResult
+from skyline.pipeline.queries import Query
 from skyline.store import open_store
 from skyline.store.header import PLACES
 
-
-@dataclass(frozen=True, slots=True)
-class QueryReading:
-    """How queries are read; see `read_query`.
-
-    Attributes
-    ----------
-    fov_deg : float, optional
-    projection : Projection, optional
-    sky_model : Path, optional
-        Loaded once a process.
-    """
-
-    fov_deg: float | None = None
-    projection: Projection | None = None
-    sky_model: Path | None = None
-
-    def read(self, path: str | Path) -> QuerySkyline:
-        """Read a query; raises as `read_query`."""
-        model = None if self.sky_model is None else _sky_model(self.sky_model.absolute())
-        return read_query(path, self.fov_deg, projection=self.projection, sky_model=model)
-
-
-@lru_cache(maxsize=4)
-def _read(reading: QueryReading, query: str) -> QuerySkyline:
-    """Read a query once for all the parts of a store that it is compared with."""
-    return reading.read(query)
-
-
-_sky_model: Callable[[Path], SkySession] = lru_cache(maxsize=1)(load_sky_model)
-
+_read: Callable[[Query], QuerySkyline] = lru_cache(maxsize=4)(Query.read)
+"""Once for all the parts of a store that a query is compared with."""
 
 _PART_BLOCKS = 128
 """Blocks of places that are screened by one job: a tenth of a second."""
 
-_Job = tuple[str, slice]
+_Job = tuple[Query, slice]
 _Asked = tuple[Hashable, ...]
 
 
@@ -68,38 +39,31 @@ class _Work:
         When the store was written.
     matcher : tuple
         What a `Matcher` is made of.
-    reading : QueryReading
     top : int
-    narrowing : Narrowing, optional
     """
 
     stamp: int
     matcher: _Asked
-    reading: QueryReading
     top: int
-    narrowing: Narrowing | None
 
     def screen(self, job: _Job) -> Alike | None:
         """Screen a part of the store for a query."""
         query, part = job
         opened = _opened(self.stamp, *self.matcher)
-        return opened.screen(_read(self.reading, query), self.narrowing, part)
+        return opened.screen(_read(query), query.narrowing, part)
 
-    def match(self, job: tuple[str, Alike | None]) -> MatchResult:
+    def match(self, job: tuple[Query, Alike | None]) -> MatchResult:
         """Match a query, given what all parts were screened for."""
         query, screened = job
         opened = _opened(self.stamp, *self.matcher)
-        skyline = _read(self.reading, query)
-        return opened.match(skyline, None, self.top, self.narrowing, screened)
+        return query.match(opened, self.top, _read(query), screened)
 
 
 def match_many(
     runner: Runner,
     matcher: _Asked,
-    queries: Sequence[str | Path],
-    reading: QueryReading | None = None,
+    queries: Sequence[Query],
     top: int = 5,
-    narrowing: Narrowing | None = None,
 ) -> Iterator[MatchResult | SkylineError]:
     """Match queries to a store; yields results in the queries' order, as they come.
 
@@ -113,36 +77,33 @@ def match_many(
         paths.
     matcher : tuple
         What a `Matcher` is made of, in order: the store's path first.
-    queries : sequence of paths
-    reading : QueryReading, optional
+    queries : sequence of Query
     top : int
-        As of `Matcher.match`.
-    narrowing : Narrowing, optional
         As of `Matcher.match`.
     """
     store = Path(str(matcher[0])).absolute()
     # A worker that outlives this command must not take a store for the one it has replaced.
     stamp = store.stat().st_mtime_ns if store.exists() else 0
-    work = _Work(stamp, (str(store), *matcher[1:]), reading or QueryReading(), top, narrowing)
-    paths = [str(Path(query).absolute()) for query in queries]
+    work = _Work(stamp, (str(store), *matcher[1:]), top)
+    asked = [replace(query, path=str(Path(query.path).absolute())) for query in queries]
     parts = _parts(store)
-    screened: list[Alike | None] = [None] * len(paths)
+    screened: list[Alike | None] = [None] * len(asked)
     failed: dict[int, SkylineError] = {}
     if len(parts) > 1:
-        jobs = [(path, part) for path in paths for part in parts]
+        jobs = [(query, part) for query in asked for part in parts]
         names = [f"screen-{index}" for index in range(len(jobs))]
         found = list(in_order(runner(work.screen, jobs, names)))
-        for index in range(len(paths)):
+        for index in range(len(asked)):
             some = found[index * len(parts) : (index + 1) * len(parts)]
             errors = [one for one in some if isinstance(one, SkylineError)]
             if errors:
                 failed[index] = errors[0]
             else:
                 screened[index] = _joined(some)
-    left = [index for index in range(len(paths)) if index not in failed]
+    left = [index for index in range(len(asked)) if index not in failed]
     names = [f"query-{index}" for index in left]
-    done = in_order(runner(work.match, [(paths[k], screened[k]) for k in left], names))
-    for index in range(len(paths)):
+    done = in_order(runner(work.match, [(asked[k], screened[k]) for k in left], names))
+    for index in range(len(asked)):
         yield failed[index] if index in failed else next(done)
 
 

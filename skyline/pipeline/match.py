@@ -1,9 +1,10 @@
 """Matching queries to a store, and to the terrain it was rendered from."""
 
 import logging
+import math
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -13,17 +14,19 @@ from numpy.typing import NDArray
 from skyline.errors import InputError, SkylineError, named
 from skyline.geodesy import Frame
 from skyline.matching import Candidate, Hypotheses, Narrowing, Profiles, QueryRays
+from skyline.matching.claim import Claim
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.progress import telling
 from skyline.matching.screening import Alike
-from skyline.photo import Projection, QuerySkyline, read_query
+from skyline.photo import Lens, NotedPlace, Projection, QuerySkyline, read_query
 from skyline.pipeline.config import check_dem, read_dem_of
 from skyline.pipeline.matchers import FULL, MATCHERS, check_narrows
 from skyline.pipeline.scene import RenderedScene
 from skyline.pipeline.tables import to_geodataframe
 from skyline.places import PlaceSource
 from skyline.render.thread import RenderThread
+from skyline.report.claims import claim_said
 from skyline.store import Store, StoreHeader, open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import Ground, HeightField
@@ -31,6 +34,13 @@ from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
 _log = logging.getLogger(__name__)
+
+_GPS_SD_M, _LEAST_GPS_SD_M = 30.0, 15.0
+"""Scales of positions without an accuracy, and of those with a good one: the model is off too."""
+_LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES = 15.0, 3.0
+"""Heights are two to three times as uncertain as places, and the model's datum may be another."""
+_COMPASS_SD_DEG, _MAGNETIC_SD_DEG = 20.0, 30.0
+"""The declination, which nothing here knows, is up to 20 degrees where people live."""
 
 Dem = str | Path | Sequence[str | Path] | HeightField
 
@@ -60,6 +70,12 @@ class MatchResult:
     def answer(self) -> Candidate | None:
         """The best candidate, if the matcher stands by it."""
         return self.candidates[0] if self.candidates and not self.refusal else None
+
+    @property
+    def claim(self) -> str:
+        """Where the photo says that it was taken, against the best candidate; empty without."""
+        best = next(iter(self.candidates), None)
+        return claim_said(self.query.noted, best, self.answer is not None)
 
     def to_geodataframe(self) -> Any:
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
@@ -169,7 +185,7 @@ class Matcher:
         candidates: tuple[Candidate, ...] = ()
         refusal = too_little(query, self._config)
         if refusal is None:
-            rays, narrowed = self._rays(query), self._narrowed(narrowing)
+            rays, narrowed = self._rays(query), self._narrowed(narrowing, query)
             with telling(told):
                 ranking = self._ranker.rank(rays, top, narrowed, screened)
             candidates = ranking.candidates(self.frame)
@@ -216,7 +232,7 @@ class Matcher:
         """
         if too_little(query, self._config) is not None:
             return None
-        return self._ranker.screened(self._rays(query), self._narrowed(narrowing), part)
+        return self._ranker.screened(self._rays(query), self._narrowed(narrowing, query), part)
 
     def match_all(
         self,
@@ -227,8 +243,13 @@ class Matcher:
         """Find where several queries were taken, in order; see `match`."""
         return [self.match(query, fov_deg, top) for query in queries]
 
-    def _narrowed(self, narrowing: Narrowing | None) -> Narrowed | None:
-        narrowed = None if narrowing is None else narrowing.within(self.frame)
+    def _narrowed(self, narrowing: Narrowing | None, query: QuerySkyline) -> Narrowed | None:
+        narrowing = narrowing or Narrowing()
+        known_m = query.eye_height_m if self._ranker.narrows else None
+        if narrowing.eye_height_m is None and known_m is not None:
+            narrowing = replace(narrowing, eye_height_m=known_m)
+        claim = claim_of(query.noted, self.frame) if narrowing.use_gps else None
+        narrowed = narrowing.within(self.frame, claim)
         if narrowed is not None:
             check_narrows(self._ranker)
         return narrowed
@@ -240,8 +261,9 @@ class Matcher:
             # Other fields of view of a panorama are not its rays scaled.
             return QueryRays(*query.image_plane(fov_deg), weight, fov_deg)
         if fov_deg is not None:
-            rays = query.image_plane(fov_deg)
-            return QueryRays.about(*rays, weight, fov_deg, self._config.fov_slack)
+            lens, rays = query.lens or Lens(fov_deg), query.image_plane(fov_deg)
+            sd_deg = self._config.fov_slack * fov_deg if lens.sd_deg is None else lens.sd_deg
+            return QueryRays.about(*rays, weight, fov_deg, sd_deg, lens.most_deg or math.inf)
         if self._ranker.finds_fov and query.projection is Projection.PERSPECTIVE:
             fov_deg, sd_deg = self._config.usual_fov_deg
             return QueryRays(*query.image_plane(fov_deg), weight, fov_deg, bounds_deg, sd_deg)
@@ -250,9 +272,31 @@ class Matcher:
         )
 
 
+def claim_of(noted: NotedPlace, frame: Frame) -> Claim | None:
+    """Return what a photo notes of its place as a prior in a frame; None where it notes none."""
+    if noted.lonlat_deg is None:
+        return None
+    east, north = (float(value) for value in frame.from_lonlat(*noted.lonlat_deg))
+    if not (np.isfinite(east) and np.isfinite(north)):
+        return None  # Too far from the frame to have a place in it.
+    heading_deg = noted.heading_deg
+    if heading_deg is not None:
+        heading_deg -= float(frame.convergence_deg(east, north))
+    sd_m = max(_LEAST_GPS_SD_M, noted.accuracy_m or _GPS_SD_M)
+    compass_sd_deg = _MAGNETIC_SD_DEG if noted.is_magnetic else _COMPASS_SD_DEG
+    elevation_m, elevation_sd_m = None, _LEAST_ALTITUDE_SD_M
+    if noted.accuracy_m is not None:
+        # Who says how good a position is has satellites in view, and corrects for the geoid.
+        elevation_m = noted.elevation_m
+        elevation_sd_m = max(_LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES * noted.accuracy_m)
+    return Claim(east, north, sd_m, heading_deg, compass_sd_deg, elevation_m, elevation_sd_m)
+
+
 def too_little(query: QuerySkyline, config: MatchConfig) -> str | None:
     """Say why a query shows too little of a skyline to be matched, if so."""
     widest_deg = config.fov_range_deg[1] if query.fov_deg is None else query.fov_deg
+    if query.lens is not None and query.lens.most_deg is not None:
+        widest_deg = query.lens.most_deg
     visible_deg, least_deg = query.visible_deg(widest_deg), config.min_visible_deg
     if visible_deg >= least_deg:
         return None

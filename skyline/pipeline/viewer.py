@@ -148,14 +148,7 @@ class Viewer:
         OffMapError
             The pose is off the map or on a hole.
         """
-        eye = self._around.eye_of(pose)
-        if eye is None:
-            raise OffMapError("the pose is off the map or on a hole; move it")
-        off_deg = 90.0 * np.array(HEADINGS) - pose.grid_heading_deg
-        away_deg = np.abs((off_deg + 180.0) % 360.0 - 180.0)
-        headings = np.flatnonzero(away_deg < 45.0 + 0.5 * pose.fov_deg + _MARGIN_DEG)
-        views = self._scene.render(eye[np.zeros(len(headings), np.intp)], headings, urgent=True)
-        panorama = Panorama.of(views)
+        panorama = self.panorama(pose)
         picture = PosedPicture(query.width_px, query.height_px, pose, query.projection)
         ahead = panorama.from_azimuth(pose.grid_heading_deg + 180.0)
         column, row = picture.pixels(ahead.azimuth_deg, ahead.elevation_tan)
@@ -165,6 +158,17 @@ class Viewer:
         gap = np.arctan(y) - np.arctan(panorama.at(azimuth_deg))
         gap_deg[query.trusted] = np.degrees(gap)
         return Sight(column[near], row[near], ahead.is_sure[near], gap_deg)
+
+    def panorama(self, pose: Candidate) -> Panorama:
+        """Return the skyline about the photo of a pose; raises as `look`."""
+        eye = self._around.eye_of(pose)
+        if eye is None:
+            raise OffMapError("the pose is off the map or on a hole; move it")
+        off_deg = 90.0 * np.array(HEADINGS) - pose.grid_heading_deg
+        away_deg = np.abs((off_deg + 180.0) % 360.0 - 180.0)
+        headings = np.flatnonzero(away_deg < 45.0 + 0.5 * pose.fov_deg + _MARGIN_DEG)
+        views = self._scene.render(eye[np.zeros(len(headings), np.intp)], headings, urgent=True)
+        return Panorama.of(views)
 
     def summits(self, pose: Candidate, query: QuerySkyline) -> list[SeenPeak]:
         """Return the summits that a pose sees in its photo, the highest first."""

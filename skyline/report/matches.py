@@ -11,6 +11,7 @@ from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
 from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
+from skyline.report.claims import claim_said
 from skyline.report.geojson import write_geojson
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
@@ -110,6 +111,9 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
     ]
     if matched.candidates:
         parts.append(_candidate_table(matched.candidates))
+    claim = claim_said(matched.query.noted, best, matched.is_answered, with_place=False)
+    if claim:
+        parts.append(Text(claim))
     done = " ".join(matched.done)
     parts.append(
         Text(f"What was done: {done} It took {matched.seconds:.2f} s.".replace(":  ", ": "))

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from typing import NotRequired, TypedDict
 
 from skyline.matching.ranking import Candidate
+from skyline.report.claims import ExifRecord
 
 
 class CandidateRecord(TypedDict):
@@ -24,14 +25,38 @@ class CandidateRecord(TypedDict):
     refined: bool
 
 
+class LensRecord(TypedDict):
+    """What a photo's EXIF says of its field of view, and why that was believed or not."""
+
+    fov_deg: float | None
+    sd_deg: float | None
+    most_deg: float | None
+    said: str
+
+
 class MatchRecord(TypedDict):
-    """One query as ``skyline match --json`` prints it; without an answer it says why."""
+    """One query as ``skyline match --json`` prints it; without an answer it says why.
+
+    ``seconds`` count from the file to the candidates, ``loading_seconds`` opened the store and its
+    elevation model, once for all queries. ``exif`` is there where the photo notes a place or a
+    direction, ``lens`` where it notes a lens and no field of view was given.
+    """
 
     query: str
     answer: CandidateRecord | None
     candidates: list[CandidateRecord]
     seconds: float
+    loading_seconds: float
     refusal: NotRequired[str]
+    exif: NotRequired[ExifRecord]
+    lens: NotRequired[LensRecord]
+
+
+class FailureRecord(TypedDict):
+    """One query that cannot be matched as ``skyline match --json`` prints it."""
+
+    query: str
+    error: str
 
 
 def describe_candidates(candidates: Iterable[Candidate]) -> list[CandidateRecord]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from skyline import Candidate, InputError, Narrowing, QuerySkyline, Stroke, StrokeKind, Viewer
+from skyline.web.photos import is_guess
 
 _MAX_STROKES = 2000
 _MAX_POINTS = 20_000
@@ -70,7 +71,7 @@ def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:
 def query_of(asked: Mapping[str, Any], query: QuerySkyline) -> QuerySkyline:
     """Return a skyline with the field of view that is asked for; null is not known."""
     if asked.get("fov") is None:
-        return replace(query, fov_deg=None)
+        return query if is_guess(query) else replace(query, fov_deg=None, lens=None)
     return query.with_fov(number(asked, "fov", 1.0, 179.0))
 
 

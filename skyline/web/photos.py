@@ -71,7 +71,7 @@ class PagePhoto:
             said |= {
                 "width": query.width_px,
                 "height": query.height_px,
-                "fov": seen.fov_deg,
+                "fov": None if is_guess(query) else seen.fov_deg,
                 "projection": str(seen.projection),
                 "lonlat": seen.place.lonlat_deg,
                 "elevation": seen.place.elevation_m,
@@ -155,6 +155,11 @@ class Opened:
         held = io.BytesIO()
         picture.save(held, format="JPEG", quality=90)
         return held.getvalue()
+
+
+def is_guess(query: QuerySkyline) -> bool:
+    """Whether the field of view is that of a crop, which nobody would give as known."""
+    return query.lens is not None and query.lens.most_deg is not None
 
 
 def _read(photo: PagePhoto) -> tuple[Photo, Correction]:

@@ -15,6 +15,7 @@ def outcome(result: MatchResult, ground: Ground) -> dict[str, Any]:
         "candidates": [candidate_json(one, ground) for one in result.candidates],
         "answered": result.answer is not None,
         "refusal": result.refusal,
+        "claim": result.claim,
         "seconds": result.seconds,
     }
 

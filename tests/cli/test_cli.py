@@ -13,7 +13,7 @@ import pytest
 from commands import assert_refused, csv_of
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
-from skyline import build_places, build_uniform, cli, read_dem, stand_on
+from skyline import build_cli, build_places, build_uniform, read_dem, stand_on
 from skyline.pipeline import places
 from skyline.store import open_store
 from skyline_bench.truth import oracle
@@ -203,7 +203,9 @@ def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(run, dem, tmp
     with monkeypatch.context() as patch:
         patch.setattr(places.PlaceRows, "at_a_time", 512)
         patch.setattr(
-            cli, "build_places", lambda *given, loss: build_places(*given[:-1], stop, loss=loss)
+            build_cli,
+            "build_places",
+            lambda *given, loss: build_places(*given[:-1], stop, loss=loss),
         )
         done = run(*build, out)
     assert done.code == 130
@@ -384,3 +386,15 @@ def test_explain_refuses_bad_places(dem, run, place, said):
     told = run("explain", dem, "--at", place)
     assert told.code == 2
     assert said in told.err
+
+
+def test_explain_takes_degrees_too(dem, run):
+    lon, lat = read_dem([dem]).frame.to_lonlat(601_800.0, 5_178_000.0)
+    by_degrees, by_metres = (
+        run("explain", dem, "--at", place, "--json")
+        for place in (f"{float(lon):.9f},{float(lat):.9f}", "601800,5178000")
+    )
+    assert by_degrees.code == 0, by_degrees.err
+    facts, others = json.loads(by_degrees.out), json.loads(by_metres.out)
+    assert facts["easting_m"] == pytest.approx(others["easting_m"], abs=0.01)
+    assert facts["northing_m"] == pytest.approx(others["northing_m"], abs=0.01)

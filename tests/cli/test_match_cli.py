@@ -3,14 +3,17 @@
 import json
 import math
 import re
+import shutil
 
 import cv2
 import pytest
 from commands import assert_refused, csv_of
 from PIL import Image
+from PIL.ExifTags import GPS, IFD, Base
+from PIL.TiffImagePlugin import IFDRational
 from scenes import SPACING_M, fractal, write_dem
 
-from skyline import Matcher, Narrowing, read_dem
+from skyline import Matcher, Narrowing, console, read_dem
 
 
 def test_extract_then_match_the_trace(run, store, photo, tmp_path):
@@ -22,7 +25,7 @@ def test_extract_then_match_the_trace(run, store, photo, tmp_path):
     found = run("match", store, trace, "--fov-deg", "60", "--min-confidence", "0", "--json")
     assert found.code == 0, found.err
     record = json.loads(found.out)
-    assert set(record) == {"query", "answer", "candidates", "seconds"}
+    assert set(record) == {"query", "answer", "candidates", "seconds", "loading_seconds"}
     assert set(record["answer"]) == {
         "easting", "northing", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
         "pitch_deg", "roll_deg", "fov_deg", "score", "confidence", "refined",
@@ -133,6 +136,175 @@ def test_refined_places_stay_within_bounds(run, store, dem, photo):
     )
     for place in json.loads(found.out)["candidates"]:
         assert 600_800.0 - 20.0 < place["easting"] < 601_500.0 + 20.0
+
+
+def lensed(photo, path, focal_mm, size=None):
+    """Write a copy of a photo, 960 x 640, that notes a 35 mm equivalent and a frame's size."""
+    exif = Image.Exif()
+    noted = exif.get_ifd(IFD.Exif)
+    noted[Base.FocalLengthIn35mmFilm] = focal_mm
+    if size is not None:
+        noted[Base.ExifImageWidth], noted[Base.ExifImageHeight] = size
+    with Image.open(photo) as image:
+        image.save(path, quality=95, exif=exif)
+    return path
+
+
+def test_what_a_photo_notes_of_its_lens_is_weighed(run, store, photo, tmp_path):
+    """The photo spans 60 degrees: 36 mm of film at 31 mm."""
+    plain = lensed(photo, tmp_path / "plain.jpg", 31, (3000, 2000))
+    cropped = lensed(photo, tmp_path / "cropped.jpg", 24, (4000, 3000))
+    lie = lensed(photo, tmp_path / "lie.jpg", 9999)
+    found = run("match", store, plain, cropped, lie, "--json")
+    assert found.code == 0, found.err
+    told = [json.loads(line) for line in found.out.splitlines()]
+    assert all(off_m(one["answer"]) < 60.0 for one in told)
+    assert all(abs(one["answer"]["fov_deg"] - 60.0) < 1.5 for one in told)
+    lenses = [one["lens"] for one in told]
+    assert lenses[0]["fov_deg"] == pytest.approx(60.3, abs=0.1)
+    assert lenses[1]["most_deg"] > 60.0 > lenses[1]["fov_deg"]
+    assert "cropped" in lenses[1]["said"]
+    assert lenses[2]["fov_deg"] is None
+    said = run("match", store, plain, cropped, lie, "--no-refine").out
+    assert "field of view: 60.3 degrees; EXIF's 35 mm equivalent" in said
+    assert "field of view: 53.7 degrees, give or take 10; EXIF's 35 mm equivalent, but" in said
+    assert "field of view: not known; EXIF's 35 mm equivalent left aside: 0.21 degrees" in said
+
+
+def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp_path):
+    lon, lat = lonlat_of(dem, 602_000.0, 5_178_100.0)
+    shutil.copy(photo, tmp_path / "one.jpg")
+    rows = ["one.jpg,60,2,,,", f"one.jpg,60,,{lon},{lat},0.4", "absent.jpg,60,,,,"]
+    photos = csv_of(tmp_path / "list.csv", rows, "path,fov_deg,eye_height_m,lon,lat,radius_km")
+    found = run("match", store, photos, "--no-refine", "--min-confidence", "0", "--json")
+    assert found.code == 2
+    told = [json.loads(line) for line in found.out.splitlines()]
+    assert [one["query"] for one in told] == [str(tmp_path / name) for name in (
+        "one.jpg", "one.jpg", "absent.jpg"
+    )]  # fmt: skip
+    assert max(off_m(place, 602_000.0, 5_178_100.0) for place in told[1]["candidates"]) < 401.0
+    assert max(off_m(place, 602_000.0, 5_178_100.0) for place in told[0]["candidates"]) > 401.0
+    assert "does not exist" in told[2]["error"]
+    assert found.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "said"),
+    [
+        ("path,fov", "one.jpg,60", "has the column 'fov'; expected some of path, fov_deg"),
+        ("path,fov_deg", "one.jpg,wide", "line 2: fov_deg is 'wide'; expected a number"),
+        ("path,lon,lat", "one.jpg,10,46", "has some of lon, lat, radius_km; expected all"),
+        ("path,fov_deg", ",60", "line 2 has no path"),
+        ("path,eye_height_m", "one.jpg,-3", "line 2: the eye is -3 m above the ground"),
+        ("path,fov_deg", "one.jpg,400", "horizontal field of view is 400 degrees"),
+    ],
+)
+def test_a_list_that_is_none_is_one_line(run, store, photo, tmp_path, header, row, said):
+    shutil.copy(photo, tmp_path / "one.jpg")
+    photos = csv_of(tmp_path / "list.csv", [row], header)
+    assert_refused(run("match", store, photos), said)
+
+
+def test_a_wrong_query_is_refused_before_the_store_is_opened(run, photo, tmp_path):
+    """The store is none: opening it would be the error."""
+    trace = tmp_path / "trace.csv"
+    trace.write_text("# width=960 height=640\ncolumn_px,row_px\n1200,300\n")
+    for query, options, said in (
+        (photo, ("--fov-deg", "200"), "horizontal field of view is 200 degrees"),
+        (trace, ("--fov-deg", "60"), "column 1200 is outside the image"),
+        (tmp_path / "absent.jpg", (), "does not exist"),
+    ):
+        assert_refused(run("match", photo, query, *options), said)
+
+
+def test_what_takes_long_is_said(run, store, photo, monkeypatch):
+    monkeypatch.setattr(console, "_PATIENCE_S", 0.0)
+    done = run("match", store, photo, "--fov-deg", "60", "--no-refine", "--top", "9999")
+    assert f"opening {store} and its elevation model takes a while" in done.err
+    assert f"matching {photo} takes a while" in done.err
+    assert "of 9999 candidates" in done.out
+
+
+def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path):
+    folder, results = tmp_path / "photos", tmp_path / "results.csv"
+    folder.mkdir()
+    for name in ("a.jpg", "b.JPG"):
+        shutil.copy(photo, folder / name)
+    (folder / "notes.txt").write_text("no photo")
+    command = ("match", store, folder, "--fov-deg", "60", "--no-refine", "--results", results)
+    assert run(*command).code == 0
+    whole = results.read_text()
+    assert [line.split(",")[0] for line in whole.splitlines()] == [
+        "query", str(folder / "a.jpg"), str(folder / "b.JPG"),
+    ]  # fmt: skip
+    results.write_text(whole[:-20])
+    again = run(*command)
+    assert "1 of 2 are there already" in again.err
+    assert "a.jpg" not in again.out
+    rows = [line.split(",") for line in results.read_text().splitlines()]
+    wanted = [line.split(",") for line in whole.splitlines()]
+    seconds = wanted[0].index("seconds")
+    for row, other in zip(rows, wanted, strict=True):
+        row[seconds] = other[seconds]
+    assert rows == wanted
+    assert run(*command).out == ""
+    assert_refused(run(*command, "--near", "10,46,9"), "another store or other options")
+    (tmp_path / "empty").mkdir()
+    assert_refused(run("match", store, tmp_path / "empty"), "has no pictures")
+    wild = run("match", store, folder / "?.jpg", "--fov-deg", "60", "--no-refine")
+    assert wild.out.count("(unrefined)") == 5
+
+
+def claiming(photo, path, lonlat, heading_deg=None, reference="T"):
+    """Write a copy of a photo that says it was taken elsewhere; return its path."""
+    exif = Image.Exif()
+    gps = exif.get_ifd(IFD.GPSInfo)
+    for angle, name, side in zip(lonlat, ("Longitude", "Latitude"), ("EW", "NS"), strict=True):
+        gps[GPS[f"GPS{name}"]] = (IFDRational(round(abs(angle) * 1e6), 1_000_000), 0.0, 0.0)
+        gps[GPS[f"GPS{name}Ref"]] = side[angle < 0.0]
+    if heading_deg is not None:
+        gps[GPS.GPSImgDirection] = IFDRational(round(heading_deg * 100), 100)
+        gps[GPS.GPSImgDirectionRef] = reference
+    with Image.open(photo) as image:
+        image.save(path, quality=95, exif=exif)
+    return path
+
+
+def test_a_photo_s_own_claim_is_shown(run, store, dem, photo, tmp_path):
+    told = claiming(photo, tmp_path / "told.jpg", lonlat_of(dem, 601_800.0, 5_178_240.0), 112.0)
+    found = run("match", store, told, "--fov-deg", "60", "--json")
+    exif = json.loads(found.out)["exif"]
+    assert exif["distance_m"] == pytest.approx(240.0, abs=40.0)
+    assert exif["heading_off_deg"] == pytest.approx(29.0, abs=2.0)
+    assert exif["heading_is_magnetic"] is False
+    said = run("match", store, told, "--fov-deg", "60", "--report", tmp_path / "report").out
+    assert "m from the answer. Its compass says 112 degrees, the answer 141." in said
+    page = (tmp_path / "report" / "index.html").read_text()
+    assert "m from the answer. Its compass says 112 degrees" in page
+    assert f"{exif['lat']:.5f}" not in page
+    assert "exif" not in json.loads(run("match", store, photo, "--fov-deg", "60", "--json").out)
+
+
+@pytest.mark.parametrize("workers", [(), ("--workers", "1")])
+def test_a_wrong_claim_does_not_hide_the_right_place(run, store, dem, photo, tmp_path, workers):
+    right, beside = (601_800.0, 5_178_000.0), (601_000.0, 5_179_000.0)
+    claims = [
+        claiming(photo, tmp_path / "right.jpg", lonlat_of(dem, *right), 141.0),
+        claiming(photo, tmp_path / "beside.jpg", lonlat_of(dem, *beside), 300.0, "M"),
+        claiming(photo, tmp_path / "far.jpg", (-70.0, -33.0)),
+    ]
+    found = run("match", store, *claims, "--fov-deg", "60", "--use-gps", "--json", *workers)
+    assert found.code == 0, found.err
+    told = [json.loads(line) for line in found.out.splitlines()]
+    assert all(off_m(one["answer"]) < 30.0 for one in told)
+    assert off_m(told[0]["answer"]) < 10.0
+    assert told[1]["exif"]["distance_m"] == pytest.approx(math.hypot(800.0, 1000.0), abs=40.0)
+    assert told[2]["exif"]["distance_m"] > 1e7
+
+
+def test_the_gps_acts_in_refinement(run, store, photo):
+    done = run("match", store, photo, "--use-gps", "--no-refine")
+    assert_refused(done, "--use-gps acts in refinement")
 
 
 def test_a_search_narrowed_to_nothing_is_one_line(run, store, photo, tmp_path):

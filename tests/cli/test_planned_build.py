@@ -104,7 +104,7 @@ def test_command_line(dem, run, tmp_path):
         (["--planner", "best"], "planner is 'best'"),
         (["--planner", "lpov", "--coverage", 1.5], "coverage is 1.5"),
         (["--planner", "lpov", "--threshold-px", 0], "threshold is 0"),
-        (["--map", "map.png"], "give --planner too"),
+        (["--coverage", 0.9], "give --planner too"),
         (["--planner", "lpov", "--spacing", 50_000], "larger than the area"),
     ],
 )

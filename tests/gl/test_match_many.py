@@ -9,7 +9,7 @@ from scenes import NORTH_M, WEST_M, fractal, write_dem
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
 from skyline.errors import InputError
 from skyline.photo import write_trace
-from skyline.pipeline import FULL, QueryReading, batch, match_many, remote_runner
+from skyline.pipeline import FULL, Query, batch, match_many, remote_runner
 from skyline.pipeline.jobs import run_here
 from skyline.store import open_store
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
@@ -18,7 +18,7 @@ SPACING_M = 40.0
 AREA = (WEST_M + 800.0, NORTH_M - 2400.0, WEST_M + 2400.0, NORTH_M - 800.0)
 SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.03, 0.03), smooth_share=0.0)
 BOLD = MatchConfig(min_confidence=0.0)
-READING = QueryReading(fov_deg=60.0)
+READING = Query("", fov_deg=60.0)
 SOUTH = Narrowing(heading_deg=(180.0, 120.0))
 
 
@@ -52,6 +52,10 @@ def small_parts(monkeypatch):
     monkeypatch.setattr(batch, "_PART_BLOCKS", 1)
 
 
+def queries_of(paths, narrowing=None):
+    return [replace(READING, path=str(path), narrowing=narrowing or Narrowing()) for path in paths]
+
+
 class Counted:
     """A runner that counts the jobs it is given."""
 
@@ -66,7 +70,8 @@ class Counted:
 
 def alone(store, paths, narrowing=None, config=BOLD):
     with Matcher(store, config=config) as matcher:
-        return [matcher.match(READING.read(path), narrowing=narrowing) for path in paths]
+        queries = queries_of(paths, narrowing)
+        return [matcher.match(one.read(), narrowing=one.narrowing) for one in queries]
 
 
 def asked(store, config=BOLD):
@@ -86,9 +91,7 @@ def test_two_workers_find_what_one_process_finds(
     assert blocks > 4
     with remote_runner(dask_cluster.scheduler_address) as runner:
         counted = Counted(runner)
-        found = list(
-            match_many(counted, asked(store, config), traces, READING, narrowing=narrowing)
-        )
+        found = list(match_many(counted, asked(store, config), queries_of(traces, narrowing)))
     assert len(counted.names) == len(traces) * (blocks + 1)
     for one, other in zip(found, wanted, strict=True):
         assert one.candidates
@@ -100,7 +103,7 @@ def test_two_workers_find_what_one_process_finds(
 def test_parts_here_find_what_the_whole_finds(store, traces, small_parts):
     config = replace(BOLD, refine=False)
     wanted = alone(store, traces, config=config)
-    found = list(match_many(run_here, asked(store, config), traces, READING))
+    found = list(match_many(run_here, asked(store, config), queries_of(traces)))
     assert [one.candidates for one in found] == [one.candidates for one in wanted]
 
 
@@ -109,7 +112,7 @@ def test_a_query_that_cannot_be_read_is_said_in_its_place(store, traces, tmp_pat
     text.write_text("no photo")
     config = replace(BOLD, refine=False)
     queries = [traces[0], text, traces[1]]
-    found = list(match_many(run_here, asked(store, config), queries, READING))
+    found = list(match_many(run_here, asked(store, config), queries_of(queries)))
     assert isinstance(found[1], InputError)
     wanted = alone(store, traces, config=config)
     assert [found[0].candidates, found[2].candidates] == [one.candidates for one in wanted]
@@ -118,7 +121,7 @@ def test_a_query_that_cannot_be_read_is_said_in_its_place(store, traces, tmp_pat
 def test_a_search_narrowed_to_nothing_is_said_for_each_query(store, traces, small_parts):
     nowhere = Narrowing(elevation_m=(8000.0, 9000.0))
     config = replace(BOLD, refine=False)
-    found = list(match_many(run_here, asked(store, config), traces, READING, narrowing=nowhere))
+    found = list(match_many(run_here, asked(store, config), queries_of(traces, nowhere)))
     assert len(found) == len(traces)
     for one in found:
         assert isinstance(one, InputError)

@@ -159,7 +159,9 @@ def test_the_derivatives_foretell_the_next_rendering(scene):
     slope = (ground[1] - ground[0]) * step_m / (step_m @ step_m)
     views = scene.renderer.render(Viewpoints(place[:, 0], place[:, 1], ground + 2.0))
     seen = Panoramas.from_views(views, np.repeat([0, 1], 4), 2, 1440)
-    channels = Curves.of(seen[:1], slope[np.newaxis], np.full(1, 2.0)).channels[0]
+    channels = Curves.of(
+        seen[:1], np.zeros(1, complex), ground[:1], slope[np.newaxis], np.full(1, 2.0)
+    ).channels[0]
     forecast = channels[:, 2:4] @ step_m
     change = seen.y[1] - seen.y[0]
     known = np.isfinite(forecast) & np.isfinite(change)

@@ -15,8 +15,17 @@ SOUTH_WEST = {
 
 
 def test_a_place_is_degrees_with_their_side():
-    gps = SOUTH_WEST | {GPS.GPSAltitude: 2500.5, GPS.GPSImgDirection: 361.5}
-    assert place_from_exif(gps) == NotedPlace((-70.25, -33.51), 2500.5, 1.5)
+    gps = SOUTH_WEST | {GPS.GPSAltitude: 2500.5, GPS.GPSImgDirection: 360.0}
+    assert place_from_exif(gps) == NotedPlace((-70.25, -33.51), 2500.5, 0.0)
+
+
+def test_magnetic_north_and_the_accuracy_are_kept():
+    gps = SOUTH_WEST | {
+        GPS.GPSImgDirection: 112.0, GPS.GPSImgDirectionRef: "M", GPS.GPSHPositioningError: 4.7,
+    }  # fmt: skip
+    noted = place_from_exif(gps)
+    assert (noted.heading_deg, noted.is_magnetic, noted.accuracy_m) == (112.0, True, 4.7)
+    assert not place_from_exif(gps | {GPS.GPSImgDirectionRef: "T"}).is_magnetic
 
 
 def test_below_the_sea_is_negative():
@@ -33,6 +42,8 @@ def test_below_the_sea_is_negative():
         SOUTH_WEST | {GPS.GPSLatitude: (133.0, 0.0, 0.0)},
         SOUTH_WEST | {GPS.GPSLatitude: (33.0, float("nan"), 0.0)},
         SOUTH_WEST | {GPS.GPSLatitude: "33"},
+        SOUTH_WEST | {GPS.GPSStatus: "V", GPS.GPSAltitude: 10.0},
+        {GPS.GPSImgDirection: 655.0, GPS.GPSAltitude: 99_999.0},
         {GPS.GPSLatitude: (0.0, 0.0, 0.0), GPS.GPSLongitude: (0.0, 0.0, 0.0)},
     ],
 )

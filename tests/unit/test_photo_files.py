@@ -9,11 +9,9 @@ from numpy.testing import assert_allclose
 from photo_scenes import make_scene
 from PIL import Image
 from PIL.ExifTags import IFD, Base
-from PIL.TiffImagePlugin import IFDRational
 
 from skyline.errors import InputError, MissingFileError
 from skyline.photo import extract_photo, read_query
-from skyline.photo.exif import fov_from_exif
 
 
 @pytest.fixture(scope="module")
@@ -88,68 +86,6 @@ def test_orientation_is_honoured(tmp_path, scene, orientation):
 
 
 # Field of view
-
-
-def test_fov_of_35_mm_equivalents():
-    # 3:2 has the film's own shape, so its width is 36 mm.
-    tags = {Base.FocalLengthIn35mmFilm: 18}
-    assert fov_from_exif(tags, (6000, 4000), False) == pytest.approx(90.0)
-    assert fov_from_exif(tags, (600, 400), False) == pytest.approx(90.0)
-    # On end it is 24 mm wide.
-    assert fov_from_exif(tags, (6000, 4000), True) == pytest.approx(
-        2 * np.degrees(np.arctan(2 / 3))
-    )
-
-
-def test_fov_of_focal_plane_resolution():
-    # 4000 pixels at 4000 per inch: a sensor one inch wide, at 25.4 / 2 mm 90 degrees.
-    tags = {
-        Base.FocalLength: IFDRational(127, 10),
-        Base.FocalPlaneXResolution: IFDRational(4000, 1),
-        Base.FocalPlaneResolutionUnit: 2,
-        Base.ExifImageWidth: 4000,
-        Base.ExifImageHeight: 3000,
-    }
-    assert fov_from_exif(tags, (4000, 3000), False) == pytest.approx(90.0)
-    # Resized since: the sensor stays as wide.
-    assert fov_from_exif(tags, (1000, 750), False) == pytest.approx(90.0)
-    tags[Base.FocalPlaneResolutionUnit] = 3
-    tags[Base.FocalPlaneXResolution] = IFDRational(40000, 254) * 10
-    assert fov_from_exif(tags, (4000, 3000), False) == pytest.approx(90.0, abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("tags", "size"),
-    [
-        ({}, (4000, 3000)),
-        ({Base.FocalLength: 4.2}, (4000, 3000)),
-        ({Base.FocalLengthIn35mmFilm: 0}, (4000, 3000)),
-        ({Base.FocalLengthIn35mmFilm: "wide"}, (4000, 3000)),
-        ({Base.FocalLengthIn35mmFilm: IFDRational(0, 0)}, (4000, 3000)),
-        ({Base.FocalLengthIn35mmFilm: 5000}, (4000, 3000)),
-        # cropped from 4:3 to 16:9
-        (
-            {
-                Base.FocalLengthIn35mmFilm: 26,
-                Base.ExifImageWidth: 4000,
-                Base.ExifImageHeight: 3000,
-            },
-            (4000, 2250),
-        ),
-        # a swept panorama
-        ({Base.FocalLengthIn35mmFilm: 26}, (12000, 3000)),
-        (
-            {
-                Base.FocalLength: 4.2,
-                Base.FocalPlaneXResolution: 100.0,
-                Base.FocalPlaneResolutionUnit: 9,
-            },
-            (4000, 3000),
-        ),
-    ],
-)
-def test_fov_is_none_where_exif_does_not_say(tags, size):
-    assert fov_from_exif(tags, size, False) is None
 
 
 def test_given_fov_wins_over_exif(tmp_path, scene):
@@ -295,3 +231,11 @@ def test_large_jpeg_is_reduced_while_decoding(tmp_path):
     assert image.shape == (5_000, 5_500, 3)
     assert (query.width_px, query.height_px) == (5_500, 5_000)
     assert_allclose(query.row_px, 1999.5, atol=0.1)
+
+
+@pytest.mark.parametrize(("given", "warned"), [({}, True), ({"fov_deg": 90.0}, False)])
+def test_a_panorama_that_nobody_calls_one_is_doubted(tmp_path, caplog, given, warned):
+    wide = make_scene("clear", 3, 640, 200)
+    Image.fromarray(wide.image).save(tmp_path / "wide.png")
+    read_query(tmp_path / "wide.png", **given)
+    assert ("give --projection cylindrical" in caplog.text) == warned

@@ -112,3 +112,14 @@ def test_wider_than_rays_reach_is_cut_to_its_middle_and_said(tmp_path, caplog):
     assert query.fov_deg == pytest.approx(160.0, abs=360 / 960)
     whole = extract_photo(tmp_path / "round.jpg", 150.0)[0]
     assert_allclose(image, whole[:, 267 : 267 + image.shape[1]])
+
+
+def test_the_trace_of_a_wide_panorama_is_cut_as_the_panorama_is(tmp_path, caplog):
+    path = tmp_path / "wide.csv"
+    path.write_text("# width=480 height=100\ncolumn_px,row_px\n0,10\n40,50\n80,90\n")
+    drawn = read_query(path, 160.0, projection=Projection.CYLINDRICAL)
+    assert (drawn.width_px, drawn.fov_deg) == (480, 160.0)
+    cut = read_query(path, 240.0, projection=Projection.CYLINDRICAL)
+    assert (cut.width_px, cut.fov_deg) == (320, 160.0)
+    np.testing.assert_array_equal(cut.row_px, drawn.row_px[80:400])
+    assert "panorama of 240 degrees cut to the 160 in its middle" in caplog.text

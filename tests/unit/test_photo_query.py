@@ -1,5 +1,6 @@
 """Query skylines: geometry, fields of view, traces and masks."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -238,3 +239,36 @@ def test_overlay_of_another_photo_is_refused(tmp_path):
     with pytest.raises(InputError, match="2 x 100 px, the photo has 3 x 4"):
         write_overlay(np.zeros((4, 3, 3), np.uint8), query_of([1.0, 2.0]), tmp_path / "o.png")
     assert not list(tmp_path.iterdir())
+
+
+def noting(tmp_path, notes):
+    path = tmp_path / "noting.csv"
+    path.write_text(f"# width=100 height=80{notes}\ncolumn_px,row_px\n0,30\n9,31\n")
+    return path
+
+
+def test_a_trace_notes_what_is_known_of_its_camera(tmp_path):
+    for notes in (" fov_deg=60 fov_slack=0.1 eye_height_m=12", "\n# fov_deg=60 fov_slack=0.1\n"
+                  "# drawn by hand eye_height_m=12"):  # fmt: skip
+        query = read_query(noting(tmp_path, notes))
+        assert (query.fov_deg, query.lens.sd_deg, query.eye_height_m) == (60.0, 6.0, 12.0)
+        assert query.row_px[0] == 30.0
+        write_trace(query, tmp_path / "again.csv")
+        again = read_query(tmp_path / "again.csv")
+        assert (again.fov_deg, again.lens, again.eye_height_m) == (60.0, query.lens, 12.0)
+    given = read_query(noting(tmp_path, " fov_deg=60 fov_slack=0.1"), 50.0)
+    assert (given.fov_deg, given.lens) == (50.0, None)
+
+
+@pytest.mark.parametrize(
+    ("notes", "said"),
+    [
+        (" fov=60", "line 1 notes 'fov'; expected some of width, height, fov_deg"),
+        (" fov_deg=wide", "line 1: 'wide' is not a number"),
+        (" fov_deg=600", "horizontal field of view is 600"),
+        (" eye_height_m=-2", "eye_height_m is -2; expected 0 or more"),
+    ],
+)
+def test_notes_that_are_none_are_one_line(tmp_path, notes, said):
+    with pytest.raises(InputError, match=re.escape(said)):
+        read_query(noting(tmp_path, notes))

@@ -12,7 +12,8 @@ import skyline
 
 HEAVY = ("cv2", "matplotlib", "moderngl", "h5py", "numpy", "rasterio", "scipy", "xarray")
 INTERNAL = {
-    "FitConfig", "Horizons", "Narrowed", "SkySession", "SolverConfig", "Spec", "WholeFile",
+    "Claim", "FitConfig", "Horizons", "Narrowed", "Panorama", "SkySession", "SolverConfig", "Spec",
+    "WholeFile",
 }  # fmt: skip
 """Skyline's own, in signatures that users have no need to call or settings of settings."""
 

@@ -21,7 +21,9 @@ HEIGHT_SD_M = 5.0
 def curves_of(panoramas):
     """Return curves of eyes on level ground, at the usual height."""
     count = len(panoramas)
-    return Curves.of(panoramas, np.zeros((count, 2)), np.full(count, EYE.usual_m))
+    place_m, ground_m = np.zeros(count, dtype=complex), np.zeros(count)
+    eye_height_m = np.full(count, EYE.usual_m)
+    return Curves.of(panoramas, place_m, ground_m, np.zeros((count, 2)), eye_height_m)
 
 
 def settled(hypotheses, panoramas, query):

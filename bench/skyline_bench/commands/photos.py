@@ -1,16 +1,18 @@
 """Photographs measured: skylines found in them, and where a real one is put."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from skyline import InputError, Viewer
 from skyline.console import progress_bar
-from skyline.errors import InputError
-from skyline.terrain.dem import read_dem
+from skyline.pipeline import Progress
+from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands.options import (
+    Crs,
     Dems,
     JsonFile,
     Quick,
@@ -20,12 +22,29 @@ from skyline_bench.commands.options import (
     check_outputs,
     keep_record,
     print_rows,
+    store_folder,
 )
+from skyline_bench.figures.photographs import PhotographsPage
 from skyline_bench.figures.readme import save_match
+from skyline_bench.queries.manifest import EXTRACT, KINDS, Photograph, read_manifest
 from skyline_bench.runs import photo_quality as drawn
-from skyline_bench.runs import real_photo
-from skyline_bench.runs import sky_masks as masks
-from skyline_bench.training.photographs import draw_training_photos
+from skyline_bench.runs.photographs import Measured, PhotosConfig, Shown, measure, summarize
+
+_PHOTOS = PhotosConfig()
+_PHOTO_COLUMNS = {
+    "photo": "photo",
+    "kind": "kind",
+    "trusted": "trusted",
+    "right_columns": "right",
+    "error_m": "error m",
+    "rank": "rank",
+    "heading_error_deg": "heading off",
+    "confidence": "confidence",
+    "answered": "answered",
+    "gps_off_m": "GPS off m",
+    "lost": "lost by",
+    "seconds": "s",
+}
 
 
 def photo_quality(
@@ -43,61 +62,80 @@ def photo_quality(
     keep_record(json_file, "photo-quality", rows)
 
 
-def sky_masks(
+def photos(
+    manifest: Annotated[
+        Path, typer.Argument(metavar="MANIFEST.csv", help="Photographs and what is true of them.")
+    ],
+    dem: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="DEM...", help="Their elevation model; none to extract alone."),
+    ] = None,
     folder: Annotated[
-        Path,
-        typer.Argument(metavar="FOLDER", help="NAME.jpg and NAME.mask.png, white = mountain."),
-    ],
+        Path | None,
+        typer.Option(help="Where the areas' stores are kept and found again; else thrown away."),
+    ] = None,
+    side_km: Annotated[
+        float, typer.Option(help="Side of the square about a photograph that is searched.")
+    ] = _PHOTOS.side_m / 1000.0,
+    spacing: Annotated[
+        float | None, typer.Option(metavar="M", help="Between places; planned by default.")
+    ] = None,
+    use_gps: Annotated[
+        bool, typer.Option("--use-gps", help="Let the photographs' own positions draw the search.")
+    ] = False,
+    page: Annotated[
+        Path | None, typer.Option(metavar="FILE.html", help="Draw each photograph's skylines.")
+    ] = None,
     json_file: JsonFile = None,
     quick: Quick = False,
+    crs: Crs = None,
 ) -> None:
-    """Skylines extracted from real photographs, against masks drawn by people."""
+    """Real photographs: their skylines, their places, and which stage lost a place.
+
+    docs/howto/comparing-grids.md has the columns of a manifest.
+
+    An area of 22 km takes minutes to build, a photograph 10 s, one that is lost a minute.
+
+    --quick searches areas of 4 km, and three photographs of each kind.
+    """
     check_outputs(json_file, None)
-    with progress_bar("photographs") as progress:
-        rows = masks.measure(folder, quick, progress)
-    print_rows(rows)
-    keep_record(json_file, "sky-masks", rows)
+    check_folder("--page", page)
+    wanted = read_manifest(manifest)
+    config = PhotosConfig(1000.0 * side_km, spacing, use_gps)
+    if quick:
+        config, wanted = config.quick(), _some(wanted)
+    located = any(one.kind != EXTRACT for one in wanted)
+    if located and not dem:
+        raise InputError(f"{manifest} has photographs to locate; give their elevation model too")
+    terrain = read_dem(dem, DemOptions(crs=crs)) if located and dem else None
+    drawn = PhotographsPage() if page is not None else None
+    with store_folder(folder) as place, progress_bar("photographs") as progress:
+        rows = measure(wanted, terrain, config, place, _told(drawn, progress, len(wanted)))
+    summary = summarize(rows)
+    print_rows(rows, _PHOTO_COLUMNS)
+    print_rows(summary)
+    name = manifest.stem
+    how = {"manifest": name, **asdict(config)}
+    rows = [{**how, **row} for row in rows]
+    summary = [{**how, **row} for row in summary]
+    keep_record(json_file, "photos", rows, {"photos": summary})
+    if drawn is not None and page is not None:
+        drawn.write(page, f"{len(rows)} photographs of {manifest.name}.")
 
 
-def train_sky_model(
-    out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FILE", help="The model, ONNX zipped.")
-    ],
-    photos: Annotated[int, typer.Option(help="Photographs to draw.")] = 4000,
-    steps: Annotated[int, typer.Option(help="Batches of 16 to train on.")] = 3000,
-    seed: Seed = 1,
-    quick: Quick = False,
-) -> None:
-    """The network that finds skylines in photos, trained anew on drawn photographs."""
-    check_folder("--out", out)
-    with progress_bar("photographs") as progress:
-        drawn_photos = draw_training_photos(16 if quick else photos, seed, progress)
-    try:
-        training = import_module("skyline_bench.training.training")
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"training needs {error.name}, which is not installed: pip install -e 'bench[train]'"
-        ) from error
-    with progress_bar("steps") as progress:
-        net = training.train(drawn_photos, 2 if quick else steps, seed, progress)
-    training.write_model(net, out)
+def _some(wanted: Sequence[Photograph]) -> list[Photograph]:
+    return [one for kind in KINDS for one in [o for o in wanted if o.kind == kind][:3]]
 
 
-def photo(
-    data: Annotated[
-        Path, typer.Argument(metavar="DATA", help="The folder of the Rofental DEM and the photo.")
-    ],
-    store: Annotated[
-        Path, typer.Argument(metavar="STORE", help="Its places; built where it is not there.")
-    ],
-    json_file: JsonFile = None,
-    quick: Quick = False,
-) -> None:
-    """A webcam's photo against 725 km2, with and without its field of view."""
-    check_outputs(json_file, None)
-    rows = real_photo.measure(data, store, quick)
-    print_rows(rows)
-    keep_record(json_file, "real-photo", rows)
+def _told(page: PhotographsPage | None, progress: Progress, count: int) -> Shown:
+    done = iter(range(1, count + 1))
+
+    def shown(measured: Measured, viewer: Viewer | None) -> None:
+        if page is not None:
+            page.add(measured, viewer)
+        progress(next(done), count)
+
+    return shown
 
 
 def readme_picture(

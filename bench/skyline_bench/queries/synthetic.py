@@ -173,7 +173,8 @@ class SyntheticQuery:
         """
         u, v = self.skyline.image_plane()
         weight = self.skyline.confidence[self.skyline.trusted]
-        return QueryRays.about(u, v, weight, self.given_fov_deg, self.fov_slack)
+        sd_deg = self.fov_slack * self.given_fov_deg
+        return QueryRays.about(u, v, weight, self.given_fov_deg, sd_deg)
 
 
 def make_queries(

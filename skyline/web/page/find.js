@@ -59,13 +59,14 @@ function show() {
 }
 
 function said(result) {
+  const claim = result.claim ? [element("p", { class: "claim" }, result.claim)] : [];
   if (result.answered) {
     const best = result.candidates[0];
     const sure = best.confidence === null ? "" : `, ${Math.round(100 * best.confidence)} % sure`;
-    return [element("span", { class: "yes" }, `Found${sure}. `), degrees(best.lon, best.lat)];
+    return [element("span", { class: "yes" }, `Found${sure}. `), degrees(best.lon, best.lat), ...claim];
   }
   return [element("span", { class: "no" }, "No answer: "), `${result.refusal}. `,
-    "Check the yellow skyline and mend it, say what you know, or fit by hand."];
+    "Check the yellow skyline and mend it, say what you know, or fit by hand.", ...claim];
 }
 
 function row(one, index) {

@@ -1,0 +1,148 @@
+"""Real photographs to measure with: a CSV file that says what is known of each."""
+
+import csv
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from skyline.arrays import Float64Array, UInt8Array
+from skyline.errors import InputError, MissingFileError
+from skyline.photo import QuerySkyline, read_photo, read_trace
+
+LOCATE, REFUSE, EXTRACT = "locate", "refuse", "extract"
+KINDS = (LOCATE, REFUSE, EXTRACT)
+_BLACK = 128
+
+
+@dataclass(frozen=True, slots=True)
+class Photograph:
+    """One line of a manifest; what is None is not known.
+
+    Attributes
+    ----------
+    photo : Path
+        A photo, or a trace that is matched as if it were one.
+    kind : str
+        ``locate``: its place is to be found. ``refuse``: no answer is right. ``extract``: only its
+        skyline is looked at.
+    lon, lat : float, optional
+        Where it was taken; of one to refuse, where the store is.
+    heading_deg, pitch_deg, roll_deg, fov_deg, elevation_m : float, optional
+        How the camera truly stood.
+    given_fov_deg, given_eye_height_m : float, optional
+        What the matcher is told.
+    mask, trace : Path, optional
+        The true skyline: a picture of two colours of the photo's proportions, or a trace of it.
+    """
+
+    photo: Path
+    kind: str
+    lon: float | None = None
+    lat: float | None = None
+    heading_deg: float | None = None
+    pitch_deg: float | None = None
+    roll_deg: float | None = None
+    fov_deg: float | None = None
+    elevation_m: float | None = None
+    given_fov_deg: float | None = None
+    given_eye_height_m: float | None = None
+    mask: Path | None = None
+    trace: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """What tables call it."""
+        return self.photo.stem
+
+    @property
+    def lonlat(self) -> tuple[float, float]:
+        """Where it was taken, of one that is to be located."""
+        return self.lon or 0.0, self.lat or 0.0
+
+    def true_row_px(self, query: QuerySkyline) -> Float64Array | None:
+        """Return the true row (W,) in each column of the photo, NaN where none; None if unknown."""
+        if self.trace is not None:
+            true = read_trace(self.trace)
+            row_px, height = true.row_px, true.height_px
+        elif self.mask is not None:
+            mask = read_photo(self.mask).rgb
+            row_px, height = _upper_edge(mask), len(mask)
+        else:
+            return None
+        at = (np.arange(query.width_px) + 0.5) * len(row_px) / query.width_px - 0.5
+        nearest = np.clip(np.rint(at), 0, len(row_px) - 1).astype(np.intp)
+        return np.asarray((row_px[nearest] + 0.5) * query.height_px / height - 0.5)
+
+
+_NUMBERS = tuple(field.name for field in fields(Photograph) if "float" in str(field.type))
+_FILES = ("photo", "mask", "trace")
+
+
+def read_manifest(path: Path) -> list[Photograph]:
+    """Read a manifest; paths in it count from its folder.
+
+    Raises
+    ------
+    MissingFileError
+        The manifest, or a file that it names, does not exist.
+    InputError
+        A column, a kind or a number is none, or a place is missing.
+    """
+    if not path.is_file():
+        raise MissingFileError(f"{path} does not exist; expected a manifest of photographs (CSV)")
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        reader = csv.DictReader(file, skipinitialspace=True)
+        known = [field.name for field in fields(Photograph)]
+        unknown = [name for name in reader.fieldnames or ["nothing"] if name not in known]
+        if unknown or not {"photo", "kind"} <= set(reader.fieldnames or ()):
+            raise InputError(
+                f"{path} has the columns {', '.join(reader.fieldnames or ())}; expected photo, "
+                f"kind and some of {', '.join(known[2:])}"
+            )
+        photographs = [_photograph(path, reader.line_num, row) for row in reader]
+    named = [getattr(one, name) for one in photographs for name in _FILES]
+    absent = [file for file in named if file is not None and not file.is_file()]
+    if absent:
+        raise MissingFileError(
+            f"{path} names {len(absent)} files that do not exist, the first of them {absent[0]}"
+        )
+    if not photographs:
+        raise InputError(f"{path} names no photograph; expected at least one line")
+    return photographs
+
+
+def _photograph(path: Path, line: int, row: dict[str, str | None]) -> Photograph:
+    where, given = f"{path}, line {line}", {}
+    text = {name: (value or "").strip() for name, value in row.items() if name is not None}
+    if text["kind"] not in KINDS or not text["photo"]:
+        raise InputError(
+            f"{where} has the photo {text['photo']!r} of the kind {text['kind']!r}; expected a "
+            f"file and one of {', '.join(KINDS)}"
+        )
+    for name in _NUMBERS:
+        if text.get(name):
+            given[name] = _number(where, name, text[name])
+    if text["kind"] != EXTRACT and not {"lon", "lat"} <= given.keys():
+        raise InputError(f"{where} has no lon and lat, which {text['kind']} needs")
+    files = {name: path.parent / text[name] for name in _FILES if text.get(name)}
+    return Photograph(kind=text["kind"], **files, **given)  # type: ignore[arg-type]
+
+
+def _number(where: str, name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{where}: {name} is {text!r}; expected a number")
+    return value
+
+
+def _upper_edge(mask: UInt8Array) -> Float64Array:
+    """Return the border's row (W,) under the colour of most of the top row; NaN where none is."""
+    light = mask.mean(axis=2) >= _BLACK
+    ground = light != (light[0].mean() >= 0.5)
+    row = ground.argmax(axis=0) - 0.5
+    return np.where(ground.any(axis=0) & ~ground[0], row, np.nan)

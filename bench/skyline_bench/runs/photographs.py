@@ -1,0 +1,348 @@
+"""Real photographs measured: their skylines, their places, and the stage that lost a place."""
+
+import math
+import time
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from skyline import (
+    Candidate,
+    HeightField,
+    InputError,
+    Matcher,
+    MatchResult,
+    Narrowing,
+    QuerySkyline,
+    Viewer,
+    read_query,
+)
+from skyline.pipeline import PlaceConfig
+from skyline.planning.uniform import map_bounds
+from skyline.report.claims import describe_claim
+from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph
+from skyline_bench.stores.reference import place_store
+
+RIGHT_M, RIGHT_DEG = 200.0, 10.0
+_RIGHT_ROWS = 0.01
+"""Of the photo's height: a column nearer to the truth is right."""
+_NEAR_KM = 0.3
+_SAME_AREA = 0.25
+"""Photographs nearer than this share of an area's side are searched in one area."""
+_OFF_CENTRE = 0.27
+_ODD_DEG = 0.5
+"""A found skyline this far from what the model shows at the true place is not the model's."""
+_M_PER_DEG = 111_320.0
+
+
+@dataclass(frozen=True, slots=True)
+class PhotosConfig:
+    """How photographs are measured.
+
+    Attributes
+    ----------
+    side_m : float
+        Of the square about each photograph that is searched.
+    spacing_m : float, optional
+        Between places; planned without.
+    use_gps : bool
+        Whether the photos' own positions draw the search.
+    """
+
+    side_m: float = 22_000.0
+    spacing_m: float | None = None
+    use_gps: bool = False
+
+    def quick(self) -> "PhotosConfig":
+        """Return a version of small areas."""
+        return replace(self, side_m=min(self.side_m, 4000.0))
+
+
+@dataclass(slots=True)
+class Measured:
+    """What became of one photograph.
+
+    Attributes
+    ----------
+    photograph : Photograph
+    query : QuerySkyline or None
+        None where no skyline was found.
+    figures : dict
+        The table's row.
+    best : Candidate or None
+    """
+
+    photograph: Photograph
+    query: QuerySkyline | None = None
+    figures: dict[str, object] = field(default_factory=dict)
+    best: Candidate | None = None
+    row_px: object = None
+
+
+Shown = Callable[[Measured, Viewer | None], None]
+
+
+def measure(
+    photographs: Sequence[Photograph],
+    terrain: HeightField | None,
+    config: PhotosConfig,
+    folder: Path,
+    shown: Shown,
+) -> list[dict[str, object]]:
+    """Return one row for each photograph, in order.
+
+    Parameters
+    ----------
+    photographs : sequence of Photograph
+    terrain : HeightField, optional
+        Not needed where nothing is located.
+    config : PhotosConfig
+    folder : Path
+        Where the stores of the areas are kept and found again.
+    shown : callable
+        Called with each that is done, and what renders its surroundings.
+
+    Raises
+    ------
+    InputError
+        A place is not on the elevation model, or there is none.
+    """
+    rows: dict[Photograph, dict[str, object]] = {}
+    for one in photographs:
+        if one.kind == EXTRACT:
+            measured = _extracted(one)
+            shown(measured, None)
+            rows[one] = measured.figures
+    located = [one for one in photographs if one.kind != EXTRACT]
+    if located and terrain is None:
+        raise InputError("photographs are to be located; give the elevation model too")
+    for group in _groups(located, config.side_m * _SAME_AREA):
+        assert terrain is not None
+        place = folder / f"{group[0].name}-area"
+        place.mkdir(exist_ok=True)
+        store = place_store(
+            terrain, place, config.spacing_m,
+            _area_deg(terrain, group[0], config.side_m), PlaceConfig(),
+        )  # fmt: skip
+        with Matcher(store.path, terrain) as matcher, Viewer(matcher) as viewer:
+            for one in group:
+                measured = _located(one, matcher, viewer, config)
+                shown(measured, viewer)
+                rows[one] = measured.figures
+    return [rows[one] for one in photographs]
+
+
+def summarize(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
+    """Return one row for each kind of photograph: how many were found, answered and right."""
+    table = []
+    for kind in KINDS:
+        some = [row for row in rows if row["kind"] == kind]
+        if not some:
+            continue
+        right = [row for row in some if _is_right(row)]
+        answered = [row for row in some if row.get("answered")]
+        line: dict[str, object] = {"kind": kind, "photographs": len(some)}
+        if kind != EXTRACT:
+            line |= {
+                "within_200m": len(right) / len(some),
+                "answered": len(answered) / len(some),
+                "answered_right": sum(map(_is_right, answered)) / len(answered)
+                if answered and kind == LOCATE
+                else None,
+            }
+        shares = [
+            float(str(row["right_columns"])) for row in some if row.get("right_columns") is not None
+        ]
+        refused = [row for row in some if row.get("trusted") is None]
+        line |= {
+            "right_columns": float(np.mean(shares)) if shares else None,
+            "mostly_wrong": sum(share < 0.5 for share in shares) if shares else None,
+            "no_skyline": len(refused),
+        }
+        table.append(line)
+    return table
+
+
+def _is_right(row: Mapping[str, object]) -> bool:
+    return row.get("rank") == 1
+
+
+def _extracted(one: Photograph) -> Measured:
+    """Read a photograph, and hold its skyline to the truth where that is known."""
+    measured = Measured(one)
+    figures = measured.figures
+    figures |= {"photo": one.name, "kind": one.kind}
+    started = time.perf_counter()
+    try:
+        query = read_query(one.photo, one.given_fov_deg)
+    except InputError as error:
+        refusal = str(error).replace(str(one.photo), one.name)
+        return replace(measured, figures=figures | {"refusal": refusal, "lost": "extraction"})
+    figures |= {"seconds": time.perf_counter() - started, "trusted": float(query.trusted.mean())}
+    if one.given_eye_height_m is not None:
+        query = replace(query, eye_height_m=one.given_eye_height_m)
+    true_px = one.true_row_px(query)
+    if true_px is not None:
+        figures |= right_columns(query, true_px)
+    return replace(measured, query=query, row_px=true_px)
+
+
+def right_columns(query: QuerySkyline, true_px: np.ndarray) -> dict[str, object]:
+    """Return the share of trusted columns that are right, and of true ones that are found so."""
+    known = np.isfinite(true_px)
+    both = known & query.trusted
+    off = np.abs(query.row_px[both] - true_px[both]) / query.height_px
+    right = off <= _RIGHT_ROWS
+    return {
+        "right_columns": float(right.mean()) if right.size else None,
+        "found_columns": float(right.sum() / max(known.sum(), 1)),
+        "row_error": float(np.median(off)) if off.size else None,
+    }
+
+
+def _located(one: Photograph, matcher: Matcher, viewer: Viewer, config: PhotosConfig) -> Measured:
+    measured = _extracted(one)
+    if measured.query is None:
+        return measured
+    query = measured.query
+    result = matcher.match(query, narrowing=Narrowing(use_gps=config.use_gps))
+    best = next(iter(result.candidates), None)
+    errors = [_off_m(one, place, matcher) for place in result.candidates]
+    right = [rank for rank, off in enumerate(errors, start=1) if off <= RIGHT_M]
+    claim = describe_claim(query.noted, best)
+    measured.figures |= {
+        "seconds": float(str(measured.figures["seconds"])) + result.seconds,
+        "answered": result.answer is not None,
+        "error_m": errors[0] if errors else None,
+        "rank": right[0] if right else None,
+        "heading_error_deg": None if best is None else _turn_deg(one, best),
+        "fov_given_deg": query.fov_deg,
+        "fov_found_deg": None if best is None else best.fov_deg,
+        "confidence": None if best is None else best.confidence,
+        "gps_off_m": None if claim is None else claim["distance_m"],
+        "refusal": result.refusal,
+        "lost": None,
+    }
+    measured.best = best
+    if one.kind == LOCATE and not (right and right[0] == 1 and result.answer is not None):
+        measured.figures |= _stages(one, measured, result, matcher, viewer)
+    return measured
+
+
+def _stages(
+    one: Photograph, measured: Measured, result: MatchResult, matcher: Matcher, viewer: Viewer
+) -> dict[str, object]:
+    """Return the stage that lost a place: the truth is given to one later stage after the other.
+
+    ``confidence``: it was found, and not believed. ``extraction``: with the true skyline it is
+    found, or there is too little of one. ``search``: with the place given, its skyline fits better
+    than all that was found. ``ranking``: it fits, and a wrong place fits better. ``pose``: even
+    there the pose is missed, but found where that is given. ``skyline``: what was found is not
+    what the model shows from there.
+    """
+    query = result.query
+    if measured.figures["rank"] == 1:
+        return {"lost": "confidence"}
+    if result.refusal is not None and not result.candidates:
+        return {"lost": "extraction"}
+    if _found_by_truth(one, query, measured.row_px, matcher):
+        return {"lost": "extraction"}
+    near = Narrowing(near=(*one.lonlat, _NEAR_KM))
+    try:
+        there = next(iter(matcher.match(query, narrowing=near).candidates), None)
+    except InputError:
+        there = None
+    stage = "ranking"
+    if there is None or abs(_turn_deg(one, there) or 0.0) > RIGHT_DEG:
+        fitted = _fitted(one, query, matcher, viewer)
+        stage = "skyline" if fitted is None else "pose"
+        there = fitted or there
+    if there is None:
+        return {"lost": "skyline"}
+    gap_deg = viewer.look(there, query).median_gap_deg
+    if gap_deg is None or gap_deg > _ODD_DEG:
+        stage = "skyline"
+    elif stage == "ranking" and there.score < result.candidates[0].score:
+        stage = "search"
+    return {
+        "lost": stage,
+        "true_place_gap_deg": gap_deg,
+        "true_place_behind": there.score - result.candidates[0].score,
+    }
+
+
+def _found_by_truth(
+    one: Photograph, query: QuerySkyline, true_px: object, matcher: Matcher
+) -> bool:
+    """Whether the true skyline, as far as it is known, leads to the place."""
+    if not isinstance(true_px, np.ndarray):
+        return False
+    true = replace(query, row_px=true_px, confidence=np.isfinite(true_px).astype(float))
+    found = matcher.match(true).candidates
+    return bool(found) and _off_m(one, found[0], matcher) <= RIGHT_M
+
+
+def _fitted(
+    one: Photograph, query: QuerySkyline, matcher: Matcher, viewer: Viewer
+) -> Candidate | None:
+    """Return the pose that the true one becomes; None where it is not known, or does not hold."""
+    if one.heading_deg is None:
+        return None
+    fov_deg = one.fov_deg or query.fov_deg or 60.0
+    east, north = (float(value) for value in matcher.frame.from_lonlat(*one.lonlat))
+    ground_m = float(viewer.terrain.height_at(east, north))
+    above_m = 2.0 if one.elevation_m is None else max(0.0, one.elevation_m - ground_m)
+    pose = viewer.pose(*one.lonlat, one.heading_deg, pitch_deg=one.pitch_deg or 0.0,
+        roll_deg=one.roll_deg or 0.0, fov_deg=fov_deg, eye_height_m=above_m,
+    )  # fmt: skip
+    fitted = matcher.fit(query, pose)
+    if fitted is None or _off_m(one, fitted, matcher) > RIGHT_M:
+        return None
+    return fitted if abs(_turn_deg(one, fitted) or 0.0) <= RIGHT_DEG else None
+
+
+def _off_m(one: Photograph, place: Candidate, matcher: Matcher) -> float:
+    east, north = matcher.frame.from_lonlat(*one.lonlat)
+    return float(np.hypot(place.easting_m - east, place.northing_m - north))
+
+
+def _turn_deg(one: Photograph, place: Candidate) -> float | None:
+    if one.heading_deg is None:
+        return None
+    return (place.heading_deg - one.heading_deg + 180.0) % 360.0 - 180.0
+
+
+def _groups(photographs: Sequence[Photograph], apart_m: float) -> Iterator[list[Photograph]]:
+    """Yield photographs that share an area, those of the first of them first."""
+    left = list(photographs)
+    while left:
+        first = left[0]
+        group = [one for one in left if _apart_m(first, one) <= apart_m]
+        yield group
+        left = [one for one in left if one not in group]
+
+
+def _apart_m(one: Photograph, other: Photograph) -> float:
+    (lon, lat), (other_lon, other_lat) = one.lonlat, other.lonlat
+    east, north = (lon - other_lon) * math.cos(math.radians(lat)), lat - other_lat
+    return _M_PER_DEG * math.hypot(east, north)
+
+
+def _area_deg(
+    terrain: HeightField, first: Photograph, side_m: float
+) -> tuple[float, float, float, float]:
+    """Return W, S, E, N of an area that holds a place somewhere, but not in its middle."""
+    generator = np.random.default_rng(zlib.crc32(first.name.encode()))
+    lon, lat = first.lonlat
+    east_deg = _M_PER_DEG * math.cos(math.radians(lat))
+    middle = np.array([lon, lat]) + (
+        generator.uniform(-_OFF_CENTRE, _OFF_CENTRE, 2) * side_m / [east_deg, _M_PER_DEG]
+    )
+    half = side_m / 2.0 / np.array([east_deg, _M_PER_DEG])
+    west, south = (float(value) for value in middle - half)
+    east, north = (float(value) for value in middle + half)
+    map_bounds(terrain, (west, south, east, north))
+    return west, south, east, north

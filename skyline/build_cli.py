@@ -1,0 +1,363 @@
+"""The commands that make stores: ``skyline render`` and ``skyline build``."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skyline import report
+from skyline.console import (
+    Crs,
+    Dems,
+    NoCurvature,
+    RefractionK,
+    Reproject,
+    Scheduler,
+    Tolerance,
+    Width,
+    Workers,
+    parse_bounds,
+    progress_bar,
+    runner_of,
+)
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.paper.planning.plan import PlanConfig, PlanProgress
+from skyline.paper.planning.strategies import STRATEGIES
+from skyline.pipeline import (
+    BuildResult,
+    PlaceConfig,
+    PlannedResult,
+    RenderConfig,
+    ShardPlan,
+    build_places,
+    build_planned,
+    build_sharded,
+    build_uniform,
+    render_to_store,
+    save_depth_pictures,
+)
+from skyline.pipeline.config import ROWS
+from skyline.pipeline.places import DEFAULT_LOSS
+from skyline.pipeline.shards import DEFAULT_TILE_M
+from skyline.places import Places
+from skyline.planning.uniform import uniform_grid
+from skyline.store import open_store
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoint_csv import read_viewpoints
+
+_DEFAULTS = RenderConfig()
+_PLANNED = PlanConfig()
+
+Output = Annotated[Path, typer.Option("--output", "-o", help="The store to write (HDF5).")]
+Bounds = Annotated[
+    str | None, typer.Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
+]
+ShardKm = Annotated[
+    float | None,
+    typer.Option(metavar="K", help="Build in tiles of K km; each tile is a job. With workers: 10."),
+]
+Rows = Annotated[
+    str, typer.Option(help=f"How the store holds rows: {' or '.join(ROWS)} (docs/store.md).")
+]
+
+
+def render(
+    dem: Dems,
+    output: Output,
+    viewpoints: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.csv", help="Viewpoints as CSV: easting,northing or lon,lat."),
+    ] = None,
+    grid: Annotated[
+        float | None,
+        typer.Option(metavar="SPACING_M", help="Render a uniform grid instead: metres between."),
+    ] = None,
+    width: Width = _DEFAULTS.width,
+    tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
+    k: RefractionK = _DEFAULTS.curvature.refraction_k,
+    no_curvature: NoCurvature = False,
+    rows: Rows = _DEFAULTS.rows,
+    depth_images: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Also save depth images (TIFF, metres) and pictures."),
+    ] = None,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Render the skylines of given viewpoints, to grid north, east, south, west, into a store."""
+    if (viewpoints is None) == (grid is None):
+        raise InputError("give one of --viewpoints FILE.csv and --grid SPACING_M")
+    config = replace(render_config(width, tolerance_px, k, no_curvature), rows=rows)
+    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    if viewpoints is not None:
+        eyes = read_viewpoints(viewpoints, terrain, config.eye_height_m)
+    else:
+        eyes = uniform_grid(terrain, grid or 0.0, eye_height_m=config.eye_height_m)
+    with progress_bar("rendering") as progress:
+        result = render_to_store(terrain, eyes, output, config, progress)
+    if depth_images is not None:
+        save_depth_pictures(terrain, eyes, depth_images, config)
+    _say_built(result, output, "renderings")
+
+
+def build(
+    dem: Dems,
+    output: Output,
+    spacing: Annotated[
+        float | None,
+        typer.Option(
+            help="Metres between places of a uniform grid; with a planner, between viewpoints of "
+            "its coarse grid.",
+            show_default=f"places are planned; {_PLANNED.spacing.coarse_m:g} with a planner",
+        ),
+    ] = None,
+    loss: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE",
+            help="Share of the photos that may be missed because places lie apart. Places are "
+            "planned for it: dense where skylines are near, sparse where they are far.",
+            show_default=f"{DEFAULT_LOSS:g}",
+        ),
+    ] = None,
+    bounds: Bounds = None,
+    shard_km: ShardKm = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    k: RefractionK = _DEFAULTS.curvature.refraction_k,
+    no_curvature: NoCurvature = False,
+    crs: Crs = None,
+    reproject: Reproject = False,
+    planner: Annotated[
+        str | None,
+        typer.Option(
+            help="Store renderings instead of places, for the paper's matcher. The planner "
+            f"chooses their viewpoints: uniform, {', '.join(STRATEGIES)}."
+        ),
+    ] = None,
+    candidate_spacing: Annotated[
+        float | None,
+        typer.Option(
+            help="Planner: metres between candidates.",
+            show_default=f"{_PLANNED.spacing.candidate_m:g}",
+        ),
+    ] = None,
+    threshold_px: Annotated[
+        float | None,
+        typer.Option(
+            "--threshold-px",
+            help="Planner: pixels by which the skyline of a covered location may differ.",
+            show_default=f"{_PLANNED.threshold_px:g}",
+        ),
+    ] = None,
+    coverage: Annotated[
+        float | None,
+        typer.Option(
+            help="Planner: share of the candidates to cover.",
+            show_default=f"{_PLANNED.coverage:g}",
+        ),
+    ] = None,
+    budget: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", help="Planner: number of renderings; the threshold is raised to fit."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Planner: seed of its random choices.", show_default=f"{_PLANNED.seed}"),
+    ] = None,
+    drawn: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="PNG",
+            help="Draw a map of the places and how far apart they lie; with a planner, of "
+            "viewpoints and their areas.",
+        ),
+    ] = None,
+    width: Annotated[
+        int | None,
+        typer.Option(
+            help="Renderings: columns of a 90 degree view.", show_default=f"{_DEFAULTS.width}"
+        ),
+    ] = None,
+    tolerance_px: Annotated[
+        float | None,
+        typer.Option(
+            "--tolerance-px",
+            help="Renderings: pixels by which a skyline may lie too low.",
+            show_default=f"{_DEFAULTS.tolerance_px:g}",
+        ),
+    ] = None,
+    rows: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Renderings: how the store holds them, {' or '.join(ROWS)}.",
+            show_default=_DEFAULTS.rows,
+        ),
+    ] = None,
+) -> None:
+    """Build the store that `match` searches. After Ctrl-C, the same command continues."""
+    corners = parse_bounds(bounds) if bounds is not None else None
+    job = _Job(dem, DemOptions(crs=crs, reproject=reproject), output, shard_km, workers, scheduler)
+    curvature = Curvature(refraction_k=k, enabled=not no_curvature)
+    only_planned: dict[str, object] = {
+        "--candidate-spacing": candidate_spacing,
+        "--threshold-px": threshold_px,
+        "--coverage": coverage,
+        "--budget": budget,
+        "--seed": seed,
+    }
+    only_rendered: dict[str, object] = {
+        "--width": width,
+        "--tolerance-px": tolerance_px,
+        "--rows": rows,
+    }
+    if planner is None:
+        _refuse_given(only_planned | only_rendered, "a store of renderings; give --planner too")
+        if spacing is not None:
+            _refuse_given({"--loss": loss}, f"planned places, --spacing {spacing:g} for a grid")
+        plan = ShardPlan(spacing, job.tile_m, corners, DEFAULT_LOSS if loss is None else loss)
+        terrain = job.build(plan, PlaceConfig(curvature=curvature))
+        if drawn is not None:
+            _draw_places(terrain, output, drawn)
+        return
+    _refuse_given({"--loss": loss}, f"places; leave out --planner {planner}")
+    if planner != "uniform" and planner not in STRATEGIES:
+        raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
+    config = RenderConfig(
+        width=_DEFAULTS.width if width is None else width,
+        tolerance_px=_DEFAULTS.tolerance_px if tolerance_px is None else tolerance_px,
+        curvature=curvature,
+        rows=_DEFAULTS.rows if rows is None else rows,
+    )
+    coarse_m = _PLANNED.spacing.coarse_m if spacing is None else spacing
+    if planner == "uniform":
+        only_planned["--map"] = drawn
+        _refuse_given(only_planned, "a planner that chooses viewpoints; uniform does not choose")
+        job.build(ShardPlan(coarse_m, job.tile_m, corners), config)
+        return
+    if job.tiled:
+        raise InputError(
+            f"planner {planner} plans one area as a whole; tiles and workers are for uniform grids"
+        )
+    candidate_m = _PLANNED.spacing.candidate_m if candidate_spacing is None else candidate_spacing
+    planned = PlanConfig(
+        planner,
+        replace(_PLANNED.spacing, coarse_m=coarse_m, candidate_m=candidate_m),
+        _PLANNED.threshold_px if threshold_px is None else threshold_px,
+        _PLANNED.coverage if coverage is None else coverage,
+        seed=_PLANNED.seed if seed is None else seed,
+        budget=budget,
+    )
+    done = job.build_planned(planned, corners, config)
+    if drawn is not None:
+        report.save_coverage_map(done.plan, drawn)
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """A store to be built, and who builds it."""
+
+    dem: list[str]
+    options: DemOptions
+    output: Path
+    shard_km: float | None
+    workers: int | None
+    scheduler: str | None
+
+    @property
+    def tiled(self) -> bool:
+        return (self.shard_km, self.workers, self.scheduler) != (None, None, None)
+
+    @property
+    def tile_m(self) -> float:
+        return DEFAULT_TILE_M if self.shard_km is None else 1000.0 * self.shard_km
+
+    def build(self, plan: ShardPlan, config: PlaceConfig | RenderConfig) -> HeightField:
+        """Build places or a uniform grid of renderings; return the terrain."""
+        with runner_of(self.workers, self.scheduler) as runner, progress_bar("rendering") as bar:
+            terrain, spacing_m, bounds_deg = self.read(), plan.spacing_m, plan.bounds_deg
+            if self.tiled:
+                result = build_sharded(terrain, self.output, plan, config, runner, bar)
+            elif isinstance(config, PlaceConfig):
+                result = build_places(
+                    terrain, self.output, spacing_m, bounds_deg, config, bar, loss=plan.loss
+                )
+            else:
+                result = build_uniform(
+                    terrain, self.output, spacing_m or 0.0, bounds_deg, config, bar
+                )
+        _say_built(
+            result, self.output, "places" if isinstance(config, PlaceConfig) else "renderings"
+        )
+        return terrain
+
+    def build_planned(
+        self,
+        planned: PlanConfig,
+        bounds_deg: tuple[float, float, float, float] | None,
+        config: RenderConfig,
+    ) -> PlannedResult:
+        """Build what one of the paper's planners chooses."""
+        terrain, budget = self.read(), planned.budget
+        with progress_bar("covering, %" if budget is None else "rendering") as bar:
+
+            def tell(now: PlanProgress) -> None:
+                if budget is None:
+                    bar(int(100 * now.coverage), 100)
+                else:
+                    bar(now.renderings, budget)
+
+            done = build_planned(terrain, self.output, planned, bounds_deg, config, tell)
+        _say_built(done.built, self.output, "renderings")
+        _say_planned(done)
+        return done
+
+    def read(self) -> HeightField:
+        """Read the DEM."""
+        return read_dem(self.dem, self.options)
+
+
+def _draw_places(terrain: HeightField, store: Path, path: Path) -> None:
+    with open_store(store) as opened:
+        places = Places.concatenate(list(opened.places().blocks()))
+    report.save_place_map(terrain, places, path)
+
+
+def _refuse_given(options: Mapping[str, object], why: str) -> None:
+    """Raise `InputError` where one of some options was given."""
+    for name, value in options.items():
+        if value is not None:
+            raise InputError(f"{name} {value} is for {why}")
+
+
+def render_config(width: int, tolerance_px: float, k: float, no_curvature: bool) -> RenderConfig:
+    """Return how renderings are made, from options."""
+    curvature = Curvature(refraction_k=k, enabled=not no_curvature)
+    return RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
+
+
+def _say_built(result: BuildResult, path: Path, what: str) -> None:
+    rate = result.rendered / result.seconds if result.seconds > 0.0 else 0.0
+    typer.echo(
+        f"{path}: {result.rows} {what}, {result.rendered} of them new in "
+        f"{result.seconds:.1f} s ({rate:.0f}/s), {path.stat().st_size / 1e6:.1f} MB"
+    )
+
+
+def _say_planned(done: PlannedResult) -> None:
+    proof, made = done.verification, done.plan.progress
+    typer.echo(
+        f"to {done.plan.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
+        f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "
+        f"{100 * proof.share:.1f} % hold, 95 % interval {100 * proof.low:.1f} to "
+        f"{100 * proof.high:.1f}); overlap {made.overlap}, "
+        f"{made.batches} batches, rendering {done.plan.render_s:.1f} s, planning "
+        f"{done.plan.plan_s:.1f} s"
+    )

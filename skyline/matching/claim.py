@@ -1,0 +1,122 @@
+r"""What a photo says of where it was taken, as a prior: a place with a long tail, a compass hardly.
+
+A position is near the truth most of the time, with an error like a Cauchy distribution's of two
+dimensions, and now and then it is another photo's, or the phone's last one before it was carried
+elsewhere. So the density of the truth about a claim is
+
+.. math::
+
+    p(d) = \frac{1 - w}{2 \pi s^2} \left(1 + \frac{d^2}{s^2}\right)^{-3/2} + \frac{w}{A}
+
+and a place far off is never less likely than one of a search of the area A without a claim.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.arrays import Float64Array
+from skyline.errors import InputError
+
+_WRONG_SHARE = 0.05
+"""Of photos with a position: of 20 looked at, one lay 6 km off."""
+_ANYWHERE_M2 = 1e9
+"""Where the truth lies then: within 18 km, as a search without a claim would have it."""
+_COMPASS_WRONG_SHARE = 0.2
+"""Compasses are disturbed by cars, railings and cases: what they say is hardly more than a hint."""
+_REACH_SD = 3.0
+_REACH_M = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """Where a photo says that it was taken, in the frame of a search.
+
+    Attributes
+    ----------
+    easting_m, northing_m : float
+    sd_m : float
+        Scale of the position's error.
+    heading_deg : float, optional
+        Grid azimuth of the optical axis.
+    heading_sd_deg : float
+        Its deviation, where the compass is right.
+    elevation_m : float, optional
+        Of the eye; its error is spread like a Cauchy distribution.
+    elevation_sd_m : float
+        How it is spread.
+    weight : float
+        What its probabilities count among scores, which may be worth less than log odds.
+    """
+
+    easting_m: float
+    northing_m: float
+    sd_m: float
+    heading_deg: float | None = None
+    heading_sd_deg: float = 20.0
+    elevation_m: float | None = None
+    elevation_sd_m: float = 30.0
+    weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.easting_m, self.northing_m]).all() and self.sd_m > 0.0):
+            raise InputError(
+                f"a claim is {self.easting_m:g}, {self.northing_m:g} within {self.sd_m:g} m; "
+                "expected a place and a scale above 0"
+            )
+
+    @property
+    def reach_m(self) -> float:
+        """How far about the claim places are always looked at."""
+        return _REACH_M + _REACH_SD * self.sd_m
+
+    def cost(
+        self, place_m: NDArray[np.complex128], eye_m: Float64Array, heading_rad: Float64Array
+    ) -> Float64Array:
+        """Return -log of how much likelier poses (M,) are than without the claim, times the weight.
+
+        Parameters
+        ----------
+        place_m : (M,) complex128
+            Easting, and northing as the imaginary part.
+        eye_m : (M,) float64
+            Elevations of the eye.
+        heading_rad : (M,) float64
+            Grid azimuths of the optical axis.
+        """
+        cost = -np.log(_WRONG_SHARE + self._peak * self._tail(place_m) ** -1.5)
+        if self.heading_deg is not None:
+            turn = np.degrees(heading_rad) - self.heading_deg
+            off = ((turn + 180.0) % 360.0 - 180.0) / self.heading_sd_deg
+            right = 360.0 / (np.sqrt(2.0 * np.pi) * self.heading_sd_deg)
+            right *= 1.0 - _COMPASS_WRONG_SHARE
+            cost = cost - np.log(_COMPASS_WRONG_SHARE + right * np.exp(-0.5 * off**2))
+        if self.elevation_m is not None:
+            cost = cost + np.log1p(((eye_m - self.elevation_m) / self.elevation_sd_m) ** 2)
+        return np.asarray(self.weight * cost)
+
+    def precision(self, place_m: NDArray[np.complex128]) -> Float64Array:
+        """Return the precision (M,) of the normal distribution that draws places as much."""
+        tail = self._tail(place_m)
+        pull = 3.0 * self._peak * tail**-2.5 / self.sd_m**2
+        return np.asarray(self.weight * pull / (_WRONG_SHARE + self._peak * tail**-1.5))
+
+    def lift(self, eye_m: Float64Array) -> tuple[Float64Array, Float64Array]:
+        """Return what draws elevations of eyes (M,), as `precision`, and their offsets from it."""
+        if self.elevation_m is None:
+            return np.zeros_like(eye_m), np.zeros_like(eye_m)
+        off_m = eye_m - self.elevation_m
+        return 2.0 * self.weight / (self.elevation_sd_m**2 + off_m**2), off_m
+
+    def offset_m(self, place_m: NDArray[np.complex128]) -> Float64Array:
+        """Return how far places (M,) lie east and north of the claim, (M, 2)."""
+        off = place_m - complex(self.easting_m, self.northing_m)
+        return np.stack([off.real, off.imag], axis=-1)
+
+    @property
+    def _peak(self) -> float:
+        return (1.0 - _WRONG_SHARE) * _ANYWHERE_M2 / (2.0 * np.pi * self.sd_m**2)
+
+    def _tail(self, place_m: NDArray[np.complex128]) -> Float64Array:
+        return np.asarray(1.0 + (self.offset_m(place_m) ** 2).sum(axis=-1) / self.sd_m**2)

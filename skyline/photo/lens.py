@@ -1,0 +1,185 @@
+"""A photo's field of view from what its camera noted in EXIF, where that can be believed.
+
+Two sources are compared: the 35 mm equivalent (CIPA DCG-001 compares diagonals), and the focal
+length with the resolution of the focal plane (EXIF 2.32, 4.6.5). Both are of the frame whose size
+the camera noted. A file of that shape was at most resized since, which changes nothing. One of
+another shape was cropped, and what was kept is at most the frame.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import atan, degrees, hypot, log, radians, sin, sqrt
+
+from PIL.ExifTags import Base
+
+from skyline.photo.exif import number_of
+from skyline.photo.projection import MIN_FOV_DEG
+
+_FULL_FRAME_DIAGONAL_MM = hypot(36.0, 24.0)
+_MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+"""FocalPlaneResolutionUnit: inch, centimetre, millimetre, micrometre; inch where absent."""
+_ASPECT_TOLERANCE = 0.02
+MAX_PINHOLE_ASPECT = 2.5
+"""Wider photos are stitched or swept panoramas, or strips; the lens says nothing about those."""
+_MAX_FOV_DEG = 135.0
+"""Of the frame's diagonal lenses that draw straight lines straight see no more."""
+_SENSOR_MM = (2.0, 80.0)
+"""Diagonals of sensors, of phones to medium format."""
+_AGREE = log(1.1)
+"""Estimates of the focal length nearer than this are one: a 35 mm equivalent is rounded."""
+_KEPT_MEAN, _KEPT_SD, _KEPT_MOST = 0.75, 0.5 / sqrt(12.0), 1.05
+"""Of the greatest field of view that a crop can have: between half and all of it, evenly."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """What a file notes of the horizontal field of view of its photo.
+
+    Attributes
+    ----------
+    fov_deg : float or None
+        The likeliest, degrees; None where nothing is known.
+    sd_deg : float or None
+        Its deviation; None where it is as good as one that a person gives.
+    most_deg : float or None
+        The greatest that is possible, where the photo was cropped.
+    said : str
+        Why, in words; empty where the file notes no lens.
+    """
+
+    fov_deg: float | None = None
+    sd_deg: float | None = None
+    most_deg: float | None = None
+    said: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Focal:
+    """A focal length in diagonals of the frame, the share it may be off, and whence it is."""
+
+    diagonals: float
+    share: float | None
+    source: str
+
+
+def lens_of(tags: Mapping[int, object], stored_size: tuple[int, int], turned: bool) -> Lens:
+    """Return what a photo's EXIF says of its field of view.
+
+    Parameters
+    ----------
+    tags : mapping
+        EXIF tag numbers to values, the main and the Exif directories joined.
+    stored_size : (int, int)
+        Width and height of the image as stored, before its orientation is applied.
+    turned : bool
+        Whether its orientation swaps width and height.
+    """
+    frame = _frame(tags, stored_size)
+    focal, dropped = _focal(tags, frame)
+    if focal is None:
+        return Lens(said=dropped)
+    if _aspect(stored_size) > MAX_PINHOLE_ASPECT:
+        return Lens(said=f"{focal.source} left aside: the photo is a panorama or a strip")
+    kept = _kept(stored_size, frame)
+    across = kept[1] if turned else kept[0]
+    most_deg = 2.0 * degrees(atan(across / 2.0 / (focal.diagonals * hypot(*frame))))
+    if most_deg < MIN_FOV_DEG:
+        return Lens(said=f"{focal.source} left aside: {most_deg:.2g} degrees are no photo's")
+    if _is_whole(stored_size, frame) or _is_unscaled(stored_size, frame):
+        sd_deg = None
+        if focal.share is not None:
+            sd_deg = degrees(focal.share * sin(radians(most_deg)))
+        return Lens(most_deg, sd_deg, None, "; ".join(filter(None, [focal.source, dropped])))
+    said = f"{focal.source}, but the photo was cropped: at most {most_deg:.1f} degrees"
+    said = "; ".join(filter(None, [said, dropped]))
+    return Lens(_KEPT_MEAN * most_deg, _KEPT_SD * most_deg, _KEPT_MOST * most_deg, said)
+
+
+def _focal(tags: Mapping[int, object], frame: tuple[float, float]) -> tuple[_Focal | None, str]:
+    """Return the focal length to believe, and what was dropped for what reason."""
+    equivalent_mm = _positive(tags.get(Base.FocalLengthIn35mmFilm))
+    focal_mm = _positive(tags.get(Base.FocalLength))
+    sensor_mm = _sensor_diagonal_mm(tags, frame)
+    by_film = None if equivalent_mm is None else equivalent_mm / _FULL_FRAME_DIAGONAL_MM
+    by_plane = None if focal_mm is None or sensor_mm is None else focal_mm / sensor_mm
+    dropped = []
+    if by_film is not None and not _is_lens(by_film, focal_mm):
+        dropped.append(f"EXIF's 35 mm equivalent of {equivalent_mm:g} mm is no lens's")
+        by_film = None
+    if by_plane is not None and not _is_lens(by_plane, focal_mm):
+        dropped.append("EXIF's focal plane is no camera's")
+        by_plane = None
+    said = "; ".join(dropped)
+    if by_film is None or by_plane is None:
+        one = by_film or by_plane
+        source = "EXIF's 35 mm equivalent" if by_film else "EXIF's focal plane"
+        return None if one is None else _Focal(one, None, source), said
+    off = log(by_film / by_plane)
+    if abs(off) <= _AGREE:
+        return _Focal(by_film, None, "EXIF's 35 mm equivalent, and its focal plane agrees"), said
+    source = "EXIF's 35 mm equivalent and its focal plane contradict one another"
+    return _Focal(sqrt(by_film * by_plane), abs(off) / 2.0, source), said
+
+
+def _is_lens(diagonals: float, focal_mm: float | None) -> bool:
+    """Whether a focal length, in diagonals of its frame, is one of a lens before a sensor."""
+    if 2.0 * degrees(atan(0.5 / diagonals)) > _MAX_FOV_DEG:
+        return False
+    return focal_mm is None or _SENSOR_MM[0] <= focal_mm / diagonals <= _SENSOR_MM[1]
+
+
+def _sensor_diagonal_mm(tags: Mapping[int, object], frame: tuple[float, float]) -> float | None:
+    """Return the diagonal of what the frame's pixels took of the focal plane."""
+    unit_mm = _MM_PER_UNIT.get(int(_positive(tags.get(Base.FocalPlaneResolutionUnit)) or 2))
+    across = _positive(tags.get(Base.FocalPlaneXResolution))
+    if unit_mm is None or across is None:
+        return None
+    return hypot(*frame) * unit_mm / across
+
+
+def _frame(tags: Mapping[int, object], stored: tuple[int, int]) -> tuple[float, float]:
+    """Return the size the camera noted, which resizing leaves and cropping contradicts.
+
+    Photos on end are noted lying or upright. What fits a file best is taken, and of what fits none
+    the wider part.
+    """
+    width = _positive(tags.get(Base.ExifImageWidth))
+    height = _positive(tags.get(Base.ExifImageHeight))
+    if width is None or height is None:
+        return float(stored[0]), float(stored[1])
+    frames = (width, height), (height, width)
+    return max(
+        frames,
+        key=lambda frame: (
+            _is_whole(stored, frame),
+            _is_unscaled(stored, frame),
+            _kept(stored, frame)[0],
+        ),
+    )
+
+
+def _kept(stored: tuple[int, int], frame: tuple[float, float]) -> tuple[float, float]:
+    """Return the greatest part of a frame, in its pixels, that has the shape of what is stored."""
+    if _is_unscaled(stored, frame):
+        return float(stored[0]), float(stored[1])
+    scale = min(frame[0] / stored[0], frame[1] / stored[1])
+    return stored[0] * scale, stored[1] * scale
+
+
+def _is_whole(stored: tuple[int, int], frame: tuple[float, float]) -> bool:
+    return abs(stored[0] / stored[1] / (frame[0] / frame[1]) - 1.0) <= _ASPECT_TOLERANCE
+
+
+def _is_unscaled(stored: tuple[int, int], frame: tuple[float, float]) -> bool:
+    """Whether a file has all columns or all rows of the frame, and no more of the other."""
+    return max(stored[0] - frame[0], stored[1] - frame[1]) == 0.0
+
+
+def _aspect(size: tuple[float, float]) -> float:
+    return max(size) / min(size)
+
+
+def _positive(value: object) -> float | None:
+    """Return a tag's number where it is one above 0."""
+    number = number_of(value)
+    return number if number is not None and number > 0.0 else None

@@ -1,0 +1,201 @@
+"""Results of many photos in one file, a row each, that a search which was stopped goes on with.
+
+A row is written as soon as its photo is done: to CSV (RFC 4180), or to a GeoPackage (OGC
+12-128r18), whose points are the best candidates.
+"""
+
+import csv
+import io
+import os
+import sqlite3
+import struct
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+from skyline.errors import InputError
+
+Row = dict[str, str | float | int | None]
+
+_TYPES: Mapping[str, str] = {
+    "query": "TEXT", "search": "TEXT", "answered": "INTEGER", "lon": "REAL", "lat": "REAL",
+    "easting": "REAL", "northing": "REAL", "eye_elevation_m": "REAL", "radius_m": "REAL",
+    "heading_deg": "REAL", "pitch_deg": "REAL", "roll_deg": "REAL", "fov_deg": "REAL",
+    "confidence": "REAL", "exif_distance_m": "REAL", "seconds": "REAL", "said": "TEXT",
+}  # fmt: skip
+_OF_CANDIDATE = tuple(_TYPES)[3:14]
+_WGS84 = (
+    'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
+    'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
+)
+_GEOPACKAGE = f"""
+PRAGMA application_id = 1196444487;
+PRAGMA user_version = 10300;
+CREATE TABLE gpkg_spatial_ref_sys (srs_name TEXT NOT NULL, srs_id INTEGER PRIMARY KEY,
+  organization TEXT NOT NULL, organization_coordsys_id INTEGER NOT NULL, definition TEXT NOT NULL,
+  description TEXT);
+INSERT INTO gpkg_spatial_ref_sys VALUES
+  ('Undefined cartesian', -1, 'NONE', -1, 'undefined', NULL),
+  ('Undefined geographic', 0, 'NONE', 0, 'undefined', NULL),
+  ('WGS 84', 4326, 'EPSG', 4326, '{_WGS84}', NULL);
+CREATE TABLE gpkg_contents (table_name TEXT PRIMARY KEY, data_type TEXT NOT NULL,
+  identifier TEXT UNIQUE, description TEXT DEFAULT '',
+  last_change DATETIME NOT NULL DEFAULT (strftime('%Y-%m-%dT%H:%M:%fZ','now')),
+  min_x DOUBLE, min_y DOUBLE, max_x DOUBLE, max_y DOUBLE,
+  srs_id INTEGER REFERENCES gpkg_spatial_ref_sys(srs_id));
+INSERT INTO gpkg_contents (table_name, data_type, identifier, srs_id)
+  VALUES ('photos', 'features', 'photos', 4326);
+CREATE TABLE gpkg_geometry_columns (
+  table_name TEXT PRIMARY KEY REFERENCES gpkg_contents(table_name),
+  column_name TEXT NOT NULL, geometry_type_name TEXT NOT NULL, srs_id INTEGER NOT NULL,
+  z TINYINT NOT NULL, m TINYINT NOT NULL);
+INSERT INTO gpkg_geometry_columns VALUES ('photos', 'geom', 'POINT', 4326, 0, 0);
+CREATE TABLE photos (fid INTEGER PRIMARY KEY AUTOINCREMENT, geom POINT,
+  {", ".join(f'"{name}" {kind}' for name, kind in _TYPES.items())});
+"""
+
+
+class Results(Protocol):
+    """A file of results."""
+
+    def rows(self) -> Iterator[Mapping[str, object]]:
+        """Yield the rows that are there."""
+        ...
+
+    def add(self, row: Row) -> None:
+        """Write a row; once this returns it is kept."""
+        ...
+
+
+def open_results(path: Path, search: str) -> tuple[Results, set[str]]:
+    """Open a file of results, which is made if need be; return it and the queries it has.
+
+    Parameters
+    ----------
+    path : Path
+        Its suffix is ``.csv`` or ``.gpkg``.
+    search : str
+        What tells searches apart: a file holds the results of one.
+
+    Raises
+    ------
+    InputError
+        Another suffix, a file that is none or of another search, or one that cannot be written.
+    """
+    kind = RESULTS.get(path.suffix.lower())
+    if kind is None:
+        raise InputError(
+            f"--results {path}: the suffix is {path.suffix!r}; expected {' or '.join(RESULTS)}"
+        )
+    with _as_input_errors(path):
+        results = kind(path)
+        rows = list(results.rows())
+    if any(row["search"] != search for row in rows):
+        raise InputError(
+            f"--results {path} has results of another store or other options; name another file"
+        )
+    return results, {str(row["query"]) for row in rows}
+
+
+def row_of(record: Mapping[str, Any], search: str) -> Row:
+    """Return a query's row: its best candidate, and why that is no answer.
+
+    ``record`` is a `MatchRecord` or a `FailureRecord`.
+    """
+    row: Row = dict.fromkeys(_TYPES)
+    row |= {"query": record["query"], "search": search, "answered": 0}
+    if "error" in record:
+        return row | {"said": record["error"]}
+    row |= {"seconds": record["seconds"], "said": record.get("refusal")}
+    for best in record["candidates"][:1]:
+        row |= {name: best[name] for name in _OF_CANDIDATE}
+        row["answered"] = int(record["answer"] is not None)
+    if "exif" in record:
+        row["exif_distance_m"] = record["exif"]["distance_m"]
+    return row
+
+
+class _Csv:
+    """Rows appended to a CSV file; what a kill left of the last one is taken away."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        held = path.read_bytes() if path.exists() else b""
+        whole = held[: held.rfind(b"\n") + 1]
+        if not whole:
+            whole = ",".join(_TYPES).encode() + b"\n"
+        if whole != held:
+            path.write_bytes(whole)
+        if next(csv.reader(io.StringIO(whole.decode())), None) != list(_TYPES):
+            raise InputError(f"--results {path} is no file of results; name another one")
+
+    def rows(self) -> Iterator[Mapping[str, object]]:
+        with self._path.open(encoding="utf-8", newline="") as file:
+            yield from csv.DictReader(file)
+
+    def add(self, row: Row) -> None:
+        line = io.StringIO()
+        csv.DictWriter(line, list(_TYPES), lineterminator="\n").writerow(row)
+        with _as_input_errors(self._path), self._path.open("a", encoding="utf-8") as file:
+            # A line break within a row would look like its end.
+            file.write(line.getvalue().rstrip("\n").replace("\n", " ") + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+
+class _GeoPackage:
+    """Rows of a table of points; SQLite keeps each as a whole."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        if not path.exists():
+            partial = path.with_name(path.name + ".partial")
+            partial.unlink(missing_ok=True)
+            with _connected(partial) as made:
+                made.executescript(_GEOPACKAGE)
+            partial.replace(path)
+
+    def rows(self) -> Iterator[Mapping[str, object]]:
+        with _connected(self._path) as opened:
+            for query, search in opened.execute("SELECT query, search FROM photos"):
+                yield {"query": query, "search": search}
+
+    def add(self, row: Row) -> None:
+        names = ", ".join(f'"{name}"' for name in ("geom", *_TYPES))
+        marks = ", ".join("?" * (len(_TYPES) + 1))
+        with _as_input_errors(self._path), _connected(self._path) as opened:
+            opened.execute(
+                f"INSERT INTO photos ({names}) VALUES ({marks})",
+                (_point(row["lon"], row["lat"]), *(row[name] for name in _TYPES)),
+            )
+
+
+RESULTS: Mapping[str, type[_Csv] | type[_GeoPackage]] = {".csv": _Csv, ".gpkg": _GeoPackage}
+"""Files of results by suffix."""
+
+
+@contextmanager
+def _connected(path: Path) -> Iterator[sqlite3.Connection]:
+    connection = sqlite3.connect(path)
+    try:
+        with connection:
+            yield connection
+    finally:
+        connection.close()
+
+
+def _point(lon: object, lat: object) -> bytes | None:
+    """Return a point as GeoPackage has it: a header without an envelope, then WKB."""
+    if lon is None or lat is None:
+        return None
+    header = struct.pack("<2sBBi", b"GP", 0, 1, 4326)
+    return header + struct.pack("<BIdd", 1, 1, float(str(lon)), float(str(lat)))
+
+
+@contextmanager
+def _as_input_errors(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, sqlite3.Error, UnicodeDecodeError) as error:
+        raise InputError(f"--results {path} cannot be used ({error}); name another one") from error

@@ -1,0 +1,114 @@
+"""Photographs of a manifest measured small: columns, places, and what lost a place."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from skyline import read_dem, read_query
+from skyline.errors import InputError, MissingFileError
+from skyline_bench.queries.manifest import Photograph, read_manifest
+from skyline_bench.runs.photographs import right_columns, summarize
+
+PLACE_M, HEADING_DEG = (601_800.0, 5_178_000.0), 140.95
+
+
+@pytest.fixture
+def manifest(tmp_path, dem, photo):
+    """A photo to locate, the same with a wrong lens and with half of its skyline painted away."""
+    lon, lat = (float(v) for v in read_dem([dem]).frame.to_lonlat(*PLACE_M))
+    image = Image.open(photo)
+    sky = np.array(image)
+    sky[: int(0.97 * len(sky))] = (90, 140, 200)
+    Image.fromarray(sky).save(tmp_path / "sky.jpg")
+    query = read_query(photo, 60.0)
+    rows = np.arange(query.height_px)[:, np.newaxis]
+    ground = rows > np.nan_to_num(query.row_px, nan=1e9)
+    Image.fromarray(ground).convert("RGB").save(tmp_path / "mask.png")
+    lines = [
+        "photo,kind,lon,lat,heading_deg,given_fov_deg,mask",
+        f"{photo},locate,{lon},{lat},{HEADING_DEG},60,mask.png",
+        f"sky.jpg,locate,{lon},{lat},,60,",
+        f"{photo},refuse,{lon},{lat},,35,",
+        f"{photo},extract,,,,,mask.png",
+    ]
+    path = tmp_path / "manifest.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_photographs_are_measured(run_bench, manifest, dem, tmp_path):
+    record, page = tmp_path / "record.json", tmp_path / "page.html"
+    done = run_bench(
+        "photos", manifest, dem, "--side-km", "1.2", "--json", record, "--page", page,
+        "--folder", tmp_path / "areas",
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    found, sky, refused, extracted = json.loads(record.read_text())["rows"]
+    assert found["error_m"] < 100.0
+    assert found["rank"] == 1
+    assert abs(found["heading_error_deg"]) < 2.0
+    assert found["lost"] in (None, "confidence")
+    assert found["right_columns"] > 0.99
+    assert sky["lost"] == "extraction"
+    assert not refused["answered"]
+    assert refused["lost"] is None
+    assert extracted["found_columns"] > 0.9
+    assert str(tmp_path) not in record.read_text()
+    assert page.read_text().count("<img") == 3
+    summary = json.loads(record.read_text())["summary"]["photos"]
+    assert [row["kind"] for row in summary] == ["locate", "refuse", "extract"]
+    assert summary[0]["within_200m"] == 0.5
+
+
+def test_columns_are_right_within_a_hundredth_of_the_height(tmp_path):
+    trace = tmp_path / "trace.csv"
+    trace.write_text("# width=100 height=200\ncolumn_px,row_px\n0,50\n9,50\n18,50\n")
+    query = read_query(trace)
+    true_px = np.full(100, 51.9)
+    true_px[5:] = 52.1
+    true_px[60:] = np.nan
+    told = right_columns(query, true_px)
+    assert told["right_columns"] == pytest.approx(5 / 19)
+    assert told["found_columns"] == pytest.approx(5 / 60)
+    assert told["row_error"] == pytest.approx(2.1 / 200)
+
+
+def test_a_photograph_that_is_wrong_in_all_columns_counts():
+    rows = [
+        {"kind": "extract", "trusted": 0.9, "right_columns": share} for share in (0.0, 0.4, 1.0)
+    ] + [{"kind": "extract", "lost": "extraction"}]
+    (told,) = summarize(rows)
+    assert (told["mostly_wrong"], told["no_skyline"]) == (2, 1)
+
+
+def test_a_mask_s_upper_edge_is_the_truth_whichever_colour_is_sky(tmp_path):
+    ground = np.zeros((100, 60, 3), np.uint8)
+    ground[40:] = 255
+    ground[70:] = 0  # a lake
+    for name, picture in (("a.png", ground), ("b.png", 255 - ground)):
+        Image.fromarray(picture).save(tmp_path / name)
+        one = Photograph(tmp_path / name, "extract", mask=tmp_path / name)
+        trace = tmp_path / "trace.csv"
+        trace.write_text("# width=120 height=200\ncolumn_px,row_px\n0,50\n")
+        np.testing.assert_allclose(one.true_row_px(read_query(trace)), 79.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "said"),
+    [
+        ("photo,kind\nabsent.jpg,extract\n", MissingFileError, "names 1 files that do not exist"),
+        ("photo,kind,fov\na.jpg,extract,60\n", InputError, "expected photo, kind and some of"),
+        ("photo,kind\na.jpg,find\n", InputError, "one of locate, refuse, extract"),
+        ("photo,kind\na.jpg,locate\n", InputError, "no lon and lat, which locate needs"),
+        ("photo,kind,lon,lat\na.jpg,locate,9,north\n", InputError, "lat is 'north'"),
+        ("photo,kind\n", InputError, "names no photograph"),
+    ],
+)
+def test_a_manifest_that_is_none_is_one_line(tmp_path, text, error, said):
+    path = tmp_path / "manifest.csv"
+    path.write_text(text)
+    with pytest.raises(error, match=said) as caught:
+        read_manifest(path)
+    assert "\n" not in str(caught.value)
