@@ -12,8 +12,8 @@ import skyline_bench
 from skyline_bench import cli
 
 LAYERS = (
-    ("cli",), ("commands",), ("figures",), ("runs",), ("cases", "stores", "trials"),
-    ("queries", "training", "truth", "peers"), ("measuring",),
+    ("cli",), ("commands",), ("figures",), ("runs",), ("cases", "stores", "training", "trials"),
+    ("queries", "truth", "peers"), ("measuring",),
 )  # fmt: skip
 """Folders of the package; each imports from those after it, and from its own."""
 FOLDERS = {name: level for level, names in enumerate(LAYERS) for name in names}

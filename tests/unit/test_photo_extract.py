@@ -217,7 +217,7 @@ def test_hintereisferner_webcam(shared_data):
     assert query.trusted.mean() > 0.6
     for column, row in RIDGE.items():
         found = query.row_px[column]
-        assert np.isnan(found) or found == pytest.approx(row, abs=35)  # 1 % of the height
+        assert np.isnan(found) or found == pytest.approx(row, abs=40)  # about 1 % of the height
     for start, stop, lowest_cloud in BEHIND_CLOUDS:
         rows = query.row_px[start:stop]
         assert (np.isnan(rows) | (rows > lowest_cloud)).all()
