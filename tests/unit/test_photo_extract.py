@@ -204,7 +204,7 @@ def test_path_is_the_cheapest_of_all():
 
 # Columns and rows of the ridge: the extractor's own, checked by eye on enlarged overlays.
 RIDGE = {100: 1112, 1250: 1182, 3370: 941, 4890: 1132, 5100: 1155}
-# Columns with a cloud over the ridge, and the row below which the ridge lies there. Of another cloud,
+# Columns with a cloud over the ridge, and the row below which the ridge lies there. Of another,
 # columns 4180 to 4450, the top is traced in part: a known error.
 BEHIND_CLOUDS = ((760, 895, 1200),)
 
