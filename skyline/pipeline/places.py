@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from skyline.arrays import Float32Array
+from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.pipeline.build import (
     BuildResult,
@@ -25,7 +26,7 @@ from skyline.planning.adaptive import (
     price_of,
     spread_over,
 )
-from skyline.planning.uniform import map_bounds, uniform_grid
+from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
 from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
 from skyline.store import StoreHeader, StoreWriter, open_store
 from skyline.store.header import PLACES
@@ -153,6 +154,18 @@ def _renderer(terrain: HeightField, config: PlaceConfig) -> PanoramaRenderer:
     return PanoramaRenderer(terrain, BINS, config.curvature, config.tolerance_deg)
 
 
+def refuse_empty(built: BuildResult, path: Path, area: MapBounds) -> BuildResult:
+    """Return what a plan came to; a store without places is removed, and `InputError` raised."""
+    if built.rows:
+        return built
+    path.unlink()
+    west, south, east, north = area
+    raise InputError(
+        f"the area is {east - west:.0f} x {north - south:.0f} m, and no planned place falls on the "
+        "surface in it; choose a larger area, a smaller loss, or the spacing of a uniform grid"
+    )
+
+
 def build_places(
     terrain: HeightField,
     path: str | Path,
@@ -185,7 +198,8 @@ def build_places(
     Raises
     ------
     InputError
-        A spacing that suits no grid on the terrain, or a loss that no places come down to.
+        A spacing that suits no grid on the terrain, a loss that no places come down to, or an
+        area so small that no place falls in it.
     StoreMismatchError
         The store at ``path`` holds renderings, or was built from another DEM or with another
         configuration.
@@ -194,7 +208,8 @@ def build_places(
     area = map_bounds(terrain, bounds_deg)
     if spacing_m is None:
         with planned_rows(terrain, config, loss, bounds_deg) as planned:
-            return render_missing(path, planned, blocks_of(area), progress)
+            built = render_missing(path, planned, blocks_of(area), progress)
+        return refuse_empty(built, Path(path), area)
     viewpoints = uniform_grid(terrain, spacing_m, area, config.eye_height_m)
     with place_rows(terrain, config, spacing_m, uniform_plan(spacing_m, bounds_deg)) as rows:
         return render_missing(path, rows, viewpoints, progress)

@@ -40,6 +40,7 @@ from skyline.pipeline.places import (
     place_header,
     place_rows,
     planned_rows,
+    refuse_empty,
 )
 from skyline.planning.adaptive import Blocks, blocks_of
 from skyline.planning.uniform import map_bounds, uniform_grid
@@ -297,7 +298,8 @@ def build_sharded(
     merged = merge_stores([folder / f"{shard.name}.h5" for shard in shards], path)
     _remove(folder, shards)
     rendered = sum(result.rendered for result in done)
-    return BuildResult(merged.rows, rendered, time.perf_counter() - started)
+    built = BuildResult(merged.rows, rendered, time.perf_counter() - started)
+    return refuse_empty(built, path, map_bounds(terrain, plan.bounds_deg))
 
 
 def _run_all(

@@ -1,6 +1,7 @@
 """Builds of places: what is stored is what was rendered, however the build was cut and broken."""
 
 from dataclasses import fields
+from functools import partial
 
 import numpy as np
 import pytest
@@ -171,3 +172,21 @@ def test_other_plans_are_refused(wide, whole, tmp_path):
         build_places(wide, whole[1], loss=0.4)
     with pytest.raises(InputError, match="a store of renderings needs a spacing"):
         build_sharded(wide, tmp_path / "s.h5", ShardPlan(), RenderConfig(width=80))
+
+
+@pytest.mark.parametrize("tiled", [False, True])
+def test_an_area_without_a_place_leaves_no_store(wide, tmp_path, tiled):
+    path, loss = tmp_path / "s.h5", 0.6
+    west, south, east, north = wide.bounds_m
+    lon, lat = wide.frame.to_lonlat(
+        np.array([0.4, 0.401]) * (east - west) + west,
+        np.array([0.4, 0.401]) * (north - south) + south,
+    )
+    bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
+    build = partial(build_places, wide, path, None, bounds_deg, loss=loss)
+    if tiled:
+        plan = ShardPlan(None, 5000.0, bounds_deg, loss)
+        build = partial(build_sharded, wide, path, plan, PlaceConfig())
+    with pytest.raises(InputError, match="no planned place falls on the surface in it; choose a"):
+        build()
+    assert not path.exists()
