@@ -162,7 +162,7 @@ def _query(path: Path, number: int, row: Mapping[str, str | None], one: Query) -
     if not name:
         raise InputError(f"{where} has no path; expected a photo, a mask or a trace")
     given = {
-        column: _number(where, column, text)
+        column: finite_number(where, column, text)
         for column in _COLUMNS[1:]
         if (text := (row.get(column) or "").strip())
     }
@@ -190,7 +190,8 @@ def _query(path: Path, number: int, row: Mapping[str, str | None], one: Query) -
     )
 
 
-def _number(where: str, column: str, text: str) -> float:
+def finite_number(where: str, column: str, text: str) -> float:
+    """Return the number that a list's field holds; raises `InputError` for anything else."""
     try:
         value = float(text)
     except ValueError:

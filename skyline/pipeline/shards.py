@@ -4,10 +4,10 @@ Every job renders over the whole DEM: how far terrain can rise into a skyline ha
 DEM's own, and with one DEM there is one digest to hold all shards to. What is cut is the work, the
 lattice of viewpoints; a DEM that is to be small is cut before, by `skyline dem fetch`.
 
-A tile holds the viewpoints, or the blocks of a planner, whose south-western corners are in its
-half-open square, so each is in one tile. A shard that is whole
-is left as it is, one that was begun is finished, and merging sorts the rows: who rendered what,
-when, in which tiles, and how often a worker died shows nowhere in the result.
+A tile holds the viewpoints in its half-open square, or a planner's blocks whose south-western
+corners lie there, so each is in one tile. A shard that is whole is left as it is, one that was
+begun is finished, and merging sorts the rows: who rendered what, when, in which tiles, and how
+often a worker died shows nowhere in the result.
 """
 
 import time

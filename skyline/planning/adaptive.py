@@ -33,6 +33,7 @@ _SPACING_M: Float64Array = _COARSEST_M / 2.0 ** (np.arange(_LEVELS) / 2.0)
 """Of each level's lattice: the side of the square that each of its places has to itself."""
 
 _DENSITY = 1.0 / _SPACING_M**2
+"""Places a square metre, of each level."""
 
 _ROOTS = 4
 """Squares of the coarsest lattice to a side of a block."""
@@ -46,6 +47,7 @@ _BLIND_LEVEL = 6
 """Level down to which a square is halved when there is no surface to stand on at its corner."""
 
 _SAMPLE = 512
+"""Viewpoints that a price is worked out from."""
 _BISECTIONS = 60
 _UNSEEN, _NO_SURFACE = -1, -2
 
@@ -120,6 +122,7 @@ def price_of(loss: float, sample: Horizons) -> float:
             f"loss is {loss:g}; places {_FINEST_M:g} m apart, the closest there are, are expected "
             f"to lose {least:.3f} of the views here; give a larger one"
         )
+    # From less than any place can save to more than a whole square of the coarsest lattice.
     low, high = 1e-3, 1e12
     for _ in range(_BISECTIONS):
         price = float(np.sqrt(low * high))
@@ -132,7 +135,7 @@ def price_of(loss: float, sample: Horizons) -> float:
 
 
 def spread_over(terrain: HeightField, area: MapBounds, eye_height_m: float) -> Viewpoints:
-    """Return some hundred viewpoints spread evenly over an area, always the same ones.
+    """Return up to 512 viewpoints spread evenly over an area, always the same ones.
 
     Raises
     ------

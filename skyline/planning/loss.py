@@ -21,6 +21,7 @@ _EVEN_ODDS = 0.72
 """Spacing over distance where half of the views are lost."""
 
 _POWER = 1.55
+"""Of that ratio, in the odds of a loss."""
 
 
 def window_losses(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:

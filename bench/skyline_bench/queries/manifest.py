@@ -1,7 +1,6 @@
 """Real photographs to measure with: a CSV file that says what is known of each."""
 
 import csv
-import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.photo import QuerySkyline, read_photo, read_trace
+from skyline.pipeline.queries import finite_number
 
 LOCATE, REFUSE, EXTRACT = "locate", "refuse", "extract"
 KINDS = (LOCATE, REFUSE, EXTRACT)
@@ -123,21 +123,11 @@ def _photograph(path: Path, line: int, row: dict[str, str | None]) -> Photograph
         )
     for name in _NUMBERS:
         if text.get(name):
-            given[name] = _number(where, name, text[name])
+            given[name] = finite_number(where, name, text[name])
     if text["kind"] != EXTRACT and not {"lon", "lat"} <= given.keys():
         raise InputError(f"{where} has no lon and lat, which {text['kind']} needs")
     files = {name: path.parent / text[name] for name in _FILES if text.get(name)}
     return Photograph(kind=text["kind"], **files, **given)  # type: ignore[arg-type]
-
-
-def _number(where: str, name: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f"{where}: {name} is {text!r}; expected a number")
-    return value
 
 
 def _upper_edge(mask: UInt8Array) -> Float64Array:
