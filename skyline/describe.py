@@ -25,6 +25,7 @@ def describe_match(query: str, result: MatchResult, loading_seconds: float) -> M
     record = MatchRecord(
         query=query,
         answer=candidates[0] if result.answer else None,
+        answer_within_m=result.within_m,
         candidates=candidates,
         seconds=result.seconds,
         loading_seconds=loading_seconds,
@@ -47,7 +48,9 @@ def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
     places = record["candidates"]
     said = [f"{record['query']} ({record['seconds']:.2f} s)"]
     if record["answer"] is not None:
-        said.append("  the answer is candidate 1; all candidates, best first:")
+        within_m = record["answer_within_m"]
+        near = "" if within_m is None else f", right within {within_m:g} m"
+        said.append(f"  the answer is candidate 1{near}; all candidates, best first:")
     if "refusal" in record:
         said.append(f"  no answer: {record['refusal']}")
     said += [
@@ -80,7 +83,7 @@ def _lens_in_words(lens: LensRecord) -> str:
 def _how_sure(place: CandidateRecord) -> str:
     if place["confidence"] is None:
         return f"score {place['score']:.3f}"
-    return f"confidence {place['confidence']:.2f}"
+    return f"confidence {place['confidence']:.2f} (1 km: {place['confidence_1km']:.2f})"
 
 
 def describe_gl() -> Facts:

@@ -15,6 +15,7 @@ from skyline.errors import InputError, SkylineError, named
 from skyline.geodesy import Frame
 from skyline.matching import Candidate, Hypotheses, Narrowing, Profiles, QueryRays
 from skyline.matching.claim import Claim
+from skyline.matching.confidence import DISTANCES_M
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.progress import telling
@@ -59,12 +60,16 @@ class MatchResult:
         From the query to the candidates.
     refusal : str or None
         Why there is no answer, where there is none.
+    within_m : float or None
+        Distance within which the best candidate is sure to be right: 200 m, or 1 km where only
+        that is sure. None without an answer, and for matchers without a confidence.
     """
 
     query: QuerySkyline
     candidates: tuple[Candidate, ...]
     seconds: float
     refusal: str | None = None
+    within_m: float | None = None
 
     @property
     def answer(self) -> Candidate | None:
@@ -190,7 +195,8 @@ class Matcher:
                 ranking = self._ranker.rank(rays, top, narrowed, screened)
             candidates = ranking.candidates(self.frame)
             refusal = unsure(candidates, self._config) or at_bound(candidates, rays)
-        return MatchResult(query, candidates, time.perf_counter() - started, refusal)
+        within_m = None if refusal else sure_within_m(candidates[0], self._config)
+        return MatchResult(query, candidates, time.perf_counter() - started, refusal, within_m)
 
     def fit(self, query: QuerySkyline, start: Candidate) -> Candidate | None:
         """Return the pose that a pose nearby becomes by rendering; None where nothing fits.
@@ -310,10 +316,23 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
     """Say why candidates are no answer, if so."""
     if not candidates:
         return "no place fits"
-    sure, least = candidates[0].confidence, config.min_confidence
-    if sure is None or sure >= least:
+    best, least = candidates[0], config.min_confidence
+    if best.confidence is None or sure_within_m(best, config) is not None:
         return None
-    return f"the best place has confidence {sure:.2f}, {least:.2f} is needed"
+    return (
+        f"the best place has confidence {best.confidence:.2f} of being right within 200 m and "
+        f"{best.confidence_1km:.2f} within 1 km, {least:.2f} is needed"
+    )
+
+
+def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
+    """Return the distance within which a candidate is sure enough to be right; None where none."""
+    for within_m, sure in zip(
+        DISTANCES_M, (candidate.confidence, candidate.confidence_1km), strict=True
+    ):
+        if sure is not None and sure >= config.min_confidence:
+            return within_m
+    return None
 
 
 def at_bound(candidates: Sequence[Candidate], rays: QueryRays) -> str | None:

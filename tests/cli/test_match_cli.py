@@ -25,7 +25,14 @@ def test_extract_then_match_the_trace(run, store, photo, tmp_path):
     found = run("match", store, trace, "--fov-deg", "60", "--min-confidence", "0", "--json")
     assert found.code == 0, found.err
     record = json.loads(found.out)
-    assert set(record) == {"query", "answer", "candidates", "seconds", "loading_seconds"}
+    assert set(record) == {
+        "query",
+        "answer",
+        "answer_within_m",
+        "candidates",
+        "seconds",
+        "loading_seconds",
+    }
     assert set(record["answer"]) == {
         "easting", "northing", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
         "pitch_deg", "roll_deg", "fov_deg", "score", "confidence", "refined",
