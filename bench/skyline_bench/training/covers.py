@@ -8,10 +8,7 @@ import numpy as np
 
 from skyline.arrays import Float32Array, UInt8Array
 from skyline_bench.training.landscapes import fractal
-
-SKY, GROUND, COVER, UNKNOWN = 0, 1, 2, 255
-"""Labels of pixels; a cover is whatever stands in front: a tree, a person, a window's frame."""
-
+from skyline_bench.training.photo import COVER
 
 def put_in_front(
     rng: np.random.Generator, picture: Float32Array, label: UInt8Array, row: Float32Array

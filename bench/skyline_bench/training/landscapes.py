@@ -71,8 +71,12 @@ def _noises(seed: int) -> tuple[Float32Array, ...]:
     )
 
 
+def draw_heights(rng: np.random.Generator, family: int) -> Float32Array:
+    """Return a periodic height field of a family, metres: rolling hills to sharp ridges."""
+    return _heights(rng, _noises(family))
+
+
 def _heights(rng: np.random.Generator, noises: tuple[Float32Array, ...]) -> Float32Array:
-    """Return a periodic height field, metres: rolling hills to sharp ridges."""
     rolling, creased, rough = noises[:3]
     sharp = rng.uniform(0.0, 1.0)
     height = (1.0 - sharp) * rolling + sharp * creased + rng.uniform(0.0, 0.1) * rough

@@ -1,6 +1,6 @@
 """Training photographs: landscapes with what stands in front and what the camera made of them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,35 +11,22 @@ from skyline.pipeline import Progress
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.drawn_photos import CONDITIONS, draw_recipe
-from skyline_bench.training.covers import GROUND, SKY, UNKNOWN, dark, put_in_front
+from skyline_bench.training.covers import dark, put_in_front
 from skyline_bench.training.landscapes import draw_landscape, draw_sky, fractal
+from skyline_bench.training.photo import GROUND, SKY, UNKNOWN, TrainingPhoto
+from skyline_bench.training.views import draw_view
 
 _SIZE_PX = (400, 304)
-_PLAIN_EVERY = 8
-"""One photograph of so many is drawn in another way: no way of drawing is like the world."""
+_PLAIN_EVERY, _VIEW_EVERY = 8, 8
+"""One photograph of so many is drawn in each of two other ways: none is like the world."""
+_FAMILY = 64
+"""Photographs in a row whose views are of the same terrain."""
 _FAR_RIDGES_CHANCE = 0.2
 """Of pale ridges behind the mountains."""
 _NEAR_SLOPE_CHANCE = 0.5
 """Of a dark slope before the mountains: it must not be taken for the skyline."""
 _LEAST_CONTRAST = 2.5
 """Levels between sky and ground below which nobody would see a skyline."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrainingPhoto:
-    """A photograph and what is true of it.
-
-    Attributes
-    ----------
-    image : (H, W, 3) uint8
-    label : (H, W) uint8
-    row_px : (W,) float32
-        The skyline, in rows; NaN where none is to be seen.
-    """
-
-    image: UInt8Array
-    label: UInt8Array
-    row_px: Float32Array
 
 
 def draw_training_photos(count: int, seed: int, progress: Progress) -> list[TrainingPhoto]:
@@ -55,6 +42,8 @@ def draw_training_photos(count: int, seed: int, progress: Progress) -> list[Trai
 def _drawn(seed: int, index: int) -> TrainingPhoto:
     if index % _PLAIN_EVERY == 0:
         return _plain_photo((seed, index))
+    if index % _VIEW_EVERY == 1:
+        return draw_view((seed, index), index // _FAMILY, _SIZE_PX)
     return draw_training_photo((seed, index), *_SIZE_PX)
 
 
