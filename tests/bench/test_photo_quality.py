@@ -11,8 +11,9 @@ from PIL import Image
 from skyline.errors import InputError
 from skyline_bench.runs.photo_quality import measure_extraction
 from skyline_bench.runs.sky_masks import mask_rows, measure
-from skyline_bench.training.covers import GROUND, SKY
+from skyline_bench.training.photo import GROUND, SKY
 from skyline_bench.training.photographs import draw_training_photo
+from skyline_bench.training.views import draw_view
 
 
 def silent(done, total):
@@ -77,11 +78,19 @@ def test_a_folder_without_masks_is_refused(tmp_path):
         measure(tmp_path, False, silent)
 
 
-def test_training_photographs_have_sky_above_and_ground_below_their_skyline():
+def landscape(seed):
+    return draw_training_photo((5, seed), 200, 152)
+
+
+def view(seed):
+    return draw_view((5, seed), 1, (200, 152))
+
+
+@pytest.mark.parametrize("draw", [landscape, view])
+def test_training_photographs_have_sky_above_and_ground_below_their_skyline(draw):
     shown = 0
     for seed in range(12):
-        photo = draw_training_photo((5, seed), 200, 152)
-        again = draw_training_photo((5, seed), 200, 152)
+        photo, again = draw(seed), draw(seed)
         assert photo.image.tobytes() == again.image.tobytes()
         columns = np.flatnonzero(np.isfinite(photo.row_px))
         row = photo.row_px[columns]

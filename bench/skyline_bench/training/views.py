@@ -57,6 +57,7 @@ def draw_view(seed: tuple[int, ...], terrain_seed: int, size_px: tuple[int, int]
         image = draw_photo(renderer, query, int(rng.integers(1 << 31)), scenery)
     # Rows of queries count pixel centres.
     row = query.row_px + 0.5
+    row = np.where((row > 1.0) & (row < height - 1.0), row, np.nan)
     rows = np.arange(height)[:, np.newaxis] + 0.5
     label = np.where(rows < row, SKY, GROUND).astype(np.uint8)
     label[:, np.isnan(row)] = UNKNOWN
