@@ -32,7 +32,9 @@ _LEAST_LOG_SHARE = -10.0
 _ODDS_WEIGHT = 0.25
 """What a factor e in the probability is worth, in units of a full edge."""
 _EDGE_REACH_SHARE = 0.02
-"""Rows, as a share of all, up and down among which the sharpest edge counts fully."""
+"""Rows, as a share of all, up and down among which the sharpest edge counts fully..."""
+_FULL_SHARE = 0.5
+"""...and so does one of this share of its sharpness: rock before sky must not lose to snow before rock."""
 _EDGE_FLOOR = 3.0
 """L*a*b* difference that halves an edge: JPEG and noise have such."""
 _SAME_SHARE = 0.01
@@ -124,10 +126,11 @@ def _network_odds(photo: UInt8Array) -> Float32Array:
 
 
 def _edges(lab: Float32Array) -> Float32Array:
-    """Return 0 where smooth, nearly 1 on what is the sharpest edge up and down from it, (h, w)."""
+    """Return 0 where smooth, 1 on what is nearly the sharpest edge up and down from it, (h, w)."""
     across = cv2.Sobel(lab, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
     down = cv2.Sobel(lab, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
     steepness = np.sqrt((across**2 + down**2).sum(axis=2))
     reach = max(2, round(_EDGE_REACH_SHARE * len(lab)))
     sharpest = cv2.dilate(steepness, np.ones((2 * reach + 1, 1), dtype=np.uint8))
-    return np.asarray(steepness / (sharpest + _EDGE_FLOOR), dtype=np.float32)
+    edges = steepness / (_FULL_SHARE * sharpest + _EDGE_FLOOR)
+    return np.asarray(np.minimum(edges, 1.0), dtype=np.float32)

@@ -19,7 +19,7 @@ WHOLE_PIXEL_P90 = 0.45
 
 # Share of the visible columns that must be trusted: nearly all where the border is plain; where
 # haze leaves a fifth of the contrast, the border to pale sky drowns in the noise in places.
-TRUSTED = {"haze": 0.5, "snow_white_sky": 0.6}
+TRUSTED = {"haze": 0.5, "snow": 0.85, "snow_white_sky": 0.6}
 PLAIN_TRUSTED = 0.9
 
 # Faint borders sink into the noise of 2 levels before they can be placed to half a pixel.
