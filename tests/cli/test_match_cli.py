@@ -35,7 +35,8 @@ def test_extract_then_match_the_trace(run, store, photo, tmp_path):
     }
     assert set(record["answer"]) == {
         "easting", "northing", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
-        "pitch_deg", "roll_deg", "fov_deg", "score", "confidence", "refined",
+        "pitch_deg", "roll_deg", "fov_deg", "score", "confidence", "confidence_1km",
+        "refined",
     }  # fmt: skip
     assert record["answer"] == record["candidates"][0]
     assert record["answer"]["refined"] is True
