@@ -34,7 +34,7 @@ _ODDS_WEIGHT = 0.25
 _EDGE_REACH_SHARE = 0.02
 """Rows, as a share of all, up and down among which the sharpest edge counts fully..."""
 _FULL_SHARE = 0.5
-"""...and so does one of this share of its sharpness: rock before sky must not lose to snow before rock."""
+"""...and so does one of this share of its sharpness: rock before sky must not lose to snow."""
 _EDGE_FLOOR = 3.0
 """L*a*b* difference that halves an edge: JPEG and noise have such."""
 _SAME_SHARE = 0.01
