@@ -42,6 +42,8 @@ _LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES = 15.0, 3.0
 _COMPASS_SD_DEG, _MAGNETIC_SD_DEG = 20.0, 30.0
 """The declination, which nothing here knows, is up to 20 degrees where people live."""
 
+_DISAGREES = "the photo does not fit where the others were taken"
+
 Dem = str | Path | Sequence[str | Path] | HeightField
 
 
@@ -80,6 +82,48 @@ class MatchResult:
     def to_geodataframe(self) -> Any:
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
         return to_geodataframe([self])
+
+
+@dataclass(frozen=True, slots=True)
+class JointResult:
+    """What was found for several queries of one place.
+
+    Attributes
+    ----------
+    results : tuple of MatchResult
+        One for each query. The candidates of those that agree are the same places with the same
+        confidences; each has its own camera there. A query that does not agree has no candidates,
+        and its refusal says why.
+    agrees : tuple of bool
+        Whether each query was taken at the best place rather than anywhere else.
+    seconds : float
+        From the queries to the places.
+    refusal : str or None
+        Why there is no answer, where there is none.
+    """
+
+    results: tuple[MatchResult, ...]
+    agrees: tuple[bool, ...]
+    seconds: float
+    refusal: str | None = None
+
+    @property
+    def places(self) -> tuple[Candidate, ...]:
+        """The places, best first, with the camera of the first query that agrees."""
+        of_agreeing = (one.candidates for one, is_of in self._each() if is_of)
+        return next(of_agreeing, ())
+
+    @property
+    def answer(self) -> Candidate | None:
+        """The best place, if the matcher stands by it; the camera as of `places`."""
+        return self.places[0] if self.places and not self.refusal else None
+
+    def to_geodataframe(self) -> Any:
+        """Return the cameras as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
+        return to_geodataframe(self.results)
+
+    def _each(self) -> Iterable[tuple[MatchResult, bool]]:
+        return zip(self.results, self.agrees, strict=True)
 
 
 class Matcher:
@@ -178,10 +222,7 @@ class Matcher:
             The store was damaged or cut short since it was opened.
         """
         started = time.perf_counter()
-        if not isinstance(query, QuerySkyline):
-            query = read_query(query, fov_deg)
-        elif fov_deg is not None:
-            query = query.with_fov(fov_deg)
+        query = _skyline_of(query, fov_deg)
         candidates: tuple[Candidate, ...] = ()
         refusal = too_little(query, self._config)
         if refusal is None:
@@ -191,6 +232,72 @@ class Matcher:
             candidates = ranking.candidates(self.frame)
             refusal = unsure(candidates, self._config) or at_bound(candidates, rays)
         return MatchResult(query, candidates, time.perf_counter() - started, refusal)
+
+    def match_together(
+        self,
+        queries: Sequence[str | Path | QuerySkyline],
+        fov_deg: float | None = None,
+        top: int = 5,
+        narrowings: Sequence[Narrowing | None] | None = None,
+        told: Callable[[str, float], None] | None = None,
+    ) -> JointResult:
+        """Find the one place where several photos were taken.
+
+        Photos that look different ways tell more than each by itself. One that was taken
+        elsewhere is named, and does not spoil the answer.
+
+        Parameters
+        ----------
+        queries : sequence of path or QuerySkyline
+            Two or more.
+        fov_deg, top, told
+            As of `match`.
+        narrowings : sequence of Narrowing or None, optional
+            What is known of each query.
+
+        Raises
+        ------
+        InputError
+            Fewer than two queries, a matcher that does not render, or as `match`.
+        StoreError
+            As `match`.
+        """
+        started = time.perf_counter()
+        if len(queries) < 2:
+            raise InputError(f"{len(queries)} photo is matched together; expected two or more")
+        skylines = [_skyline_of(query, fov_deg) for query in queries]
+        known = narrowings or [None] * len(skylines)
+        refusals = [too_little(query, self._config) for query in skylines]
+        asked = [
+            (self._rays(query), self._narrowed(narrowing, query))
+            for query, narrowing, refusal in zip(skylines, known, refusals, strict=True)
+            if refusal is None
+        ]
+        cameras: list[tuple[Candidate, ...]] = []
+        if len(asked) > 1:
+            with telling(told):
+                joint = self._ranker.rank_together(asked, top)
+            if joint is None:
+                raise InputError(
+                    "photos are matched together by rendering alone; use the full matcher, refine, "
+                    "and say where the DEM lies"
+                )
+            cameras = [
+                ranking.candidates(self.frame) if is_of else ()
+                for ranking, is_of in zip(joint.rankings, joint.agrees.tolist(), strict=True)
+            ]
+        left = iter(cameras)
+        found = [() if refusal else next(left, ()) for refusal in refusals]
+        best = next((one for one in found if one), ())
+        refusal = unsure(best, self._config)
+        if sum(map(bool, found)) < 2:
+            refusal = "fewer than two photos agree on a place"
+        seconds = time.perf_counter() - started
+        results = tuple(
+            MatchResult(query, places, seconds, little or (refusal if places else _DISAGREES))
+            for query, places, little in zip(skylines, found, refusals, strict=True)
+        )
+        return JointResult(results, tuple(map(bool, found)), seconds, refusal)
 
     def fit(self, query: QuerySkyline, start: Candidate) -> Candidate | None:
         """Return the pose that a pose nearby becomes by rendering; None where nothing fits.
@@ -270,6 +377,12 @@ class Matcher:
         raise InputError(
             "the query's field of view is not known: it is not in the image; give --fov-deg"
         )
+
+
+def _skyline_of(query: str | Path | QuerySkyline, fov_deg: float | None) -> QuerySkyline:
+    if not isinstance(query, QuerySkyline):
+        return read_query(query, fov_deg)
+    return query if fov_deg is None else query.with_fov(fov_deg)
 
 
 def claim_of(noted: NotedPlace, frame: Frame) -> Claim | None:
