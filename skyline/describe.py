@@ -1,13 +1,23 @@
 """What a DEM, a store, an answer or the OpenGL at hand is, as facts to print or to parse."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from skyline.camera import pixel_size
 from skyline.geodesy import Frame
-from skyline.pipeline import MatchResult, RenderConfig
+from skyline.pipeline import JointResult, MatchResult, RenderConfig
 from skyline.render.context import describe_context
 from skyline.report.claims import claim_in_words, describe_claim
-from skyline.report.records import CandidateRecord, LensRecord, MatchRecord, describe_candidates
+from skyline.report.records import (
+    CameraRecord,
+    CandidateRecord,
+    JointRecord,
+    LensRecord,
+    MatchRecord,
+    describe_candidates,
+    describe_place,
+)
 from skyline.store import StoreHeader, open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
@@ -67,6 +77,60 @@ def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
         heading_deg = places[0]["heading_deg"] if places else None
         is_answer = record["answer"] is not None
         said.append(f"  {claim_in_words(record['exif'], heading_deg, is_answer)}")
+    return said
+
+
+def describe_together(
+    queries: Sequence[str], result: JointResult, loading_seconds: float
+) -> JointRecord:
+    """Return what was found for photos of one place, in the public JSON's terms."""
+    places = [describe_place(one) for one in result.places]
+    record = JointRecord(
+        answer=places[0] if result.answer else None,
+        candidates=places,
+        photos=[_describe_camera(*one) for one in zip(queries, result.results, strict=True)],
+        seconds=result.seconds,
+        loading_seconds=loading_seconds,
+    )
+    if result.refusal:
+        record["refusal"] = result.refusal
+    return record
+
+
+def _describe_camera(query: str, result: MatchResult) -> CameraRecord:
+    if not result.candidates:
+        return CameraRecord(query=query, agrees=False, refusal=result.refusal or "")
+    best = result.candidates[0]
+    return CameraRecord(
+        query=query,
+        agrees=True,
+        heading_deg=best.heading_deg,
+        pitch_deg=best.pitch_deg,
+        roll_deg=best.roll_deg,
+        fov_deg=best.fov_deg,
+    )
+
+
+def together_in_words(record: JointRecord) -> list[str]:
+    """Return what was found for photos of one place as lines for a person."""
+    said = [f"{len(record['photos'])} photos of one place ({record['seconds']:.2f} s)"]
+    if record["answer"] is not None:
+        said.append("  the answer is place 1; all places, best first:")
+    if "refusal" in record:
+        said.append(f"  no answer: {record['refusal']}")
+    said += [
+        f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
+        f"{place['easting']:.0f} northing {place['northing']:.0f}  within "
+        f"{place['radius_m']:.0f} m (68 %)  confidence {place['confidence']:.2f}"
+        for rank, place in enumerate(record["candidates"], start=1)
+    ]
+    said += [
+        f"  {one['query']}: heading {one['heading_deg']:.1f} from true north  pitch "
+        f"{one['pitch_deg']:.1f}  fov {one['fov_deg']:.1f}"
+        if one["agrees"]
+        else f"  {one['query']}: does not agree: {one['refusal']}"
+        for one in record["photos"]
+    ]
     return said
 
 
