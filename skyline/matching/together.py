@@ -220,6 +220,7 @@ class JointRefinement:
         agrees = share >= 0.5
         mean = self._precision(now, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
         covariance_m2 = np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
+        covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
         poses = [one.poses(some) for one, some in zip(self._each, now, strict=True)]
         elsewhere = _apart_m(poses[0].hypotheses) > self._config.elsewhere_m
         rival = np.where(elsewhere, cost, np.inf).min(axis=1, initial=np.inf)

@@ -121,9 +121,10 @@ def test_parts_joined_are_the_whole_to_the_bit(places):
 
 def test_only_places_within_are_looked_at(places):
     screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
-    found = screen_places(screen.scores, Blocks(places, 8), 64, lambda some: some.easting_m < 1000.0)
+    source, scores = Blocks(places, 8), screen.scores
+    found = screen_places(scores, source, 64, lambda some: some.easting_m < 1000.0)
     assert sorted(found.row) == list(range(10))
-    none = screen_places(screen.scores, Blocks(places, 8), 64, lambda some: some.easting_m < -1.0)
+    none = screen_places(scores, source, 64, lambda some: some.easting_m < -1.0)
     assert len(none) == 0
 
 
