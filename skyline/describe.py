@@ -9,15 +9,7 @@ from skyline.geodesy import Frame
 from skyline.pipeline import JointResult, MatchResult, RenderConfig
 from skyline.render.context import describe_context
 from skyline.report.claims import claim_in_words, describe_claim
-from skyline.report.records import (
-    CameraRecord,
-    CandidateRecord,
-    JointRecord,
-    LensRecord,
-    MatchRecord,
-    describe_candidates,
-    describe_place,
-)
+from skyline.report.records import CandidateRecord, LensRecord, MatchRecord, describe_candidates
 from skyline.store import StoreHeader, open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
@@ -27,6 +19,8 @@ from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
 Facts = dict[str, object]
+
+_OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg")
 
 
 def describe_match(query: str, result: MatchResult, loading_seconds: float) -> MatchRecord:
@@ -80,57 +74,49 @@ def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
     return said
 
 
-def describe_together(
-    queries: Sequence[str], result: JointResult, loading_seconds: float
-) -> JointRecord:
-    """Return what was found for photos of one place, in the public JSON's terms."""
-    places = [describe_place(one) for one in result.places]
-    record = JointRecord(
-        answer=places[0] if result.answer else None,
-        candidates=places,
-        photos=[_describe_camera(*one) for one in zip(queries, result.results, strict=True)],
-        seconds=result.seconds,
-        loading_seconds=loading_seconds,
-    )
-    if result.refusal:
-        record["refusal"] = result.refusal
-    return record
+def describe_together(queries: Sequence[str], result: JointResult, loading_seconds: float) -> Facts:
+    """Return what was found for photos of one place, in the public JSON's terms.
+
+    Places are candidates without their cameras; each photo that agrees has its own at the best.
+    """
+    places = [
+        {name: value for name, value in record.items() if name not in _OF_CAMERA}
+        for record in describe_candidates(result.places)
+    ]
+    photos = []
+    for query, one, agrees in zip(queries, result.results, result.agrees, strict=True):
+        camera = dict(describe_candidates(one.candidates[:1])[0]) if agrees else {}
+        about = {name: camera[name] for name in _OF_CAMERA if agrees} or {"refusal": one.refusal}
+        photos.append({"query": query, "agrees": agrees, **about})
+    return {
+        "answer": places[0] if result.answer else None,
+        "candidates": places,
+        **({"refusal": result.refusal} if result.refusal else {}),
+        "photos": photos,
+        "seconds": result.seconds,
+        "loading_seconds": loading_seconds,
+    }
 
 
-def _describe_camera(query: str, result: MatchResult) -> CameraRecord:
-    if not result.candidates:
-        return CameraRecord(query=query, agrees=False, refusal=result.refusal or "")
-    best = result.candidates[0]
-    return CameraRecord(
-        query=query,
-        agrees=True,
-        heading_deg=best.heading_deg,
-        pitch_deg=best.pitch_deg,
-        roll_deg=best.roll_deg,
-        fov_deg=best.fov_deg,
-    )
-
-
-def together_in_words(record: JointRecord) -> list[str]:
+def together_in_words(queries: Sequence[str], result: JointResult) -> list[str]:
     """Return what was found for photos of one place as lines for a person."""
-    said = [f"{len(record['photos'])} photos of one place ({record['seconds']:.2f} s)"]
-    if record["answer"] is not None:
+    said = [f"{len(queries)} photos of one place ({result.seconds:.2f} s)"]
+    if result.answer is not None:
         said.append("  the answer is place 1; all places, best first:")
-    if "refusal" in record:
-        said.append(f"  no answer: {record['refusal']}")
+    if result.refusal:
+        said.append(f"  no answer: {result.refusal}")
     said += [
-        f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
-        f"{place['easting']:.0f} northing {place['northing']:.0f}  within "
-        f"{place['radius_m']:.0f} m (68 %)  confidence {place['confidence']:.2f}"
-        for rank, place in enumerate(record["candidates"], start=1)
+        f"  {rank}. lat {place.lat:.5f} lon {place.lon:.5f}  easting {place.easting_m:.0f} "
+        f"northing {place.northing_m:.0f}  within {place.radius_m:.0f} m (68 %)  confidence "
+        f"{place.confidence:.2f}"
+        for rank, place in enumerate(result.places, start=1)
     ]
-    said += [
-        f"  {one['query']}: heading {one['heading_deg']:.1f} from true north  pitch "
-        f"{one['pitch_deg']:.1f}  fov {one['fov_deg']:.1f}"
-        if one["agrees"]
-        else f"  {one['query']}: does not agree: {one['refusal']}"
-        for one in record["photos"]
-    ]
+    for query, one in zip(queries, result.results, strict=True):
+        for camera in one.candidates[:1]:
+            look = f"heading {camera.heading_deg:.1f} from true north  pitch {camera.pitch_deg:.1f}"
+            said.append(f"  {query}: {look}  fov {camera.fov_deg:.1f}")
+        if not one.candidates:
+            said.append(f"  {query}: does not agree: {one.refusal}")
     return said
 
 

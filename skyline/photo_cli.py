@@ -298,8 +298,9 @@ def _tell_together(
         found = matching.match_together(
             [skyline for _, skyline in asked], None, top, [one.narrowing for one, _ in asked]
         )
-    record = describe_together([one.path for one, _ in asked], found, loading_s)
-    typer.echo(json.dumps(record) if as_json else "\n".join(together_in_words(record)))
+    names = [one.path for one, _ in asked]
+    record, said = describe_together(names, found, loading_s), together_in_words(names, found)
+    typer.echo(json.dumps(record) if as_json else "\n".join(said))
     return [(Path(one.path), result) for (one, _), result in zip(asked, found.results, strict=True)]
 
 

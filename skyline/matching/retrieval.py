@@ -181,19 +181,11 @@ class Retriever:
         if not len(alike):
             raise InputError(_NOWHERE)
         places = self.places.take(alike.row)
-        starts, rough = [], []
-        for (query, _), screen in zip(asked, screens, strict=True):
-            bounds = _zoom_bounds(query)
-            heading_deg, fov = screen.best_turns(places.phase)
-            zoom = self._zooms(bounds)[fov]
-            start = _Start(places, screen.scores(places.phase), np.radians(heading_deg), zoom)
-            starts.append(start)
-            rough.append(self._fits(query, bounds, start, self.config.rough))
-        best = np.sort(np.argsort(_total(rough), kind="stable")[: self.config.fitted])
-        found = [
-            self._fits(query, _zoom_bounds(query), start[best], self.config.fit)
-            for (query, _), start in zip(asked, starts, strict=True)
+        starts = [
+            self._start(query, screen, places, screen.scores(places.phase))
+            for (query, _), screen in zip(asked, screens, strict=True)
         ]
+        found = self._fitted_together([query for query, _ in asked], starts)
         east, north = (
             np.mean([getattr(one, name) for one in found], axis=0)
             for name in ("easting_m", "northing_m")
@@ -212,21 +204,35 @@ class Retriever:
         turns = None if narrowed is None else narrowed.open_turns
         return Screen.of(query, fovs_deg, self._sample, turns)
 
+    def _start(
+        self, query: QueryRays, screen: Screen, places: Places, score: Float32Array
+    ) -> "_Start":
+        heading_deg, fov = screen.best_turns(places.phase)
+        zoom = self._zooms(_zoom_bounds(query))[fov]
+        return _Start(places, score, np.radians(heading_deg), zoom)
+
     def _fitted(self, query: QueryRays, screen: Screen, alike: Alike) -> Hypotheses:
         """Return the fitted poses of the places most alike."""
-        config, bounds = self.config, _zoom_bounds(query)
-        places = self.places.take(alike.row)
-        heading_deg, fov = screen.best_turns(places.phase)
-        start = _Start(places, alike.score, np.radians(heading_deg), self._zooms(bounds)[fov])
-        rough = self._fits(query, bounds, start, config.rough)
-        best = np.argsort(rough.score, kind="stable")[: config.fitted]
-        return self._fits(query, bounds, start[np.sort(best)], config.fit)
+        start = self._start(query, screen, self.places.take(alike.row), alike.score)
+        return self._fitted_together([query], [start])[0]
 
-    def _fits(
-        self, query: QueryRays, bounds: tuple[float, float], start: "_Start", config: FitConfig
-    ) -> Hypotheses:
+    def _fitted_together(
+        self, queries: Sequence[QueryRays], starts: Sequence["_Start"]
+    ) -> list[Hypotheses]:
+        """Return the poses of each query, fitted at the places that fit all of them best."""
+        rough = [
+            self._fits(query, start, self.config.rough)
+            for query, start in zip(queries, starts, strict=True)
+        ]
+        best = np.sort(np.argsort(_total(rough), kind="stable")[: self.config.fitted])
+        return [
+            self._fits(query, start[best], self.config.fit)
+            for query, start in zip(queries, starts, strict=True)
+        ]
+
+    def _fits(self, query: QueryRays, start: "_Start", config: FitConfig) -> Hypotheses:
         """Return the poses of places fitted from where they start, in order."""
-        rays = Rays.of(query, config.rays)
+        rays, bounds = Rays.of(query, config.rays), _zoom_bounds(query)
 
         def fitted(first: int) -> Hypotheses:
             some = start[slice(first, first + _FITS_AT_ONCE)]
@@ -294,7 +300,9 @@ class _Start(Rows):
 
 
 def _total(found: Sequence[Hypotheses]) -> Float64Array:
-    """Return the sum of the scores at the same places, none worse than its median."""
+    """Return the sum of queries' scores at the same places, none worse than its median."""
+    if len(found) == 1:
+        return found[0].score
     return np.asarray(sum(np.minimum(one.score, np.median(one.score)) for one in found))
 
 

@@ -52,59 +52,11 @@ class MatchRecord(TypedDict):
     lens: NotRequired[LensRecord]
 
 
-class PlaceRecord(TypedDict):
-    """A place that several photos share, as ``skyline match --same-place --json`` prints it."""
-
-    easting: float
-    northing: float
-    lon: float
-    lat: float
-    eye_elevation_m: float
-    radius_m: float | None
-    confidence: float | None
-
-
-class CameraRecord(TypedDict):
-    """How one of several photos was taken at the best place; only whether, where it was not."""
-
-    query: str
-    agrees: bool
-    heading_deg: NotRequired[float]
-    pitch_deg: NotRequired[float]
-    roll_deg: NotRequired[float]
-    fov_deg: NotRequired[float]
-    refusal: NotRequired[str]
-
-
-class JointRecord(TypedDict):
-    """Photos of one place as ``skyline match --same-place --json`` prints them."""
-
-    answer: PlaceRecord | None
-    candidates: list[PlaceRecord]
-    photos: list[CameraRecord]
-    seconds: float
-    loading_seconds: float
-    refusal: NotRequired[str]
-
-
 class FailureRecord(TypedDict):
     """One query that cannot be matched as ``skyline match --json`` prints it."""
 
     query: str
     error: str
-
-
-def describe_place(candidate: Candidate) -> PlaceRecord:
-    """Return where a candidate is, without its camera."""
-    return PlaceRecord(
-        easting=candidate.easting_m,
-        northing=candidate.northing_m,
-        lon=candidate.lon,
-        lat=candidate.lat,
-        eye_elevation_m=candidate.eye_elevation_m,
-        radius_m=candidate.radius_m,
-        confidence=candidate.confidence,
-    )
 
 
 def describe_candidates(candidates: Iterable[Candidate]) -> list[CandidateRecord]:
