@@ -23,21 +23,19 @@ from skyline_bench.runs.same_place import SamePlaceConfig, measure
 
 _SAME_PLACE = SamePlaceConfig()
 _COLUMNS = {
-    "group": "places",
-    "places": "n",
+    "group": "group",
+    "places": "places",
     "photos": "photos",
-    "alone_within_200m": "one in 200 m",
+    "alone_within_200m": "one: in 200 m",
     "alone_median_m": "median m",
-    "alone_answered": "answered",
-    "within_200m": "all in 200 m",
-    "median_m": "median m ",
-    "answered": "answered ",
-    "precision": "right of these",
+    "within_200m": "all: in 200 m",
+    "median_m": "median m",
+    "answered": "answered",
+    "precision": "right",
     "radius_holds": "in radius",
-    "seconds": "s",
-    "mixed_within_200m": "with a stranger",
-    "mixed_precision": "right of answers",
-    "stranger_named": "stranger named",
+    "mixed_within_200m": "mixed: in 200 m",
+    "mixed_precision": "right",
+    "stranger_named": "named",
 }
 
 
