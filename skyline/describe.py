@@ -29,6 +29,7 @@ def describe_match(query: str, result: MatchResult, loading_seconds: float) -> M
     record = MatchRecord(
         query=query,
         answer=candidates[0] if result.answer else None,
+        answer_within_m=result.within_m,
         candidates=candidates,
         seconds=result.seconds,
         loading_seconds=loading_seconds,
@@ -51,7 +52,9 @@ def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
     places = record["candidates"]
     said = [f"{record['query']} ({record['seconds']:.2f} s)"]
     if record["answer"] is not None:
-        said.append("  the answer is candidate 1; all candidates, best first:")
+        within_m = record["answer_within_m"]
+        near = "" if within_m is None else f", right within {within_m:g} m"
+        said.append(f"  the answer is candidate 1{near}; all candidates, best first:")
     if "refusal" in record:
         said.append(f"  no answer: {record['refusal']}")
     said += [
@@ -90,6 +93,7 @@ def describe_together(queries: Sequence[str], result: JointResult, loading_secon
         photos.append({"query": query, "agrees": agrees, **about})
     return {
         "answer": places[0] if result.answer else None,
+        "answer_within_m": result.within_m,
         "candidates": places,
         **({"refusal": result.refusal} if result.refusal else {}),
         "photos": photos,
@@ -102,13 +106,14 @@ def together_in_words(queries: Sequence[str], result: JointResult) -> list[str]:
     """Return what was found for photos of one place as lines for a person."""
     said = [f"{len(queries)} photos of one place ({result.seconds:.2f} s)"]
     if result.answer is not None:
-        said.append("  the answer is place 1; all places, best first:")
+        near = f"right within {result.within_m:g} m"
+        said.append(f"  the answer is place 1, {near}; all places, best first:")
     if result.refusal:
         said.append(f"  no answer: {result.refusal}")
     said += [
         f"  {rank}. lat {place.lat:.5f} lon {place.lon:.5f}  easting {place.easting_m:.0f} "
         f"northing {place.northing_m:.0f}  within {place.radius_m:.0f} m (68 %)  confidence "
-        f"{place.confidence:.2f}"
+        f"{place.confidence:.2f} (1 km: {place.confidence_1km:.2f})"
         for rank, place in enumerate(result.places, start=1)
     ]
     for query, one in zip(queries, result.results, strict=True):
@@ -130,7 +135,7 @@ def _lens_in_words(lens: LensRecord) -> str:
 def _how_sure(place: CandidateRecord) -> str:
     if place["confidence"] is None:
         return f"score {place['score']:.3f}"
-    return f"confidence {place['confidence']:.2f}"
+    return f"confidence {place['confidence']:.2f} (1 km: {place['confidence_1km']:.2f})"
 
 
 def describe_gl() -> Facts:

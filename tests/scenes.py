@@ -15,7 +15,8 @@ WEST_M, NORTH_M, SPACING_M = 600_000.0, 5_180_000.0, 30.0
 
 def candidate_at(
     easting_m, northing_m, grid_heading_deg=0.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=60.0,
-    *, score=0.1, eye_elevation_m=1000.0, confidence=None, covariance_m2=None, frame=FRAME,
+    *, score=0.1, eye_elevation_m=1000.0, confidence=None, covariance_m2=None,
+    confidence_1km=None, frame=FRAME,
 ) -> Candidate:  # fmt: skip
     """Return the candidate of one pose."""
     pose = easting_m, northing_m, eye_elevation_m, grid_heading_deg, pitch_deg, roll_deg, fov_deg
@@ -23,6 +24,7 @@ def candidate_at(
         Hypotheses(*(np.array([float(value)]) for value in (*pose, score))),
         None if confidence is None else np.array([confidence]),
         None if covariance_m2 is None else np.array([covariance_m2]),
+        None if confidence_1km is None else np.array([confidence_1km]),
     )
     return ranking.candidates(frame)[0]
 

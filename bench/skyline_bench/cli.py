@@ -13,6 +13,7 @@ from skyline_bench.commands.planning import prediction_quality, table1
 from skyline_bench.commands.same_place import same_place
 from skyline_bench.commands.scale import scale
 from skyline_bench.commands.search import accuracy_time, calibrate, retrieval_scale, strangers
+from skyline_bench.commands.sky_model import sky_masks, train_sky_model
 from skyline_bench.commands.skylines import (
     horizon,
     large_dem,
@@ -57,6 +58,8 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Photographs": {
         photo_quality: "15 minutes",
         photos: "30 minutes",
+        sky_masks: "a minute",
+        train_sky_model: "hours",
         readme_picture: "a minute",
     },
     "The page": {

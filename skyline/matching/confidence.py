@@ -27,6 +27,9 @@ from skyline.matching.query import QueryRays, level
 
 RIGHT_WITHIN_M = 200.0
 """An answer this near is right."""
+ROUGHLY_WITHIN_M = 1000.0
+"""One this near is roughly right."""
+DISTANCES_M = (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M)
 
 _MAX_MARGIN = 60.0
 """Margins beyond teach no more, with caps of up to 1,000: strangers have been fitted with 124."""
@@ -76,7 +79,8 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
     place, there is nothing to be told apart from, and no margin.
     """
     retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
-    margin = np.where(_elsewhere(found).any(), poses.margin, 0.0)
+    margin = np.where(_apart(found, RIGHT_WITHIN_M).any(), poses.margin, 0.0)
+    far_margin = np.where(_apart(found, ROUGHLY_WITHIN_M).any(), poses.far_margin, 0.0)
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
     return {
         "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
@@ -84,22 +88,24 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
         "log_columns": np.log(np.maximum(poses.effective_columns, 1.0)),
         "margin": _margin(margin),
         "log_margin": _log_margin(margin),
+        "far_margin": _margin(far_margin),
+        "log_far_margin": _log_margin(far_margin),
         "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
         "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
         "retrieved_score": np.full(len(poses), retrieved["score"][best]),
         "retrieved_log_margin": np.full(len(poses), retrieved["log_margin"][best]),
+        "retrieved_log_far_margin": np.full(len(poses), retrieved["log_far_margin"][best]),
     } | _query_figures(query, len(poses))
 
 
 def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64Array]:
     """Return what a retrieval says of each of its M poses, (M,) by name."""
-    elsewhere = _elsewhere(found)
-    rival = np.where(elsewhere, found.score, np.inf).min(axis=1, initial=np.inf)
-    margin = np.where(elsewhere.any(axis=1), rival - found.score, 0.0)
+    margin, far_margin = (_lead(found, least_m) for least_m in (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M))
     return {
         "score": found.score,
         "margin": _margin(margin),
         "log_margin": _log_margin(margin),
+        "log_far_margin": _log_margin(far_margin),
     } | _query_figures(query, len(found))
 
 
@@ -112,8 +118,13 @@ def mean_figures(each: Sequence[dict[str, Float64Array]]) -> dict[str, Float64Ar
     return {name: np.mean([figures[name] for figures in each], axis=0) for name in each[0]}
 
 
+def model_name(stage: str, within_m: float) -> str:
+    """Return the name of the model of a stage, refined or retrieved, for a distance."""
+    return f"{stage}, {within_m:g} m"
+
+
 def models() -> dict[str, Logistic]:
-    """Return the learned models, ``refined`` and ``retrieved``."""
+    """Return the learned models by `model_name`."""
     text = resources.files(__package__).joinpath(_MODELS).read_text(encoding="utf-8")
     return {
         name: Logistic(
@@ -127,10 +138,17 @@ def models() -> dict[str, Logistic]:
     }
 
 
-def _elsewhere(found: Hypotheses) -> BoolArray:
-    """Return which of M poses are another answer than which, (M, M)."""
+def _apart(found: Hypotheses, least_m: float) -> BoolArray:
+    """Return which of M poses are farther than so many metres from which, (M, M)."""
     place = found.easting_m + 1j * found.northing_m
-    return np.asarray(np.abs(place[:, np.newaxis] - place) > RIGHT_WITHIN_M)
+    return np.asarray(np.abs(place[:, np.newaxis] - place) > least_m)
+
+
+def _lead(found: Hypotheses, least_m: float) -> Float64Array:
+    """Return by how much each pose's score is better than the best one's that far off, (M,)."""
+    apart = _apart(found, least_m)
+    rival = np.where(apart, found.score, np.inf).min(axis=1, initial=np.inf)
+    return np.where(apart.any(axis=1), rival - found.score, 0.0)
 
 
 def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:

@@ -11,6 +11,7 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.matching import confidence
 from skyline.matching.claim import Claim
+from skyline.matching.confidence import DISTANCES_M, model_name
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.match_config import FullConfig
 from skyline.matching.narrowing import Narrowed
@@ -83,14 +84,16 @@ class FullMatcher(Ranker):
         if not len(found):
             return Ranking(found)
         if poses is None:
-            sure = self._sure("retrieved", confidence.retrieved_figures(found, query))
+            figures = confidence.retrieved_figures(found, query)
             chosen = self._chosen(found, top)
-            return Ranking(found[chosen], sure[chosen])
-        sure = self._sure("refined", confidence.refined_figures(poses, found, query))
+            near, roughly = self._sure("retrieved", figures, chosen)
+            return Ranking(found[chosen], near, confidence_1km=roughly)
+        figures = confidence.refined_figures(poses, found, query)
         if narrowed is not None:
             poses = replace(poses, hypotheses=_held(poses.hypotheses, narrowed))
         chosen = self._chosen(poses.hypotheses, top)
-        return Ranking(poses.hypotheses[chosen], sure[chosen], poses.covariance_m2[chosen])
+        near, roughly = self._sure("refined", figures, chosen)
+        return Ranking(poses.hypotheses[chosen], near, poses.covariance_m2[chosen], roughly)
 
     def _found(
         self,
@@ -146,14 +149,15 @@ class FullMatcher(Ranker):
             )
             if is_of and len(retrieved)
         ]
-        sure = np.zeros(len(cost))
+        near = roughly = np.zeros(len(chosen))
         if figures:
-            sure = self._sure("refined", confidence.mean_figures(figures))
+            near, roughly = self._sure("refined", confidence.mean_figures(figures), chosen)
         rankings = (
             Ranking(
                 replace(poses.hypotheses, score=cost)[chosen],
-                sure[chosen],
+                near,
                 poses.covariance_m2[chosen],
+                roughly,
             )
             for poses in joint.poses
         )
@@ -211,7 +215,7 @@ class FullMatcher(Ranker):
         config = _held_at(replace(self._config.refine, restarts=1), float(above_m[0]))
         with one_blas_thread():
             poses = refine(start, query, self._scene, config)
-        return Ranking(poses.hypotheses[:1], None, poses.covariance_m2[:1])
+        return Ranking(poses.hypotheses[:1], covariance_m2=poses.covariance_m2[:1])
 
     def _with_claimed(
         self, found: Hypotheses, query: QueryRays, narrowed: Narrowed | None
@@ -233,8 +237,15 @@ class FullMatcher(Ranker):
         raised = near.score - near.score.min() + found.score.min()
         return Hypotheses.concatenate([found, replace(near, score=raised)])
 
-    def _sure(self, model: str, figures: dict[str, Float64Array]) -> Float64Array:
-        return self._models[model].probability(figures)
+    def _sure(
+        self, stage: str, figures: dict[str, Float64Array], chosen: NDArray[np.intp]
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return how likely chosen poses are right within 200 m and within 1 km."""
+        near, roughly = (
+            self._models[model_name(stage, within_m)].probability(figures)[chosen]
+            for within_m in DISTANCES_M
+        )
+        return near, np.maximum(near, roughly)
 
     def _chosen(self, poses: Hypotheses, top: int) -> NDArray[np.intp]:
         return poses.suppress_non_maxima(top, self._config.separation_m)

@@ -60,7 +60,8 @@ class MatchConfig:
     refine : bool
         Whether the full matcher renders around what it has retrieved.
     min_confidence : float
-        Below it there is no answer, only candidates. With the default at least 97 % of
+        A place is the answer that is this likely right within 200 m, or at least within 1 km;
+        otherwise there are only candidates. With the default at least 97 % of
         the answers to the queries that confidence was learned from are right.
     min_visible_deg : float
         Nor is there where a query shows less of a skyline. Screening compares rises over 2 degrees,

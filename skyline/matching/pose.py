@@ -81,6 +81,8 @@ class Poses:
     margin : (M,) float64
         Score of the best pose elsewhere minus this one's: below 0 unless this is the best;
         infinite where there is none elsewhere.
+    far_margin : (M,) float64
+        The same of the best pose far off.
     renderings : int
         Views that were rendered on the way.
     """
@@ -92,6 +94,7 @@ class Poses:
     effective_columns: Float64Array
     height_sd_m: Float64Array
     margin: Float64Array
+    far_margin: Float64Array
     renderings: int
 
     def __len__(self) -> int:
@@ -300,8 +303,10 @@ class Refinement:
     def _kept(self, particles: Particles, count: int) -> Particles:
         """Return the best, and the rivals of the very best where they are not among them."""
         ordered = particles.best(len(particles))
-        rivals = self._elsewhere(ordered)[: self._config.rivals]
-        return ordered[np.union1d(np.arange(min(count, len(ordered))), rivals)]
+        chosen = np.arange(min(count, len(ordered)))
+        for elsewhere in self._elsewhere(ordered):
+            chosen = np.union1d(chosen, elsewhere[: self._config.rivals])
+        return ordered[chosen]
 
     def _finalists(self, particles: Particles) -> Particles:
         """Return the best that stand apart, and rivals that do, best first."""
@@ -309,16 +314,18 @@ class Refinement:
         standing = self.hypotheses(ordered, self.rough)
         apart = self._config.separation_m, _SAME_VIEW_DEG
         chosen = standing.suppress_non_maxima(self._config.finalists, *apart)
-        elsewhere = self._elsewhere(ordered)
-        if self._config.rivals and len(elsewhere):
-            rivals = elsewhere[standing[elsewhere].suppress_non_maxima(self._config.rivals, *apart)]
-            chosen = np.union1d(chosen, rivals)
+        for elsewhere in self._elsewhere(ordered):
+            if self._config.rivals and len(elsewhere):
+                some = standing[elsewhere].suppress_non_maxima(self._config.rivals, *apart)
+                chosen = np.union1d(chosen, elsewhere[some])
         return ordered[chosen]
 
-    def _elsewhere(self, ordered: Particles) -> IntArray:
-        """Return the indices of those whose answer is not the first one's."""
+    def _elsewhere(self, ordered: Particles) -> tuple[IntArray, IntArray]:
+        """Return the indices of those elsewhere than the first one, and of those far off."""
         place = ordered.easting_m + 1j * ordered.northing_m
-        return np.flatnonzero(np.abs(place - place[:1]) > self._config.elsewhere_m)
+        apart_m = np.abs(place - place[:1])
+        config = self._config
+        return np.flatnonzero(apart_m > config.elsewhere_m), np.flatnonzero(apart_m > config.far_m)
 
     def hypotheses(self, particles: Particles, solver: Solver) -> Hypotheses:
         """Return where particles stand and look; the scores are their costs."""
@@ -345,6 +352,7 @@ class Refinement:
             judged.effective_columns,
             np.array(solver.noise.height_m)[particles.fit.height],
             _margin(hypotheses, self._config.elsewhere_m),
+            _margin(hypotheses, self._config.far_m),
             self._renderings,
         )
 

@@ -35,7 +35,9 @@ class Candidate:
     score : float
         Lower is better; its unit is the matcher's.
     confidence : float or None
-        Probability that the answer is right, where something has estimated it.
+        Probability that the place is right within 200 m, where something has estimated it.
+    confidence_1km : float or None
+        The same within 1 km.
     refined : bool
         Whether the pose was fitted by rendering again.
     covariance_m2 : ((float, float), (float, float)) or None
@@ -54,6 +56,7 @@ class Candidate:
     convergence_deg: float
     score: float
     confidence: float | None = None
+    confidence_1km: float | None = None
     refined: bool = False
     covariance_m2: tuple[tuple[float, float], tuple[float, float]] | None = None
 
@@ -82,14 +85,17 @@ class Ranking:
     ----------
     poses : Hypotheses
     confidence : (M,) float64, optional
-        Probability that each is right, where something has estimated it.
+        Probability that each is right within 200 m, where something has estimated it.
     covariance_m2 : (M, 2, 2) float64, optional
         Of easting and northing, where the poses were refined.
+    confidence_1km : (M,) float64, optional
+        Probability that each is right within 1 km, where something has estimated it.
     """
 
     poses: Hypotheses
     confidence: Float64Array | None = None
     covariance_m2: Float64Array | None = None
+    confidence_1km: Float64Array | None = None
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -113,7 +119,8 @@ class Ranking:
                 eye_elevation_m=float(self.poses.eye_elevation_m[index]),
                 convergence_deg=float(convergence_deg[index]),
                 score=float(self.poses.score[index]),
-                confidence=None if self.confidence is None else float(self.confidence[index]),
+                confidence=_of(self.confidence, index),
+                confidence_1km=_of(self.confidence_1km, index),
                 refined=self.covariance_m2 is not None,
                 covariance_m2=None
                 if self.covariance_m2 is None
@@ -137,6 +144,10 @@ class JointRanking:
 
     rankings: tuple[Ranking, ...]
     agrees: BoolArray
+
+
+def _of(values: Float64Array | None, index: int) -> float | None:
+    return None if values is None else float(values[index])
 
 
 def _as_rows(covariance_m2: Float64Array) -> tuple[tuple[float, float], tuple[float, float]]:

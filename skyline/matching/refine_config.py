@@ -36,9 +36,11 @@ class RefineConfig:
         Finalists are at least this far apart.
     elsewhere_m : float
         A pose farther off than this is a different answer.
+    far_m : float
+        A pose farther off than this is not even roughly the same answer.
     rivals : int
-        The best of those are kept to the end beside the best: what an answer is worth shows in
-        how much worse they fit.
+        The best of those elsewhere, and the best of those far off, are kept to the end beside the
+        best: what an answer is worth shows in how much worse they fit.
     temperature : float
         What differences of scores are divided by to be log odds: neighbouring columns share
         errors that no model here knows of.
@@ -69,6 +71,7 @@ class RefineConfig:
     final_rounds: int = 5
     separation_m: float = 12.0
     elsewhere_m: float = 200.0
+    far_m: float = 1000.0
     rivals: int = 3
     temperature: float = 8.0
     first_step_m: float = 40.0

@@ -179,10 +179,12 @@ class JointRefinement:
         config, cost = self._config, self._cost(self._off(now))
         standing = replace(self._each[0].hypotheses(now[0], self._solvers[0]), score=cost)
         chosen = standing.suppress_non_maxima(count, config.separation_m)
-        far = np.flatnonzero((_apart_m(standing)[chosen[:1]] > config.elsewhere_m).any(axis=0))
-        if config.rivals and len(far):
-            rivals = far[standing[far].suppress_non_maxima(config.rivals, config.separation_m)]
-            chosen = np.union1d(chosen, rivals)
+        apart_m = _apart_m(standing)[chosen[:1]]
+        for least_m in (config.elsewhere_m, config.far_m):
+            far = np.flatnonzero((apart_m > least_m).any(axis=0))
+            if config.rivals and len(far):
+                rivals = standing[far].suppress_non_maxima(config.rivals, config.separation_m)
+                chosen = np.union1d(chosen, far[rivals])
         chosen = chosen[np.argsort(cost[chosen], kind="stable")]
         return [some[chosen] for some in now]
 
@@ -222,14 +224,13 @@ class JointRefinement:
         covariance_m2 = np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
         covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
         poses = [one.poses(some) for one, some in zip(self._each, now, strict=True)]
-        elsewhere = _apart_m(poses[0].hypotheses) > self._config.elsewhere_m
-        rival = np.where(elsewhere, cost, np.inf).min(axis=1, initial=np.inf)
-        margin = (rival - cost) / np.maximum(agrees.sum(axis=0), 1)
-        return JointPoses(
-            tuple(replace(one, covariance_m2=covariance_m2, margin=margin) for one in poses),
-            cost,
-            agrees,
+        apart_m, of_each = _apart_m(poses[0].hypotheses), np.maximum(agrees.sum(axis=0), 1)
+        margin, far_margin = (
+            (np.where(apart_m > least_m, cost, np.inf).min(axis=1, initial=np.inf) - cost) / of_each
+            for least_m in (self._config.elsewhere_m, self._config.far_m)
         )
+        joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
+        return JointPoses(tuple(replace(one, **joint) for one in poses), cost, agrees)
 
 
 def _apart_m(places: Hypotheses) -> Float64Array:

@@ -8,7 +8,6 @@ it is. What no stroke changes stays as it was found.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cached_property
 
 import cv2
 import numpy as np
@@ -20,11 +19,10 @@ from skyline.photo.extract import (
     FORBIDDEN,
     STEPS,
     Extraction,
-    clearness,
+    path_confidence,
     refine_rows,
     to_photo_rows,
     to_work_columns,
-    topmost,
 )
 from skyline.photo.mask import is_sky_mask, skyline_of_mask
 from skyline.photo.paths import shortest_path
@@ -155,33 +153,21 @@ class Correction:
         inside = slice(extraction.content.left, extraction.content.right)
         return found.row_px[inside] - extraction.content.top, found.confidence[inside].copy()
 
-    @cached_property
-    def _unpainted(self) -> IntArray:
-        """The path at working size under no stroke."""
-        return shortest_path(self._extraction.border.cost, STEPS)
-
     def _solve_again(
         self, labels: UInt8Array, row_px: Float64Array, confidence: Float64Array
     ) -> None:
         """Write the rows and the confidence of the columns that painted pixels change."""
-        extraction = self._extraction
-        evidence, border = extraction.evidence, extraction.border
-        forbidden = _forbidden(labels)
-        cost = np.where(forbidden, border.cost + np.float32(FORBIDDEN), border.cost)
+        extraction, evidence = self._extraction, self._extraction.evidence
+        cost = np.where(_forbidden(labels), evidence.cost + np.float32(FORBIDDEN), evidence.cost)
         path = shortest_path(cost, STEPS)
-        changed = (path != self._unpainted) | (labels != 0).any(axis=0)
-        first, last = np.flatnonzero(changed)[[0, -1]]
-        hull = slice(max(int(first) - _HULL_PX, 0), int(last) + _HULL_PX + 1)
-        edges = np.where(forbidden[:, hull], np.float32(0.0), evidence.edges[:, hull])
-        path[hull] = topmost(edges, path[hull])
+        changed = (path != extraction.path) | (labels != 0).any(axis=0)
         at_work = to_work_columns(len(row_px), evidence)
         near = np.rint(at_work).astype(np.intp).clip(0, len(path) - 1)
         columns = np.flatnonzero(changed[near])
         around = slice(max(columns[0] - _HULL_PX, 0), columns[-1] + _HULL_PX + 1)
         guess = to_photo_rows(path, evidence, at_work)[around]
         refined = refine_rows(extraction.photo[:, around], guess, evidence.row_scale)
-        sure = clearness(evidence, replace(border, row=path))
-        sure[_on_the_edge(path, len(cost))] = 0.0
+        sure = path_confidence(evidence, path)
         row_px[columns] = refined[columns - around.start]
         confidence[columns] = np.interp(at_work[columns], np.arange(len(sure)), sure)
 
@@ -221,7 +207,7 @@ _SKY_LABEL, _GROUND_LABEL = 1, 2
 def _labels(strokes: Sequence[Stroke], extraction: Extraction) -> UInt8Array:
     """Return what is painted at working size, (h, w): 0 nothing, 1 sky, 2 ground."""
     evidence = extraction.evidence
-    (work_height, work_width), photo = evidence.edges.shape, extraction.photo
+    (work_height, work_width), photo = evidence.cost.shape, extraction.photo
     labels = np.zeros((work_height, work_width), dtype=np.uint8)
     scale = np.array([work_width / photo.shape[1], work_height / photo.shape[0]])
     for stroke in strokes:
@@ -241,7 +227,3 @@ def _forbidden(labels: UInt8Array) -> BoolArray:
     sky_here_or_below = np.logical_or.accumulate((labels == _SKY_LABEL)[::-1], axis=0)[::-1]
     ground_here_or_above = np.logical_or.accumulate(labels == _GROUND_LABEL, axis=0)
     return np.asarray(sky_here_or_below | ground_here_or_above)
-
-
-def _on_the_edge(path: IntArray, height: int) -> BoolArray:
-    return np.asarray((path <= 2) | (path >= height - 3))

@@ -1,55 +1,46 @@
-"""What speaks for sky and for ground, pixel by pixel: edges and colours."""
+"""What speaks for the skyline, pixel by pixel: a network's odds, and edges.
 
+The network says roughly where each column's skyline runs, and whether it has one: it has learnt
+from drawn photographs what mountains, clouds, trees and windows look like together. Edges say where
+in there the border is. ``sky.onnx.gz`` is made by ``skyline-bench train-sky-model``.
+"""
+
+import gzip
 from dataclasses import dataclass
-from math import sqrt
+from functools import lru_cache
+from importlib.resources import files
+from math import log, sqrt
+from threading import Lock
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
-from scipy import ndimage
 
-from skyline.arrays import BoolArray, Float32Array, UInt8Array
+from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
 
-FINE_PIXELS = 2_800_000
-"""Photos are reduced to this for their edges, and to a quarter of it for everything else."""
+_NETWORK_PIXELS = 110_000
+"""The network sees photos at about this size, at which it was trained..."""
+_MULTIPLE_PX = 32
+"""...with sides that are multiples of this."""
+_WORK_PIXELS = 400_000
+"""Photos are reduced to this for their edges and for the path along them."""
 
-SKY_SEED_SHARE = 0.15
-"""Share of the rows, from the top, that are taken for sky before any path is known."""
+_LEVELS = (1.0, 99.0)
+"""Percentiles of a channel that become its darkest and its brightest."""
 
-_NOISE_CEILING = 2.0
-"""Noise units below which there is no edge: summed over a hundred rows of sky, little is much."""
-_HALF_EDGE = 2.0
-"""Noise units above that at which an edge counts half."""
-_MIN_NOISE = (1.0, 2.5, 2.5)
-"""Smallest edge noise of L*, a* and b*: 8-bit rounding, and the steps between JPEG's blocks, which
-are coarse in colour and would be taken for edges in smooth sky."""
+_LEAST_LOG_SHARE = -10.0
+"""Below it a row is as unlikely as any: what the network has never seen must not decide alone."""
+_ODDS_WEIGHT = 0.25
+"""What a factor e in the probability is worth, in units of a full edge."""
+_EDGE_REACH_SHARE = 0.02
+"""Rows, as a share of all, up and down among which the sharpest edge counts fully..."""
+_FULL_SHARE = 0.5
+"""...and so does one of this share of its sharpness: rock before sky must not lose to snow."""
+_EDGE_FLOOR = 3.0
+"""L*a*b* difference that halves an edge: JPEG and noise have such."""
+_SAME_SHARE = 0.01
+"""Share of the rows within which two rows are the same skyline."""
 
-_SHARPNESS_REACH = (6, 2, 2)
-"""Pixels at the fine size, up, down and aside, over which an edge's whole contrast is taken."""
-_SOFT_TO_SHARP = (0.4, 0.75)
-"""Share of that contrast within two pixels: clouds' edges have about 0.5, ridges 0.7 to 0.95."""
-_SOFT_WEIGHT = 0.3
-"""What a soft edge still counts: a photo may be out of focus."""
-
-_THIN_PX = 11
-"""Width, at the fine size, of the median that takes thin things away: wires, twigs, lettering."""
-_THIN_REACH = 5
-"""Working pixels square in which an edge is looked for in what is left: a median rounds corners."""
-_THIN_CONTRAST = 10.0
-"""L*a*b* distance of a thin thing from what surrounds it."""
-_THIN_TO_SOLID = (0.25, 0.5)
-"""Share of an edge's steepness that is left: a wire's is next to nothing."""
-
-_CLEARLY_DARKER = 15.0
-"""L* - b* below the threshold at which a pixel is surely ground."""
-
-_LAB_ORIGIN = np.array([0.0, -64.0, -64.0], dtype=np.float32)
-_LAB_BINS = (26, 32, 32)
-_BIN_WIDTH = 4.0
-_BLUR_BINS = 1.0
-_RARE = 1e-4
-"""Density that every colour has in both classes: unseen colours say nothing."""
-_MAX_LOG_RATIO = 2.0
+_network_lock = Lock()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,37 +49,46 @@ class Evidence:
 
     Attributes
     ----------
-    lab : (h, w, 3) float32
-        CIE L*a*b*.
-    edges : (h, w) float32
-        0 where smooth, 1 on an edge that is clear of the noise and sharp at twice this size:
-        clouds have soft edges, mountains have sharp ones.
-    thin : (h, w) bool
-        Where something narrow, a pole or a wire, differs from what surrounds it.
+    share : (h, w) float32
+        Probability that the column's skyline runs through the pixel. A column's sum is the
+        probability that it shows a skyline at all.
+    cost : (h, w) float32
+        Of a path through the pixel, in units of the reward for a full edge.
     row_scale : float
-        Working rows per photo row, about 0.5 at most.
+        Working rows per photo row.
     """
 
-    lab: Float32Array
-    edges: Float32Array
-    thin: BoolArray
+    share: Float32Array
+    cost: Float32Array
     row_scale: float
+
+    def confidence(self, row: IntArray) -> Float64Array:
+        """Return the probability, (w,), that the skyline is where a path (w,) runs."""
+        height, width = self.share.shape
+        summed = np.vstack([np.zeros((1, width)), np.cumsum(self.share, axis=0, dtype=np.float64)])
+        near = max(2, round(_SAME_SHARE * height))
+        columns = np.arange(width)
+        above = summed[np.clip(row - near, 0, height), columns]
+        inside = summed[np.clip(row + near + 1, 0, height), columns] - above
+        # On the photo's edge, what is found there is the edge.
+        return np.where((row <= 1) | (row >= height - 2), 0.0, inside)
 
 
 def gather_evidence(photo: UInt8Array) -> Evidence:
-    """Reduce a photo (H, W, 3) uint8 RGB to working size and find its edges."""
+    """Reduce a photo (H, W, 3) uint8 RGB to working size and look for its skyline."""
     height, width = photo.shape[:2]
-    shrink = min(1.0, sqrt(FINE_PIXELS / (height * width)))
-    h, w = round(height * shrink / 2.0), round(width * shrink / 2.0)
-    fine = _resized(photo, 2 * w, 2 * h)
-    solid = np.asarray(cv2.medianBlur(fine, _THIN_PX), dtype=np.uint8)
-    lab = to_lab(_resized(fine, w, h))
-    thin = np.linalg.norm(lab - to_lab(_resized(solid, w, h)), axis=2) > _THIN_CONTRAST
-    return Evidence(lab, _sharp_edges(to_lab(fine), to_lab(solid)), thin, h / height)
-
-
-def _resized(rgb: UInt8Array, width: int, height: int) -> UInt8Array:
-    return np.asarray(cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    shrink = min(1.0, sqrt(_WORK_PIXELS / (height * width)))
+    h, w = max(1, round(height * shrink)), max(1, round(width * shrink))
+    small = cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA)
+    odds = _network_odds(np.asarray(small, dtype=np.uint8))
+    none = log(h / len(odds))
+    odds = np.asarray(cv2.resize(odds, (w, h), interpolation=cv2.INTER_LINEAR), np.float32)
+    greatest = np.maximum(odds.max(axis=0), none)
+    share = np.exp(odds - greatest)
+    share /= share.sum(axis=0) + np.exp(none - greatest)
+    likely = np.maximum(np.log(share + np.float32(1e-12)), _LEAST_LOG_SHARE)
+    cost = -_ODDS_WEIGHT * likely - _edges(to_lab(np.asarray(small, dtype=np.uint8)))
+    return Evidence(share, np.asarray(cost, dtype=np.float32), h / height)
 
 
 def to_lab(rgb: UInt8Array) -> Float32Array:
@@ -97,103 +97,40 @@ def to_lab(rgb: UInt8Array) -> Float32Array:
     return np.asarray(cv2.cvtColor(scaled, cv2.COLOR_RGB2LAB), dtype=np.float32)
 
 
-def _sharp_edges(lab: Float32Array, solid_lab: Float32Array) -> Float32Array:
-    """Return edges of a (2h, 2w, 3) photo on the grid of half its size, 0 to 1.
-
-    ``solid_lab`` is the photo without what is thin: an edge that it lacks is a wire's, which has
-    the same sky on both sides.
-
-    Each channel is measured in units of its own noise in the sky: JPEG keeps colour less well
-    than lightness, and its colour noise would otherwise pass for edges.
-    """
-    steepness = np.zeros((lab.shape[0] // 2, lab.shape[1] // 2), dtype=np.float32)
-    contrast, solid = np.zeros_like(steepness), np.zeros_like(steepness)
-    for index in range(3):
-        channel = np.ascontiguousarray(lab[:, :, index])
-        steepest = _halved(_squared_gradient(channel))
-        in_sky = steepest[: max(1, int(SKY_SEED_SHARE * len(steepest)))]
-        noise = max(_MIN_NOISE[index], _noise(in_sky))
-        steepness += steepest / np.float32(noise**2)
-        contrast += _halved(_local_range(channel) ** 2) / np.float32(noise**2)
-        solid_channel = np.ascontiguousarray(solid_lab[:, :, index])
-        solid += _halved(_squared_gradient(solid_channel)) / np.float32(noise**2)
-    steepness, contrast, solid = np.sqrt(steepness), np.sqrt(contrast), np.sqrt(solid)
-    clear = np.square(np.maximum(steepness - np.float32(_NOISE_CEILING), 0.0))
-    clear /= clear + np.float32(_HALF_EDGE**2)
-    sharpness = steepness / np.maximum(contrast, 2.0 * _NOISE_CEILING)
-    soft, sharp = _SOFT_TO_SHARP
-    weight = np.clip((sharpness - soft) / (sharp - soft), _SOFT_WEIGHT, 1.0)
-    near = cv2.dilate(solid, np.ones((_THIN_REACH, _THIN_REACH), dtype=np.uint8))
-    left = near / np.maximum(steepness - _NOISE_CEILING, _NOISE_CEILING)
-    thin, thick = _THIN_TO_SOLID
-    solidity = np.clip((left - thin) / (thick - thin), 0.0, 1.0)
-    return np.asarray(clear * weight * solidity, dtype=np.float32)
+@lru_cache(maxsize=1)
+def _network() -> cv2.dnn.Net:
+    packed = files("skyline.photo").joinpath("sky.onnx.gz").read_bytes()
+    return cv2.dnn.readNetFromONNX(np.frombuffer(gzip.decompress(packed), dtype=np.uint8))
 
 
-def _squared_gradient(channel: Float32Array) -> Float32Array:
-    across = cv2.Sobel(channel, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
-    down = cv2.Sobel(channel, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
-    return np.asarray(across**2 + down**2, dtype=np.float32)
+def levelled(rgb: UInt8Array) -> Float32Array:
+    """Return (H, W, 3) from -1 to 1, each channel over its own range: without a photo's tint."""
+    low, high = np.percentile(rgb.reshape(-1, 3), _LEVELS, axis=0).astype(np.float32)
+    share = (rgb - low) / np.maximum(high - low, np.float32(1.0))
+    return np.asarray(2.0 * np.clip(share, 0.0, 1.0) - 1.0, dtype=np.float32)
 
 
-def _noise(squares: Float32Array) -> float:
-    """Return the 90th percentile of what is mostly noise, given squared.
-
-    Where captions, logos or a peak reach up there, the median says it better.
-    """
-    middle, high = np.sqrt(np.percentile(squares, [50.0, 90.0]))
-    return float(min(high, 1.7 * middle))
-
-
-def _local_range(channel: Float32Array) -> Float32Array:
-    """Return greatest minus least value from above each pixel to just below it.
-
-    Looking upwards only, a ridge is not measured against the snow and rock beneath it. Single
-    noisy pixels are smoothed away.
-    """
-    smooth = cv2.blur(channel, (3, 3))
-    reach_up, reach_down, reach_aside = _SHARPNESS_REACH
-    window = np.ones((reach_up + reach_down + 1, 2 * reach_aside + 1), dtype=np.uint8)
-    anchor = (reach_aside, reach_up)
-    greatest = cv2.dilate(smooth, window, anchor=anchor)
-    least = cv2.erode(smooth, window, anchor=anchor)
-    return np.asarray(greatest - least, dtype=np.float32)
+def _network_odds(photo: UInt8Array) -> Float32Array:
+    """Return log-odds, (h', w'), of each column's skyline running there against it having none."""
+    height, width = photo.shape[:2]
+    shrink = sqrt(_NETWORK_PIXELS / (height * width))
+    h, w = (max(1, round(side * shrink / _MULTIPLE_PX)) * _MULTIPLE_PX for side in (height, width))
+    small = cv2.resize(photo, (w, h), interpolation=cv2.INTER_AREA)
+    picture = np.empty((1, 4, h, w), dtype=np.float32)
+    picture[0, :3] = levelled(np.asarray(small, dtype=np.uint8)).transpose(2, 0, 1)
+    picture[0, 3] = np.linspace(-1.0, 1.0, h, dtype=np.float32)[:, np.newaxis]
+    with _network_lock:
+        _network().setInput(picture)
+        scores = _network().forward()
+    return np.asarray(scores[0, 0], dtype=np.float32)
 
 
-def _halved(values: Float32Array) -> Float32Array:
-    """Return the greatest of each 2 x 2 block."""
-    h, w = values.shape[0] // 2, values.shape[1] // 2
-    return np.asarray(values.reshape(h, 2, w, 2).max(axis=(1, 3)))
-
-
-def daylight_groundness(lab: Float32Array) -> Float32Array:
-    """Return 0 to 1, (h, w): how sure a pixel is too dark or too yellow for this photo's sky.
-
-    By day the sky is among what is brightest or bluest. Otsu's threshold parts that from the
-    rest; snow falls on the sky's side, so this tells ground only, never sky.
-    """
-    brightness = np.clip(lab[:, :, 0] - lab[:, :, 2], 0.0, 255.0)
-    middle, _ = cv2.threshold(
-        brightness.astype(np.uint8), 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU
-    )
-    return np.asarray(np.clip((middle - brightness) / _CLEARLY_DARKER, 0.0, 1.0), np.float32)
-
-
-class ColourModel:
-    """Colours of sky and ground as smoothed histograms, learnt from a labelling of the photo."""
-
-    def __init__(self, lab: Float32Array) -> None:
-        index = ((lab - _LAB_ORIGIN) / np.float32(_BIN_WIDTH)).astype(np.intp)
-        index = np.clip(index, 0, np.array(_LAB_BINS) - 1)
-        self._bin = np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), _LAB_BINS)
-
-    def groundness(self, is_sky: BoolArray, is_ground: BoolArray) -> Float32Array:
-        """Return the clipped log-likelihood ratio of ground to sky, (h, w), -1 to 1."""
-        ratio = np.log(self._density(is_ground) / self._density(is_sky))
-        table = np.clip(ratio / _MAX_LOG_RATIO, -1.0, 1.0).astype(np.float32)
-        return np.asarray(table[self._bin])
-
-    def _density(self, members: BoolArray) -> NDArray[np.float64]:
-        counts = np.bincount(self._bin[members], minlength=int(np.prod(_LAB_BINS)))
-        smooth = ndimage.gaussian_filter(counts.reshape(_LAB_BINS).astype(np.float64), _BLUR_BINS)
-        return np.asarray(smooth.ravel() / max(smooth.sum(), 1.0) + _RARE)
+def _edges(lab: Float32Array) -> Float32Array:
+    """Return 0 where smooth, 1 on what is nearly the sharpest edge up and down from it, (h, w)."""
+    across = cv2.Sobel(lab, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
+    down = cv2.Sobel(lab, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
+    steepness = np.sqrt((across**2 + down**2).sum(axis=2))
+    reach = max(2, round(_EDGE_REACH_SHARE * len(lab)))
+    sharpest = cv2.dilate(steepness, np.ones((2 * reach + 1, 1), dtype=np.uint8))
+    edges = steepness / (_FULL_SHARE * sharpest + _EDGE_FLOOR)
+    return np.asarray(np.minimum(edges, 1.0), dtype=np.float32)

@@ -37,17 +37,6 @@ def shortest_path(cost: Float32Array, steps: Steps) -> IntArray:
     return row
 
 
-def detours(cost: Float32Array, steps: Steps) -> Float32Array:
-    """Return what it costs to pass through each pixel, (H, W), beyond the cheapest path of all.
-
-    These are min-marginals: 0 on the cheapest path, at least 0 elsewhere, for costs (H, W).
-    """
-    from_left, _ = _sweep(cost.T, steps)
-    from_right, _ = _sweep(cost.T[::-1], steps)
-    through = from_left + from_right[::-1] - cost.T
-    return np.asarray(np.maximum(through - from_left[-1].min(), 0.0).T, dtype=np.float32)
-
-
 def _sweep(columns: Float32Array, steps: Steps) -> tuple[Float32Array, NDArray[np.int32]]:
     """Return the cost of the cheapest path from the first column to each pixel, and its last step.
 

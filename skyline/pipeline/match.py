@@ -15,6 +15,7 @@ from skyline.errors import InputError, SkylineError, named
 from skyline.geodesy import Frame
 from skyline.matching import Candidate, Hypotheses, Narrowing, Profiles, QueryRays
 from skyline.matching.claim import Claim
+from skyline.matching.confidence import DISTANCES_M
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.progress import telling
@@ -61,12 +62,16 @@ class MatchResult:
         From the query to the candidates.
     refusal : str or None
         Why there is no answer, where there is none.
+    within_m : float or None
+        Distance within which the best candidate is sure to be right: 200 m, or 1 km where only
+        that is sure. None without an answer, and for matchers without a confidence.
     """
 
     query: QuerySkyline
     candidates: tuple[Candidate, ...]
     seconds: float
     refusal: str | None = None
+    within_m: float | None = None
 
     @property
     def answer(self) -> Candidate | None:
@@ -117,6 +122,11 @@ class JointResult:
     def answer(self) -> Candidate | None:
         """The best place, if the matcher stands by it; the camera as of `places`."""
         return self.places[0] if self.places and not self.refusal else None
+
+    @property
+    def within_m(self) -> float | None:
+        """Distance within which the answer is sure to be right; None without an answer."""
+        return next((one.within_m for one, is_of in self._each() if is_of), None)
 
     def to_geodataframe(self) -> Any:
         """Return the cameras as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
@@ -231,7 +241,8 @@ class Matcher:
                 ranking = self._ranker.rank(rays, top, narrowed, screened)
             candidates = ranking.candidates(self.frame)
             refusal = unsure(candidates, self._config) or at_bound(candidates, rays)
-        return MatchResult(query, candidates, time.perf_counter() - started, refusal)
+        within_m = None if refusal else sure_within_m(candidates[0], self._config)
+        return MatchResult(query, candidates, time.perf_counter() - started, refusal, within_m)
 
     def match_together(
         self,
@@ -289,12 +300,16 @@ class Matcher:
         left = iter(cameras)
         found = [() if refusal else next(left, ()) for refusal in refusals]
         best = next((one for one in found if one), ())
-        refusal = unsure(best, self._config)
+        refusal, within_m = unsure(best, self._config), None
         if sum(map(bool, found)) < 2:
             refusal = "fewer than two photos agree on a place"
+        if refusal is None:
+            within_m = sure_within_m(best[0], self._config)
         seconds = time.perf_counter() - started
         results = tuple(
-            MatchResult(query, places, seconds, little or (refusal if places else _DISAGREES))
+            MatchResult(query, places, seconds, refusal, within_m)
+            if places
+            else MatchResult(query, (), seconds, little or _DISAGREES)
             for query, places, little in zip(skylines, found, refusals, strict=True)
         )
         return JointResult(results, tuple(map(bool, found)), seconds, refusal)
@@ -423,10 +438,23 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
     """Say why candidates are no answer, if so."""
     if not candidates:
         return "no place fits"
-    sure, least = candidates[0].confidence, config.min_confidence
-    if sure is None or sure >= least:
+    best, least = candidates[0], config.min_confidence
+    if best.confidence is None or sure_within_m(best, config) is not None:
         return None
-    return f"the best place has confidence {sure:.2f}, {least:.2f} is needed"
+    return (
+        f"the best place has confidence {best.confidence:.2f} of being right within 200 m and "
+        f"{best.confidence_1km:.2f} within 1 km, {least:.2f} is needed"
+    )
+
+
+def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
+    """Return the distance within which a candidate is sure enough to be right; None where none."""
+    for within_m, sure in zip(
+        DISTANCES_M, (candidate.confidence, candidate.confidence_1km), strict=True
+    ):
+        if sure is not None and sure >= config.min_confidence:
+            return within_m
+    return None
 
 
 def at_bound(candidates: Sequence[Candidate], rays: QueryRays) -> str | None:

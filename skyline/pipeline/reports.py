@@ -80,4 +80,5 @@ def matched(
         result.answer is not None,
         read_picture(path) if with_photo else None,
         done,
+        result.within_m,
     )

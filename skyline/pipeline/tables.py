@@ -58,5 +58,6 @@ def _row(candidate: Candidate) -> dict[str, object]:
     nan = float("nan")
     covariance_m2 = row.pop("covariance_m2") or ((nan, nan), (nan, nan))
     (east, both), (_, north) = covariance_m2
-    row["confidence"] = nan if candidate.confidence is None else candidate.confidence
+    for name in ("confidence", "confidence_1km"):
+        row[name] = nan if row[name] is None else row[name]
     return row | dict(zip(_COVARIANCE, (east, north, both), strict=True))

@@ -28,6 +28,8 @@ class Matched:
         RGB, of the query's size; None for a trace or a mask.
     done : sequence of str
         What was done to find it, a sentence each.
+    within_m : float, optional
+        How near the answer is sure to be.
     """
 
     name: str
@@ -37,3 +39,4 @@ class Matched:
     is_answered: bool = True
     photo: NDArray[np.uint8] | None = None
     done: Sequence[str] = ()
+    within_m: float | None = None

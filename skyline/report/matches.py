@@ -170,6 +170,8 @@ def _result(matched: Matched) -> str:
         return "No place fits."
     best = matched.candidates[0]
     sure = "" if best.confidence is None else f", confidence {100.0 * best.confidence:.0f} %"
+    if matched.is_answered and matched.within_m is not None:
+        sure += f", right within {matched.within_m:g} m"
     place = (
         f"latitude {best.lat:.5f}°, longitude {best.lon:.5f}°, looking "
         f"{best.heading_deg:.1f}° from true north{sure}"
@@ -195,7 +197,7 @@ def _overlay_caption(overlay: Overlay) -> str:
 def _candidate_table(candidates: Sequence[Candidate]) -> Table:
     columns = (
         "#", "latitude °", "longitude °", "heading °", "pitch °", "roll °", "FOV °", "score",
-        "confidence", "refined", "95 % ellipse, m",
+        "confidence", "within 1 km", "refined", "95 % ellipse, m",
     )  # fmt: skip
     rows = [_candidate_row(rank, each) for rank, each in enumerate(candidates, start=1)]
     return Table(columns, rows, "Candidates; headings from true north, a lower score is better")
@@ -213,6 +215,7 @@ def _candidate_row(rank: int, candidate: Candidate) -> list[object]:
         f"{candidate.fov_deg:.2f}",
         f"{candidate.score:.4f}",
         None if sure is None else f"{sure:.2f}",
+        None if candidate.confidence_1km is None else f"{candidate.confidence_1km:.2f}",
         candidate.refined,
         None if ellipse is None else f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}",
     ]

@@ -22,6 +22,7 @@ class CandidateRecord(TypedDict):
     fov_deg: float
     score: float
     confidence: float | None
+    confidence_1km: float | None
     refined: bool
 
 
@@ -38,12 +39,14 @@ class MatchRecord(TypedDict):
     """One query as ``skyline match --json`` prints it; without an answer it says why.
 
     ``seconds`` count from the file to the candidates, ``loading_seconds`` opened the store and its
-    elevation model, once for all queries. ``exif`` is there where the photo notes a place or a
+    elevation model, once for all queries. ``answer_within_m`` is how near the answer is sure to be,
+    200 or 1000. ``exif`` is there where the photo notes a place or a
     direction, ``lens`` where it notes a lens and no field of view was given.
     """
 
     query: str
     answer: CandidateRecord | None
+    answer_within_m: float | None
     candidates: list[CandidateRecord]
     seconds: float
     loading_seconds: float
@@ -79,5 +82,6 @@ def describe_candidate(candidate: Candidate) -> CandidateRecord:
         fov_deg=candidate.fov_deg,
         score=candidate.score,
         confidence=candidate.confidence,
+        confidence_1km=candidate.confidence_1km,
         refined=candidate.refined,
     )

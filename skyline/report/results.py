@@ -19,12 +19,13 @@ from skyline.errors import InputError
 Row = dict[str, str | float | int | None]
 
 _TYPES: Mapping[str, str] = {
-    "query": "TEXT", "search": "TEXT", "answered": "INTEGER", "lon": "REAL", "lat": "REAL",
-    "easting": "REAL", "northing": "REAL", "eye_elevation_m": "REAL", "radius_m": "REAL",
-    "heading_deg": "REAL", "pitch_deg": "REAL", "roll_deg": "REAL", "fov_deg": "REAL",
-    "confidence": "REAL", "exif_distance_m": "REAL", "seconds": "REAL", "said": "TEXT",
+    "query": "TEXT", "search": "TEXT", "answered": "INTEGER", "within_m": "REAL",
+    "lon": "REAL", "lat": "REAL", "easting": "REAL", "northing": "REAL",
+    "eye_elevation_m": "REAL", "radius_m": "REAL", "heading_deg": "REAL", "pitch_deg": "REAL",
+    "roll_deg": "REAL", "fov_deg": "REAL", "confidence": "REAL", "confidence_1km": "REAL",
+    "exif_distance_m": "REAL", "seconds": "REAL", "said": "TEXT",
 }  # fmt: skip
-_OF_CANDIDATE = tuple(_TYPES)[3:14]
+_OF_CANDIDATE = tuple(_TYPES)[4:16]
 _WGS84 = (
     'GEOGCS["WGS 84",DATUM["WGS_1984",SPHEROID["WGS 84",6378137,298.257223563]],'
     'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433],AUTHORITY["EPSG","4326"]]'
@@ -111,6 +112,7 @@ def row_of(record: Mapping[str, Any], search: str) -> Row:
     for best in record["candidates"][:1]:
         row |= {name: best[name] for name in _OF_CANDIDATE}
         row["answered"] = int(record["answer"] is not None)
+        row["within_m"] = record["answer_within_m"]
     if "exif" in record:
         row["exif_distance_m"] = record["exif"]["distance_m"]
     return row

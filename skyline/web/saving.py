@@ -95,6 +95,7 @@ class Saving:
             by_hand or (result is not None and result.answer is not None),
             read.rgb,
             ["The pose was set by hand on the page."] if by_hand else ["Found on the page."],
+            None if by_hand or result is None else result.within_m,
         )
 
 

@@ -14,6 +14,7 @@ def outcome(result: MatchResult, ground: Ground) -> dict[str, Any]:
     return {
         "candidates": [candidate_json(one, ground) for one in result.candidates],
         "answered": result.answer is not None,
+        "within": result.within_m,
         "refusal": result.refusal,
         "claim": result.claim,
         "seconds": result.seconds,
@@ -34,6 +35,7 @@ def candidate_json(candidate: Candidate, ground: Ground) -> dict[str, Any]:
         "elevation": candidate.eye_elevation_m,
         "eyeHeight": above_m,
         "confidence": candidate.confidence,
+        "roughly": candidate.confidence_1km,
         "refined": candidate.refined,
         "covariance": candidate.covariance_m2,
         "convergence": candidate.convergence_deg,

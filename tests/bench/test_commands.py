@@ -12,7 +12,7 @@ import skyline_bench
 from skyline_bench import cli
 
 LAYERS = (
-    ("cli",), ("commands",), ("figures",), ("runs",), ("cases", "stores", "trials"),
+    ("cli",), ("commands",), ("figures",), ("runs",), ("cases", "stores", "training", "trials"),
     ("queries", "truth", "peers"), ("measuring",),
 )  # fmt: skip
 """Folders of the package; each imports from those after it, and from its own."""

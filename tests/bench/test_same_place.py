@@ -27,7 +27,10 @@ def joint(photo, east_m, agrees):
         easting_m=truth.easting_m + east_m, northing_m=truth.northing_m, eye_elevation_m=0.0,
         convergence_deg=0.0, score=0.0, confidence=1.0, covariance_m2=((4.0, 0.0), (0.0, 4.0)),
     )  # fmt: skip
-    results = tuple(MatchResult(photo.skyline, (place,) if one else (), 1.0) for one in agrees)
+    results = tuple(
+        MatchResult(photo.skyline, (place,) if one else (), 1.0, None, 200.0 if one else None)
+        for one in agrees
+    )
     return JointResult(results, agrees, 1.0)
 
 

@@ -52,7 +52,7 @@ def trials():
 def test_errors_are_those_of_the_best_candidate(trials):
     assert [trial.error_m for trial in trials] == [30.0, 900.0, MISS_M, MISS_M]
     assert [trial.right for trial in trials] == [True, False, False, False]
-    assert [trial.answered for trial in trials] == [True, True, False, False]
+    assert [trial.answered_within_m for trial in trials] == [200.0, 200.0, None, None]
     assert trials[0].heading_error_deg == pytest.approx(10.0)
     assert np.isnan(trials[2].heading_error_deg)
 

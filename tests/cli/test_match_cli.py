@@ -28,10 +28,18 @@ def test_extract_then_match_the_trace(run, store, photo, tmp_path):
     found = run("match", store, trace, "--fov-deg", "60", "--min-confidence", "0", "--json")
     assert found.code == 0, found.err
     record = json.loads(found.out)
-    assert set(record) == {"query", "answer", "candidates", "seconds", "loading_seconds"}
+    assert set(record) == {
+        "query",
+        "answer",
+        "answer_within_m",
+        "candidates",
+        "seconds",
+        "loading_seconds",
+    }
     assert set(record["answer"]) == {
         "easting", "northing", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
-        "pitch_deg", "roll_deg", "fov_deg", "score", "confidence", "refined",
+        "pitch_deg", "roll_deg", "fov_deg", "score", "confidence", "confidence_1km",
+        "refined",
     }  # fmt: skip
     assert record["answer"] == record["candidates"][0]
     assert record["answer"]["refined"] is True
@@ -476,7 +484,7 @@ def test_photos_of_one_place_are_matched_together(run, store, photos_of_one_plac
     assert done.code == 2
     assert str(broken) in done.err
     record = json.loads(done.out)
-    assert set(record) == {"answer", "candidates", "photos", "seconds", "loading_seconds"}
+    assert record["answer_within_m"] in (200.0, 1000.0)
     assert record["candidates"] == [record["answer"]]
     assert math.hypot(
         record["answer"]["easting"] - 601_800.0, record["answer"]["northing"] - 5_178_000.0

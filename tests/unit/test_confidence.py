@@ -13,6 +13,11 @@ AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = QueryRays.equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
 
 
+NEAR_REFINED, NEAR_RETRIEVED = (
+    confidence.model_name(stage, confidence.RIGHT_WITHIN_M) for stage in ("refined", "retrieved")
+)
+
+
 def retrieved(easting_m: list[float], score: list[float]) -> Hypotheses:
     """Poses along a line to the east."""
     zero = np.zeros(len(score))
@@ -25,12 +30,16 @@ def test_the_packaged_models_know_the_figures_they_are_given() -> None:
     zero = np.zeros(3)
     figures = confidence.retrieved_figures(retrieved([0.0, 1e3, 2e3], [0.0] * 3), QUERY)
     models = confidence.models()
-    assert set(models) == {"refined", "retrieved"}
-    sure = models["retrieved"].probability(figures)
+    assert set(models) == {
+        confidence.model_name(stage, within_m)
+        for stage in ("refined", "retrieved")
+        for within_m in confidence.DISTANCES_M
+    }
+    sure = models[NEAR_RETRIEVED].probability(figures)
     assert sure.shape == (3,)
     assert ((sure > 0.0) & (sure < 1.0)).all()
     with pytest.raises(InputError, match="needs"):
-        models["refined"].probability({"margin": zero})
+        models[NEAR_REFINED].probability({"margin": zero})
 
 
 def test_a_margin_is_over_the_best_place_elsewhere() -> None:
@@ -43,9 +52,11 @@ def test_a_place_that_nothing_is_held_against_has_no_margin() -> None:
     found = retrieved([0.0, 50.0, 100.0], [1.0, 2.0, 5.0])
     figures = confidence.retrieved_figures(found, QUERY)
     assert figures["margin"].tolist() == [0.0, 0.0, 0.0]
-    assert (confidence.models()["retrieved"].probability(figures) < 0.9).all()
+    assert (confidence.models()[NEAR_RETRIEVED].probability(figures) < 0.9).all()
     one = np.ones(1)
-    poses = Poses(found[:1], np.eye(2)[np.newaxis], one, one, one, one, one + np.inf, 7)
+    poses = Poses(
+        found[:1], np.eye(2)[np.newaxis], one, one, one, one, one + np.inf, one + np.inf, 7
+    )
     assert confidence.refined_figures(poses, found, QUERY)["margin"].tolist() == [0.0]
 
 
@@ -54,7 +65,7 @@ def test_every_refined_pose_hears_of_the_best_that_was_retrieved() -> None:
     one = np.ones(2)
     poses = Poses(
         found[np.arange(2)], np.tile(np.eye(2), (2, 1, 1)), one, one, one, one,
-        np.array([90.0, -90.0]), 7,
+        np.array([90.0, -90.0]), np.array([100.0, np.inf]), 7,
     )  # fmt: skip
     figures = confidence.refined_figures(poses, found, QUERY)
     assert figures["retrieved_score"].tolist() == [1.0, 1.0]
@@ -63,4 +74,6 @@ def test_every_refined_pose_hears_of_the_best_that_was_retrieved() -> None:
     assert figures["margin"].tolist() == [60.0, -60.0]
     assert figures["log_margin"][0] == pytest.approx(np.log(60.0))
     assert figures["log_margin"][1] < figures["log_margin"][0] - 10.0
-    assert set(confidence.models()["refined"].names) == set(figures)
+    # No place beyond 1 km was retrieved: the far margin tells nothing.
+    assert figures["far_margin"].tolist() == [0.0, 0.0]
+    assert set(confidence.models()[NEAR_REFINED].names) == set(figures)

@@ -19,7 +19,7 @@ from skyline_bench.stores.durability import numbered_places
 
 UTM = Frame(HEADER.frame_wkt)
 BEST = candidate_at(
-    750_000.0, 5_180_000.0, 300.0, confidence=0.9, frame=UTM,
+    750_000.0, 5_180_000.0, 300.0, confidence=0.9, confidence_1km=0.95, frame=UTM,
     covariance_m2=((400.0, 100.0), (100.0, 900.0)),
 )  # fmt: skip
 OTHER = candidate_at(751_000.0, 5_181_000.0, 20.0, frame=UTM)

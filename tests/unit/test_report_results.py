@@ -13,10 +13,17 @@ PLACE = dict.fromkeys(
         "easting", "northing", "eye_elevation_m", "radius_m", "pitch_deg", "roll_deg", "fov_deg",
         "score",
     ), 1.5,
-) | {"lon": 9.8, "lat": 46.7, "heading_deg": 131.0, "confidence": 0.9, "refined": True}  # fmt: skip
-FOUND = {"query": "a,b.jpg", "answer": PLACE, "candidates": [PLACE], "seconds": 2.0}
+) | {
+    "lon": 9.8, "lat": 46.7, "heading_deg": 131.0, "confidence": 0.9, "confidence_1km": 0.95,
+    "refined": True,
+}  # fmt: skip
+FOUND = {
+    "query": "a,b.jpg", "answer": PLACE, "answer_within_m": 200.0, "candidates": [PLACE],
+    "seconds": 2.0,
+}  # fmt: skip
 NOTHING = {
-    "query": "c.jpg", "answer": None, "candidates": [], "seconds": 1.0, "refusal": "no\nplace",
+    "query": "c.jpg", "answer": None, "answer_within_m": None, "candidates": [],
+    "seconds": 1.0, "refusal": "no\nplace",
 }  # fmt: skip
 BROKEN = {"query": "d.jpg", "error": "d.jpg is not an image"}
 
@@ -66,6 +73,7 @@ def test_a_row_that_was_cut_off_is_done_again(tmp_path, cut):
         rows = list(csv.DictReader(file))
     assert [row["query"] for row in rows] == ["a,b.jpg"]
     assert (rows[0]["answered"], float(rows[0]["lon"])) == ("1", 9.8)
+    assert (float(rows[0]["within_m"]), float(rows[0]["confidence_1km"])) == (200.0, 0.95)
 
 
 def test_a_geopackage_is_one_for_others(tmp_path):

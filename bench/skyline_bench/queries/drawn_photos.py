@@ -136,8 +136,12 @@ def draw_photo(condition: str, seed: int) -> DrawnPhoto:
     """Draw one photo of a condition in ``CONDITIONS``."""
     if condition not in CONDITIONS:
         raise InputError(f"condition is {condition!r}; expected one of {', '.join(CONDITIONS)}")
-    recipe = CONDITIONS[condition]
     rng = np.random.default_rng([seed, list(CONDITIONS).index(condition)])
+    return draw_recipe(rng, CONDITIONS[condition])
+
+
+def draw_recipe(rng: np.random.Generator, recipe: Recipe) -> DrawnPhoto:
+    """Draw one photo of a recipe."""
     width, height = recipe.size_px
     sky = _sky(rng, recipe)
     picture, row_px = _mountains(rng, recipe, sky)

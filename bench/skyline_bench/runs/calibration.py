@@ -16,7 +16,7 @@ from scipy.optimize import minimize
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.matching import confidence
-from skyline.matching.confidence import RIGHT_WITHIN_M, Logistic
+from skyline.matching.confidence import Logistic
 from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline_bench.queries.synthetic import SyntheticQuery
@@ -24,7 +24,7 @@ from skyline_bench.queries.synthetic import SyntheticQuery
 Reliability = tuple[str, Float64Array, BoolArray]
 """A label, probabilities (N,), and whether the answers were right."""
 
-MODELS = ("refined", "retrieved")
+STAGES = ("refined", "retrieved")
 
 _RIDGE = 1e-2
 _BINS = 10
@@ -32,16 +32,23 @@ _BINS = 10
 
 @dataclass(frozen=True, slots=True)
 class Example:
-    """The best pose of one query: what the match left behind, and whether it is right."""
+    """The best pose of one query: what the match left behind, and how far off it is.
+
+    Attributes
+    ----------
+    figures : mapping of str to float
+    error_m : float
+        Infinite for a query from elsewhere.
+    """
 
     figures: Mapping[str, float]
-    right: bool
+    error_m: float
 
 
 def examples(
     matcher: FullMatcher, queries: Sequence[SyntheticQuery]
 ) -> Iterator[dict[str, Example]]:
-    """Yield an example for each model and query; queries that nothing fits give none."""
+    """Yield an example for each stage and query; queries that nothing fits give none."""
     for query in queries:
         try:
             rays = query.rays()
@@ -65,19 +72,19 @@ def _example(figures: dict[str, Float64Array], poses: Hypotheses, query: Synthet
     north_m = poses.northing_m[best] - query.truth.northing_m
     return Example(
         {name: float(values[best]) for name, values in figures.items()},
-        bool(np.hypot(east_m, north_m) <= RIGHT_WITHIN_M),
+        float(np.hypot(east_m, north_m)),
     )
 
 
-def learn(told: Sequence[Example]) -> Logistic:
-    """Return the logistic model most likely to have given the examples.
+def learn(told: Sequence[Example], within_m: float) -> Logistic:
+    """Return the logistic model most likely to have given the examples, right within a distance.
 
     Raises
     ------
     InputError
         All examples are right, or all wrong.
     """
-    right = np.array([example.right for example in told])
+    right = np.array([example.error_m <= within_m for example in told])
     if not right.any() or right.all():
         raise InputError(
             f"{int(right.sum())} of {len(told)} examples are right; a confidence is learned from "

@@ -4,18 +4,20 @@ From examples that were kept another model is learned in seconds.
 """
 
 import json
+import math
 import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from skyline import MatchConfig, read_dem
 from skyline.arrays import Float64Array
-from skyline.matching.confidence import Logistic
+from skyline.matching.confidence import DISTANCES_M, Logistic, model_name
 from skyline.matching.full import FullMatcher
 from skyline.matching.retrieval import Retriever
 from skyline.pipeline import Progress, build_places
@@ -28,7 +30,7 @@ from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.other_dems import perturbed, resampled
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
 from skyline_bench.runs.calibration import (
-    MODELS,
+    STAGES,
     Example,
     Reliability,
     calibration_error,
@@ -79,7 +81,7 @@ def _told_by(
     own = [(seen, kind) for seen in (terrain, perturbed(terrain, seed=seed)) for kind in KINDS]
     coarse = [(terrain, kind) for kind in COARSE_KINDS]
     strangers = _strangers(strange, max(queries // STRANGERS_SHARE, 1), seed)
-    told: dict[str, list[Example]] = {name: [] for name in MODELS}
+    told: dict[str, list[Example]] = {name: [] for name in STAGES}
     for model, kinds in ((terrain, own), (resampled(terrain, COARSE_M), coarse)):
         with _matcher(model, folder) as matcher:
             for seen, kind in kinds:
@@ -87,7 +89,7 @@ def _told_by(
                 made = make_queries(seen, area, queries, seed, replace(kind, fov_error=0.05))
                 _tell(told, matcher, made)
             for made in strangers:
-                _tell(told, matcher, made, may_be_right=False)
+                _tell(told, matcher, made, strange=True)
     return told
 
 
@@ -95,12 +97,12 @@ def _tell(
     told: dict[str, list[Example]],
     matcher: FullMatcher,
     queries: tuple[SyntheticQuery, ...],
-    may_be_right: bool = True,
+    strange: bool = False,
 ) -> None:
     """Add examples of queries; strangers are never right."""
     for example in examples(matcher, queries):
         for name, one in example.items():
-            told[name].append(replace(one, right=one.right and may_be_right))
+            told[name].append(replace(one, error_m=math.inf) if strange else one)
 
 
 @contextmanager
@@ -197,15 +199,20 @@ class Learned:
 def learned(told: Told) -> Learned:
     """Learn a model of each kind, and hold it to every terrain."""
     learned_from = {
-        model: [one for name in LEARNED for one in told[name][model]] for model in MODELS
+        stage: [one for name in LEARNED for one in told[name][stage]] for stage in STAGES
     }
-    models = {model: learn(some) for model, some in learned_from.items()}
+    models = {
+        model_name(stage, within_m): learn(some, within_m)
+        for stage, some in learned_from.items()
+        for within_m in DISTANCES_M
+    }
     rows: list[Row] = []
     shown: list[Reliability] = []
-    for model in MODELS:
+    for stage, within_m in product(STAGES, DISTANCES_M):
+        model = model_name(stage, within_m)
         for name, one in told.items():
-            sure = probabilities(models[model], one[model])
-            right = np.array([example.right for example in one[model]])
+            sure = probabilities(models[model], one[stage])
+            right = np.array([example.error_m <= within_m for example in one[stage]])
             answered = sure >= MatchConfig().min_confidence
             rows.append(
                 {
@@ -221,5 +228,5 @@ def learned(told: Told) -> Learned:
             )
             if name in HELD_OUT:
                 shown.append((f"{model}, {name}", sure, right))
-    counts = {model: len(some) for model, some in learned_from.items()}
+    counts = {stage: len(some) for stage, some in learned_from.items()}
     return Learned(models, {"terrain": list(LEARNED), "examples": counts}, rows, shown)

@@ -149,7 +149,8 @@ def summarize(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
             line |= {
                 "within_200m": len(right) / len(some),
                 "answered": len(answered) / len(some),
-                "answered_right": sum(map(_is_right, answered)) / len(answered)
+                "answered_200m": sum(row["within_m"] == RIGHT_M for row in answered) / len(some),
+                "answered_right": sum(map(_is_answer_right, answered)) / len(answered)
                 if answered and kind == LOCATE
                 else None,
             }
@@ -168,6 +169,10 @@ def summarize(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
 
 def _is_right(row: Mapping[str, object]) -> bool:
     return row.get("rank") == 1
+
+
+def _is_answer_right(row: Mapping[str, object]) -> bool:
+    return float(str(row["error_m"])) <= float(str(row["within_m"]))
 
 
 def _extracted(one: Photograph) -> Measured:
@@ -216,12 +221,14 @@ def _located(one: Photograph, matcher: Matcher, viewer: Viewer, config: PhotosCo
     measured.figures |= {
         "seconds": float(str(measured.figures["seconds"])) + result.seconds,
         "answered": result.answer is not None,
+        "within_m": result.within_m,
         "error_m": errors[0] if errors else None,
         "rank": right[0] if right else None,
         "heading_error_deg": None if best is None else _turn_deg(one, best),
         "fov_given_deg": query.fov_deg,
         "fov_found_deg": None if best is None else best.fov_deg,
         "confidence": None if best is None else best.confidence,
+        "confidence_1km": None if best is None else best.confidence_1km,
         "gps_off_m": None if claim is None else claim["distance_m"],
         "refusal": result.refusal,
         "lost": None,

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
+from skyline.matching import Candidate
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.pipeline import FULL, JointResult, Matcher, PlaceConfig, Progress
 from skyline.planning.uniform import map_bounds
@@ -172,29 +174,43 @@ def _row(measured: Sequence[_Measured]) -> Row:
     error_m = np.array([one.error_m for one in measured])
     mixed_m = np.array([one.mixed_error_m for one in measured])
     right, mixed_right = error_m <= RIGHT_WITHIN_M, mixed_m <= RIGHT_WITHIN_M
-    answered = np.array([one.together.answer is not None for one in measured])
-    mixed_answered = np.array([one.mixed.answer is not None for one in measured])
-    radius_m = np.array(
-        [one.together.places[0].radius_m if one.together.places else np.nan for one in measured]
-    )
+    within_m = np.array([one.together.within_m for one in measured], dtype=np.float64)
+    mixed_within_m = np.array([one.mixed.within_m for one in measured], dtype=np.float64)
+    answered, mixed_answered = np.isfinite(within_m), np.isfinite(mixed_within_m)
     return {
         "places": len(measured),
         "photos": len(alone) // len(measured),
         "alone_within_200m": float(np.mean([trial.right for trial in alone])),
         "alone_median_m": float(np.median([trial.error_m for trial in alone])),
-        "alone_answered": float(np.mean([trial.answered for trial in alone])),
+        "alone_radius_holds": _radius_holds(
+            np.array([trial.error_m for trial in alone]),
+            [trial.candidates[0] if trial.candidates else None for trial in alone],
+        ),
+        "alone_answered": float(np.mean([trial.answered_within_m is not None for trial in alone])),
         "alone_seconds": float(np.median([trial.seconds for trial in alone])),
         "within_200m": float(right.mean()),
         "median_m": float(np.median(error_m)),
         "answered": float(answered.mean()),
-        "precision": float(right[answered].mean()) if answered.any() else None,
-        "radius_holds": float((error_m <= radius_m)[right].mean()) if right.any() else None,
+        "precision": float((error_m <= within_m)[answered].mean()) if answered.any() else None,
+        "radius_holds": _radius_holds(
+            error_m, [next(iter(one.together.places), None) for one in measured]
+        ),
         "own_named_wrong": float(np.mean([not all(one.together.agrees) for one in measured])),
         "seconds": float(np.median([one.together.seconds for one in measured])),
         "mixed_within_200m": float(mixed_right.mean()),
         "mixed_answered": float(mixed_answered.mean()),
-        "mixed_precision": float(mixed_right[mixed_answered].mean())
+        "mixed_precision": float((mixed_m <= mixed_within_m)[mixed_answered].mean())
         if mixed_answered.any()
         else None,
         "stranger_named": float(np.mean([not one.mixed.agrees[-1] for one in measured])),
     }
+
+
+def _radius_holds(error_m: Float64Array, best: Sequence[Candidate | None]) -> float | None:
+    """Return the share of right places whose error (N,) is within their radius."""
+    within = [
+        error <= place.radius_m
+        for error, place in zip(error_m.tolist(), best, strict=True)
+        if place is not None and place.radius_m is not None and error <= RIGHT_WITHIN_M
+    ]
+    return float(np.mean(within)) if within else None

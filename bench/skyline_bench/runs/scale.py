@@ -362,7 +362,8 @@ def summary(outcomes: Sequence[Outcome]) -> Row:
         for name in fields(Outcome)
     }
     error_m = np.where(np.isnan(columns["error_m"]), np.inf, columns["error_m"])
-    right, answered = error_m <= RIGHT_WITHIN_M, columns["answered"] > 0.0
+    right, within_m = error_m <= RIGHT_WITHIN_M, columns["answered_within_m"]
+    answered = np.isfinite(within_m)
     return {
         "n": len(outcomes),
         "within_200m": float(right.mean()),
@@ -370,7 +371,8 @@ def summary(outcomes: Sequence[Outcome]) -> Row:
         "median_m": float(np.median(error_m)),
         "mean_m": float(np.minimum(error_m, _NOWHERE_M).mean()),
         "answered": float(answered.mean()),
-        "precision": float(right[answered].mean()) if answered.any() else None,
+        "answered_200m": float((within_m <= RIGHT_WITHIN_M).mean()),
+        "precision": float((error_m <= within_m)[answered].mean()) if answered.any() else None,
         "query_s": float(np.median(columns["seconds"])),
         "query_cpu_s": float(columns["cpu_s"].mean()),
         **{stage: float(columns[stage].mean()) for stage in STAGES},

@@ -39,7 +39,7 @@ def save_trials(path: Path, key: Key, trials: Sequence[Trial]) -> None:
     kept = [
         {
             "best": asdict(trial.candidates[0]) if trial.candidates else None,
-            "answered": trial.answered,
+            "answered_within_m": trial.answered_within_m,
             "error_m": trial.error_m,
             "heading_error_deg": trial.heading_error_deg,
             "seconds": trial.seconds,
@@ -64,7 +64,7 @@ def kept_trials(path: Path, key: Key, queries: Sequence[SyntheticQuery]) -> list
                 query.truth,
                 query.distance_m,
                 () if kept["best"] is None else (_candidate(kept["best"]),),
-                kept["answered"],
+                kept["answered_within_m"],
                 kept["error_m"],
                 kept["heading_error_deg"],
                 kept["seconds"],

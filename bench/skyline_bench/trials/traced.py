@@ -16,7 +16,7 @@ from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Scene
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike, Screen, sample_of
-from skyline.pipeline.match import too_little, unsure
+from skyline.pipeline.match import sure_within_m, too_little
 from skyline.places import PlaceSource
 from skyline.terrain.heightfield import Ground
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
@@ -39,8 +39,8 @@ class Outcome:
         Of the best candidate; None without any.
     confidence : float or None
         Its own.
-    answered : bool
-        Whether the matcher stands by it.
+    answered_within_m : float or None
+        How near the matcher says that it is; None where it does not stand by it.
     seconds, cpu_s : float
         By the clock, and processor time of all threads.
     screened, fitted, retrieved, refined : bool
@@ -50,7 +50,7 @@ class Outcome:
 
     error_m: float | None = None
     confidence: float | None = None
-    answered: bool = False
+    answered_within_m: float | None = None
     seconds: float = 0.0
     cpu_s: float = 0.0
     screened: bool = False
@@ -95,7 +95,7 @@ class Traced:
         return Outcome(
             None if best is None else errors(best, query.truth)[0],
             None if best is None else best.confidence,
-            unsure(candidates, MATCHING) is None,
+            None if best is None else sure_within_m(best, MATCHING),
             wall,
             cpu,
             self._screened(noted, query.truth),

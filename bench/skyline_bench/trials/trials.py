@@ -43,8 +43,9 @@ class Trial:
         Median distance of the query's skyline.
     candidates : tuple of Candidate
         Best first; empty where the matcher found nothing or refused the query.
-    answered : bool
-        Whether the matcher stands by the best of them.
+    answered_within_m : float or None
+        How near the matcher says the best of them is, 200 m if it does not say; None where it does
+        not stand by it.
     error_m : float
         Distance of the best candidate from the truth; without any, what a miss is set to.
     heading_error_deg : float
@@ -56,7 +57,7 @@ class Trial:
     truth: Truth
     distance_m: float
     candidates: tuple[Candidate, ...]
-    answered: bool
+    answered_within_m: float | None
     error_m: float
     heading_error_deg: float
     seconds: float
@@ -94,7 +95,7 @@ def trial_of(
         query.truth,
         query.distance_m,
         candidates,
-        result is not None and result.answer is not None,
+        None if result is None or result.answer is None else result.within_m or RIGHT_WITHIN_M,
         error_m,
         turn_deg,
         seconds,
@@ -119,7 +120,8 @@ def summarize(trials: Sequence[Trial], seed: int) -> dict[str, object]:
     """
     error_m = np.array([trial.error_m for trial in trials])
     right = np.array([trial.right for trial in trials])
-    answered = np.array([trial.answered for trial in trials])
+    within_m = np.array([trial.answered_within_m for trial in trials], dtype=np.float64)
+    answered = np.isfinite(within_m)
     turn_deg = np.array([trial.heading_error_deg for trial in trials])[right]
     draws = np.random.default_rng(seed).integers(0, len(trials), (_RESAMPLES, len(trials)))
     within = np.percentile(right[draws].mean(axis=1), _INTERVAL)
@@ -139,7 +141,8 @@ def summarize(trials: Sequence[Trial], seed: int) -> dict[str, object]:
         "p90_m": float(np.percentile(error_m, 90.0)),
         "heading_median_deg": float(np.median(turn_deg)) if right.any() else None,
         "answered": float(answered.mean()),
-        "precision": float(right[answered].mean()) if answered.any() else None,
+        "answered_200m": float((within_m <= RIGHT_WITHIN_M).mean()),
+        "precision": float((error_m <= within_m)[answered].mean()) if answered.any() else None,
         "query_ms": 1e3 * float(np.median([trial.seconds for trial in trials])),
     }
 
@@ -155,7 +158,7 @@ def candidate_rows(trial: Trial) -> list[dict[str, object]]:
         "query": trial.query,
         **{f"true_{name}": value for name, value in truth.items()},
         "distance_m": trial.distance_m,
-        "answered": trial.answered,
+        "answered_within_m": trial.answered_within_m,
         "seconds": trial.seconds,
     }
     if not trial.candidates:

@@ -62,8 +62,10 @@ function said(result) {
   const claim = result.claim ? [element("p", { class: "claim" }, result.claim)] : [];
   if (result.answered) {
     const best = result.candidates[0];
-    const sure = best.confidence === null ? "" : `, ${Math.round(100 * best.confidence)} % sure`;
-    return [element("span", { class: "yes" }, `Found${sure}. `), degrees(best.lon, best.lat), ...claim];
+    const chance = result.within === 1000 ? best.roughly : best.confidence;
+    const near = result.within === 1000 ? " within 1 km" : "";
+    const sure = chance === null ? "" : `, ${Math.round(100 * chance)} % sure`;
+    return [element("span", { class: "yes" }, `Found${near}${sure}. `), degrees(best.lon, best.lat), ...claim];
   }
   return [element("span", { class: "no" }, "No answer: "), `${result.refusal}. `,
     "Check the yellow skyline and mend it, say what you know, or fit by hand.", ...claim];

@@ -1,0 +1,61 @@
+"""The network that finds skylines in photos: measured against masks, and trained anew."""
+
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from skyline.console import progress_bar
+from skyline.errors import InputError
+from skyline_bench.commands.options import (
+    JsonFile,
+    Quick,
+    Seed,
+    check_folder,
+    check_outputs,
+    keep_record,
+    print_rows,
+)
+from skyline_bench.runs import sky_masks as masks
+from skyline_bench.training.photographs import draw_training_photos
+
+
+def sky_masks(
+    folder: Annotated[
+        Path,
+        typer.Argument(metavar="FOLDER", help="NAME.jpg and NAME.mask.png, white = mountain."),
+    ],
+    json_file: JsonFile = None,
+    quick: Quick = False,
+) -> None:
+    """Skylines extracted from real photographs, against masks drawn by people."""
+    check_outputs(json_file, None)
+    with progress_bar("photographs") as progress:
+        rows = masks.measure(folder, quick, progress)
+    print_rows(rows)
+    keep_record(json_file, "sky-masks", rows)
+
+
+def train_sky_model(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE", help="The model, ONNX zipped.")
+    ],
+    photos: Annotated[int, typer.Option(help="Photographs to draw.")] = 5000,
+    steps: Annotated[int, typer.Option(help="Batches of 16 to train on.")] = 4000,
+    seed: Seed = 1,
+    quick: Quick = False,
+) -> None:
+    """The network that finds skylines in photos, trained anew on drawn photographs."""
+    check_folder("--out", out)
+    with progress_bar("photographs") as progress:
+        drawn = draw_training_photos(16 if quick else photos, seed, progress)
+    try:
+        training = import_module("skyline_bench.training.training")
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"training needs {error.name}, which is not installed: pip install -e 'bench[train]'"
+        ) from error
+    with progress_bar("steps") as progress:
+        net = training.train(drawn, 2 if quick else steps, seed, progress)
+    training.write_model(net, out)

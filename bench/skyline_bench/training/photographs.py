@@ -1,0 +1,259 @@
+"""Training photographs: landscapes with what stands in front and what the camera made of them."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from skyline.arrays import Float32Array, UInt8Array
+from skyline.pipeline import Progress
+from skyline_bench.measuring.timing import core_count
+from skyline_bench.measuring.workers import crew
+from skyline_bench.queries.drawn_photos import CONDITIONS, draw_recipe
+from skyline_bench.training.covers import dark, put_in_front
+from skyline_bench.training.landscapes import draw_landscape, draw_sky, fractal
+from skyline_bench.training.photo import GROUND, SKY, UNKNOWN, TrainingPhoto
+from skyline_bench.training.views import draw_view
+
+_SIZE_PX = (400, 304)
+_PLAIN_EVERY, _VIEW_EVERY = 8, 8
+"""One photograph of so many is drawn in each of two other ways: none is like the world."""
+_FAMILY = 64
+"""Photographs in a row whose views are of the same terrain."""
+_FAR_RIDGES_CHANCE = 0.2
+"""Of pale ridges behind the mountains."""
+_NEAR_SLOPE_CHANCE = 0.5
+"""Of a dark slope before the mountains: it must not be taken for the skyline."""
+_LEAST_CONTRAST = 2.5
+"""Levels between sky and ground below which nobody would see a skyline."""
+
+
+def draw_training_photos(count: int, seed: int, progress: Progress) -> list[TrainingPhoto]:
+    """Draw photographs in as many processes as there are cores."""
+    photos = dict[int, TrainingPhoto]()
+    with crew(seed, core_count()) as run:
+        for index, photo in run(_drawn, range(count)):
+            photos[index] = photo
+            progress(len(photos), count)
+    return [photos[index] for index in range(count)]
+
+
+def _drawn(seed: int, index: int) -> TrainingPhoto:
+    if index % _PLAIN_EVERY == 0:
+        return _plain_photo((seed, index))
+    if index % _VIEW_EVERY == 1:
+        return draw_view((seed, index), index // _FAMILY, _SIZE_PX)
+    return draw_training_photo((seed, index), *_SIZE_PX)
+
+
+def _plain_photo(seed: tuple[int, ...]) -> TrainingPhoto:
+    """Draw one photograph in the other, plainer way, whose pixels have no labels."""
+    rng = np.random.default_rng([11, *seed])
+    recipe = CONDITIONS[str(rng.choice(list(CONDITIONS)))]
+    photo = draw_recipe(rng, replace(recipe, size_px=_SIZE_PX))
+    label = np.full(photo.image.shape[:2], UNKNOWN, dtype=np.uint8)
+    # Rows of drawn photos count pixel centres.
+    row = np.where(photo.visible, photo.row_px + 0.5, np.nan)
+    return TrainingPhoto(photo.image, label, np.asarray(row, dtype=np.float32))
+
+
+def draw_training_photo(seed: tuple[int, ...], width: int, height: int) -> TrainingPhoto:
+    """Draw one photograph; those whose last seeds lie in one eighth share their relief."""
+    rng = np.random.default_rng(seed)
+    skyline_px = rng.uniform(0.15, 0.7) * height
+    sky, haze = draw_sky(rng, width, height, skyline_px)
+    land = draw_landscape(rng, width, height, haze, seed[-1] // 8)
+    row = np.full(width, np.nan, dtype=np.float32)
+    kind = rng.choice(["landscape", "sky", "ground"], p=[0.95, 0.025, 0.025])
+    if kind == "sky":
+        picture, label = sky, np.full((height, width), SKY, dtype=np.uint8)
+    elif kind == "ground":
+        top = min(height - 2, max(0, int(land.row_px.max()) + 1))
+        picture = np.asarray(cv2.resize(land.rgb[top:], (width, height)), dtype=np.float32)
+        label = np.full((height, width), GROUND, dtype=np.uint8)
+    else:
+        below = np.clip(np.arange(height)[:, np.newaxis] + 0.5 - land.row_px, 0.0, 1.0)
+        share = np.where(land.is_ground, np.maximum(below, 0.5), np.minimum(below, 0.5))
+        picture = np.asarray(sky + share[..., np.newaxis] * (land.rgb - sky), dtype=np.float32)
+        label = land.is_ground.astype(np.uint8)
+        inside = (land.row_px > 1) & (land.row_px < height - 1)
+        row = np.where(inside, land.row_px, row)
+    if kind != "ground" and rng.random() < _FAR_RIDGES_CHANCE:
+        row = _far_ridges(rng, picture, label, row, haze)
+    if rng.random() < _NEAR_SLOPE_CHANCE:
+        row = _near_slope(rng, picture, label, row, haze)
+    if rng.random() < 0.12:
+        _mirror(rng, picture, label)
+    if rng.random() < 0.2:
+        _banks(rng, picture, label, row, haze)
+    put_in_front(rng, picture, label, row)
+    image = _developed(rng, picture)
+    _written(rng, image)
+    return TrainingPhoto(image, label, _seen(row, label, image))
+
+
+def _seen(row: Float32Array, label: UInt8Array, image: UInt8Array) -> Float32Array:
+    """Drop the skyline where what lies about it is not sky above ground, or looks the same."""
+    height, width = label.shape
+    smooth = cv2.blur(image.astype(np.float32), (5, 3))
+    at = np.nan_to_num(row, nan=0.0)
+    columns = np.arange(width)
+    above = label[np.clip(np.floor(at - 1.0).astype(int), 0, height - 1), columns]
+    below = label[np.clip(np.ceil(at + 1.0).astype(int), 0, height - 1), columns]
+    step = smooth[np.clip(np.rint(at + 3).astype(int), 0, height - 1), columns]
+    step = step - smooth[np.clip(np.rint(at - 3).astype(int), 0, height - 1), columns]
+    apart = ndimage.median_filter(np.abs(step).max(axis=1), 9) > _LEAST_CONTRAST
+    free = apart & (above == SKY) & (below == GROUND)
+    return np.asarray(np.where(free, row, np.nan), dtype=np.float32)
+
+
+def _far_ridges(
+    rng: np.random.Generator,
+    picture: Float32Array,
+    label: UInt8Array,
+    row: Float32Array,
+    haze: Float32Array,
+) -> Float32Array:
+    """Put pale ridges behind the mountains, one before another; return the skyline of all."""
+    height, width = label.shape
+    known = row[np.isfinite(row)]
+    line = float(np.median(known)) if known.size else 0.5 * height
+    rows = np.arange(height)[:, np.newaxis] + 0.5
+    free = label == SKY
+    dark_rgb = haze * rng.uniform(0.2, 0.8) + rng.normal(0.0, 6.0, 3)
+    for left in np.sort(rng.uniform(0.06, 0.7, rng.integers(1, 4))):
+        swing = rng.uniform(0.01, 0.08) * height
+        ridge = line + swing * fractal(rng, (1, width), rng.uniform(1.3, 2.0), 1.0, width / 2)[0]
+        share = np.clip(rows - ridge, 0.0, 1.0) * free
+        picture += share[..., np.newaxis] * (haze + left * (dark_rgb - haze) - picture)
+        label[share > 0.5] = GROUND
+        row = np.fmin(row, np.where((ridge > 1) & (ridge < height - 1), ridge, np.nan))
+        line += rng.uniform(0.0, 0.08) * height
+    return np.asarray(row, dtype=np.float32)
+
+
+def _near_slope(
+    rng: np.random.Generator,
+    picture: Float32Array,
+    label: UInt8Array,
+    row: Float32Array,
+    haze: Float32Array,
+) -> Float32Array:
+    """Put a dark slope before mountains, often veiled; return the skyline of both."""
+    height, width = label.shape
+    veil = rng.choice([0.0, rng.uniform(0.2, 0.88)])
+    picture += (veil * (label == GROUND))[..., np.newaxis] * (haze - picture)
+    across = np.linspace(0.0, 1.0, width)
+    known = row[np.isfinite(row)]
+    line = float(known.mean()) if known.size else 0.4 * height
+    foot = line + rng.uniform(0.02, 0.3) * height
+    rise = rng.uniform(-0.2, 0.5) * height * np.abs(across - rng.random()) ** rng.uniform(0.7, 2.0)
+    rough = rng.uniform(0.0, 0.02) * height * fractal(rng, (1, width), 1.3)[0]
+    near = foot - rise + rough
+    if rng.random() < 0.6:  # Tree tops.
+        near -= rng.uniform(0.005, 0.03) * height * np.abs(fractal(rng, (1, width), 0.3)[0])
+    share = np.clip(np.arange(height)[:, np.newaxis] + 0.5 - near, 0.0, 1.0)[..., np.newaxis]
+    texture = fractal(rng, (height, width), rng.uniform(0.4, 1.2))
+    shade = 1.0 + rng.uniform(0.1, 0.45) * texture[..., np.newaxis]
+    picture += share * (dark(rng, 85.0) * np.maximum(shade, 0.1) - picture)
+    label[share[..., 0] > 0.5] = GROUND
+    higher = np.where(np.isfinite(row), np.minimum(row, near), np.where(label[0] == SKY, near, row))
+    return np.asarray(np.where((higher > 1) & (higher < height - 1), higher, np.nan), np.float32)
+
+
+def _mirror(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
+    height = len(picture)
+    deepest = int((label == GROUND).argmax(axis=0).max())
+    shore = max(int(rng.uniform(0.55, 0.85) * height), min(deepest + 4, height - 2))
+    deep = min(height - shore, shore)
+    water = ndimage.gaussian_filter(picture[shore - deep : shore][::-1], (2.0, 0.5, 0.0))
+    picture[shore : shore + deep] = rng.uniform(0.6, 0.98) * water
+    label[shore:] = GROUND
+
+
+def _banks(
+    rng: np.random.Generator,
+    picture: Float32Array,
+    label: UInt8Array,
+    row: Float32Array,
+    haze: Float32Array,
+) -> None:
+    """Lay clouds on the ridge: they hide it, and where they end is no skyline."""
+    height, width = label.shape
+    known = np.flatnonzero(np.isfinite(row))
+    if not known.size:
+        return
+    for _ in range(rng.integers(1, 4)):
+        column = rng.choice(known)
+        at = row[column] + rng.uniform(-0.04, 0.06) * height
+        across = (np.arange(width) - column) / (rng.uniform(0.06, 0.3) * width)
+        down = (np.arange(height)[:, np.newaxis] - at) / (rng.uniform(0.02, 0.1) * height)
+        density = (
+            1.0
+            - np.hypot(across, down)
+            + rng.uniform(0.3, 0.8) * fractal(rng, (height, width), 1.5, 1.7)
+        )
+        opacity = rng.uniform(0.85, 1.0) * np.clip(density / rng.uniform(0.1, 0.8), 0, 1)
+        white = np.clip(haze * rng.uniform(0.8, 1.2) + rng.uniform(0, 60), 0, 255)
+        shade = 1.0 + 0.06 * fractal(rng, (height, width), 1.3)[..., np.newaxis]
+        picture += opacity[..., np.newaxis] * (white * shade - picture)
+        label[(opacity > 0.5)] = SKY
+
+
+def _developed(rng: np.random.Generator, picture: Float32Array) -> UInt8Array:
+    """Return what lens, sensor, taste and JPEG make of a picture."""
+    height, width = picture.shape[:2]
+    light = np.clip(picture / 255.0, 0.0, 1.3)
+    if rng.random() < 0.3:
+        far = np.hypot(np.linspace(-1, 1, width), np.linspace(-1, 1, height)[:, np.newaxis])
+        light *= (1.0 - rng.uniform(0, 0.5) * np.clip(far - 0.3, 0, 1) ** 2)[..., np.newaxis]
+    light = np.clip(light * np.exp(rng.normal(0.0, 0.25)), 0, 1) ** np.exp(rng.normal(0.0, 0.3))
+    grey = light.mean(axis=2, keepdims=True)
+    light = grey + rng.choice([0.0, rng.uniform(0.2, 1.5)], p=[0.07, 0.93]) * (light - grey)
+    if rng.random() < 0.4:  # A look: shadows and highlights toned apart.
+        dark, bright = rng.normal(0, 0.05, 3), rng.normal(0, 0.05, 3)
+        light = light + (1.0 - grey) ** 2 * dark + grey**2 * bright
+    if rng.random() < 0.2:
+        light = np.clip(light, 0, 1)
+        light = light + rng.uniform(-0.3, 0.8) * (light * light * (3 - 2 * light) - light)
+    if rng.random() < 0.2:
+        light = rng.uniform(0.0, 0.2) + rng.uniform(0.65, 0.95) * light
+    sigma = rng.choice([0.3, 0.6, 1.0, 2.0], p=[0.45, 0.35, 0.15, 0.05])
+    light = ndimage.gaussian_filter(light, (sigma, sigma, 0))
+    light += rng.choice([0.004, 0.012, 0.03], p=[0.5, 0.4, 0.1]) * rng.standard_normal(light.shape)
+    image = np.clip(np.rint(255.0 * light), 0, 255).astype(np.uint8)
+    if rng.random() < 0.5:
+        kept = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(30, 95))])[1]
+        image = np.asarray(cv2.imdecode(kept, cv2.IMREAD_COLOR), np.uint8)
+    return image
+
+
+def _written(rng: np.random.Generator, image: UInt8Array) -> None:
+    """Put a watermark, a title or a date over a photograph."""
+    height, width = image.shape[:2]
+    kind = rng.choice(["none", "rows", "title"], p=[0.78, 0.12, 0.1])
+    if kind == "none":
+        return
+    over = image.copy()
+    words = "".join(rng.choice(list("abcdefghijklmnop +AEIOU"), rng.integers(5, 14)))
+    ink = (255, 255, 255) if rng.random() < 0.8 else (0, 0, 0)
+    size = rng.uniform(0.25, 0.5) if kind == "rows" else rng.uniform(0.4, 2.0)
+    spots = [(int(rng.uniform(0, 0.7) * width), int(rng.uniform(0.03, 0.97) * height))]
+    if kind == "rows":
+        spots = [
+            (x + (y // 40 % 2) * 60, y) for y in range(10, height, 40) for x in range(0, width, 120)
+        ]
+    for spot in spots:
+        cv2.putText(
+            over,
+            words,
+            spot,
+            cv2.FONT_HERSHEY_SIMPLEX,
+            size,
+            ink,
+            1 if kind == "rows" else 2,
+            cv2.LINE_AA,
+        )
+    share = rng.uniform(0.08, 0.3) if kind == "rows" else rng.uniform(0.5, 1.0)
+    image[:] = cv2.addWeighted(over, share, image, 1.0 - share, 0.0)
