@@ -274,30 +274,21 @@ class Matcher:
             As `match`.
         """
         started = time.perf_counter()
-        if len(queries) < 2:
-            raise InputError(f"{len(queries)} photo is matched together; expected two or more")
+        known = [None] * len(queries) if narrowings is None else narrowings
+        if len(queries) < 2 or len(known) != len(queries):
+            raise InputError(
+                f"{len(queries)} photos and {len(known)} narrowings; expected two photos or more "
+                "and as many narrowings"
+            )
         skylines = [_skyline_of(query, fov_deg) for query in queries]
-        known = narrowings or [None] * len(skylines)
         refusals = [too_little(query, self._config) for query in skylines]
         asked = [
             (self._rays(query), self._narrowed(narrowing, query))
             for query, narrowing, refusal in zip(skylines, known, refusals, strict=True)
             if refusal is None
         ]
-        cameras: list[tuple[Candidate, ...]] = []
-        if len(asked) > 1:
-            with telling(told):
-                joint = self._ranker.rank_together(asked, top)
-            if joint is None:
-                raise InputError(
-                    "photos are matched together by rendering alone; use the full matcher, refine, "
-                    "and say where the DEM lies"
-                )
-            cameras = [
-                ranking.candidates(self.frame) if is_of else ()
-                for ranking, is_of in zip(joint.rankings, joint.agrees.tolist(), strict=True)
-            ]
-        left = iter(cameras)
+        with telling(told):
+            left = iter(self._cameras(asked, top) if len(asked) > 1 else ())
         found = [() if refusal else next(left, ()) for refusal in refusals]
         best = next((one for one in found if one), ())
         refusal, within_m = unsure(best, self._config), None
@@ -313,6 +304,21 @@ class Matcher:
             for query, places, little in zip(skylines, found, refusals, strict=True)
         )
         return JointResult(results, tuple(map(bool, found)), seconds, refusal)
+
+    def _cameras(
+        self, asked: Sequence[tuple[QueryRays, Narrowed | None]], top: int
+    ) -> list[tuple[Candidate, ...]]:
+        """Return the candidates of each query of one place; none of one that does not agree."""
+        joint = self._ranker.rank_together(asked, top)
+        if joint is None:
+            raise InputError(
+                "photos are matched together by rendering alone; use the full matcher, refine, and "
+                "say where the DEM lies"
+            )
+        return [
+            ranking.candidates(self.frame) if agrees else ()
+            for ranking, agrees in zip(joint.rankings, joint.agrees.tolist(), strict=True)
+        ]
 
     def fit(self, query: QuerySkyline, start: Candidate) -> Candidate | None:
         """Return the pose that a pose nearby becomes by rendering; None where nothing fits.

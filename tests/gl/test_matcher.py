@@ -328,7 +328,7 @@ def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(store, terr
         found = matcher.match_together(
             [first.skyline, stranger.skyline, second.skyline, bare], top=3
         )
-        with pytest.raises(InputError, match="two or more"):
+        with pytest.raises(InputError, match="expected two photos"):
             matcher.match_together([first.skyline])
         little = matcher.match_together([first.skyline, bare])
     assert found.agrees == (True, False, True, False)
