@@ -448,8 +448,8 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
     if best.confidence is None or sure_within_m(best, config) is not None:
         return None
     return (
-        f"the best place has confidence {best.confidence:.2f} of being right within 200 m and "
-        f"{best.confidence_1km:.2f} within 1 km, {least:.2f} is needed"
+        f"the best place has confidence {best.confidence:.2f}, within 1 km "
+        f"{best.confidence_1km:.2f}; {least:.2f} is needed"
     )
 
 
