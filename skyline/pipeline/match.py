@@ -255,7 +255,7 @@ class Matcher:
         """Find the one place where several photos were taken.
 
         Photos that look different ways tell more than each by itself. One that was taken
-        elsewhere is named, and does not spoil the answer.
+        elsewhere is named where it fits nowhere near, and seldom spoils the answer.
 
         Parameters
         ----------
