@@ -33,7 +33,7 @@ from .photo import (
 from .pipeline.build import BuildResult, build_uniform, render_to_store, render_views
 from .pipeline.config import RenderConfig
 from .pipeline.local_horizons import horizon
-from .pipeline.match import Matcher, MatchResult
+from .pipeline.match import JointResult, Matcher, MatchResult
 from .pipeline.panorama import PanoramaConfig, save_panorama
 from .pipeline.places import PlaceConfig, build_places
 from .pipeline.reports import report_matches
@@ -69,6 +69,7 @@ __all__ = [
     "FullConfig",
     "HeightField",
     "InputError",
+    "JointResult",
     "Lens",
     "LocalHorizons",
     "Locations",

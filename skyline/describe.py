@@ -1,10 +1,12 @@
 """What a DEM, a store, an answer or the OpenGL at hand is, as facts to print or to parse."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from skyline.camera import pixel_size
 from skyline.geodesy import Frame
-from skyline.pipeline import MatchResult, RenderConfig
+from skyline.pipeline import JointResult, MatchResult, RenderConfig
 from skyline.render.context import describe_context
 from skyline.report.claims import claim_in_words, describe_claim
 from skyline.report.records import CandidateRecord, LensRecord, MatchRecord, describe_candidates
@@ -17,6 +19,8 @@ from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
 Facts = dict[str, object]
+
+_OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg")
 
 
 def describe_match(query: str, result: MatchResult, loading_seconds: float) -> MatchRecord:
@@ -70,6 +74,54 @@ def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
         heading_deg = places[0]["heading_deg"] if places else None
         is_answer = record["answer"] is not None
         said.append(f"  {claim_in_words(record['exif'], heading_deg, is_answer)}")
+    return said
+
+
+def describe_together(queries: Sequence[str], result: JointResult, loading_seconds: float) -> Facts:
+    """Return what was found for photos of one place, in the public JSON's terms.
+
+    Places are candidates without their cameras; each photo that agrees has its own at the best.
+    """
+    places = [
+        {name: value for name, value in record.items() if name not in _OF_CAMERA}
+        for record in describe_candidates(result.places)
+    ]
+    photos = []
+    for query, one, agrees in zip(queries, result.results, result.agrees, strict=True):
+        camera = dict(describe_candidates(one.candidates[:1])[0]) if agrees else {}
+        about = {name: camera[name] for name in _OF_CAMERA if agrees} or {"refusal": one.refusal}
+        photos.append({"query": query, "agrees": agrees, **about})
+    return {
+        "answer": places[0] if result.answer else None,
+        "answer_within_m": result.within_m,
+        "candidates": places,
+        **({"refusal": result.refusal} if result.refusal else {}),
+        "photos": photos,
+        "seconds": result.seconds,
+        "loading_seconds": loading_seconds,
+    }
+
+
+def together_in_words(queries: Sequence[str], result: JointResult) -> list[str]:
+    """Return what was found for photos of one place as lines for a person."""
+    said = [f"{len(queries)} photos of one place ({result.seconds:.2f} s)"]
+    if result.answer is not None:
+        near = f"right within {result.within_m:g} m"
+        said.append(f"  the answer is place 1, {near}; all places, best first:")
+    if result.refusal:
+        said.append(f"  no answer: {result.refusal}")
+    said += [
+        f"  {rank}. lat {place.lat:.5f} lon {place.lon:.5f}  easting {place.easting_m:.0f} "
+        f"northing {place.northing_m:.0f}  within {place.radius_m:.0f} m (68 %)  confidence "
+        f"{place.confidence:.2f} (1 km: {place.confidence_1km:.2f})"
+        for rank, place in enumerate(result.places, start=1)
+    ]
+    for query, one in zip(queries, result.results, strict=True):
+        for camera in one.candidates[:1]:
+            look = f"heading {camera.heading_deg:.1f} from true north  pitch {camera.pitch_deg:.1f}"
+            said.append(f"  {query}: {look}  fov {camera.fov_deg:.1f}")
+        if not one.candidates:
+            said.append(f"  {query}: does not agree: {one.refusal}")
     return said
 
 

@@ -14,11 +14,11 @@ from typing import Annotated
 import typer
 
 from skyline.console import Scheduler, Workers, complain, parse_bounds, patience, runner_of
-from skyline.describe import describe_match, match_in_words
+from skyline.describe import describe_match, describe_together, match_in_words, together_in_words
 from skyline.errors import InputError, SkylineError
 from skyline.matching import Narrowing
 from skyline.matching.match_config import MatchConfig
-from skyline.photo import Projection, extract_photo, write_overlay, write_trace
+from skyline.photo import Projection, QuerySkyline, extract_photo, write_overlay, write_trace
 from skyline.pipeline import (
     FULL,
     MATCHERS,
@@ -105,6 +105,12 @@ def match(
         float | None,
         typer.Option(metavar="M", help="Camera above the ground; by default it is found."),
     ] = None,
+    same_place: Annotated[
+        bool,
+        typer.Option(
+            "--same-place", help="The photos were taken at one place: find it from all of them."
+        ),
+    ] = False,
     min_confidence: Annotated[
         float, typer.Option(help="Least confidence for an answer.")
     ] = _DEFAULTS.min_confidence,
@@ -154,10 +160,13 @@ def match(
     _check_outputs([*exports, results], [store, *query, *(Path(one.path) for one in queries)])
     for path in exports:
         check_export(path)
+    if same_place:
+        _check_together(no_refine, matcher, results, workers, scheduler)
     kept = _Kept(results, _search(store, matcher, config, common), as_json, top)
     queries = kept.left(queries)
     refused = _refused(queries)
     usable = [one for one in queries if one not in refused]
+    skylines = _read_together(usable) if same_place else []
     if not usable:
         kept.tell_all(queries, refused, iter(()))
         raise typer.Exit(kept.exit_code)
@@ -169,13 +178,21 @@ def match(
         matching = Matcher(*asked)
     kept.loading_s = time.perf_counter() - opened
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
-    with runner_of(workers, scheduler) as runner:
-        if runner is None:
-            found = _matched_here(matching, usable, top)
-        else:
-            found = match_many(runner, asked, usable, top)
-        matches = kept.tell_all(queries, refused, found)
-    _write(matching, matches, exports, report, gazetteer)
+    if same_place:
+        matches = _tell_together(matching, skylines, top, as_json, kept.loading_s)
+        failed = len(matches) < len(queries)
+        kept.exit_code = InputError.exit_code if failed else 0
+    else:
+        with runner_of(workers, scheduler) as runner:
+            if runner is None:
+                found = _matched_here(matching, usable, top)
+            else:
+                found = match_many(runner, asked, usable, top)
+            matches = kept.tell_all(queries, refused, found)
+    done = [f"{matching.rows} {matching.holds} of the store were searched."]
+    if same_place:
+        done.append(f"{len(skylines)} photos of one place were matched together.")
+    _write(matching, matches, done, exports, report, gazetteer)
     if kept.exit_code:
         raise typer.Exit(kept.exit_code)
 
@@ -233,9 +250,64 @@ class _Kept:
             self._file.add(row_of(record, self._search))
 
 
+def _check_together(
+    no_refine: bool,
+    matcher: str,
+    results: Path | None,
+    workers: int | None,
+    scheduler: str | None,
+) -> None:
+    """Refuse what does not go with photos of one place."""
+    if no_refine or matcher != FULL:
+        raise InputError(
+            "--same-place compares renderings of the terrain; leave --no-refine and --matcher out"
+        )
+    if results is not None:
+        raise InputError("--same-place has one answer, not a row a photo; leave --results out")
+    if workers is not None or scheduler is not None:
+        raise InputError(
+            "--same-place matches in this process; leave --workers and --scheduler out"
+        )
+
+
+def _read_together(queries: Sequence[Query]) -> list[tuple[Query, QuerySkyline]]:
+    """Return the photos that can be read, and say of the others why not."""
+    read: list[tuple[Query, QuerySkyline]] = []
+    for one in queries:
+        try:
+            read.append((one, one.read()))
+        except SkylineError as error:
+            complain(str(error))
+    if len(read) < 2:
+        raise InputError(
+            f"--same-place needs two photos or more that can be read, and has {len(read)}; name "
+            "more, or leave --same-place out"
+        )
+    return read
+
+
+def _tell_together(
+    matching: Matcher,
+    asked: Sequence[tuple[Query, QuerySkyline]],
+    top: int,
+    as_json: bool,
+    loading_s: float,
+) -> list[tuple[Path, MatchResult]]:
+    """Tell what was found for photos of one place; return it photo by photo."""
+    with patience(f"matching {len(asked)} photos together"):
+        found = matching.match_together(
+            [skyline for _, skyline in asked], None, top, [one.narrowing for one, _ in asked]
+        )
+    names = [one.path for one, _ in asked]
+    record, said = describe_together(names, found, loading_s), together_in_words(names, found)
+    typer.echo(json.dumps(record) if as_json else "\n".join(said))
+    return [(Path(one.path), result) for (one, _), result in zip(asked, found.results, strict=True)]
+
+
 def _write(
     matching: Matcher,
     matches: Sequence[tuple[Path, MatchResult]],
+    done: Sequence[str],
     exports: Sequence[Path],
     report: Path | None,
     gazetteer: Peaks | None,
@@ -246,7 +318,6 @@ def _write(
         told_of = [matched(one, result, with_photo=packed) for one, result in matches]
         export_matches(path, told_of, matching.frame)
     if report is not None and matches:
-        done = [f"{matching.rows} {matching.holds} of the store were searched."]
         told = (matched(path, result, done) for path, result in matches)
         terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
         report_matches(report, matching, told, terrain, gazetteer)

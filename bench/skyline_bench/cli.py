@@ -10,6 +10,7 @@ from skyline_bench.commands.page import page
 from skyline_bench.commands.photos import photo_quality, photos, readme_picture
 from skyline_bench.commands.placing import placing
 from skyline_bench.commands.planning import prediction_quality, table1
+from skyline_bench.commands.same_place import same_place
 from skyline_bench.commands.scale import scale
 from skyline_bench.commands.search import accuracy_time, calibrate, retrieval_scale, strangers
 from skyline_bench.commands.sky_model import sky_masks, train_sky_model
@@ -51,6 +52,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         accuracy_time: "30 minutes",
         retrieval_scale: "5 minutes",
         strangers: "10 minutes",
+        same_place: "20 minutes",
         calibrate: "20 minutes",
     },
     "Photographs": {

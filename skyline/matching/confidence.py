@@ -13,7 +13,7 @@ much there was to fit. Where a query shows too little, no fit is believed.
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 
@@ -107,6 +107,15 @@ def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64A
         "log_margin": _log_margin(margin),
         "log_far_margin": _log_margin(far_margin),
     } | _query_figures(query, len(found))
+
+
+def mean_figures(each: Sequence[dict[str, Float64Array]]) -> dict[str, Float64Array]:
+    """Return the means of the figures (M,) of several queries at the same places.
+
+    Queries of one place share what is wrong with the terrain model there, and nobody has learned
+    how much: together they are taken to say what one of them says in the mean.
+    """
+    return {name: np.mean([figures[name] for figures in each], axis=0) for name in each[0]}
 
 
 def model_name(stage: str, within_m: float) -> str:

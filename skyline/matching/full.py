@@ -1,5 +1,6 @@
 """Our matcher: retrieve among places, refine by rendering, say how sure the answer is."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Self
 
@@ -14,14 +15,15 @@ from skyline.matching.confidence import DISTANCES_M, model_name
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.match_config import FullConfig
 from skyline.matching.narrowing import Narrowed
-from skyline.matching.pose import Poses, Scene, refine
+from skyline.matching.pose import Poses, Refinement, Scene, refine
 from skyline.matching.query import QueryRays
 from skyline.matching.ranker import Ranker, Source
-from skyline.matching.ranking import Ranking
+from skyline.matching.ranking import JointRanking, Ranking
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike
 from skyline.matching.threads import one_blas_thread
+from skyline.matching.together import JointRefinement
 from skyline.store.header import PLACES
 
 
@@ -78,13 +80,9 @@ class FullMatcher(Ranker):
         """
         if top < 1:
             raise InputError(f"top is {top}; expected at least 1 candidate")
-        found = self.retrieve(query, top, narrowed, screened)
+        found, poses = self._found(query, top, narrowed, screened)
         if not len(found):
             return Ranking(found)
-        height_m = None if narrowed is None else narrowed.narrowing.eye_height_m
-        claim = None if narrowed is None else narrowed.claim
-        claimed = self._with_claimed(found, query, narrowed)
-        poses = self.refine(claimed, query, top, height_m, claim)
         if poses is None:
             figures = confidence.retrieved_figures(found, query)
             chosen = self._chosen(found, top)
@@ -96,6 +94,74 @@ class FullMatcher(Ranker):
         chosen = self._chosen(poses.hypotheses, top)
         near, roughly = self._sure("refined", figures, chosen)
         return Ranking(poses.hypotheses[chosen], near, poses.covariance_m2[chosen], roughly)
+
+    def _found(
+        self,
+        query: QueryRays,
+        top: int,
+        narrowed: Narrowed | None,
+        screened: Alike | None = None,
+    ) -> tuple[Hypotheses, Poses | None]:
+        """Return what is retrieved for a query, and that refined where there is a scene."""
+        found = self.retrieve(query, top, narrowed, screened)
+        if not len(found):
+            return found, None
+        claimed = self._with_claimed(found, query, narrowed)
+        claim = None if narrowed is None else narrowed.claim
+        return found, self.refine(claimed, query, top, _eye_height_m(narrowed), claim)
+
+    def rank_together(
+        self, asked: Sequence[tuple[QueryRays, Narrowed | None]], top: int
+    ) -> JointRanking | None:
+        """See `Ranker.rank_together`; raises as `rank`.
+
+        Each query is looked for by itself first: what it costs where it fits best says whether it
+        belongs to the others.
+        """
+        if self._scene is None:
+            return None
+        asked = _with_one_claim(asked)
+        found = [self._found(query, 1, known) for query, known in asked]
+        own = [places[:0] if poses is None else poses.hypotheses[:1] for places, poses in found]
+        config = _naming(self._config.refine, top, None)
+        refinements = [
+            Refinement(
+                query,
+                self._scene,
+                _naming(config, top, _eye_height_m(known)),
+                None if known is None else known.claim,
+            )
+            for query, known in asked
+        ]
+        with one_blas_thread():
+            places = self._retriever.shortlist_together(asked, config.particles)
+            joint = JointRefinement(refinements, config).run(places, own)
+        cost = joint.cost
+        for poses, (_, known), agrees in zip(joint.poses, asked, joint.agrees, strict=True):
+            if known is not None:
+                cost = np.where(known.holds(poses.hypotheses) | ~agrees, cost, np.inf)
+        chosen = self._chosen(replace(joint.poses[0].hypotheses, score=cost), top)
+        agrees = np.asarray(joint.agrees[:, chosen[:1]].any(axis=1))
+        figures = [
+            confidence.refined_figures(poses, retrieved, query)
+            for poses, (query, _), (retrieved, _), is_of in zip(
+                joint.poses, asked, found, agrees, strict=True
+            )
+            if is_of and len(retrieved)
+        ]
+        near = roughly = np.zeros(len(chosen))
+        if figures:
+            near, roughly = self._sure("refined", confidence.mean_figures(figures), chosen)
+        rankings = (
+            Ranking(
+                replace(poses.hypotheses, score=cost)[chosen],
+                near,
+                poses.covariance_m2[chosen],
+                roughly,
+            )
+            for poses in joint.poses
+        )
+        return JointRanking(tuple(rankings), agrees)
 
     def screened(self, query: QueryRays, narrowed: Narrowed | None, part: slice) -> Alike:
         """Return the places most like a query; see `Retriever.screened`."""
@@ -183,6 +249,22 @@ class FullMatcher(Ranker):
 
     def _chosen(self, poses: Hypotheses, top: int) -> NDArray[np.intp]:
         return poses.suppress_non_maxima(top, self._config.separation_m)
+
+
+def _eye_height_m(narrowed: Narrowed | None) -> float | None:
+    return None if narrowed is None else narrowed.narrowing.eye_height_m
+
+
+def _with_one_claim(
+    asked: Sequence[tuple[QueryRays, Narrowed | None]],
+) -> list[tuple[QueryRays, Narrowed | None]]:
+    """Return queries of which the best claim alone is left: one phone errs alike in all photos."""
+    claims = [known.claim for _, known in asked if known is not None and known.claim is not None]
+    best = min(claims, key=lambda claim: claim.sd_m, default=None)
+    return [
+        (query, known and (known if known.claim is best else replace(known, claim=None)))
+        for query, known in asked
+    ]
 
 
 def _held(poses: Hypotheses, narrowed: Narrowed) -> Hypotheses:

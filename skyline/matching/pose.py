@@ -36,7 +36,7 @@ _SECTOR_MARGIN_DEG = 3.0
 """A view is rendered where the query comes this near to it."""
 _SAME_VIEW_DEG = 30.0
 """Two poses at one place that look within this angle of one another are one."""
-_LONGER, _SHORTER = 1.5, 0.4
+LONGER, SHORTER = 1.5, 0.4
 """What a step is multiplied by when the last one was kept, and when it was not."""
 _SETTLING = 3
 _GREATEST_LOG_ODDS = 50.0
@@ -129,11 +129,11 @@ def refine(
     Poses
         Distinct ones that fit, best first; empty where none does.
     """
-    return _Refinement(query, scene, config or RefineConfig(), claim).run(hypotheses)
+    return Refinement(query, scene, config or RefineConfig(), claim).run(hypotheses)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Particles(Rows):
+class Particles(Rows):
     """M hypotheses on their way: where they stand, what they see and how it fits."""
 
     easting_m: Float64Array
@@ -145,13 +145,13 @@ class _Particles(Rows):
     def __len__(self) -> int:
         return len(self.easting_m)
 
-    def best(self, count: int) -> "_Particles":
+    def best(self, count: int) -> "Particles":
         """Return the best that fit at all, best first."""
         order = np.argsort(self.fit.cost, kind="stable")[:count]
         return self[order[np.isfinite(self.fit.cost[order])]]
 
 
-class _Refinement:
+class Refinement:
     """The refinement of one query."""
 
     def __init__(
@@ -164,93 +164,95 @@ class _Refinement:
         height_sd_m = scene.height_sd_m
         eye = EyeHeight(config.eye_height_m, 0.0 if config.eye_height_known else height_sd_m)
         scouting, query = thinned(query, config.scout_bins), thinned(query, config.bins)
-        self._scout = Solver(scouting, config.rough, eye, height_sd_m, claim)
-        self._rough = Solver(query, config.rough, eye, height_sd_m, claim)
-        self._fine = Solver(query, config.fine, eye, height_sd_m, claim)
+        self.scout = Solver(scouting, config.rough, eye, height_sd_m, claim)
+        self.rough = Solver(query, config.rough, eye, height_sd_m, claim)
+        self.fine = Solver(query, config.fine, eye, height_sd_m, claim)
         self._renderings = self._seen_times = 0
         rounds = config.rounds + config.restart_rounds + config.final_rounds
         self._rounds = rounds + (config.shortlist > config.particles)
 
     def run(self, hypotheses: Hypotheses) -> Poses:
+        """See `refine`."""
         config = self._config
         best = np.argsort(hypotheses.score, kind="stable")[: config.shortlist]
         taken = hypotheses[best]
         if len(taken) > config.particles:
             taken = self._scouted(taken)
-        particles = self._started(self._rough, taken)
+        particles = self.started(self.rough, taken)
         for _ in range(config.rounds - 1):
             kept = max(config.keep_least, int(np.ceil(config.keep_share * len(particles))))
-            particles = self._moved(self._rough, self._kept(particles, kept))
+            particles = self._moved(self.rough, self._kept(particles, kept))
         if config.restarts and config.restart_rounds:
             restarted = self._restarted(self._apart(particles, config.restarts))
-            particles = _Particles.concatenate([particles, restarted])
+            particles = Particles.concatenate([particles, restarted])
         particles = self._finalists(particles)
         if config.final_rounds:
-            particles = self._weighed_anew(particles)
+            particles = self.weighed_anew(particles)
         for _ in range(config.final_rounds):
-            particles = self._moved(self._fine, particles)
-        return self._poses(self._finalists(particles))
+            particles = self._moved(self.fine, particles)
+        return self.poses(self._finalists(particles))
 
     def _scouted(self, hypotheses: Hypotheses) -> Hypotheses:
         """Return the hypotheses that one rendering each, coarsely compared, speaks for."""
-        seen = self._started(self._scout, hypotheses).best(self._config.particles)
-        return self._hypotheses(seen, self._scout)
+        seen = self.started(self.scout, hypotheses).best(self._config.particles)
+        return self.hypotheses(seen, self.scout)
 
-    def _started(self, solver: Solver, hypotheses: Hypotheses) -> _Particles:
-        return self._arrived(
+    def started(self, solver: Solver, hypotheses: Hypotheses) -> Particles:
+        """Return particles where hypotheses stand, the attitude solved from theirs."""
+        return self.arrived(
             solver, hypotheses.easting_m, hypotheses.northing_m, solver.start(hypotheses)
         )
 
-    def _weighed_anew(self, particles: _Particles) -> _Particles:
+    def weighed_anew(self, particles: Particles) -> Particles:
         """Judge by correlated errors, until the noise has settled: costs must be comparable."""
         fit = particles.fit
         for _ in range(_SETTLING):
-            fit = self._fine.improve(particles.curves, fit, np.zeros(len(particles)))
+            fit = self.fine.improve(particles.curves, fit, np.zeros(len(particles)))
         return replace(particles, fit=fit, step_m=self._first_steps(len(particles)))
 
-    def _moved(self, solver: Solver, particles: _Particles) -> _Particles:
+    def _moved(self, solver: Solver, particles: Particles) -> Particles:
         """Take one step; keep it where the rendering from the new place fits better."""
         solved = solver.improve(particles.curves, particles.fit, particles.step_m)
         step = solved.state[:, :EYE_HEIGHT]
         length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
         step = step * np.minimum(1.0, 2.0 * particles.step_m / length)[:, np.newaxis]
-        new = self._arrived(
+        new = self.arrived(
             solver, particles.easting_m + step[:, 0], particles.northing_m + step[:, 1], solved
         )
         better = new.fit.cost < particles.fit.cost
-        step_m = particles.step_m * np.where(better, _LONGER, _SHORTER)
+        step_m = particles.step_m * np.where(better, LONGER, SHORTER)
         return replace(
             particles.replaced(better, new), step_m=np.minimum(step_m, self._config.longest_step_m)
         )
 
-    def _restarted(self, particles: _Particles) -> _Particles:
+    def _restarted(self, particles: Particles) -> Particles:
         """Return particles that start from a ring around each place."""
         ring = self._config.restart_m * np.exp(0.25j * np.pi * np.arange(8))
         around = particles[np.repeat(np.arange(len(particles)), len(ring))]
         offset = np.tile(ring, len(particles))
-        around = self._arrived(
-            self._rough,
+        around = self.arrived(
+            self.rough,
             around.easting_m + offset.real,
             around.northing_m + offset.imag,
             around.fit,
         )
         for _ in range(self._config.restart_rounds - 1):
-            around = self._moved(self._rough, around.best(len(around)))
+            around = self._moved(self.rough, around.best(len(around)))
         return around
 
-    def _arrived(
+    def arrived(
         self, solver: Solver, easting_m: Float64Array, northing_m: Float64Array, fit: Fit
-    ) -> _Particles:
+    ) -> Particles:
         """Return particles at places, the attitude solved there; without a fit off the map."""
         state = fit.state.copy()
         state[:, :EYE_HEIGHT] = 0.0
         fit = replace(fit, state=state)
-        bins = self._config.scout_bins if solver is self._scout else self._config.bins
+        bins = self._config.scout_bins if solver is self.scout else self._config.bins
         curves = self._seen(easting_m, northing_m, state, solver.fov_deg(state), bins)
         unjudged = bool(np.isinf(fit.cost).all())
         still = np.zeros(len(state))
         fit = solver.settle(curves, fit) if unjudged else solver.improve(curves, fit, still)
-        return _Particles(easting_m, northing_m, self._first_steps(len(state)), curves, fit)
+        return Particles(easting_m, northing_m, self._first_steps(len(state)), curves, fit)
 
     def _seen(
         self,
@@ -291,14 +293,14 @@ class _Refinement:
     def _first_steps(self, count: int) -> Float64Array:
         return np.full(count, self._config.first_step_m)
 
-    def _apart(self, particles: _Particles, count: int) -> _Particles:
+    def _apart(self, particles: Particles, count: int) -> Particles:
         """Return the best that stand apart or look elsewhere, best first."""
-        standing = self._hypotheses(particles, self._rough)
+        standing = self.hypotheses(particles, self.rough)
         return particles[
             standing.suppress_non_maxima(count, self._config.separation_m, _SAME_VIEW_DEG)
         ]
 
-    def _kept(self, particles: _Particles, count: int) -> _Particles:
+    def _kept(self, particles: Particles, count: int) -> Particles:
         """Return the best, and the rivals of the very best where they are not among them."""
         ordered = particles.best(len(particles))
         chosen = np.arange(min(count, len(ordered)))
@@ -306,10 +308,10 @@ class _Refinement:
             chosen = np.union1d(chosen, elsewhere[: self._config.rivals])
         return ordered[chosen]
 
-    def _finalists(self, particles: _Particles) -> _Particles:
+    def _finalists(self, particles: Particles) -> Particles:
         """Return the best that stand apart, and rivals that do, best first."""
         ordered = particles.best(len(particles))
-        standing = self._hypotheses(ordered, self._rough)
+        standing = self.hypotheses(ordered, self.rough)
         apart = self._config.separation_m, _SAME_VIEW_DEG
         chosen = standing.suppress_non_maxima(self._config.finalists, *apart)
         for elsewhere in self._elsewhere(ordered):
@@ -318,28 +320,30 @@ class _Refinement:
                 chosen = np.union1d(chosen, elsewhere[some])
         return ordered[chosen]
 
-    def _elsewhere(self, ordered: _Particles) -> tuple[IntArray, IntArray]:
+    def _elsewhere(self, ordered: Particles) -> tuple[IntArray, IntArray]:
         """Return the indices of those elsewhere than the first one, and of those far off."""
         place = ordered.easting_m + 1j * ordered.northing_m
         apart_m = np.abs(place - place[:1])
         config = self._config
         return np.flatnonzero(apart_m > config.elsewhere_m), np.flatnonzero(apart_m > config.far_m)
 
-    def _hypotheses(self, particles: _Particles, solver: Solver) -> Hypotheses:
+    def hypotheses(self, particles: Particles, solver: Solver) -> Hypotheses:
+        """Return where particles stand and look; the scores are their costs."""
         easting_m, northing_m = particles.easting_m, particles.northing_m
         eye_m = self._scene.ground_m(easting_m, northing_m) + particles.fit.state[:, EYE_HEIGHT]
         none = np.zeros(len(particles))
         places = Hypotheses(easting_m, northing_m, eye_m, none, none, none, none, none)
         return solver.posed(places, particles.fit)
 
-    def _poses(self, particles: _Particles) -> Poses:
-        solver = self._fine if self._config.final_rounds else self._rough
+    def poses(self, particles: Particles) -> Poses:
+        """Return particles that are refined to the end, with what is to be said of them."""
+        solver = self.fine if self._config.final_rounds else self.rough
         linear, judged = solver.judged(particles.curves, particles.fit)
         covariance = solver.covariance(linear, judged)
         trust = solver.query.weight
         squares = (trust * judged.odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
         shown = np.maximum((trust * judged.odds).sum(axis=1), 1e-9)
-        hypotheses = self._hypotheses(particles, solver)
+        hypotheses = self.hypotheses(particles, solver)
         return Poses(
             hypotheses,
             self._spread(hypotheses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),

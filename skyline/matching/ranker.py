@@ -1,5 +1,6 @@
 """What a matcher is: it is opened on a store, and ranks the store's places."""
 
+from collections.abc import Sequence
 from typing import ClassVar, Protocol, Self
 
 from skyline.matching.hypotheses import Hypotheses
@@ -8,7 +9,7 @@ from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Scene
 from skyline.matching.profiles import Profiles
 from skyline.matching.query import QueryRays
-from skyline.matching.ranking import Ranking
+from skyline.matching.ranking import JointRanking, Ranking
 from skyline.matching.screening import Alike
 from skyline.places import PlaceSource
 from skyline.store.header import RENDERINGS
@@ -80,6 +81,15 @@ class Ranker(Protocol):
             What `screened` found in all parts of the store, joined.
         """
         ...
+
+    def rank_together(
+        self, asked: Sequence[tuple[QueryRays, Narrowed | None]], top: int
+    ) -> JointRanking | None:
+        """Return up to ``top`` places that queries of one eye share; None from who cannot.
+
+        A place lies within the narrowings of all queries that agree on it.
+        """
+        return None
 
     def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking | None:
         """Return the pose that one pose becomes by rendering; None from who does not render.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from skyline.arrays import Float64Array, IntArray
+from skyline.arrays import BoolArray, Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.hypotheses import Hypotheses
@@ -128,6 +128,22 @@ class Ranking:
             )
             for index in range(len(self))
         )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointRanking:
+    """The M places that a matcher answers N queries of one eye with, best first.
+
+    Attributes
+    ----------
+    rankings : tuple of Ranking
+        Of each query, M poses; they differ in the camera alone.
+    agrees : (N,) bool
+        Whether each query was taken at the best place rather than anywhere else.
+    """
+
+    rankings: tuple[Ranking, ...]
+    agrees: BoolArray
 
 
 def _of(values: Float64Array | None, index: int) -> float | None:

@@ -6,8 +6,9 @@ the best that differ from one another.
 """
 
 import os
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -26,6 +27,10 @@ from skyline.terrain.heightfield import Ground
 _FITS_AT_ONCE = 256
 """Poses fitted together; keeps the arrays in the cache."""
 _SLOPE_BASE_M = 30.0
+_NOWHERE = (
+    "there is no place within what the search is narrowed to; widen it, or build a store of that "
+    "area"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +98,7 @@ class Retriever:
     ) -> Alike:
         """Return the places most like a query, of a part of the blocks of places."""
         screen = self._screen(query, narrowed)
-        return screen_places(screen, self.places, self.config.screened, narrowed, part)
+        return screen_places(screen.scores, self.places, self.config.screened, narrowed, part)
 
     def shortlist(
         self,
@@ -130,10 +135,7 @@ class Retriever:
         alike = self.screened(query, narrowed) if screened is None else screened
         alike = alike.best(self.config.screened)
         if not len(alike):
-            raise InputError(
-                "there is no place within what the search is narrowed to; widen it, or build a "
-                "store of that area"
-            )
+            raise InputError(_NOWHERE)
         fitted = self._fitted(query, self._screen(query, narrowed), alike)
         if narrowed is not None:
             fitted = fitted[narrowed.holds(fitted)]
@@ -143,6 +145,58 @@ class Retriever:
             fitted.suppress_non_maxima(count, self.config.separation_m, self.config.turn_deg)
         ]
 
+    def shortlist_together(
+        self, asked: Sequence[tuple[QueryRays, Narrowed | None]], count: int
+    ) -> list[Hypotheses]:
+        """Return the places that queries of one eye most likely share: poses for each query.
+
+        A place counts the sum of the queries' scores. Where a query fits worse than at half of the
+        places, it counts as there, so that one query that is lost vetoes nothing.
+
+        Parameters
+        ----------
+        asked : sequence of (QueryRays, Narrowed or None)
+            A place lies within the narrowings of all.
+        count : int
+            At most so many places.
+
+        Returns
+        -------
+        list of Hypotheses
+            One for each query, of the same places in the same order, best first.
+
+        Raises
+        ------
+        InputError
+            There is no place within what the search is narrowed to.
+        """
+        tests = [known for _, known in asked if known is not None]
+        screens = [self._screen(*one) for one in asked]
+        alike = screen_places(
+            lambda phase: np.sum([screen.scores(phase) for screen in screens], axis=0),
+            self.places,
+            self.config.screened,
+            (lambda some: np.all([test(some) for test in tests], axis=0)) if tests else None,
+        )
+        if not len(alike):
+            raise InputError(_NOWHERE)
+        places = self.places.take(alike.row)
+        starts = [
+            self._start(query, screen, places, screen.scores(places.phase))
+            for (query, _), screen in zip(asked, screens, strict=True)
+        ]
+        found = self._fitted_together([query for query, _ in asked], starts)
+        east, north = (
+            np.mean([getattr(one, name) for one in found], axis=0)
+            for name in ("easting_m", "northing_m")
+        )
+        joint = replace(found[0], easting_m=east, northing_m=north, score=_total(found))
+        chosen = joint.suppress_non_maxima(count, self.config.separation_m)
+        return [
+            replace(one, easting_m=east, northing_m=north, score=joint.score)[chosen]
+            for one in found
+        ]
+
     def _screen(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         if self._sample is None:
             self._sample = sample_of(self.places)
@@ -150,21 +204,35 @@ class Retriever:
         turns = None if narrowed is None else narrowed.open_turns
         return Screen.of(query, fovs_deg, self._sample, turns)
 
+    def _start(
+        self, query: QueryRays, screen: Screen, places: Places, score: Float32Array
+    ) -> "_Start":
+        heading_deg, fov = screen.best_turns(places.phase)
+        zoom = self._zooms(_zoom_bounds(query))[fov]
+        return _Start(places, score, np.radians(heading_deg), zoom)
+
     def _fitted(self, query: QueryRays, screen: Screen, alike: Alike) -> Hypotheses:
         """Return the fitted poses of the places most alike."""
-        config, bounds = self.config, _zoom_bounds(query)
-        places = self.places.take(alike.row)
-        heading_deg, fov = screen.best_turns(places.phase)
-        start = _Start(places, alike.score, np.radians(heading_deg), self._zooms(bounds)[fov])
-        rough = self._fits(query, bounds, start, config.rough)
-        best = np.argsort(rough.score, kind="stable")[: config.fitted]
-        return self._fits(query, bounds, start[np.sort(best)], config.fit)
+        start = self._start(query, screen, self.places.take(alike.row), alike.score)
+        return self._fitted_together([query], [start])[0]
 
-    def _fits(
-        self, query: QueryRays, bounds: tuple[float, float], start: "_Start", config: FitConfig
-    ) -> Hypotheses:
+    def _fitted_together(
+        self, queries: Sequence[QueryRays], starts: Sequence["_Start"]
+    ) -> list[Hypotheses]:
+        """Return the poses of each query, fitted at the places that fit all of them best."""
+        rough = [
+            self._fits(query, start, self.config.rough)
+            for query, start in zip(queries, starts, strict=True)
+        ]
+        best = np.sort(np.argsort(_total(rough), kind="stable")[: self.config.fitted])
+        return [
+            self._fits(query, start[best], self.config.fit)
+            for query, start in zip(queries, starts, strict=True)
+        ]
+
+    def _fits(self, query: QueryRays, start: "_Start", config: FitConfig) -> Hypotheses:
         """Return the poses of places fitted from where they start, in order."""
-        rays = Rays.of(query, config.rays)
+        rays, bounds = Rays.of(query, config.rays), _zoom_bounds(query)
 
         def fitted(first: int) -> Hypotheses:
             some = start[slice(first, first + _FITS_AT_ONCE)]
@@ -229,6 +297,13 @@ class _Start(Rows):
 
     def __len__(self) -> int:
         return len(self.score)
+
+
+def _total(found: Sequence[Hypotheses]) -> Float64Array:
+    """Return the sum of queries' scores at the same places, none worse than its median."""
+    if len(found) == 1:
+        return found[0].score
+    return np.asarray(sum(np.minimum(one.score, np.median(one.score)) for one in found))
 
 
 def _zoom_bounds(query: QueryRays) -> tuple[float, float]:

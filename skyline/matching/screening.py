@@ -30,6 +30,8 @@ from skyline.places.phases import decode_phases, rise_to_turn
 
 Within = Callable[[Places], BoolArray]
 """Which of a block's places (N,) are searched."""
+Scores = Callable[[UInt8Array], Float32Array]
+"""How alike places of phases (N, B) are to what is looked for, (N,): `Screen.scores`, or a sum."""
 
 _TURNS_AT_ONCE = 20
 """Must divide the bins. More waste products, fewer make small ones."""
@@ -232,7 +234,7 @@ def sample_of(source: PlaceSource) -> Places:
 
 
 def screen_places(
-    screen: Screen,
+    scores: Scores,
     source: PlaceSource,
     count: int,
     within: Within | None = None,
@@ -242,7 +244,7 @@ def screen_places(
 
     Parameters
     ----------
-    screen : Screen
+    scores : callable
     source : PlaceSource
     count : int
         At most so many.
@@ -259,7 +261,7 @@ def screen_places(
         if not len(chosen):
             return Alike.joined([]), len(places)
         phase = places.phase if len(chosen) == len(places) else places.phase[chosen]
-        return Alike(start + chosen, screen.scores(phase)), len(places)
+        return Alike(start + chosen, scores(phase)), len(places)
 
     waiting: list[Alike] = []
     seen, last = 0, max(len(source), 1)

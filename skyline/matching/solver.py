@@ -300,6 +300,13 @@ class Solver:
         odds = np.ones((count, len(self.query.u)))
         return Fit(state, angle, height, np.full(count, np.inf), odds)
 
+    def at_height(self, fit: Fit, height_m: Float64Array) -> Fit:
+        """Return fits whose eyes stand so high (M,) above the ground, within what is tried."""
+        state = fit.state.copy()
+        low, high = self._low[EYE_HEIGHT], self._high[EYE_HEIGHT]
+        state[:, EYE_HEIGHT] = np.clip(height_m, low, high)
+        return replace(fit, state=state)
+
     def posed(self, hypotheses: Hypotheses, fit: Fit) -> Hypotheses:
         """Return hypotheses with the attitude, the field of view and the cost of a fit."""
         return replace(

@@ -13,7 +13,7 @@ from skyline.pipeline.build import (
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizon, horizons_of
-from skyline.pipeline.match import Matcher, MatchResult
+from skyline.pipeline.match import JointResult, Matcher, MatchResult
 from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.pipeline.panorama import PanoramaConfig, save_panorama
 from skyline.pipeline.places import PlaceConfig, build_places
@@ -27,6 +27,7 @@ __all__ = [
     "FULL",
     "MATCHERS",
     "BuildResult",
+    "JointResult",
     "MatchResult",
     "Matcher",
     "PanoramaConfig",

@@ -43,6 +43,8 @@ _LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES = 15.0, 3.0
 _COMPASS_SD_DEG, _MAGNETIC_SD_DEG = 20.0, 30.0
 """The declination, which nothing here knows, is up to 20 degrees where people live."""
 
+_DISAGREES = "the photo does not fit where the others were taken"
+
 Dem = str | Path | Sequence[str | Path] | HeightField
 
 
@@ -85,6 +87,53 @@ class MatchResult:
     def to_geodataframe(self) -> Any:
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
         return to_geodataframe([self])
+
+
+@dataclass(frozen=True, slots=True)
+class JointResult:
+    """What was found for several queries of one place.
+
+    Attributes
+    ----------
+    results : tuple of MatchResult
+        One for each query. The candidates of those that agree are the same places with the same
+        confidences; each has its own camera there. A query that does not agree has no candidates,
+        and its refusal says why.
+    agrees : tuple of bool
+        Whether each query was taken at the best place rather than anywhere else.
+    seconds : float
+        From the queries to the places.
+    refusal : str or None
+        Why there is no answer, where there is none.
+    """
+
+    results: tuple[MatchResult, ...]
+    agrees: tuple[bool, ...]
+    seconds: float
+    refusal: str | None = None
+
+    @property
+    def places(self) -> tuple[Candidate, ...]:
+        """The places, best first, with the camera of the first query that agrees."""
+        of_agreeing = (one.candidates for one, is_of in self._each() if is_of)
+        return next(of_agreeing, ())
+
+    @property
+    def answer(self) -> Candidate | None:
+        """The best place, if the matcher stands by it; the camera as of `places`."""
+        return self.places[0] if self.places and not self.refusal else None
+
+    @property
+    def within_m(self) -> float | None:
+        """Distance within which the answer is sure to be right; None without an answer."""
+        return next((one.within_m for one, is_of in self._each() if is_of), None)
+
+    def to_geodataframe(self) -> Any:
+        """Return the cameras as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
+        return to_geodataframe(self.results)
+
+    def _each(self) -> Iterable[tuple[MatchResult, bool]]:
+        return zip(self.results, self.agrees, strict=True)
 
 
 class Matcher:
@@ -183,10 +232,7 @@ class Matcher:
             The store was damaged or cut short since it was opened.
         """
         started = time.perf_counter()
-        if not isinstance(query, QuerySkyline):
-            query = read_query(query, fov_deg)
-        elif fov_deg is not None:
-            query = query.with_fov(fov_deg)
+        query = _skyline_of(query, fov_deg)
         candidates: tuple[Candidate, ...] = ()
         refusal = too_little(query, self._config)
         if refusal is None:
@@ -197,6 +243,82 @@ class Matcher:
             refusal = unsure(candidates, self._config) or at_bound(candidates, rays)
         within_m = None if refusal else sure_within_m(candidates[0], self._config)
         return MatchResult(query, candidates, time.perf_counter() - started, refusal, within_m)
+
+    def match_together(
+        self,
+        queries: Sequence[str | Path | QuerySkyline],
+        fov_deg: float | None = None,
+        top: int = 5,
+        narrowings: Sequence[Narrowing | None] | None = None,
+        told: Callable[[str, float], None] | None = None,
+    ) -> JointResult:
+        """Find the one place where several photos were taken.
+
+        Photos that look different ways tell more than each by itself. One that was taken
+        elsewhere is named where it fits nowhere near, and seldom spoils the answer.
+
+        Parameters
+        ----------
+        queries : sequence of path or QuerySkyline
+            Two or more.
+        fov_deg, top, told
+            As of `match`.
+        narrowings : sequence of Narrowing or None, optional
+            What is known of each query.
+
+        Raises
+        ------
+        InputError
+            Fewer than two queries, a matcher that does not render, or as `match`.
+        StoreError
+            As `match`.
+        """
+        started = time.perf_counter()
+        known = [None] * len(queries) if narrowings is None else narrowings
+        if len(queries) < 2 or len(known) != len(queries):
+            raise InputError(
+                f"{len(queries)} photos and {len(known)} narrowings; expected two photos or more "
+                "and as many narrowings"
+            )
+        skylines = [_skyline_of(query, fov_deg) for query in queries]
+        refusals = [too_little(query, self._config) for query in skylines]
+        asked = [
+            (self._rays(query), self._narrowed(narrowing, query))
+            for query, narrowing, refusal in zip(skylines, known, refusals, strict=True)
+            if refusal is None
+        ]
+        with telling(told):
+            left = iter(self._cameras(asked, top) if len(asked) > 1 else ())
+        found = [() if refusal else next(left, ()) for refusal in refusals]
+        best = next((one for one in found if one), ())
+        refusal, within_m = unsure(best, self._config), None
+        if sum(map(bool, found)) < 2:
+            refusal = "fewer than two photos agree on a place"
+        if refusal is None:
+            within_m = sure_within_m(best[0], self._config)
+        seconds = time.perf_counter() - started
+        results = tuple(
+            MatchResult(query, places, seconds, refusal, within_m)
+            if places
+            else MatchResult(query, (), seconds, little or _DISAGREES)
+            for query, places, little in zip(skylines, found, refusals, strict=True)
+        )
+        return JointResult(results, tuple(map(bool, found)), seconds, refusal)
+
+    def _cameras(
+        self, asked: Sequence[tuple[QueryRays, Narrowed | None]], top: int
+    ) -> list[tuple[Candidate, ...]]:
+        """Return the candidates of each query of one place; none of one that does not agree."""
+        joint = self._ranker.rank_together(asked, top)
+        if joint is None:
+            raise InputError(
+                "photos are matched together by rendering alone; use the full matcher, refine, and "
+                "say where the DEM lies"
+            )
+        return [
+            ranking.candidates(self.frame) if agrees else ()
+            for ranking, agrees in zip(joint.rankings, joint.agrees.tolist(), strict=True)
+        ]
 
     def fit(self, query: QuerySkyline, start: Candidate) -> Candidate | None:
         """Return the pose that a pose nearby becomes by rendering; None where nothing fits.
@@ -276,6 +398,12 @@ class Matcher:
         raise InputError(
             "the query's field of view is not known: it is not in the image; give --fov-deg"
         )
+
+
+def _skyline_of(query: str | Path | QuerySkyline, fov_deg: float | None) -> QuerySkyline:
+    if not isinstance(query, QuerySkyline):
+        return read_query(query, fov_deg)
+    return query if fov_deg is None else query.with_fov(fov_deg)
 
 
 def claim_of(noted: NotedPlace, frame: Frame) -> Claim | None:

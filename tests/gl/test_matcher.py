@@ -26,7 +26,7 @@ from skyline.pipeline.batch import _opened
 from skyline.pipeline.config import curvature_of, mapped_area_m
 from skyline.pipeline.scene import RenderedScene
 from skyline.store import open_store
-from skyline_bench.queries.synthetic import QueryConfig, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 
 MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
 SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.03, 0.03), smooth_share=0.0)
@@ -319,3 +319,49 @@ def test_settings_out_of_range_are_refused(wrong):
 def test_an_unknown_matcher_is_refused(store):
     with pytest.raises(InputError, match="full, paper, correlation"):
         Matcher(store, matcher="best")
+
+
+def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(store, terrain):
+    (first, second), (stranger, _) = make_queries_together(terrain, MIDDLE, 2, 2, 5, SHARP)
+    bare = QuerySkyline(np.full(8, np.nan), np.zeros(8), 8, 8, 60.0)
+    with Matcher(store, terrain, config=BOLD) as matcher:
+        found = matcher.match_together(
+            [first.skyline, stranger.skyline, second.skyline, bare], top=3
+        )
+        with pytest.raises(InputError, match="expected two photos"):
+            matcher.match_together([first.skyline])
+        little = matcher.match_together([first.skyline, bare])
+    assert found.agrees == (True, False, True, False)
+    assert found.answer is found.places[0]
+    assert error_m(found.answer, first.truth) < 10.0
+    one, other, another, nothing = found.results
+    assert [len(some.candidates) for some in (other, nothing)] == [0, 0]
+    assert "does not fit where the others" in other.refusal
+    assert "degrees of skyline are visible" in nothing.refusal
+    for mine, query in ((one, first), (another, second)):
+        turn = mine.answer.grid_heading_deg - query.truth.heading_deg
+        assert abs((turn + 180.0) % 360.0 - 180.0) < 1.0
+    for name in ("lon", "lat", "radius_m", "confidence", "eye_elevation_m"):
+        assert getattr(one.answer, name) == pytest.approx(getattr(another.answer, name))
+    assert (little.answer, little.places) == (None, ())
+    assert "fewer than two photos" in little.refusal
+
+
+def test_what_is_known_of_one_photo_holds_for_the_place(store, terrain):
+    ((first, second),) = make_queries_together(terrain, MIDDLE, 1, 2, 5, SHARP)
+    lon, lat = terrain.frame.to_lonlat(first.truth.easting_m + 500.0, first.truth.northing_m)
+    near = Narrowing(near=(float(lon), float(lat), 0.3))
+    skylines = [first.skyline, second.skyline]
+    with Matcher(store, terrain, config=BOLD) as matcher:
+        found = matcher.match_together(skylines, narrowings=[None, near])
+    for place in found.places:
+        off_m = np.hypot(
+            place.easting_m - first.truth.easting_m - 500.0,
+            place.northing_m - first.truth.northing_m,
+        )
+        assert off_m < 301.0
+    with (
+        Matcher(store, terrain, config=replace(BOLD, refine=False)) as matcher,
+        pytest.raises(InputError, match="together by rendering"),
+    ):
+        matcher.match_together(skylines)

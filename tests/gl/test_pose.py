@@ -11,9 +11,10 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline.matching import Hypotheses
 from skyline.matching.panoramas import Panoramas
-from skyline.matching.pose import refine
+from skyline.matching.pose import Refinement, refine
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.solver import Curves
+from skyline.matching.together import JointRefinement
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
@@ -226,3 +227,48 @@ def test_a_featureless_skyline_tells_no_place(scene):
 def test_impossible_configurations_are_refused(wrong):
     with pytest.raises(InputError, match="expected"):
         RefineConfig(**wrong)
+
+
+def _seen_from(scene, place_m, heading_deg):
+    with HorizonRenderer(scene.field, 1280) as renderer:
+        views = renderer.render(stand_on(scene.field, *place_m))
+    tangent = np.tan(np.radians(views.elevation_deg()))
+    u, v = photographed(
+        np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), heading_deg, 1.0, -1.0, 60.0
+    )
+    return rays_of(u, v, 60.0, 61.5, (57.0, 63.0))
+
+
+def test_queries_of_one_eye_move_together_and_a_stranger_is_named(scene):
+    elsewhere = PLACE + np.array([900.0, 700.0])
+    asked = [(PLACE, 160.0), (PLACE, 290.0), (elsewhere, 40.0)]
+    queries = [_seen_from(scene, *one) for one in asked]
+    found = [
+        replace(_around(), heading_deg=heading_deg + 2.0 * (-1.0) ** np.arange(6))
+        for _, heading_deg in asked
+    ]
+    own = poses(easting_m=elsewhere[0], northing_m=elsewhere[1], heading_deg=40.0, score=-1e6)
+    alone = [refine(some, query, scene, SHORT) for some, query in zip(found, queries, strict=True)]
+    alone[2] = refine(own, queries[2], scene, SHORT)
+    together = JointRefinement([Refinement(one, scene, SHORT, None) for one in queries], SHORT)
+    joint = together.run(found, [one.hypotheses[:1] for one in alone])
+    assert joint.agrees[:, 0].tolist() == [True, True, False]
+    assert (np.diff(joint.cost) >= 0.0).all()
+    for one, (_, heading_deg) in zip(joint.poses[:2], asked, strict=False):
+        assert _off_m(one.hypotheses)[0] < 2.0
+        assert one.hypotheses.heading_deg[0] == pytest.approx(heading_deg, abs=0.05)
+        assert np.linalg.eigvalsh(one.covariance_m2[0]).min() > 0.0
+    # The stranger alone would stand at its own place, and it is a rival of the others'.
+    np.testing.assert_array_equal(joint.poses[2].margin, joint.poses[0].margin)
+    assert _off_m(alone[2].hypotheses)[0] > 1000.0
+    assert 0.0 < joint.poses[0].margin[0] < np.inf
+
+
+def test_the_same_photo_twice_is_no_surer_than_once(scene, rays):
+    query = rays_of(*rays, 60.0, 61.5, (57.0, 63.0))
+    found = _around()
+    alone = refine(found, query, scene, SHORT)
+    each = Refinement(query, scene, SHORT, None)
+    joint = JointRefinement([each, each], SHORT).run([found] * 2, [alone.hypotheses[:1]] * 2)
+    once, twice = (np.trace(one.covariance_m2[0]) for one in (alone, joint.poses[0]))
+    assert twice > 0.8 * once

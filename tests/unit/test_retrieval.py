@@ -163,3 +163,24 @@ def test_senseless_requests_are_refused(places):
         Retriever(places).shortlist(rays(0, 0.0), 0)
     with pytest.raises(InputError, match="above 0"):
         RetrievalConfig(fitted=0)
+
+
+def test_queries_of_one_place_find_it_together_where_few_do_alone(places):
+    queries = [rays(7, heading, fov_deg=15.0) for heading in (30.0, 120.0, 210.0, 300.0)]
+    retriever = Retriever(places)
+    alone_m = [retriever.shortlist(query, 1).easting_m[0] for query in queries]
+    assert np.count_nonzero(np.abs(np.array(alone_m) - 700.0) < 50.0) < 2
+    found = retriever.shortlist_together([(query, None) for query in queries], 5)
+    assert found[0].easting_m[0] == pytest.approx(700.0, abs=50.0)
+    for one in found[1:]:
+        np.testing.assert_array_equal(one.easting_m, found[0].easting_m)
+        np.testing.assert_array_equal(one.score, found[0].score)
+
+
+@pytest.mark.parametrize("stranger", [3, 20, 39])
+def test_a_query_of_another_place_vetoes_nothing(places, stranger):
+    asked = [(rays(7, 30.0), None), (rays(7, 200.0), None), (rays(stranger, 90.0), None)]
+    found = Retriever(places).shortlist_together(asked, 2)
+    assert found[0].easting_m[0] == pytest.approx(700.0, abs=50.0)
+    assert turned(found[0].heading_deg[0], 30.0) < 0.5
+    assert turned(found[1].heading_deg[0], 200.0) < 0.5

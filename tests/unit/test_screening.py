@@ -105,15 +105,15 @@ def test_blocks_change_nothing(places, size, count):
     screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
     score = screen.scores(places.phase)
     order = np.lexsort((np.arange(64), -score))[:count]
-    found = screen_places(screen, Blocks(places, size), count)
+    found = screen_places(screen.scores, Blocks(places, size), count)
     np.testing.assert_array_equal(found.row, order)
     np.testing.assert_allclose(found.score, score[order], rtol=1e-5)
 
 
 def test_parts_joined_are_the_whole_to_the_bit(places):
     screen, source = Screen.of(wide(11, 200.0), FOVS_DEG, places), Blocks(places, 8)
-    whole = screen_places(screen, source, 10)
-    parts = [screen_places(screen, source, 10, part=slice(k, k + 3)) for k in range(0, 8, 3)]
+    whole = screen_places(screen.scores, source, 10)
+    parts = [screen_places(screen.scores, source, 10, part=slice(k, k + 3)) for k in range(0, 8, 3)]
     joined = Alike.joined(parts).best(10)
     assert joined.row.tobytes() == whole.row.tobytes()
     assert joined.score.tobytes() == whole.score.tobytes()
@@ -121,9 +121,10 @@ def test_parts_joined_are_the_whole_to_the_bit(places):
 
 def test_only_places_within_are_looked_at(places):
     screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
-    found = screen_places(screen, Blocks(places, 8), 64, lambda some: some.easting_m < 1000.0)
+    source, scores = Blocks(places, 8), screen.scores
+    found = screen_places(scores, source, 64, lambda some: some.easting_m < 1000.0)
     assert sorted(found.row) == list(range(10))
-    none = screen_places(screen, Blocks(places, 8), 64, lambda some: some.easting_m < -1.0)
+    none = screen_places(scores, source, 64, lambda some: some.easting_m < -1.0)
     assert len(none) == 0
 
 

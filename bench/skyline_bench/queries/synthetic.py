@@ -206,19 +206,40 @@ def make_queries(
         raise InputError(f"the number of queries is {count}; expected at least 1")
     if seed < 0:
         raise InputError(f"seed is {seed}; expected 0 or more")
-    config = config or QueryConfig()
-    return tuple(_queries(terrain, bounds_m, count, seed, config))
+    entropies = [[[seed, index]] for index in range(count)]
+    made = _queries(terrain, bounds_m, entropies, config or QueryConfig())
+    return tuple(query for (query,) in made)
+
+
+def make_queries_together(
+    terrain: HeightField,
+    bounds_m: MapBounds,
+    count: int,
+    photos: int,
+    seed: int = 0,
+    config: QueryConfig | None = None,
+) -> tuple[tuple[SyntheticQuery, ...], ...]:
+    """Make so many queries at each of ``count`` places; see `make_queries`."""
+    entropies = [[[seed, index, photo] for photo in range(photos)] for index in range(count)]
+    return tuple(_queries(terrain, bounds_m, entropies, config or QueryConfig()))
 
 
 def _queries(
-    terrain: HeightField, bounds_m: MapBounds, count: int, seed: int, config: QueryConfig
-) -> Iterator[SyntheticQuery]:
-    held = [_hold(terrain, bounds_m, [seed, index], config) for index in range(count)]
-    easting_m, northing_m = np.array([place for place, _ in held]).T
+    terrain: HeightField,
+    bounds_m: MapBounds,
+    entropies: list[list[list[int]]],
+    config: QueryConfig,
+) -> Iterator[tuple[SyntheticQuery, ...]]:
+    """Yield the queries of each place, which is drawn with the first of them."""
+    held = [[_hold(terrain, bounds_m, each, config) for each in some] for some in entropies]
+    easting_m, northing_m = np.array([some[0][0] for some in held]).T
     eyes = stand_on(terrain, easting_m, northing_m, config.eye_height_m)
     rendered = panoramas(terrain, eyes, config.render_width, config.curvature)
-    for index, (panorama, (_, camera)) in enumerate(zip(rendered, held, strict=True)):
-        yield _photographed(panorama, camera, _truth(eyes, index, camera), [seed, index], config)
+    for index, panorama in enumerate(rendered):
+        yield tuple(
+            _photographed(panorama, camera, _truth(eyes, index, camera), entropy, config)
+            for (_, camera), entropy in zip(held[index], entropies[index], strict=True)
+        )
 
 
 def _hold(
