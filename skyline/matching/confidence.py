@@ -76,11 +76,12 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
 
     That with what the retrieval it began with says of its best: skylines of elsewhere can be bent
     to fit some place well, but were hardly like it before. Where all that was retrieved is one
-    place, there is nothing to be told apart from, and no margin.
+    place, there is nothing to be told apart from, and no margin. Where none lies beyond 1 km, as in a
+    narrow search, the margin over those nearer counts for both.
     """
     retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
     margin = np.where(_apart(found, RIGHT_WITHIN_M).any(), poses.margin, 0.0)
-    far_margin = np.where(_apart(found, ROUGHLY_WITHIN_M).any(), poses.far_margin, 0.0)
+    far_margin = np.where(_apart(found, ROUGHLY_WITHIN_M).any(), poses.far_margin, margin)
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
     return {
         "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
@@ -100,7 +101,8 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
 
 def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64Array]:
     """Return what a retrieval says of each of its M poses, (M,) by name."""
-    margin, far_margin = (_lead(found, least_m) for least_m in (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M))
+    margin = _lead(found, RIGHT_WITHIN_M, np.zeros(len(found)))
+    far_margin = _lead(found, ROUGHLY_WITHIN_M, margin)
     return {
         "score": found.score,
         "margin": _margin(margin),
@@ -144,11 +146,11 @@ def _apart(found: Hypotheses, least_m: float) -> BoolArray:
     return np.asarray(np.abs(place[:, np.newaxis] - place) > least_m)
 
 
-def _lead(found: Hypotheses, least_m: float) -> Float64Array:
+def _lead(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Float64Array:
     """Return by how much each pose's score is better than the best one's that far off, (M,)."""
     apart = _apart(found, least_m)
     rival = np.where(apart, found.score, np.inf).min(axis=1, initial=np.inf)
-    return np.where(apart.any(axis=1), rival - found.score, 0.0)
+    return np.where(apart.any(axis=1), rival - found.score, otherwise)
 
 
 def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
