@@ -76,8 +76,8 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
 
     That with what the retrieval it began with says of its best: skylines of elsewhere can be bent
     to fit some place well, but were hardly like it before. Where all that was retrieved is one
-    place, there is nothing to be told apart from, and no margin. Where none lies beyond 1 km, as in a
-    narrow search, the margin over those nearer counts for both.
+    place, there is nothing to be told apart from, and no margin. Where none lies beyond 1 km, as
+    in a narrow search, the margin over those nearer counts for both.
     """
     retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
     margin = np.where(_apart(found, RIGHT_WITHIN_M).any(), poses.margin, 0.0)
