@@ -195,26 +195,6 @@ class Judged(Rows):
         answer = self.inner @ (self.factor.swapaxes(1, 2) @ weighted)
         return np.asarray(left.swapaxes(1, 2) @ weighted - held @ answer)
 
-    def magnification_pull(
-        self, residual_rad: Float64Array, angle_rad: Float64Array, shown: Float64Array
-    ) -> Float64Array:
-        """Return (M,): how the cost falls as log magnification rises and residuals stay.
-
-        Parameters
-        ----------
-        residual_rad : (M, R) float64
-            0 where the terrain is unknown.
-        angle_rad : (M, 1) float64
-            The photo's error at this magnification.
-        shown : (M, R) float64
-            Trust in each column times the odds that it shows terrain.
-        """
-        held = (self.weight * residual_rad)[..., np.newaxis]
-        explained = (self.factor @ (self.inner @ (self.factor.swapaxes(1, 2) @ held)))[..., 0]
-        part = angle_rad**2 * self.weight
-        off = self.weight * (residual_rad - explained) ** 2
-        return np.asarray((shown - part + part * off / np.maximum(shown, _LEAST)).sum(axis=1))
-
     @property
     def effective_columns(self) -> Float64Array:
         """(M,): how many independent columns say as much about the residuals."""
@@ -229,7 +209,6 @@ def judge(
     noise: Noise,
     deviations: tuple[IntArray, IntArray],
     odds: Float64Array,
-    magnified: Float64Array | float = 1.0,
 ) -> Judged:
     """Judge residuals, the odds of each column improved once.
 
@@ -246,19 +225,15 @@ def judge(
         Which of ``noise.angle_deg`` and of ``noise.height_m`` each curve has.
     odds : (M, R) float64
         To start from.
-    magnified : (M,) float64, optional
-        How much larger an angle each curve makes of a pixel than the query's own lens: the photo's
-        error is of pixels, and so is what the likelihood is a density of.
     """
-    magnified = np.broadcast_to(magnified, len(residual_rad))[:, np.newaxis]
     known = np.isfinite(residual_rad)
     residual = np.where(known, residual_rad, 0.0)
-    angle_rad = magnified * np.radians(noise.angle_deg)[deviations[0]][:, np.newaxis]
+    angle_rad = np.radians(noise.angle_deg)[deviations[0]][:, np.newaxis]
     height_m = np.array(noise.height_m)[deviations[1]][:, np.newaxis]
     variance = angle_rad**2 + (height_m * errors.rough) ** 2 + errors.blur_rad**2
     factor = height_m[..., np.newaxis] * errors.factor
     terrain = np.log(1.0 - noise.above_share - noise.below_share) - 0.5 * np.log(
-        2.0 * np.pi * variance / magnified**2
+        2.0 * np.pi * variance
     )
     other = np.log(
         np.where(residual >= 0.0, noise.above_share, noise.below_share)
