@@ -59,7 +59,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         photo_quality: "15 minutes",
         photos: "30 minutes",
         sky_masks: "a minute",
-        train_sky_model: "hours",
+        train_sky_model: "an hour",
         readme_picture: "a minute",
     },
     "The page": {

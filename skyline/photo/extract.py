@@ -24,7 +24,7 @@ from skyline.photo.query import QuerySkyline
 log = logging.getLogger(__name__)
 
 
-TRUST_THRESHOLD = 0.6
+TRUST_THRESHOLD = 0.59
 """Columns of less confidence are masked."""
 MIN_TRUSTED_SHARE = 0.1
 """A photo with a smaller share of trusted columns has no skyline."""

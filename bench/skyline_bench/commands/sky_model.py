@@ -41,8 +41,8 @@ def train_sky_model(
     out: Annotated[
         Path, typer.Option("--out", "-o", metavar="FILE", help="The model, ONNX zipped.")
     ],
-    photos: Annotated[int, typer.Option(help="Photographs to draw.")] = 5000,
-    steps: Annotated[int, typer.Option(help="Batches of 16 to train on.")] = 4000,
+    photos: Annotated[int, typer.Option(help="Photographs to draw.")] = 6000,
+    steps: Annotated[int, typer.Option(help="Batches of 16 to train on.")] = 4500,
     seed: Seed = 1,
     quick: Quick = False,
 ) -> None:
