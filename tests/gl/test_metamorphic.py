@@ -48,7 +48,7 @@ def square_deg(shift=0.0):
 
 
 def answers(terrain, queries, store, shift=0.0):
-    """Return place (east + i north), grid heading and radius of the best candidate of each query."""
+    """Return place (east + i north), grid heading and radius of each query's best candidate."""
     build_places(terrain, store, PLACES_M, square_deg(shift))
     with Matcher(store, terrain, config=BOLD) as matcher:
         best = [matcher.match(query).candidates[0] for query in queries]
