@@ -454,11 +454,15 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
 
 
 def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
-    """Return the distance within which a candidate is sure enough to be right; None where none."""
-    for within_m, sure in zip(
-        DISTANCES_M, (candidate.confidence, candidate.confidence_1km), strict=True
-    ):
-        if sure is not None and sure >= config.min_confidence:
+    """Return the distance within which a candidate is sure enough to be right; None where none.
+
+    The nearer distance takes half the doubt that the farther one may leave: saying it wrongly is
+    worse than saying less.
+    """
+    doubt = 1.0 - config.min_confidence
+    sure = (candidate.confidence, 1.0 - 0.5 * doubt), (candidate.confidence_1km, 1.0 - doubt)
+    for within_m, (confidence, least) in zip(DISTANCES_M, sure, strict=True):
+        if confidence is not None and confidence >= least:
             return within_m
     return None
 
