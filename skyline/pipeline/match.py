@@ -84,6 +84,14 @@ class MatchResult:
         best = next(iter(self.candidates), None)
         return claim_said(self.query.noted, best, self.answer is not None)
 
+    def __repr__(self) -> str:
+        return f"MatchResult({_in_short(self)}; {len(self.candidates)} candidates)"
+
+    def _repr_html_(self) -> str:
+        from skyline.report.matches import result_html  # noqa: PLC0415  (slow to load)
+
+        return result_html(_in_short(self), self.query, self.candidates)
+
     def to_geodataframe(self) -> Any:
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
         return to_geodataframe([self])
@@ -128,12 +136,26 @@ class JointResult:
         """Distance within which the answer is sure to be right; None without an answer."""
         return next((one.within_m for one, is_of in self._each() if is_of), None)
 
+    def __repr__(self) -> str:
+        agree = f"{sum(self.agrees)} of {len(self.agrees)} photos agree"
+        return f"JointResult({_in_short(self)}; {agree})"
+
     def to_geodataframe(self) -> Any:
         """Return the cameras as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
         return to_geodataframe(self.results)
 
     def _each(self) -> Iterable[tuple[MatchResult, bool]]:
         return zip(self.results, self.agrees, strict=True)
+
+
+def _in_short(result: MatchResult | JointResult) -> str:
+    best = result.answer
+    if best is None:
+        return f"no answer: {result.refusal or 'no place fits'}"
+    said = f"latitude {best.lat:.5f}, longitude {best.lon:.5f}, heading {best.heading_deg:.1f}"
+    if result.within_m is not None:
+        said += f", right within {result.within_m:g} m"
+    return said if best.confidence is None else f"{said}, confidence {best.confidence:.2f}"
 
 
 class Matcher:
