@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError, SkylineError, named
+from skyline.files import is_file
 from skyline.geodesy import Frame
 from skyline.matching import Candidate, Hypotheses, Narrowing, Profiles, QueryRays
 from skyline.matching.claim import Claim
@@ -550,11 +551,11 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
     Where it is not to be had there is a warning of what is left ``otherwise``. Only plain files
     are read: a store from a stranger must not make the reader go anywhere else.
     """
-    if not header.dem_files or not all(Path(path).is_file() for path in header.dem_files):
+    if not header.dem_files or not all(map(is_file, header.dem_files)):
         _log.warning(
-            "%s: the store's DEM is not at %s any more; say where it lies with --dem",
+            "%s: the store's DEM is not at hand (no file here is %s); say where it lies with --dem",
             otherwise,
-            ", ".join(header.dem_files) or "any path",
+            ", ".join(header.dem_files) or "no path",
         )
         return None
     try:

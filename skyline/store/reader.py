@@ -385,7 +385,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
         with WholeFile(path) as raw, h5py.File(raw, "r") as file:
             return "schema" in file.attrs
     except (SkylineError, *UNREADABLE):
-        return path.is_file() and path.suffix == ".h5"
+        return path.suffix == ".h5" and path.is_file()
 
 
 def _patiently(raw: WholeFile, read: Callable[[], _T]) -> _T:
