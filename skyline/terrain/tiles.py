@@ -45,13 +45,15 @@ AGREEMENT_M = 1.0
 _GDAL_CACHE_BYTES = 64 << 20
 _ON_NETWORKS = {
     "GDAL_HTTP_CONNECTTIMEOUT": "30",
-    "GDAL_HTTP_LOW_SPEED_LIMIT": "1",
+    "GDAL_HTTP_LOW_SPEED_LIMIT": "1000",
     "GDAL_HTTP_LOW_SPEED_TIME": "30",
     "GDAL_HTTP_MAX_RETRY": "3",
 }
-"""A server that says nothing for 30 seconds is given up."""
+"""A server that sends less than 1 kB a second for 30 seconds is given up."""
 _NO_NEIGHBOURS = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
 """GDAL asks a server for a dozen files beside the DEM otherwise."""
+_SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
+"""Of an address: user and password, and the query, which may be a signature."""
 _NO_ANSWER = re.compile(
     r"HTTP (response|error) code|CURL error|[Ff]ailed to connect|open /vsicurl/"
 )
@@ -238,6 +240,8 @@ def _opened(source: str) -> Iterator[Any]:
             yield dataset
     except RasterioError as error:
         reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
+        if "://" in source:
+            source, reason = _SECRET.sub("", source), _SECRET.sub("", reason)
         if _NO_ANSWER.search(reason):
             raise FetchError(
                 f"{source} cannot be read from its server ({reason}); check the address and "

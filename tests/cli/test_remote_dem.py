@@ -186,6 +186,7 @@ def test_a_file_in_a_name_of_gdals_is_made_absolute(folder, monkeypatch):
         ("http://127.0.0.1:9/a.tif", FetchError, "[Cc]onnect.*whether the server is up"),
         ('STACIT:"http://127.0.0.1:9/items"', FetchError, "[Cc]onnect"),
         ("{folder}/gone.json", FetchError, "gone.tif"),
+        ("http://me:secret@127.0.0.1:9/a.tif?key=secret", FetchError, "^http://127.0.0.1:9/a.tif "),
         ("{server}/page.tif", InputError, "cannot be read as a raster"),
         ("{server}/page.tif.gz", FetchError, "404"),
         ("{folder}/none.json", InputError, "No compatible asset"),
@@ -195,6 +196,7 @@ def test_what_is_no_dem_is_one_line(server, folder, name, error, said):
     with pytest.raises(error, match=said) as told:
         read_dem(name.format(server=server.address, folder=folder))
     assert "\n" not in str(told.value)
+    assert "secret" not in str(told.value)
 
 
 def test_commands_take_addresses(server, folder, plain, run, tmp_path):
@@ -211,6 +213,7 @@ def test_commands_take_addresses(server, folder, plain, run, tmp_path):
     refused = run("info", f"{server.address}/gone.tif{SIGNATURE}")
     assert (refused.code, refused.err.count("\n")) == (1, 1)
     assert "404" in refused.err
+    assert "signature" not in refused.err
 
 
 def test_a_store_sends_nobody_to_a_server_that_he_has_not_named(server, tmp_path, run, caplog):
