@@ -18,7 +18,7 @@ of each column are variational; the bound on the likelihood is exact where K is 
 are kept at a few nodes along the skyline, so that everything costs matrices of that size.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,6 +32,8 @@ _JITTER = 1e-6
 _UNKNOWN_M = 1e9
 _LEAST = 1e-12
 _GREATEST_LOGIT = 50.0
+_SCALE = (0.1, 1.3)
+"""Of all errors together: half a step of the deviations up, and down to a skyline without noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,8 +174,14 @@ class Judged(Rows):
     ----------
     cost : (M,) float64
         Negative logarithm of the likelihood.
+    fit : (M,) float64
+        Its part that is half the squared residuals over their covariance.
     odds : (M, R) float64
         Odds that a column shows terrain; 0 where the terrain is unknown.
+    shown : (M, R) float64
+        The same, times the trust in the column.
+    photo : (M, R) float64
+        The photo's part of each column's variance.
     weight : (M, R) float64
         Precision of each column by itself, per square radian.
     factor : (M, R, K) float64
@@ -183,7 +191,10 @@ class Judged(Rows):
     """
 
     cost: Float64Array
+    fit: Float64Array
     odds: Float64Array
+    shown: Float64Array
+    photo: Float64Array
     weight: Float64Array
     factor: Float64Array
     inner: Float64Array
@@ -194,6 +205,35 @@ class Judged(Rows):
         held = (self.weight[..., np.newaxis] * left).swapaxes(1, 2) @ self.factor
         answer = self.inner @ (self.factor.swapaxes(1, 2) @ weighted)
         return np.asarray(left.swapaxes(1, 2) @ weighted - held @ answer)
+
+    def scaled(self) -> "Judged":
+        """Return the same with all errors larger or smaller by one factor, the likeliest.
+
+        The deviations to choose from are steps apart, and some residuals are smaller than any of
+        them expects. Where errors are expected that are not there, a wider lens, whose pixels are
+        larger angles, would seem the likelier.
+        """
+        count = np.maximum(self.shown.sum(axis=1), _LEAST)
+        scale = np.clip(np.sqrt(2.0 * self.fit / count), *_SCALE)
+        return replace(
+            self,
+            cost=self.cost + count * np.log(scale) + self.fit * (scale**-2.0 - 1.0),
+            fit=self.fit / scale**2,
+            weight=self.weight / scale[:, np.newaxis] ** 2,
+            factor=self.factor * scale[:, np.newaxis, np.newaxis],
+        )
+
+    def magnification_pull(self, residual_rad: Float64Array) -> Float64Array:
+        """Return (M,): how fast the cost falls as log magnification rises and residuals stay.
+
+        ``residual_rad`` (M, R) is 0 where the terrain is unknown.
+        """
+        held = (self.weight * residual_rad)[..., np.newaxis]
+        reached = self.factor @ self.inner
+        explained = (reached @ (self.factor.swapaxes(1, 2) @ held))[..., 0]
+        spread = (reached * self.factor).sum(axis=-1)
+        off = self.weight * ((residual_rad - explained) ** 2 + spread)
+        return np.asarray((self.shown - self.photo * (self.shown - off)).sum(axis=1))
 
     @property
     def effective_columns(self) -> Float64Array:
@@ -209,6 +249,7 @@ def judge(
     noise: Noise,
     deviations: tuple[IntArray, IntArray],
     odds: Float64Array,
+    magnified: Float64Array | float = 1.0,
 ) -> Judged:
     """Judge residuals, the odds of each column improved once.
 
@@ -225,15 +266,19 @@ def judge(
         Which of ``noise.angle_deg`` and of ``noise.height_m`` each curve has.
     odds : (M, R) float64
         To start from.
+    magnified : (M,) float64, optional
+        How much larger an angle each curve makes of a pixel than the query's own lens: the photo's
+        error is of pixels, and so is what the likelihood is a density of.
     """
+    magnified = np.broadcast_to(magnified, len(residual_rad))[:, np.newaxis]
     known = np.isfinite(residual_rad)
     residual = np.where(known, residual_rad, 0.0)
-    angle_rad = np.radians(noise.angle_deg)[deviations[0]][:, np.newaxis]
+    angle_rad = magnified * np.radians(noise.angle_deg)[deviations[0]][:, np.newaxis]
     height_m = np.array(noise.height_m)[deviations[1]][:, np.newaxis]
     variance = angle_rad**2 + (height_m * errors.rough) ** 2 + errors.blur_rad**2
     factor = height_m[..., np.newaxis] * errors.factor
     terrain = np.log(1.0 - noise.above_share - noise.below_share) - 0.5 * np.log(
-        2.0 * np.pi * variance
+        2.0 * np.pi * variance / magnified**2
     )
     other = np.log(
         np.where(residual >= 0.0, noise.above_share, noise.below_share)
@@ -247,7 +292,9 @@ def judge(
     explained, inner, half_log_det = _explained(residual, weight, factor)
     each = _entropy(odds) - odds * terrain - (1.0 - odds) * other
     fit = 0.5 * (weight * residual * (residual - explained)).sum(axis=1)
-    return Judged(each @ trust + half_log_det + fit, odds, weight, factor, inner)
+    cost = each @ trust + half_log_det + fit
+    shown, photo = trust * odds, angle_rad**2 / variance
+    return Judged(cost, fit, odds, shown, photo, weight, factor, inner)
 
 
 def _explained(

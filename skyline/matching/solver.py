@@ -423,7 +423,15 @@ class Solver:
         self, fit: Fit, linear: Linear, errors: HeightErrors, noise: tuple[IntArray, IntArray]
     ) -> Judged:
         """Judge states under a noise, the attitude's part of the cost included."""
-        judged = judge(linear.residual_rad, self.query.weight, errors, self.noise, noise, fit.odds)
+        judged = judge(
+            linear.residual_rad,
+            self.query.weight,
+            errors,
+            self.noise,
+            noise,
+            fit.odds,
+            np.exp(fit.state[:, LOG_SCALE]),
+        ).scaled()
         # Laplace's approximation to the integral over the attitude: without it a noise that is
         # too small wins, as much of the error hides in pitch, roll and the field of view.
         attitude = slice(HEADING, None)
@@ -473,6 +481,7 @@ class Solver:
         normal = judged.product(linear.jacobian, linear.jacobian)
         normal += (prior + damping)[:, np.newaxis] * np.eye(7)
         gradient = judged.product(linear.jacobian, miss)[..., 0] + prior * off
+        gradient[:, LOG_SCALE] -= judged.magnification_pull(miss[..., 0])
         self._draw(linear, normal, gradient)
         state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
         bounded = np.clip(state, self._low, self._high)

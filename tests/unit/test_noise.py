@@ -1,5 +1,7 @@
 """Likelihood of residuals: against closed forms, and against matrices written out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -94,6 +96,53 @@ def test_what_stands_over_the_skyline_is_likelier_than_what_is_missing():
         odds = np.where(residual == 0.0, 1.0, 0.0)
         cost.append(judge(residual, np.ones(40), errors, noise, FIRST, odds).cost[0])
     assert cost[1] - cost[0] == pytest.approx(4.0 * np.log(0.15 / 0.02), rel=1e-3)
+
+
+def _converged(residual, noise, errors, magnified=1.0):
+    odds = np.ones((1, 40))
+    for _ in range(12):
+        judged = judge(residual, np.ones(40), errors, noise, FIRST, odds, magnified)
+        odds = judged.odds
+    return judged
+
+
+@pytest.mark.parametrize("sd_rad", [0.0001, 0.0009, 0.0022])
+def test_the_scale_of_all_errors_is_the_likeliest(sd_rad):
+    noise, errors, azimuth, distance = _setting()
+    errors = HeightErrors.of(azimuth, distance, np.full_like(distance, 5e-4), noise)
+    residual = np.random.default_rng(4).normal(0.0, sd_rad, (1, 40))
+    costs = []
+    for scale in np.geomspace(0.1, 1.3, 121):
+        scaled = HeightErrors(errors.factor, errors.rough, scale * errors.blur_rad)
+        angle_deg, height_m = scale * noise.angle_deg[0], scale * noise.height_sd_m
+        smaller = replace(noise, angle_deg=(angle_deg,), height_sd_m=height_m)
+        costs.append(_converged(residual, smaller, scaled).cost[0])
+    found = _converged(residual, noise, errors)
+    assert found.odds.min() > 0.95
+    # The odds are of the errors before they are scaled; the cost is a bound for any odds.
+    assert -1e-3 < found.scaled().cost[0] - min(costs) < 0.2
+    assert found.scaled().cost[0] <= found.cost[0]
+    held = found.scaled()
+    covariance = held.factor[0] @ held.factor[0].T + np.diag(1.0 / held.weight[0])
+    fit = 0.5 * residual[0] @ np.linalg.solve(covariance, residual[0])
+    assert held.fit[0] == pytest.approx(fit, rel=1e-6)
+
+
+@pytest.mark.parametrize("magnified", [0.5, 1.0, 1.7])
+def test_the_cost_falls_with_magnification_as_is_said(magnified):
+    noise, errors, _, _ = _setting()
+    residual = np.random.default_rng(5).normal(0.0, 0.003, (1, 40))
+    residual[0, 5] = np.nan
+    residual[0, 20] = np.radians(4.0)
+    step = 1e-4
+    costs = [
+        _converged(residual, noise, errors, magnified * np.exp(change)).cost[0]
+        for change in (-step, step)
+    ]
+    pull = _converged(residual, noise, errors, magnified).magnification_pull(
+        np.nan_to_num(residual)
+    )
+    assert pull[0] == pytest.approx((costs[0] - costs[1]) / (2.0 * step), rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -81,6 +81,33 @@ def test_the_field_of_view_keeps_to_its_range(low, high, expected):
     assert found.fov_deg[0] == pytest.approx(expected, abs=1e-6)
 
 
+@pytest.mark.parametrize(("relief", "noise"), [(1.0, 0.002), (1.0, 0.006), (0.15, 0.006)])
+def test_noise_makes_no_lens_narrower(relief, noise):
+    # Errors are of pixels: a narrower lens makes smaller angles of them, which must not pay.
+    def skyline(azimuth_rad):
+        return 0.15 + relief * (hills(azimuth_rad) - 0.15)
+
+    u, v = seen(skyline, **TRUTH)
+    found = []
+    for seed in range(6):
+        noisy = v + np.random.default_rng(seed).normal(0.0, noise, len(v))
+        query = replace(rays_of(u, noisy, 60.0, 60.0, (30.0, 90.0)), fov_sd_deg=3.0)
+        start = poses(heading_deg=350.0, fov_deg=60.0)
+        found.append(float(settled(start, panorama_of(skyline), query).fov_deg[0]))
+    assert np.mean(found) == pytest.approx(60.0, abs=0.02 + 3.0 * np.std(found) / np.sqrt(6.0))
+
+
+@pytest.mark.parametrize("fov_sd_deg", [3.0, 50.0])
+def test_errors_that_are_not_there_make_no_lens_wider(fov_sd_deg):
+    def low_hills(azimuth_rad):
+        return 0.15 + 0.15 * (hills(azimuth_rad) - 0.15)
+
+    query = rays_of(*seen(low_hills, **TRUTH), 60.0, 60.0, (30.0, 90.0))
+    start = poses(heading_deg=350.0, fov_deg=60.0)
+    found = settled(start, panorama_of(low_hills), replace(query, fov_sd_deg=fov_sd_deg))
+    assert found.fov_deg[0] == pytest.approx(60.0, abs=0.3)
+
+
 @pytest.mark.parametrize("sd_deg", [0.2, 50.0])
 def test_a_field_of_view_is_drawn_to_the_one_given_as_far_as_that_is_sure(sd_deg):
     level_hills = panorama_of(lambda a: 0.3 * hills(a))
