@@ -86,7 +86,7 @@ class MatchResult:
         return claim_said(self.query.noted, best, self.answer is not None)
 
     def __repr__(self) -> str:
-        return f"MatchResult({_in_short(self)}; {len(self.candidates)} candidates)"
+        return f"MatchResult({_in_short(self)}; candidates: {len(self.candidates)})"
 
     def _repr_html_(self) -> str:
         from skyline.report.matches import result_html  # noqa: PLC0415  (slow to load)

@@ -66,7 +66,7 @@ def test_a_result_says_its_answer_and_holds_no_array():
     answer = answered.answer
     assert repr(answered) == (
         f"MatchResult(latitude {answer.lat:.5f}, longitude {answer.lon:.5f}, heading "
-        f"{answer.heading_deg:.1f}, right within 200 m, confidence 0.93; 1 candidates)"
+        f"{answer.heading_deg:.1f}, right within 200 m, confidence 0.93; candidates: 1)"
     )
     joint = JointResult((answered, result("too far", False)), (True, False), 2.0)
     assert repr(joint).endswith("confidence 0.93; 1 of 2 photos agree)")
@@ -74,7 +74,7 @@ def test_a_result_says_its_answer_and_holds_no_array():
 
 def test_a_refusal_is_said_and_markup_in_it_is_text():
     refused = result("confidence <0.8>", candidates=False)
-    assert repr(refused) == "MatchResult(no answer: confidence <0.8>; 0 candidates)"
+    assert repr(refused) == "MatchResult(no answer: confidence <0.8>; candidates: 0)"
     assert "<0.8>" not in refused._repr_html_()
 
 
