@@ -22,15 +22,16 @@ test: setup ## Run the tests but for the slowest
 test-all: setup ## Run all tests
 	$(IN_VENV)/python -m pytest
 
-docs: setup ## Build the documentation into build/site; a broken link fails
-	NO_MKDOCS_2_WARNING=1 $(IN_VENV)/mkdocs build --strict
+docs: setup ## Build the documentation into build/site, notebooks run; a broken link fails
+	RUN_NOTEBOOKS=true NO_MKDOCS_2_WARNING=1 $(IN_VENV)/mkdocs build --strict
 
-check: setup docs ## Lint, check format, types, imports and spelling, build the documentation
+check: setup ## Lint, check format, types, imports, spelling and links of the documentation
 	$(IN_VENV)/ruff check
 	$(IN_VENV)/ruff format --check
 	$(IN_VENV)/mypy
 	$(IN_VENV)/lint-imports
 	$(IN_VENV)/codespell
+	NO_MKDOCS_2_WARNING=1 $(IN_VENV)/mkdocs build --strict
 
 bench: setup ## Time the pipeline stage by stage, write bench/results
 	$(IN_VENV)/skyline-bench pipeline-speed --json bench/results/pipeline_speed.json

@@ -61,7 +61,7 @@ def command_line(name: str, about: str) -> typer.Typer:
     about : str
         What its help says first.
     """
-    app = typer.Typer(name=name, pretty_exceptions_enable=False, add_completion=False)
+    app = typer.Typer(name=name, pretty_exceptions_enable=False)
 
     @app.callback(invoke_without_command=True, help=about)
     def options(

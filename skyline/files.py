@@ -34,3 +34,11 @@ def write_with_folders(path: Path, content: bytes | str) -> None:
             f"{path} cannot be written ({error.strerror}); name another place for it"
         ) from error
     write_whole(path, content)
+
+
+def is_file(path: str | Path) -> bool:
+    """Whether there is a file of this name; an address may be longer than any file's name."""
+    try:
+        return Path(path).is_file()
+    except OSError:
+        return False

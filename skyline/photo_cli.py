@@ -35,6 +35,7 @@ from skyline.report.exports import EXPORTS, check_export, export_matches
 from skyline.report.peaks import Peaks, read_peaks
 from skyline.report.records import FailureRecord
 from skyline.report.results import RESULTS, Results, open_results, row_of
+from skyline.terrain.tiles import absolute_name
 
 _DEFAULTS = MatchConfig()
 
@@ -171,7 +172,7 @@ def match(
         kept.tell_all(queries, refused, iter(()))
         raise typer.Exit(kept.exit_code)
     # Workers may have another working directory.
-    tiles = tuple(str(Path(one).absolute()) if Path(one).is_file() else one for one in dem or ())
+    tiles = tuple(absolute_name(one) for one in dem or ())
     asked = (str(store), tiles or None, matcher, config)
     opened = time.perf_counter()
     with patience(f"opening {store} and its elevation model"):

@@ -1,11 +1,13 @@
 """An HTTP server on the loopback address that serves ranges of files, and misbehaves on request."""
 
+import multiprocessing
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from multiprocessing.connection import Connection
 
 
 @dataclass
@@ -123,3 +125,58 @@ def serve(behaviour: Behaviour) -> Iterator[str]:
         server.shutdown()
         server.server_close()
         thread.join()
+
+
+@dataclass(frozen=True)
+class Apart:
+    """A server in another process.
+
+    Attributes
+    ----------
+    address : str
+        Without a final slash.
+    asked : callable
+        Returns what was asked since it was last called, (method, path, range header) each, and how
+        many bytes of bodies were sent.
+    """
+
+    address: str
+    asked: Callable[[], tuple[list[tuple[str, str, str | None]], int]]
+
+
+@contextmanager
+def serve_apart(files: Callable[[str], dict[str, bytes]]) -> Iterator[Apart]:
+    """Serve from a process of its own: GDAL lets no other thread run while it waits.
+
+    Parameters
+    ----------
+    files : callable
+        Given the address, returns path with a leading slash -> content. Defined in a module.
+    """
+    spawn = multiprocessing.get_context("spawn")
+    here, there = spawn.Pipe()
+    process = spawn.Process(target=_serve_for, args=(files, there), daemon=True)
+    process.start()
+    address = here.recv()
+
+    def asked():
+        here.send(None)
+        return here.recv()
+
+    try:
+        yield Apart(address, asked)
+    finally:
+        process.terminate()
+        process.join()
+        process.close()
+
+
+def _serve_for(files: Callable[[str], dict[str, bytes]], pipe: Connection) -> None:
+    behaviour = Behaviour()
+    with serve(behaviour) as address:
+        behaviour.files |= files(address)
+        pipe.send(address)
+        while True:
+            pipe.recv()
+            pipe.send((behaviour.requests, behaviour.sent))
+            behaviour.requests, behaviour.sent = [], 0

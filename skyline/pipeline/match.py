@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError, SkylineError, named
+from skyline.files import is_file
 from skyline.geodesy import Frame
 from skyline.matching import Candidate, Hypotheses, Narrowing, Profiles, QueryRays
 from skyline.matching.claim import Claim
@@ -84,6 +85,14 @@ class MatchResult:
         best = next(iter(self.candidates), None)
         return claim_said(self.query.noted, best, self.answer is not None)
 
+    def __repr__(self) -> str:
+        return f"MatchResult({_in_short(self)}; candidates: {len(self.candidates)})"
+
+    def _repr_html_(self) -> str:
+        from skyline.report.matches import result_html  # noqa: PLC0415  (slow to load)
+
+        return result_html(_in_short(self), self.query, self.candidates)
+
     def to_geodataframe(self) -> Any:
         """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
         return to_geodataframe([self])
@@ -128,12 +137,26 @@ class JointResult:
         """Distance within which the answer is sure to be right; None without an answer."""
         return next((one.within_m for one, is_of in self._each() if is_of), None)
 
+    def __repr__(self) -> str:
+        agree = f"{sum(self.agrees)} of {len(self.agrees)} photos agree"
+        return f"JointResult({_in_short(self)}; {agree})"
+
     def to_geodataframe(self) -> Any:
         """Return the cameras as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
         return to_geodataframe(self.results)
 
     def _each(self) -> Iterable[tuple[MatchResult, bool]]:
         return zip(self.results, self.agrees, strict=True)
+
+
+def _in_short(result: MatchResult | JointResult) -> str:
+    best = result.answer
+    if best is None:
+        return f"no answer: {result.refusal or 'no place fits'}"
+    said = f"latitude {best.lat:.5f}, longitude {best.lon:.5f}, heading {best.heading_deg:.1f}"
+    if result.within_m is not None:
+        said += f", right within {result.within_m:g} m"
+    return said if best.confidence is None else f"{said}, confidence {best.confidence:.2f}"
 
 
 class Matcher:
@@ -532,11 +555,11 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
     Where it is not to be had there is a warning of what is left ``otherwise``. Only plain files
     are read: a store from a stranger must not make the reader go anywhere else.
     """
-    if not header.dem_files or not all(Path(path).is_file() for path in header.dem_files):
+    if not header.dem_files or not all(map(is_file, header.dem_files)):
         _log.warning(
-            "%s: the store's DEM is not at %s any more; say where it lies with --dem",
+            "%s: the store's DEM is not at hand (no file here is %s); say where it lies with --dem",
             otherwise,
-            ", ".join(header.dem_files) or "any path",
+            ", ".join(header.dem_files) or "no path",
         )
         return None
     try:

@@ -11,6 +11,7 @@ from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
 from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
+from skyline.photo import QuerySkyline
 from skyline.report.claims import claim_said
 from skyline.report.geojson import write_geojson
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
@@ -80,6 +81,22 @@ def write_match_report(
 def write_match_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     """Write all candidates of matches as GeoJSON; see `skyline.report.geojson`."""
     write_geojson(path, [(matched.name, matched.candidates) for matched in matches], frame)
+
+
+def result_html(said: str, query: QuerySkyline, candidates: Sequence[Candidate]) -> str:
+    """Return what was found for a query as a notebook shows it: its skyline, and candidates."""
+    runs = np.flatnonzero(np.diff(query.trusted, prepend=False, append=False)).reshape(-1, 2)
+    lines = "".join(
+        "M" + " ".join(f"{col},{query.row_px[col]:.1f}" for col in range(start, stop))
+        for start, stop in runs.tolist()
+    )
+    size = f"{query.width_px} {query.height_px}"
+    drawn = (
+        f'<svg viewBox="0 0 {size}" width="360" style="border: 1px solid; margin: 0.5em 0">'
+        f'<path d="{lines}" fill="none" stroke="crimson" vector-effect="non-scaling-stroke"/></svg>'
+    )
+    table = _candidate_table(candidates).html() if candidates else ""
+    return f"<div>{Text(said).html()}{drawn}{table}</div>"
 
 
 def _about(surroundings: Surroundings) -> str:

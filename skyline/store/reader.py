@@ -2,7 +2,7 @@
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +20,7 @@ from skyline.errors import (
 )
 from skyline.features import NO_KEYPOINT
 from skyline.geodesy import Frame
+from skyline.shown import facts_html
 from skyline.store.checks import checked_dataset, read_committed, read_header
 from skyline.store.dataset import dataset_of_places, dataset_of_views, table_of_places
 from skyline.store.digest import row_checksums
@@ -97,6 +98,22 @@ class Store:
 
     def __len__(self) -> int:
         return self._committed
+
+    def __repr__(self) -> str:
+        return f"Store({self._path.name}: {self._committed} {self._header.holds})"
+
+    def _repr_html_(self) -> str:
+        header = self._header
+        settings = header.config.items()
+        facts = {
+            "store": str(self._path),
+            header.holds: f"{self._committed:,}",
+            "frame": Frame(header.frame_wkt).name,
+            "DEM": ", ".join(header.dem_files) or "no file",
+            **{name: str(value) for name, value in settings if not isinstance(value, Mapping)},
+            "made by": f"skyline {header.package_version}",
+        }
+        return facts_html(facts)
 
     @property
     def path(self) -> Path:
@@ -368,7 +385,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
         with WholeFile(path) as raw, h5py.File(raw, "r") as file:
             return "schema" in file.attrs
     except (SkylineError, *UNREADABLE):
-        return path.is_file() and path.suffix == ".h5"
+        return path.suffix == ".h5" and path.is_file()
 
 
 def _patiently(raw: WholeFile, read: Callable[[], _T]) -> _T:

@@ -14,6 +14,7 @@ from pyproj.exceptions import CRSError
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
+from skyline.files import is_file
 from skyline.geodesy import Frame, is_metric
 from skyline.terrain.cleaning import (
     STEEPEST,
@@ -126,8 +127,9 @@ def read_dem(
     Parameters
     ----------
     paths : path or sequence of paths
-        Rasters of one band, or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a
-        grid; where they overlap the first named gives the height, what none covers is a hole.
+        Rasters of one band, virtual rasters and STAC items among them; ``https://`` addresses of
+        the same; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a grid; where
+        they overlap the first named gives the height, what none covers is a hole.
     options : DemOptions
 
     Returns
@@ -143,6 +145,8 @@ def read_dem(
     InputError
         Not a raster, not one band, damaged, no (understood) CRS, a rotated grid, tiles that do
         not fit together, no height at all.
+    FetchError
+        A server that does not have it, or does not answer.
     """
     if isinstance(paths, str | Path):
         paths = [paths]
@@ -166,8 +170,8 @@ def dem_of_dataset(dataset: Any, options: DemOptions) -> HeightField:
     heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
     read_into(dataset, tile, heights)
     # A warped or virtual dataset is not what lies in a file of its name.
-    is_file = isinstance(dataset, rasterio.DatasetReader) and Path(source).is_file()
-    files = (str(Path(source).absolute()),) if is_file else ()
+    on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
+    files = (str(Path(source).absolute()),) if on_disk else ()
     return _height_field(heights, _Raster(source, tile.crs, grid, files), options)
 
 

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.shown import facts_html, relief
 
 if TYPE_CHECKING:
     from skyline.terrain.dem import DemOptions
@@ -102,6 +104,30 @@ class HeightField:
             heights = np.array(heights, order="C")
             heights.setflags(write=False)
         object.__setattr__(self, "heights_m", heights)
+
+    def __repr__(self) -> str:
+        samples, spacing, *others = self._facts().values()
+        files = [Path(file).name for file in self.provenance.files]
+        others += files if len(files) < 2 else [f"{files[0]} and {len(files) - 1} more"]
+        return f"HeightField({', '.join([f'{samples} samples', f'{spacing} apart', *others])})"
+
+    def _repr_html_(self) -> str:
+        west, south, east, north = self.bounds_m
+        lon, lat = self.frame.to_lonlat([west, east, west, east], [south, south, north, north])
+        corners = (lon.min(), lat.min(), lon.max(), lat.max())
+        facts = self._facts() | {"W, S, E, N": ", ".join(f"{v:.4f}" for v in corners)}
+        if not np.isnan(self.heights_m).all():
+            facts["heights"] = "{:.0f} to {:.0f} m".format(*self.height_range_m)
+        if self.provenance.files:
+            facts["files"] = ", ".join(self.provenance.files)
+        return facts_html(facts, relief(self.heights_m, self.spacing_east_m, self.spacing_north_m))
+
+    def _facts(self) -> dict[str, str]:
+        return {
+            "samples": f"{self.cols} x {self.rows}",
+            "spacing": f"{self.spacing_east_m:g} x {self.spacing_north_m:g} m",
+            "frame": self.frame.name,
+        }
 
     @classmethod
     def from_rasterio(cls, dataset: Any, options: "DemOptions | None" = None) -> "HeightField":

@@ -22,7 +22,8 @@ from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from skyline.arrays import Float32Array
-from skyline.errors import InputError, MissingFileError
+from skyline.errors import FetchError, InputError, MissingFileError
+from skyline.files import is_file
 from skyline.terrain.cleaning import strips
 
 MAX_SAMPLES = 1 << 31
@@ -42,6 +43,20 @@ AGREEMENT_M = 1.0
 
 # Enough to decode a row of tiles; GDAL's own default is a twentieth of the machine's memory.
 _GDAL_CACHE_BYTES = 64 << 20
+_ON_NETWORKS = {
+    "GDAL_HTTP_CONNECTTIMEOUT": "30",
+    "GDAL_HTTP_LOW_SPEED_LIMIT": "1000",
+    "GDAL_HTTP_LOW_SPEED_TIME": "30",
+    "GDAL_HTTP_MAX_RETRY": "3",
+}
+"""A server that sends less than 1 kB a second for 30 seconds is given up."""
+_NO_NEIGHBOURS = {"GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR"}
+"""GDAL asks a server for a dozen files beside the DEM otherwise."""
+_SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
+"""Of an address: user and password, and the query, which may be a signature."""
+_NO_ANSWER = re.compile(
+    r"HTTP (response|error) code|CURL error|[Ff]ailed to connect|open /vsicurl/"
+)
 _FEET_M = {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us-ft": 1200 / 3937, "ftus": 1200 / 3937}
 
 
@@ -108,7 +123,7 @@ class Said:
 
 def open_tile(path: str | Path, default_crs: CRS | None) -> Tile:
     """Look at a file; `InputError` or `MissingFileError` where it is not a usable DEM."""
-    source = _resolve(path)
+    source = absolute_name(path)
     with _opened(source) as dataset:
         return tile_of(source, dataset, default_crs)
 
@@ -193,28 +208,45 @@ def read_mosaic(
     return heights
 
 
-def _resolve(path: str | Path) -> str:
-    """Return an absolute path, or a GDAL name with the file in it made absolute."""
+def absolute_name(path: str | Path) -> str:
+    """Return an absolute path, or what GDAL opens with the file in it made absolute.
+
+    Raises
+    ------
+    MissingFileError
+        There is no such file, and it is no address or name of GDAL's.
+    InputError
+        A folder.
+    """
     text = str(path)
-    local = Path(text)
-    if local.is_dir():
+    if is_file(text):
+        return str(Path(text).absolute())
+    if "://" in text or text.startswith("/vsi"):
+        return text
+    if Path(text).is_dir():
         raise InputError(f"{text} is a folder; name the DEM files in it")
-    if local.is_file():
-        return str(local.absolute())
-    if text.startswith("/vsi") or re.match(r"[A-Za-z][A-Za-z0-9_+]+:", text):
-        parts = text.split(":")
-        return ":".join(str(Path(p).absolute()) if p and Path(p).is_file() else p for p in parts)
+    if re.match(r"[A-Za-z][A-Za-z0-9_+]+:", text):
+        parts = re.split(r"([:\"])", text)
+        return "".join(str(Path(p).absolute()) if p and is_file(p) else p for p in parts)
     raise MissingFileError(f"there is no file {text}; check the path of the DEM")
 
 
 @contextmanager
 def _opened(source: str) -> Iterator[Any]:
-    """Open a raster; what goes wrong while it is open is told as one `InputError`."""
+    """Open a raster; what goes wrong while it is open is told as one error."""
+    settings = _ON_NETWORKS | (_NO_NEIGHBOURS if "://" in source else {})
     try:
-        with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES), _dataset(source) as dataset:
+        with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES, **settings), _dataset(source) as dataset:
             yield dataset
     except RasterioError as error:
         reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
+        if "://" in source:
+            source, reason = _SECRET.sub("", source), _SECRET.sub("", reason)
+        if _NO_ANSWER.search(reason):
+            raise FetchError(
+                f"{source} cannot be read from its server ({reason}); check the address and "
+                "whether the server is up"
+            ) from error
         raise InputError(
             f"{source} cannot be read as a raster ({reason}); expected a whole GeoTIFF, ESRI ASCII "
             "grid, .hgt or .hgt.gz (named after its corner, like N46E009.hgt) or another format "
@@ -227,7 +259,7 @@ def _dataset(source: str) -> Iterator[Any]:
     with warnings.catch_warnings():
         # Told as an error of our own, by `grid_of`.
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        if not source.lower().endswith(".gz") or source.startswith("/vsi"):
+        if not (source.lower().endswith(".gz") and is_file(source)):
             dataset = rasterio.open(source)
             memory = None
         else:

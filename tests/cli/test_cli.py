@@ -37,6 +37,17 @@ def test_version_and_help(run):
         assert "Usage" in shown.out
 
 
+@pytest.mark.parametrize(
+    ("typed", "at", "completed"),
+    [("skyline ma", 1, "match"), ("skyline match --fov-", 2, "--fov-deg")],
+)
+def test_a_shell_completes_commands_and_options(run, monkeypatch, typed, at, completed):
+    monkeypatch.setenv("COMP_WORDS", typed)
+    monkeypatch.setenv("COMP_CWORD", str(at))
+    monkeypatch.setenv("_SKYLINE_COMPLETE", "complete_bash")
+    assert completed in run().out.split()
+
+
 def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
     pictures, out = tmp_path / "pictures", tmp_path / "out.h5"
     done = run(

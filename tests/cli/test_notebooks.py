@@ -1,0 +1,82 @@
+"""The notebooks in docs/notebooks/: they run, what they claim is so, and the site shows it."""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+
+import nbformat
+import pytest
+from documents import ROOT
+from mkdocs.exceptions import PluginError
+
+import skyline
+
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+
+SHOWN = {
+    "first-photo": ("m off, turned by", "_files/first-photo"),
+    "solar-horizon": ("sunrise at", "_files/solar-horizon"),
+    "store-accuracy": ("of these right", "_files/store-accuracy"),
+}
+"""Notebook -> what its page has only if it was run."""
+
+
+def page_of(path):
+    """Run a notebook as the site does."""
+    spec = importlib.util.spec_from_file_location("hook", ROOT / ".ci" / "notebook_pages.py")
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+    return hook.page_of(path, run=True)
+
+
+def code_of(path):
+    cells = nbformat.read(path, as_version=4).cells
+    return [cell for cell in cells if cell.cell_type == "code"]
+
+
+@pytest.mark.slow
+def test_make_docs_runs_the_notebooks_and_shows_what_they_find(tmp_path):
+    line = re.search(r"^docs:.*\n\t(.*)\$\(IN_VENV\)/mkdocs (.*)$", makefile(), re.M)
+    settings = dict(word.split("=") for word in line[1].split())
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", *line[2].split(), "--site-dir", str(tmp_path)],
+        cwd=ROOT, env=os.environ | settings, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert {path.stem for path in NOTEBOOKS} == SHOWN.keys()
+    for name, told in SHOWN.items():
+        page = (tmp_path / "notebooks" / f"{name}.html").read_text(encoding="utf-8")
+        for words in told:
+            assert words in page, name
+        assert not re.search(r'href="[^"]*\.md', page), name
+
+
+def test_a_claim_that_is_not_so_stops_the_site(tmp_path):
+    notebook = nbformat.v4.new_notebook(
+        cells=[
+            nbformat.v4.new_code_cell("off_m = 70"),
+            nbformat.v4.new_code_cell("assert off_m < 50"),
+        ]
+    )
+    nbformat.write(notebook, tmp_path / "wrong.ipynb")
+    with pytest.raises(PluginError, match=r"wrong.ipynb(.|\n)*assert off_m < 50"):
+        page_of(tmp_path / "wrong.ipynb")
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_holds_no_outputs_makes_claims_and_uses_public_names(path):
+    cells = code_of(path)
+    code = "\n".join(cell.source for cell in cells)
+    assert not any(cell.outputs or cell.execution_count for cell in cells)
+    assert re.search(r"^ *assert ", code, re.M)
+    imported = re.findall(r"^from skyline import (.+)$", code, re.M)
+    names = {name for line in imported for name in line.split(", ")}
+    assert names
+    assert names <= set(skyline.__all__)
+    assert not re.search(r"skyline\.|skyline_bench", code)
+
+
+def makefile():
+    return (ROOT / "Makefile").read_text(encoding="utf-8")

@@ -1,0 +1,94 @@
+"""How terrain, stores and results show themselves in a REPL and in a notebook."""
+
+import base64
+import io
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+from scenes import candidate_at, field_from, field_of
+
+from skyline import JointResult, MatchResult, QuerySkyline, open_store
+
+
+def picture_in(html):
+    """Return the picture that an HTML holds as an array."""
+    data = re.search(r"data:image/png;base64,([^\"]+)", html)[1]
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))))
+
+
+def query():
+    row_px = np.full(40, 12.0)
+    row_px[10:15] = np.nan
+    return QuerySkyline(row_px, np.isfinite(row_px) * 1.0, 40, 30, 60.0)
+
+
+def result(refusal=None, candidates=True):
+    found = (candidate_at(1000.0, 2000.0, confidence=0.93, confidence_1km=0.97),) * candidates
+    return MatchResult(query(), found, 1.0, refusal, None if refusal else 200.0)
+
+
+def test_terrain_is_one_line_and_a_table_with_relief():
+    field = field_from(lambda east, north: 0.5 * east + 0.0 * north, 301, 20.0)
+    assert repr(field).startswith("HeightField(301 x 301 samples, 20 x 20 m apart, local ")
+    html = field._repr_html_()
+    assert "-1500 to 1500 m" in html
+    assert max(picture_in(html).shape) <= 240
+
+
+def test_relief_is_light_towards_north_west():
+    facing_north_west, facing_south_east = (
+        picture_in(field_from(slope, 50, 20.0)._repr_html_()).mean()
+        for slope in (lambda east, north: east - north, lambda east, north: north - east)
+    )
+    assert facing_north_west > facing_south_east + 100
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 2)])
+def test_small_terrain_and_holes_can_be_shown(shape):
+    for heights in (np.zeros(shape), np.full(shape, np.nan)):
+        assert "samples" in field_of(heights)._repr_html_()
+
+
+def test_a_store_says_what_it_holds(store):
+    with open_store(store) as opened:
+        assert repr(opened) == f"Store({store.name}: {len(opened)} places)"
+        html = opened._repr_html_()
+    assert f"<th>places</th><td>{len(opened):,}</td>" in html
+    assert "<th>spacing_m</th><td>80.0</td>" in html
+
+
+def test_a_result_says_its_answer_and_holds_no_array():
+    answered = result()
+    answer = answered.answer
+    assert repr(answered) == (
+        f"MatchResult(latitude {answer.lat:.5f}, longitude {answer.lon:.5f}, heading "
+        f"{answer.heading_deg:.1f}, right within 200 m, confidence 0.93; candidates: 1)"
+    )
+    joint = JointResult((answered, result("too far", False)), (True, False), 2.0)
+    assert repr(joint).endswith("confidence 0.93; 1 of 2 photos agree)")
+
+
+def test_a_refusal_is_said_and_markup_in_it_is_text():
+    refused = result("confidence <0.8>", candidates=False)
+    assert repr(refused) == "MatchResult(no answer: confidence <0.8>; candidates: 0)"
+    assert "<0.8>" not in refused._repr_html_()
+
+
+def test_a_result_draws_its_skyline_without_what_is_not_trusted():
+    html = result()._repr_html_()
+    line = re.search(r' d="([^"]*)"', html)[1]
+    assert [len(run.split()) for run in line.split("M")[1:]] == [10, 25]
+    assert line.startswith("M0,12.0 1,12.0")
+    assert "0.93" in html
+
+
+def test_terrain_and_stores_show_themselves_without_matplotlib():
+    code = (
+        "import sys, skyline; skyline.HeightField, skyline.open_store; import skyline.shown; "
+        "sys.exit('matplotlib' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
