@@ -4,9 +4,10 @@ PYTHON ?= python3
 VENV := .venv
 IN_VENV := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
+TESTS := tests/bench tests/cli tests/gl tests/web tests/unit
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-all check docs bench clean
+.PHONY: help setup demo test test-all $(TESTS) check docs bench clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -19,8 +20,10 @@ demo: setup ## Build a store over a real DEM, match images to it, write out/demo
 test: setup ## Run the tests but for the slowest
 	$(IN_VENV)/python -m pytest -m "not slow"
 
-test-all: setup ## Run all tests
-	$(IN_VENV)/python -m pytest
+test-all: $(TESTS) ## Run all tests, folder by folder; `make -j2 -O test-all` runs two at once
+
+$(TESTS): setup
+	$(IN_VENV)/python -m pytest $@
 
 docs: setup ## Build the documentation into build/site, notebooks run; a broken link fails
 	RUN_NOTEBOOKS=true NO_MKDOCS_2_WARNING=1 $(IN_VENV)/mkdocs build --strict

@@ -11,7 +11,7 @@ from skyline_bench.runs.placing import PlacingConfig, claimed_loss, measure, mod
 
 
 @pytest.fixture(scope="module")
-def measured(tmp_path_factory):
+def measured(tmp_path_factory, refined_once):
     folder = tmp_path_factory.mktemp("placing")
     terrain = read_dem([write_dem(folder / "dem.tif", fractal(220, 220, 900.0, seed=4))])
     config = PlacingConfig((300.0,), (0.3,), queries=6)

@@ -80,7 +80,7 @@ def test_outcomes_are_kept_line_by_line(tmp_path):
     assert Results(path).found == again.found
 
 
-@pytest.mark.slow
+@pytest.mark.usefixtures("refined_once")
 def test_areas_are_searched_and_what_was_found_is_kept(terrain, tmp_path, caplog):
     cost, rows = measure(terrain, CONFIG, tmp_path)
     assert cost["places"] == 12 * 8

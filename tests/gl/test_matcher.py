@@ -114,19 +114,19 @@ def test_a_field_of_view_at_the_end_of_what_is_searched_is_no_answer(
 
 
 def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
-    found = {}
+    rays, sure_margin = [query.rays() for query in queries[:3]], 400.0
     with open_store(store) as opened:
         scene = RenderedScene.of_store(terrain, opened.header, BOLD)
-    for sure_margin in (0.0, 75.0, np.inf):
-        with open_store(store) as opened:
-            retriever = Retriever(opened.places(), terrain.height_at)
-        matcher = FullMatcher(retriever, scene, FullConfig(sure_margin=sure_margin))
-        rays = [query.rays() for query in queries]
-        found[sure_margin] = [matcher.refine(matcher.retrieve(one), one) for one in rays]
+        retriever = Retriever(opened.places(), terrain.height_at)
+        retrieved = [retriever.shortlist(one, FullConfig().shortlist) for one in rays]
+    found = []
+    for margin in (0.0, sure_margin, np.inf):
+        matcher = FullMatcher(retriever, scene, FullConfig(sure_margin=margin))
+        found.append([matcher.refine(*one) for one in zip(retrieved, rays, strict=True)])
     scene.release()
-    for quick, chosen, thorough in zip(*found.values(), strict=True):
+    for quick, chosen, thorough in zip(*found, strict=True):
         assert quick.renderings < thorough.renderings
-        sure = quick.margin[0] > 75.0
+        sure = quick.margin[0] > sure_margin
         assert chosen.renderings == (quick if sure else thorough).renderings
         if sure:
             # Both end where the fit cannot tell places apart: within three deviations.
@@ -135,7 +135,7 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
             )
             apart_m = np.hypot(*np.subtract(one, other))
             assert apart_m < 3.0 * np.sqrt(np.trace(thorough.covariance_m2[0]))
-    assert any(quick.margin[0] > 75.0 for quick in found[0.0])
+    assert {bool(quick.margin[0] > sure_margin) for quick in found[0]} == {True, False}
 
 
 def test_a_store_says_what_area_it_stands_for(store, terrain):

@@ -30,7 +30,7 @@ def random_viewpoints(field, count, bounds_deg=None):
 @pytest.mark.slow
 def test_davos_depth_path_lies_within_a_pixel_of_the_oracle(shared_data):
     field = read_dem([shared_data / "davos" / "davos_srtm1_30m.tif"])
-    viewpoints = random_viewpoints(field, 20, (9.7, 46.6, 10.1, 47.0))
+    viewpoints = random_viewpoints(field, 8, (9.7, 46.6, 10.1, 47.0))
     truth = oracle.skyline(field, viewpoints)
     with DepthRenderer(field) as renderer:
         views = renderer.render(viewpoints)

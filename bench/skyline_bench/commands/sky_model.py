@@ -48,14 +48,14 @@ def train_sky_model(
 ) -> None:
     """The network that finds skylines in photos, trained anew on drawn photographs."""
     check_folder("--out", out)
-    with progress_bar("photographs") as progress:
-        drawn = draw_training_photos(16 if quick else photos, seed, progress)
     try:
         training = import_module("skyline_bench.training.training")
     except ModuleNotFoundError as error:
         raise InputError(
             f"training needs {error.name}, which is not installed: pip install -e 'bench[train]'"
         ) from error
+    with progress_bar("photographs") as progress:
+        drawn = draw_training_photos(16 if quick else photos, seed, progress)
     with progress_bar("steps") as progress:
         net = training.train(drawn, 2 if quick else steps, seed, progress)
     training.write_model(net, out)
