@@ -22,7 +22,7 @@ PICTURES = (
 )  # fmt: skip
 COARSE = (
     "--spacing", 600, "--strategy", "lpov", "--budget", 60, "--candidate-spacing", 250,
-    "--queries", 3,
+    "--queries", 3, "--workers", 1,
 )  # fmt: skip
 
 
