@@ -33,10 +33,11 @@ from .photo import (
 from .pipeline.build import BuildResult, build_uniform, render_to_store, render_views
 from .pipeline.config import RenderConfig
 from .pipeline.local_horizons import horizon
-from .pipeline.match import JointResult, Matcher, MatchResult
+from .pipeline.match import Matcher
 from .pipeline.panorama import PanoramaConfig, save_panorama
 from .pipeline.places import PlaceConfig, build_places
 from .pipeline.reports import report_matches
+from .pipeline.results import JointResult, MatchResult
 from .pipeline.tables import to_geodataframe
 from .pipeline.viewer import SeenPeak, Sight, Viewer
 from .places import Places

@@ -30,7 +30,7 @@ from skyline.pipeline import (
     matched,
     report_matches,
 )
-from skyline.pipeline.match import terrain_at_hand
+from skyline.pipeline.opened import terrain_at_hand
 from skyline.report.exports import EXPORTS, check_export, export_matches
 from skyline.report.peaks import Peaks, read_peaks
 from skyline.report.records import FailureRecord

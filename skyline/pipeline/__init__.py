@@ -13,13 +13,14 @@ from skyline.pipeline.build import (
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizon, horizons_of
-from skyline.pipeline.match import JointResult, Matcher, MatchResult
+from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.pipeline.panorama import PanoramaConfig, save_panorama
 from skyline.pipeline.places import PlaceConfig, build_places
 from skyline.pipeline.planned import PlannedResult, build_planned
 from skyline.pipeline.queries import Query, listed
 from skyline.pipeline.reports import matched, report_matches
+from skyline.pipeline.results import JointResult, MatchResult
 from skyline.pipeline.shards import ShardPlan, build_sharded
 
 __all__ = [

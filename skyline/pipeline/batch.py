@@ -14,8 +14,9 @@ from skyline.errors import SkylineError
 from skyline.matching.screening import Alike
 from skyline.photo import QuerySkyline
 from skyline.pipeline.jobs import Runner, in_order
-from skyline.pipeline.match import Matcher, MatchResult
+from skyline.pipeline.match import Matcher
 from skyline.pipeline.queries import Query
+from skyline.pipeline.results import MatchResult
 from skyline.store import open_store
 from skyline.store.header import PLACES
 

@@ -12,7 +12,8 @@ from skyline.matching.narrowing import Narrowing
 from skyline.matching.screening import Alike
 from skyline.photo import Lens, Projection, QuerySkyline, check_fov, load_sky_model, read_query
 from skyline.photo.sky_model import SkySession
-from skyline.pipeline.match import Matcher, MatchResult
+from skyline.pipeline.match import Matcher
+from skyline.pipeline.results import MatchResult
 
 _COLUMNS = (
     "path", "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",

@@ -6,7 +6,8 @@ from pathlib import Path
 from skyline import report
 from skyline.photo import read_picture
 from skyline.pipeline.config import RenderConfig, curvature_of
-from skyline.pipeline.match import Matcher, MatchResult
+from skyline.pipeline.match import Matcher
+from skyline.pipeline.results import MatchResult
 from skyline.pipeline.scene import RenderedScene
 from skyline.report.matched import Matched
 from skyline.report.peaks import Peaks

@@ -8,7 +8,7 @@ from skyline.errors import InputError
 from skyline.matching.ranking import Candidate
 
 if TYPE_CHECKING:
-    from skyline.pipeline.match import MatchResult
+    from skyline.pipeline.results import MatchResult
 
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 _FIELDS = (

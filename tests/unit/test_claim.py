@@ -13,7 +13,7 @@ from skyline.matching.ranking import Candidate
 from skyline.matching.solver import Curves as SeenCurves
 from skyline.matching.solver import EyeHeight, Solver, SolverConfig
 from skyline.photo import NotedPlace
-from skyline.pipeline.match import claim_of
+from skyline.pipeline.claims import claim_of
 from skyline.report.claims import claim_in_words, describe_claim
 
 CLAIM = Claim(1000.0, 2000.0, 25.0)

@@ -13,11 +13,9 @@ from skyline.pipeline import Progress
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands.options import (
     Crs,
-    Dems,
     JsonFile,
     Quick,
     Seed,
-    StoreFile,
     check_folder,
     check_outputs,
     keep_record,
@@ -139,11 +137,9 @@ def _told(page: PhotographsPage | None, progress: Progress, count: int) -> Shown
 
 
 def readme_picture(
-    store: StoreFile,
-    dem: Dems,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The JPEG to write.")],
     quick: Quick = False,
 ) -> None:
-    """The README's picture: a photo made beside Davos, and where it was put."""
+    """The README's picture: a photo made of the sample terrain, and where it was put."""
     check_folder("--out", out)
-    print_rows([save_match(store, read_dem(dem), out, width=512 if quick else 2048)])
+    print_rows([save_match(out, width=512 if quick else 2048)])

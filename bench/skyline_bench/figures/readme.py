@@ -1,7 +1,7 @@
 """The README's picture, ``docs/match.jpg``.
 
-A photo is made from the terrain beside the store's viewpoints, and matched; the picture is the
-report's: the photo with both skylines, and the map of the candidates.
+A photo is made of the sample terrain, and matched to a store of it; the picture is the report's:
+the photo with both skylines, and the map of the candidates.
 """
 
 import tempfile
@@ -11,33 +11,38 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from skyline import Matcher, stand_on
+from skyline import Matcher, build_places, read_dem, stand_on
 from skyline.pipeline import matched, report_matches
 from skyline.render.depth import DepthRenderer
-from skyline.terrain.heightfield import HeightField
 from skyline_bench.queries.photographs import photograph
 from skyline_bench.queries.pinhole import Camera
+from skyline_bench.queries.sample import write_sample_dem
 
-LON_DEG, LAT_DEG = 9.90673, 46.82570
-CAMERA = Camera(160.0, pitch_deg=9.0, roll_deg=1.0, fov_deg=60.0)
+BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
+LON_DEG, LAT_DEG = -84.2790, 36.6029
+CAMERA = Camera(220.0, pitch_deg=7.0, roll_deg=1.0, fov_deg=60.0)
 HEIGHT_PX = 560
 
 
-def save_match(store: Path, terrain: HeightField, path: Path, width: int) -> dict[str, object]:
+def save_match(path: Path, width: int) -> dict[str, object]:
     """Save the picture of a photo rendered so wide; return what the match came to."""
-    eye = stand_on(terrain, *terrain.frame.from_lonlat(LON_DEG, LAT_DEG))
-    with tempfile.TemporaryDirectory() as name, Matcher(store, terrain) as matcher:
+    with tempfile.TemporaryDirectory() as name:
+        terrain = read_dem([write_sample_dem(Path(name) / "sample.tif")])
+        store = Path(name) / "places.h5"
+        build_places(terrain, store, bounds_deg=BOUNDS_DEG)
+        eye = stand_on(terrain, *terrain.frame.from_lonlat(LON_DEG, LAT_DEG))
         photo, report = Path(name) / "photo.jpg", Path(name) / "report"
         with DepthRenderer(terrain, width) as renderer:
             Image.fromarray(photograph(renderer, eye, 0, CAMERA, seed=1)).save(photo, quality=92)
-        result = matcher.match(photo, fov_deg=CAMERA.fov_deg)
-        best = result.candidates[0]
-        apart_m = best.easting_m - eye.easting_m[0], best.northing_m - eye.northing_m[0]
-        off_m = float(np.hypot(*apart_m))
-        report_matches(report, matcher, [matched(photo, result)], terrain)
+        with Matcher(store, terrain) as matcher:
+            result = matcher.match(photo, fov_deg=CAMERA.fov_deg)
+            report_matches(report, matcher, [matched(photo, result)], terrain)
         pictures = [Image.open(path) for path in (report / "01-overlay.jpg", report / "01-map.png")]
         side_by_side(pictures).save(path, quality=85, optimize=True)
-    return {"error_m": off_m, "confidence": best.confidence, "query_s": result.seconds}
+    best = result.candidates[0]
+    apart_m = best.easting_m - eye.easting_m[0], best.northing_m - eye.northing_m[0]
+    error_m = float(np.hypot(*apart_m))
+    return {"error_m": error_m, "confidence": best.confidence, "query_s": result.seconds}
 
 
 def side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:

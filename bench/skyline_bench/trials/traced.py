@@ -16,7 +16,7 @@ from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Scene
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike, Screen, sample_of
-from skyline.pipeline.match import sure_within_m, too_little
+from skyline.pipeline.refusals import sure_within_m, too_little
 from skyline.places import PlaceSource
 from skyline.terrain.heightfield import Ground
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth

@@ -1,0 +1,127 @@
+"""An open store and its terrain, as matchers want them."""
+
+import logging
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError, SkylineError
+from skyline.files import is_file
+from skyline.matching import Profiles
+from skyline.matching.match_config import MatchConfig
+from skyline.pipeline.config import check_dem, read_dem_of
+from skyline.pipeline.scene import RenderedScene
+from skyline.places import PlaceSource
+from skyline.render.thread import RenderThread
+from skyline.store import Store, StoreHeader
+from skyline.store.header import PLACES
+from skyline.terrain.heightfield import Ground, HeightField
+from skyline.terrain.viewpoints import Viewpoints
+from skyline.views import Views
+
+_log = logging.getLogger(__name__)
+
+Dem = str | Path | Sequence[str | Path] | HeightField
+
+
+class OpenedSource:
+    """An open store and its terrain; see `skyline.matching.ranker.Source`."""
+
+    def __init__(
+        self,
+        path: str | Path,
+        store: Store,
+        terrain: HeightField | None,
+        config: MatchConfig,
+        thread: RenderThread | None,
+    ) -> None:
+        self._path, self._store, self._thread = path, store, thread
+        self.terrain, self.config = terrain, config
+        self.rendered: RenderedScene | None = None
+        self._sought = False
+
+    def places(self) -> PlaceSource:
+        """Return the places of the store."""
+        places = self._store.places()
+        if not len(places):
+            raise InputError(f"store {self._path} holds no places; build it first")
+        return places
+
+    def profiles(self) -> Profiles:
+        """Return the renderings of the store, joined."""
+        return Profiles.from_views(_chunks(self._store))
+
+    def ground(self) -> Ground | None:
+        """Return the heights of the terrain."""
+        terrain = self._found_terrain()
+        return None if terrain is None else terrain.height_at
+
+    def scene(self) -> RenderedScene | None:
+        """Return the terrain to render."""
+        terrain = self._found_terrain()
+        if terrain is not None and self.config.refine:
+            header = self._store.header
+            self.rendered = RenderedScene.of_store(terrain, header, self.config, self._thread)
+        return self.rendered
+
+    def _found_terrain(self) -> HeightField | None:
+        if self.terrain is None and not self._sought:
+            self._sought = True
+            self.terrain = terrain_at_hand(self._store.header, "answers unrefined")
+        return self.terrain
+
+
+def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
+    """Return the terrain a store was rendered from, read from where it lay then.
+
+    Where it is not to be had there is a warning of what is left ``otherwise``. Only plain files
+    are read: a store from a stranger must not make the reader go anywhere else.
+    """
+    if not header.dem_files or not all(map(is_file, header.dem_files)):
+        _log.warning(
+            "%s: the store's DEM is not at hand (no file here is %s); say where it lies with --dem",
+            otherwise,
+            ", ".join(header.dem_files) or "no path",
+        )
+        return None
+    try:
+        return read_dem_of(header)
+    except SkylineError as error:
+        _log.warning("%s: the store's DEM cannot be used: %s", otherwise, error)
+        return None
+
+
+def given_terrain(header: StoreHeader, dem: Dem | None) -> HeightField | None:
+    """Return the terrain that was given, as the store's build read it."""
+    if isinstance(dem, HeightField):
+        check_dem(header, dem)
+        return dem
+    if dem is None:
+        return None
+    return read_dem_of(header, [dem] if isinstance(dem, str | Path) else dem)
+
+
+_SHOWN_EYES = 20_000
+
+
+def some_eyes(store: Store) -> Viewpoints:
+    """Return where the eyes of a store stand, evenly chosen ones of very many."""
+    if store.header.holds == PLACES:
+        places = store.places()
+        rows = np.arange(0, len(places), max(1, len(places) // _SHOWN_EYES))
+        some = places.take(rows)
+        height_m = some.eye_elevation_m.astype(np.float64)
+        return Viewpoints(some.easting_m, some.northing_m, height_m)
+    there = store.locations()
+    eyes = np.stack([there.easting_m, there.northing_m, there.eye_elevation_m])
+    return Viewpoints(*np.ascontiguousarray(np.unique(eyes, axis=1)))
+
+
+def _chunks(store: Store) -> Iterable[tuple[Views, NDArray[np.uint16]]]:
+    start = 0
+    for views in store.iter_views():
+        rows = slice(start, start + len(views))
+        yield views, store.keypoint_columns(rows)
+        start = rows.stop

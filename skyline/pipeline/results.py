@@ -1,0 +1,120 @@
+"""What matching gives back."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from skyline.matching import Candidate
+from skyline.photo import QuerySkyline
+from skyline.pipeline.tables import to_geodataframe
+from skyline.report.claims import claim_said
+
+
+@dataclass(frozen=True, slots=True)
+class MatchResult:
+    """What was found for one query.
+
+    Attributes
+    ----------
+    query : QuerySkyline
+        The skyline that was matched.
+    candidates : tuple of Candidate
+        Best first.
+    seconds : float
+        From the query to the candidates.
+    refusal : str or None
+        Why there is no answer, where there is none.
+    within_m : float or None
+        Distance within which the best candidate is sure to be right: 200 m, or 1 km where only
+        that is sure. None without an answer, and for matchers without a confidence.
+    """
+
+    query: QuerySkyline
+    candidates: tuple[Candidate, ...]
+    seconds: float
+    refusal: str | None = None
+    within_m: float | None = None
+
+    @property
+    def answer(self) -> Candidate | None:
+        """The best candidate, if the matcher stands by it."""
+        return self.candidates[0] if self.candidates and not self.refusal else None
+
+    @property
+    def claim(self) -> str:
+        """Where the photo says that it was taken, against the best candidate; empty without."""
+        best = next(iter(self.candidates), None)
+        return claim_said(self.query.noted, best, self.answer is not None)
+
+    def __repr__(self) -> str:
+        return f"MatchResult({_in_short(self)}; candidates: {len(self.candidates)})"
+
+    def _repr_html_(self) -> str:
+        from skyline.report.matches import result_html  # noqa: PLC0415  (slow to load)
+
+        return result_html(_in_short(self), self.query, self.candidates)
+
+    def to_geodataframe(self) -> Any:
+        """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
+        return to_geodataframe([self])
+
+
+@dataclass(frozen=True, slots=True)
+class JointResult:
+    """What was found for several queries of one place.
+
+    Attributes
+    ----------
+    results : tuple of MatchResult
+        One for each query. The candidates of those that agree are the same places with the same
+        confidences; each has its own camera there. A query that does not agree has no candidates,
+        and its refusal says why.
+    agrees : tuple of bool
+        Whether each query was taken at the best place rather than anywhere else.
+    seconds : float
+        From the queries to the places.
+    refusal : str or None
+        Why there is no answer, where there is none.
+    """
+
+    results: tuple[MatchResult, ...]
+    agrees: tuple[bool, ...]
+    seconds: float
+    refusal: str | None = None
+
+    @property
+    def places(self) -> tuple[Candidate, ...]:
+        """The places, best first, with the camera of the first query that agrees."""
+        of_agreeing = (one.candidates for one, is_of in self._each() if is_of)
+        return next(of_agreeing, ())
+
+    @property
+    def answer(self) -> Candidate | None:
+        """The best place, if the matcher stands by it; the camera as of `places`."""
+        return self.places[0] if self.places and not self.refusal else None
+
+    @property
+    def within_m(self) -> float | None:
+        """Distance within which the answer is sure to be right; None without an answer."""
+        return next((one.within_m for one, is_of in self._each() if is_of), None)
+
+    def __repr__(self) -> str:
+        agree = f"{sum(self.agrees)} of {len(self.agrees)} photos agree"
+        return f"JointResult({_in_short(self)}; {agree})"
+
+    def to_geodataframe(self) -> Any:
+        """Return the cameras as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
+        return to_geodataframe(self.results)
+
+    def _each(self) -> Iterable[tuple[MatchResult, bool]]:
+        return zip(self.results, self.agrees, strict=True)
+
+
+def _in_short(result: MatchResult | JointResult) -> str:
+    best = result.answer
+    if best is None:
+        return f"no answer: {result.refusal or 'no place fits'}"
+    said = f"latitude {best.lat:.5f}, longitude {best.lon:.5f}, heading {best.heading_deg:.1f}"
+    if result.within_m is not None:
+        said += f", right within {result.within_m:g} m"
+    return said if best.confidence is None else f"{said}, confidence {best.confidence:.2f}"
