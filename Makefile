@@ -4,7 +4,9 @@ PYTHON ?= python3
 VENV := .venv
 IN_VENV := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
-TESTS := tests/bench tests/cli tests/gl tests/web tests/unit
+TESTS := tests/bench tests/gl tests/cli tests/unit tests/web
+# Tests use one core for the most part: two folders run at once, each says what it found at its end.
+AT_ONCE := --jobs=2 --output-sync --keep-going --no-print-directory
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test test-all $(TESTS) check docs bench clean
@@ -17,13 +19,14 @@ setup: $(INSTALLED) ## Install system packages (as root), a virtual environment,
 demo: setup ## Build a store over a real DEM, match images to it, write out/demo
 	$(IN_VENV)/python examples/demo.py --out out/demo
 
-test: setup ## Run the tests but for the slowest
-	$(IN_VENV)/python -m pytest -m "not slow"
+test: setup ## Run the tests but for the slowest; `make tests/gl` runs a folder of them
+	$(MAKE) $(AT_ONCE) $(TESTS) CHOSEN='-m "not slow"'
 
-test-all: $(TESTS) ## Run all tests, folder by folder; `make -j2 -O test-all` runs two at once
+test-all: setup ## Run all tests
+	$(MAKE) $(AT_ONCE) $(TESTS)
 
 $(TESTS): setup
-	$(IN_VENV)/python -m pytest $@
+	$(IN_VENV)/python -m pytest $(CHOSEN) $@
 
 docs: setup ## Build the documentation into build/site, notebooks run; a broken link fails
 	RUN_NOTEBOOKS=true NO_MKDOCS_2_WARNING=1 $(IN_VENV)/mkdocs build --strict

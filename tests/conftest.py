@@ -1,5 +1,6 @@
 """Fixtures that several kinds of tests share."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,6 +55,8 @@ def run_main(monkeypatch, capsys):
     """Return a function that runs a command's main with arguments."""
     # How long a command takes here must not be in what it says.
     monkeypatch.setattr(console, "_PATIENCE_S", 1e6)
+    # A command's name is its script's, also where pytest was started as a module.
+    monkeypatch.setattr(sys.modules["__main__"], "__package__", None)
 
     def run_command(main, name, *arguments):
         monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
