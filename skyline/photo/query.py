@@ -66,6 +66,13 @@ class QuerySkyline:
         if np.any((self.confidence > 0.0) & ~self.trusted):
             raise InputError("confidence is above 0 where row_px is NaN; expected 0 there")
 
+    def __repr__(self) -> str:
+        lens = "unknown" if self.fov_deg is None else f"{self.fov_deg:.1f} degrees"
+        return (
+            f"QuerySkyline({self.width_px} x {self.height_px} px; columns trusted: "
+            f"{100.0 * self.trusted.mean():.0f} %; field of view: {lens})"
+        )
+
     @property
     def trusted(self) -> NDArray[np.bool_]:
         """Which columns have a skyline, shape (W,)."""

@@ -19,7 +19,14 @@ from skyline.photo import Lens, Projection, QuerySkyline, read_query
 from skyline.pipeline.claims import claim_of
 from skyline.pipeline.matchers import FULL, MATCHERS, check_narrows
 from skyline.pipeline.opened import Dem, OpenedSource, given_terrain, some_eyes
-from skyline.pipeline.refusals import DISAGREES, at_bound, sure_within_m, too_little, unsure
+from skyline.pipeline.refusals import (
+    DISAGREES,
+    at_bound,
+    lens_in_doubt,
+    sure_within_m,
+    too_little,
+    unsure,
+)
 from skyline.pipeline.results import JointResult, MatchResult
 from skyline.render.thread import RenderThread
 from skyline.store import open_store
@@ -131,7 +138,10 @@ class Matcher:
             with telling(told):
                 ranking = self._ranker.rank(rays, top, narrowed, screened)
             candidates = ranking.candidates(self.frame)
-            refusal = unsure(candidates, self._config) or at_bound(candidates, rays)
+            refusal = unsure(candidates, self._config)
+            if refusal is not None:
+                refusal += lens_in_doubt(candidates, query, rays)
+            refusal = refusal or at_bound(candidates, rays)
         within_m = None if refusal else sure_within_m(candidates[0], self._config)
         return MatchResult(query, candidates, time.perf_counter() - started, refusal, within_m)
 

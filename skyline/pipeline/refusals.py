@@ -40,6 +40,19 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
     )
 
 
+def lens_in_doubt(candidates: Sequence[Candidate], query: QuerySkyline, rays: QueryRays) -> str:
+    """Say that the best candidate needs another lens than the query's; empty where it does not."""
+    if not candidates or query.fov_deg is None:
+        return ""
+    found_deg = candidates[0].fov_deg
+    if abs(found_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
+        return ""
+    return (
+        f"; it has a field of view of {found_deg:.1f} degrees, and {query.fov_deg:.1f} was given: "
+        "check that"
+    )
+
+
 def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
     """Return the distance within which a candidate is sure enough to be right; None where none.
 

@@ -113,6 +113,15 @@ def test_a_field_of_view_at_the_end_of_what_is_searched_is_no_answer(
     assert answered or "--fov-deg" in found.refusal
 
 
+def test_a_refusal_names_a_field_of_view_that_hardly_fits(store, terrain, queries):
+    query = queries[3]
+    wrong = query.skyline.with_fov(1.2 * query.truth.fov_deg)
+    with Matcher(store, terrain, config=MatchConfig(fov_slack=0.01)) as matcher:
+        found = matcher.match(wrong)
+    assert "1 km" in found.refusal
+    assert f"and {wrong.fov_deg:.1f} was given" in found.refusal
+
+
 def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
     rays, sure_margin = [query.rays() for query in queries[:3]], 400.0
     with open_store(store) as opened:

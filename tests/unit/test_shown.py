@@ -5,6 +5,7 @@ import io
 import re
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,6 +71,14 @@ def test_a_result_says_its_answer_and_holds_no_array():
     )
     joint = JointResult((answered, result("too far", False)), (True, False), 2.0)
     assert repr(joint).endswith("confidence 0.93; 1 of 2 photos agree)")
+
+
+def test_a_query_says_its_size_and_what_is_trusted():
+    rows = np.where(np.arange(40) < 10, np.nan, 12.0)
+    query = QuerySkyline(rows, np.isfinite(rows).astype(float), 40, 30, 55.0)
+    said = "QuerySkyline(40 x 30 px; columns trusted: 75 %; field of view: "
+    assert repr(query) == f"{said}55.0 degrees)"
+    assert repr(replace(query, fov_deg=None)) == f"{said}unknown)"
 
 
 def test_a_refusal_is_said_and_markup_in_it_is_text():
