@@ -120,6 +120,7 @@ def test_the_report_is_one_page_and_small_pictures(kept, made):
         assert said in html
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium to look at the page with")
 def test_a_browser_shows_the_report(kept, made, tmp_path):
     assert made
