@@ -21,13 +21,14 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.matching.claim import Claim
+from skyline.matching.eye_height import EyeHeight
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.panoramas import Panoramas
 from skyline.matching.progress import tell
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import thinned
 from skyline.matching.refine_config import RefineConfig
-from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, EyeHeight, Fit, Solver
+from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, Fit, Solver
 from skyline.rows import Rows
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views

@@ -7,11 +7,12 @@ import pytest
 from query_scenes import BINS, hills, panorama_of, poses, rays_of, seen
 
 from skyline.errors import InputError
+from skyline.matching.eye_height import EyeHeight
 from skyline.matching.noise import Noise
 from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import level
 from skyline.matching.rays import level_with_changes, thinned
-from skyline.matching.solver import Curves, EyeHeight, Solver, SolverConfig
+from skyline.matching.solver import Curves, Solver, SolverConfig
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
 EYE = EyeHeight(2.0, 5.0)
