@@ -1,8 +1,13 @@
-"""What the command lines share: an error is one line and an exit code; progress is a bar."""
+"""What the command lines share: an error is one line and an exit code; progress is a bar.
+
+With ``SKYLINE_LOG=json`` all of it is JSON lines; see `skyline.logs`.
+"""
 
 import logging
+import os
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Annotated, Any
@@ -14,6 +19,7 @@ from rich.progress import Progress as ProgressBar
 
 from skyline import __version__
 from skyline.errors import InputError, SkylineError
+from skyline.logs import ENVIRONMENT_VARIABLE, JSON, as_json, start_logging
 from skyline.pipeline import Progress, local_runner, remote_runner
 from skyline.pipeline.jobs import Runner
 
@@ -23,6 +29,10 @@ _UsageError: Any = typer.BadParameter.__base__
 _INTERRUPTED = 130
 """Exit code of a command stopped with Ctrl-C, which newer typers return instead of raising."""
 _PATIENCE_S = 5.0
+_TOLD_EACH_S = 1.0
+"""How often progress is a JSON line, at most; its end always is."""
+
+_log = logging.getLogger(__name__)
 
 Workers = Annotated[
     int | None, typer.Option(metavar="N", help="Spread the work over N processes of this machine.")
@@ -36,6 +46,15 @@ Scheduler = Annotated[
 
 Dems = Annotated[
     list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
+]
+Surfaces = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--surface",
+        metavar="FILE",
+        help="A surface or canopy model: how far trees and houses may rise above the bare skyline; "
+        "repeat for each tile.",
+    ),
 ]
 RefractionK = Annotated[float, typer.Option("--k", help="Refraction coefficient.")]
 NoCurvature = Annotated[bool, typer.Option("--no-curvature", help="Take the Earth as flat.")]
@@ -87,10 +106,10 @@ def run_app(app: typer.Typer, stopped: str) -> None:
     stopped : str
         What to say after Ctrl-C.
     """
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
-    # What GDAL cannot read becomes an error of one line; its own words on the way only confuse.
-    logging.getLogger("rasterio").setLevel(logging.CRITICAL)
+    start_logging()
     try:
+        if (asked := os.environ.get(ENVIRONMENT_VARIABLE, "")) not in ("", JSON):
+            raise InputError(f"{ENVIRONMENT_VARIABLE} is {asked!r}; expected {JSON}, or nothing")
         code = app(standalone_mode=False)
         if code == _INTERRUPTED:
             raise KeyboardInterrupt
@@ -113,8 +132,11 @@ def run_app(app: typer.Typer, stopped: str) -> None:
 def progress_bar(what: str) -> Iterator[Progress]:
     """Show a bar on the terminal's error stream, from the first step reported on.
 
-    Nothing is shown where there is no terminal.
+    Nothing is shown where there is no terminal, but for JSON lines where those are asked for.
     """
+    if as_json():
+        yield told(what)
+        return
     bar = ProgressBar(
         TextColumn(what),
         BarColumn(),
@@ -131,14 +153,28 @@ def progress_bar(what: str) -> Iterator[Progress]:
 @contextmanager
 def patience(doing: str) -> Iterator[None]:
     """Say what is being done, on the error stream, where it takes more than five seconds."""
-    said = f"{doing} takes a while ..."
-    timer = threading.Timer(_PATIENCE_S, print, [said], {"file": sys.stderr, "flush": True})
+    timer = threading.Timer(_PATIENCE_S, remark, [f"{doing} takes a while ..."])
     timer.daemon = True
     timer.start()
     try:
         yield
     finally:
         timer.cancel()
+
+
+def told(doing: str) -> Progress:
+    """Return what logs how far something has come, for a service; nobody else sees it."""
+    last_s = -_TOLD_EACH_S
+
+    def tell(done: int, total: int) -> None:
+        nonlocal last_s
+        now_s = time.monotonic()
+        if done == total or now_s - last_s >= _TOLD_EACH_S:
+            last_s = now_s
+            facts = {"doing": doing, "done": done, "total": total}
+            _log.info("%s: %d of %d", doing, done, total, extra={"facts": facts})
+
+    return tell
 
 
 def runner_of(workers: int | None, scheduler: str | None) -> AbstractContextManager[Runner | None]:
@@ -176,7 +212,19 @@ def parse_place(text: str) -> tuple[float, float]:
 
 def complain(message: str) -> None:
     """Tell of an error, in one line of the error stream."""
-    print("error: " + " ".join(message.split()), file=sys.stderr)
+    _say(logging.ERROR, "error: ", " ".join(message.split()))
+
+
+def remark(message: str) -> None:
+    """Tell of what is no error, in one line of the error stream."""
+    _say(logging.INFO, "", message)
+
+
+def _say(level: int, prefix: str, message: str) -> None:
+    if as_json():
+        _log.log(level, "%s", message)
+    else:
+        print(prefix + message, file=sys.stderr, flush=True)
 
 
 def _fail(message: str, code: int) -> None:

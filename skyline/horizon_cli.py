@@ -14,6 +14,7 @@ from skyline.console import (
     NoCurvature,
     RefractionK,
     Reproject,
+    Surfaces,
     parse_place,
     progress_bar,
 )
@@ -23,6 +24,7 @@ from skyline.pipeline import DEFAULT_STEP_DEG, horizons_of
 from skyline.solar import SUFFIXES, LocalHorizons, horizon_csv, write_horizons
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.surface import read_surface
 from skyline.terrain.viewpoint_csv import read_viewpoints
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
@@ -58,6 +60,7 @@ def horizon(
             "by default.",
         ),
     ] = None,
+    surface: Surfaces = None,
     k: RefractionK = _CURVATURE.refraction_k,
     no_curvature: NoCurvature = False,
     crs: Crs = None,
@@ -75,8 +78,10 @@ def horizon(
         eyes = read_viewpoints(points, terrain, eye_height)
     else:
         eyes = _eyes(terrain, at or [], eye_height)
+    over = read_surface(surface, terrain) if surface else None
+    curvature = _curvature(k, no_curvature)
     with progress_bar("rendering") as progress:
-        found = horizons_of(terrain, eyes, step_deg, _curvature(k, no_curvature), progress)
+        found = horizons_of(terrain, eyes, step_deg, curvature, progress, over)
     if output is None:
         typer.echo(horizon_csv(found), nl=False)
     else:

@@ -3,7 +3,6 @@
 import hashlib
 import json
 import math
-import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -13,7 +12,17 @@ from typing import Annotated
 
 import typer
 
-from skyline.console import Scheduler, Workers, complain, parse_bounds, patience, runner_of
+from skyline.console import (
+    Scheduler,
+    Surfaces,
+    Workers,
+    complain,
+    parse_bounds,
+    patience,
+    remark,
+    runner_of,
+    told,
+)
 from skyline.describe import describe_match, describe_together, match_in_words, together_in_words
 from skyline.errors import InputError, SkylineError
 from skyline.matching import Narrowing
@@ -68,6 +77,7 @@ def match(
         list[str] | None,
         typer.Option(metavar="DEM", help="The store's DEM, if it has moved; repeat for each tile."),
     ] = None,
+    surface: Surfaces = None,
     matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHERS)}.")] = FULL,
     no_refine: Annotated[
         bool, typer.Option("--no-refine", help="Skip refinement: faster, less exact.")
@@ -163,7 +173,9 @@ def match(
         check_export(path)
     if same_place:
         _check_together(no_refine, matcher, results, workers, scheduler)
-    kept = _Kept(results, _search(store, matcher, config, common), as_json, top)
+    surfaces = tuple(absolute_name(one) for one in surface or ())
+    search = _search(store, matcher, config, common, *surfaces)
+    kept = _Kept(results, search, as_json, top)
     queries = kept.left(queries)
     refused = _refused(queries)
     usable = [one for one in queries if one not in refused]
@@ -173,7 +185,7 @@ def match(
         raise typer.Exit(kept.exit_code)
     # Workers may have another working directory.
     tiles = tuple(absolute_name(one) for one in dem or ())
-    asked = (str(store), tiles or None, matcher, config)
+    asked = (str(store), tiles or None, matcher, config, None, surfaces or None)
     opened = time.perf_counter()
     with patience(f"opening {store} and its elevation model"):
         matching = Matcher(*asked)
@@ -214,7 +226,7 @@ class _Kept:
         left = [one for one in queries if one.path not in self._had]
         if len(left) < len(queries):
             done = len(queries) - len(left)
-            print(f"{self._path}: {done} of {len(queries)} are there already", file=sys.stderr)
+            remark(f"{self._path}: {done} of {len(queries)} are there already")
         return left
 
     def tell_all(
@@ -225,7 +237,9 @@ class _Kept:
     ) -> list[tuple[Path, MatchResult]]:
         """Tell of all queries in order, as they come; return those that could be matched."""
         matches: list[tuple[Path, MatchResult]] = []
-        for one in queries:
+        progress = told("matching")
+        for done, one in enumerate(queries):
+            progress(done, len(queries))
             with nullcontext() if matches else patience(f"matching {one.path}"):
                 result = refused.get(one) or next(found)
             if isinstance(result, SkylineError):
@@ -237,6 +251,7 @@ class _Kept:
             typer.echo(json.dumps(record) if self._as_json else "\n".join(said))
             if self._file is not None:
                 self._file.add(row_of(record, self._search))
+        progress(len(queries), len(queries))
         return matches
 
     def _tell_failed(self, one: Query, error: SkylineError, is_said: bool) -> None:
@@ -380,10 +395,10 @@ def _numbers(name: str, text: str | None, wanted: str, count: int) -> tuple[floa
     return values
 
 
-def _search(store: Path, matcher: str, config: MatchConfig, common: Query) -> str:
+def _search(store: Path, matcher: str, config: MatchConfig, common: Query, *surfaces: str) -> str:
     """Return what tells this search from others: a store, how it is searched, what is known."""
     written = store.stat().st_mtime_ns if store.exists() else 0
-    settings = repr((store.name, written, matcher, config, common))
+    settings = repr((store.name, written, matcher, config, common, *surfaces))
     return hashlib.sha256(settings.encode()).hexdigest()[:12]
 
 

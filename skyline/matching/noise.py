@@ -13,14 +13,17 @@ A column's residual, query over terrain in radians of elevation, is the sum of
      \left(\rho(p_i, p_j) - \rho(p_i, o) - \rho(p_j, o) + 1\right)
 
 Not every column shows the terrain: trees and houses raise the skyline, and only errors lower it.
-Such a residual may be anything within a range, with unequal odds for above and below. The odds
-of each column are variational; the bound on the likelihood is exact where K is 0. Height errors
-are kept at a few nodes along the skyline, so that everything costs matrices of that size.
+Such a residual may be anything within a range, with unequal odds for above and below. Where a
+surface model says how far things may rise, what is above lies anywhere up to there, but for the
+errors, and beyond is as unlikely as below. The odds of each column are variational; the bound on
+the likelihood is exact where K is 0. Height errors are kept at a few nodes along the skyline, so
+that everything costs matrices of that size.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import ndtr
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
@@ -119,11 +122,14 @@ class HeightErrors(Rows):
     blur_rad : (M, R) float64
         Deviation that the steps of azimuth leave, whatever the heights: great where the skyline
         is steep.
+    rise_rad : (M, R) float64
+        How far above the terrain's skyline something else may rise; NaN where that is not known.
     """
 
     factor: Float64Array
     rough: Float64Array
     blur_rad: Float64Array
+    rise_rad: Float64Array
 
     @classmethod
     def of(
@@ -132,13 +138,16 @@ class HeightErrors(Rows):
         distance_m: Float64Array,
         blur_rad: Float64Array,
         noise: Noise,
+        rise_rad: Float64Array | None = None,
     ) -> "HeightErrors":
         """Prepare for skylines at azimuths and horizontal distances (NaN: unknown), (M, R)."""
+        rise_rad = np.full_like(blur_rad, np.nan) if rise_rad is None else rise_rad
         distance = np.where(np.isfinite(distance_m), distance_m, _UNKNOWN_M)
         if not noise.nodes:
             reach_m = 2.0 / 3.0 * noise.reach_m
             shared = distance / (distance**2 + reach_m**2)
-            return cls(shared[..., np.newaxis], 1.0 / np.hypot(distance, reach_m), blur_rad)
+            rough = 1.0 / np.hypot(distance, reach_m)
+            return cls(shared[..., np.newaxis], rough, blur_rad, rise_rad)
         node, between = _interpolation(distance.shape[1], noise.nodes)
         place = (distance * np.exp(1j * azimuth_rad))[:, node]
         to_eye = 0.5 - _correlation(np.abs(place), noise.reach_m)
@@ -151,6 +160,7 @@ class HeightErrors(Rows):
             between @ root / distance[..., np.newaxis],
             noise.rough_share / np.hypot(distance, noise.reach_m / 3.0),
             blur_rad,
+            rise_rad,
         )
 
 
@@ -280,13 +290,17 @@ def judge(
     terrain = np.log(1.0 - noise.above_share - noise.below_share) - 0.5 * np.log(
         2.0 * np.pi * variance / magnified**2
     )
-    other = np.log(
-        np.where(residual >= 0.0, noise.above_share, noise.below_share)
-        / np.radians(noise.range_deg)
-    )
     explained, inner, _ = _explained(residual, trust * odds * known / variance, factor)
     spread = ((factor @ inner) * factor).sum(axis=-1)
-    logit = terrain - 0.5 * ((residual - explained) ** 2 + spread) / variance - other
+    off = residual - explained
+    density = np.where(residual >= 0.0, noise.above_share, noise.below_share)
+    density = density / np.radians(noise.range_deg)
+    limited = np.isfinite(errors.rise_rad)
+    if limited.any():
+        risen = magnified * _risen(off, errors.rise_rad, np.sqrt(variance + spread), noise)
+        density = np.where(limited, risen, density)
+    other = np.log(density)
+    logit = terrain - 0.5 * (off**2 + spread) / variance - other
     odds = known / (1.0 + np.exp(-np.clip(logit, -_GREATEST_LOGIT, _GREATEST_LOGIT)))
     weight = trust * odds / variance
     explained, inner, half_log_det = _explained(residual, weight, factor)
@@ -295,6 +309,20 @@ def judge(
     cost = each @ trust + half_log_det + fit
     shown, photo = trust * odds, angle_rad**2 / variance
     return Judged(cost, fit, odds, shown, photo, weight, factor, inner)
+
+
+def _risen(
+    off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array, noise: Noise
+) -> Float64Array:
+    """Return the density of columns that show something else, (M, R), where its rise is known.
+
+    What is above the terrain is as likely anywhere up to the rise, blurred by the errors.
+    """
+    range_rad = np.radians(noise.range_deg)
+    # A rise far below the errors is none.
+    rise_rad = np.clip(rise_rad, 0.1 * sd_rad, range_rad)
+    within = (ndtr(off_rad / sd_rad) - ndtr((off_rad - rise_rad) / sd_rad)) / rise_rad
+    return np.asarray(noise.above_share * within + noise.below_share / range_rad)
 
 
 def _explained(

@@ -55,6 +55,10 @@ class Scene(Protocol):
         """Render one view an eye, each along its heading, in order."""
         ...
 
+    def render_surface(self, viewpoints: Viewpoints, headings: NDArray[np.uint8]) -> Views | None:
+        """Render likewise the surface of what may stand on the terrain; None where unknown."""
+        ...
+
     def ground_m(self, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
         """Return the terrain's height, (N,) for (N,); NaN off the map and over holes."""
         ...
@@ -273,12 +277,16 @@ class Refinement:
         row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
         eyes = Viewpoints(easting_m[row], northing_m[row], ground_m[row] + height_m[row])
         self._renderings += len(row)
-        views = self._scene.render(eyes, heading.astype(np.uint8))
+        along = heading.astype(np.uint8)
+        views = self._scene.render(eyes, along)
         panoramas = Panoramas.from_views(views, row, len(easting_m), bins)
+        over = self._scene.render_surface(eyes, along)
+        surface = over if over is None else Panoramas.from_views(over, row, len(easting_m), bins)
         slope = self._slope(easting_m, northing_m, ground_m)
         # Who stands off the map fits nowhere, whatever the ground is.
         ground_m = np.nan_to_num(ground_m)
-        return Curves.of(panoramas, easting_m + 1j * northing_m, ground_m, slope, height_m)
+        place_m = easting_m + 1j * northing_m
+        return Curves.of(panoramas, place_m, ground_m, slope, height_m, surface)
 
     def _slope(
         self, easting_m: Float64Array, northing_m: Float64Array, ground_m: Float64Array

@@ -106,9 +106,10 @@ class Curves(Rows):
 
     Attributes
     ----------
-    channels : (M, B, 6) float64
+    channels : (M, B, 6 or 7) float64
         Elevation tangent, its slope by azimuth, its change by a metre east, by a metre north
-        and by a metre up, and distance, at azimuth 360 b / B degrees; NaN where unknown.
+        and by a metre up, distance, and, where a surface says so, how far above the tangent things
+        may rise, at azimuth 360 b / B degrees; NaN where unknown.
     place_m : (M,) complex128
         Where they stand: easting, and northing as the imaginary part.
     ground_m : (M,) float64
@@ -130,19 +131,25 @@ class Curves(Rows):
         ground_m: Float64Array,
         ground_slope: Float64Array,
         eye_height_m: Float64Array,
+        surface: Panoramas | None = None,
     ) -> "Curves":
-        """Prepare panoramas of eyes above ground of slopes (M, 2): rise a metre east, north."""
+        """Prepare panoramas of eyes above ground of slopes (M, 2): rise a metre east, north.
+
+        ``surface`` is what the same eyes see of what may stand on the ground.
+        """
         y, distance = panoramas.y, panoramas.distance_m
         step = 2.0 * np.pi / panoramas.bins
         slope = (np.roll(y, -1, axis=1) - np.roll(y, 1, axis=1)) / (2.0 * step)
         sine, cosine = np.sin(step * np.arange(y.shape[1])), np.cos(step * np.arange(y.shape[1]))
         east = (y * sine + slope * cosine - ground_slope[:, :1]) / distance
         north = (y * cosine - slope * sine - ground_slope[:, 1:]) / distance
-        channels = np.stack([y, slope, east, north, -1.0 / distance, distance], axis=-1)
-        return cls(channels, place_m, ground_m, eye_height_m)
+        channels = [y, slope, east, north, -1.0 / distance, distance]
+        if surface is not None:
+            channels.append(np.maximum(surface.y - y, 0.0))
+        return cls(np.stack(channels, axis=-1), place_m, ground_m, eye_height_m)
 
     def at(self, azimuth_rad: Float64Array) -> Float64Array:
-        """Return the channels, (M, R, 6), at azimuths (M, R), linear between bins."""
+        """Return the channels, (M, R, 6 or 7), at azimuths (M, R), linear between bins."""
         count, bins, channels = self.channels.shape
         position = azimuth_rad * (bins / (2.0 * np.pi))
         left = np.floor(position).astype(np.intp)
@@ -188,6 +195,8 @@ class Linear:
     jacobian : (M, R, 7) float64
     azimuth_rad, distance_m : (M, R) float64
         Of the terrain's skyline under each column.
+    rise_rad : (M, R) float64 or None
+        How far above it things may rise.
     place_m : (M,) complex128
         Where the states' eyes stand; see `Curves`.
     eye_m : (M,) float64
@@ -198,6 +207,7 @@ class Linear:
     jacobian: Float64Array
     azimuth_rad: Float64Array
     distance_m: Float64Array
+    rise_rad: Float64Array | None
     place_m: NDArray[np.complex128]
     eye_m: Float64Array
 
@@ -369,6 +379,7 @@ class Solver:
             np.where(known[..., np.newaxis], jacobian, 0.0),
             azimuth,
             there[..., 5],
+            there[..., 6] * to_angle if there.shape[-1] > 6 else None,
             curves.place_m + state[:, EAST] + 1j * state[:, NORTH],
             curves.ground_m + state[:, EYE_HEIGHT],
         )
@@ -376,7 +387,9 @@ class Solver:
     def _errors(self, linear: Linear, curves: Curves) -> HeightErrors:
         step_rad = 2.0 * np.pi / curves.channels.shape[1]
         blur_rad = self.config.blur_steps * step_rad * np.abs(linear.jacobian[..., HEADING])
-        return HeightErrors.of(linear.azimuth_rad, linear.distance_m, blur_rad, self.noise)
+        return HeightErrors.of(
+            linear.azimuth_rad, linear.distance_m, blur_rad, self.noise, linear.rise_rad
+        )
 
     def _judge(
         self, fit: Fit, linear: Linear, errors: HeightErrors, noise: tuple[IntArray, IntArray]

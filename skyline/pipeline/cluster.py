@@ -28,6 +28,7 @@ _CONNECT_S = 10
 
 # A terminal sends Ctrl-C to workers as well, which are stopped by the one process that answers it.
 _IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+_LOG = "from skyline.logs import start_logging; start_logging()"
 
 _log = logging.getLogger(__name__)
 
@@ -64,7 +65,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
         # Jobs hold one DEM and one commit, whatever their number: nothing to guard.
         memory_limit=0,
         silence_logs=logging.CRITICAL,
-        preload=[_IGNORE_CTRL_C],
+        preload=[_IGNORE_CTRL_C, _LOG],
         # Mesa's software rasterizer takes all cores unless told otherwise.
         env={"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", str(threads))},
     )

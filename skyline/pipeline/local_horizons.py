@@ -5,14 +5,17 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from skyline.arrays import Float64Array
 from skyline.camera import MAX_WIDTH
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.horizons import Horizons
 from skyline.pipeline.build import Progress
+from skyline.pipeline.opened import Dem
 from skyline.render.panorama import PanoramaRenderer
 from skyline.solar import LocalHorizons
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.surface import read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
 
 DEFAULT_STEP_DEG = 0.5
@@ -27,6 +30,7 @@ def horizon(
     eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
     step_deg: float = DEFAULT_STEP_DEG,
     curvature: Curvature | None = None,
+    surface: Dem | None = None,
 ) -> LocalHorizons:
     """Return the horizons round places: exact on the surface of the DEM, but for float32.
 
@@ -39,19 +43,22 @@ def horizon(
         Between azimuths, the first of which is true north.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
+    surface : path, paths or HeightField, optional
+        A surface or canopy model: how far trees and houses may rise above the horizon.
 
     Raises
     ------
     OffMapError
         A place off the map or on a hole, or an eye height below 0.
     InputError
-        Steps that are no whole share of a turn.
+        Steps that are no whole share of a turn, or a surface that is not over the DEM.
     ContextError
         No OpenGL context can be made.
     """
     easting_m, northing_m = terrain.frame.from_lonlat(*np.broadcast_arrays(lon, lat))
     eyes = stand_on(terrain, easting_m, northing_m, eye_height_m)
-    return horizons_of(terrain, eyes, step_deg, curvature)
+    over = None if surface is None else read_surface(surface, terrain)
+    return horizons_of(terrain, eyes, step_deg, curvature, surface=over)
 
 
 def horizons_of(
@@ -60,31 +67,52 @@ def horizons_of(
     step_deg: float = DEFAULT_STEP_DEG,
     curvature: Curvature | None = None,
     progress: Progress | None = None,
+    surface: HeightField | None = None,
 ) -> LocalHorizons:
-    """Return the horizons of eyes; as `horizon` otherwise."""
+    """Return the horizons of eyes; as `horizon` otherwise, with a surface that is read."""
     steps = _check_step(step_deg)
     # The renderer's steps to a turn are a multiple of 8: some are left out.
     every = 8 // math.gcd(steps, 8)
     lon, lat = terrain.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
     to_grid_rad = -np.radians(terrain.frame.convergence_deg(eyes.easting_m, eyes.northing_m))
-    parts: list[Horizons] = []
-    with PanoramaRenderer(terrain, steps * every, curvature, tolerance_deg=0.0) as renderer:
-        for start in range(0, len(eyes), _AT_ONCE):
-            part = slice(start, start + _AT_ONCE)
-            parts.append(renderer.render(eyes[part], to_grid_rad[part]))
-            if progress is not None:
-                progress(min(part.stop, len(eyes)), len(eyes))
-    rendered = Horizons.concatenate(parts)
+    bins = steps * every
+    rendered = _rendered(terrain, eyes, to_grid_rad, bins, curvature, progress)
+    elevation_deg = np.degrees(np.arctan(rendered.elevation_tan[:, ::every]))
+    surface_deg = np.full_like(elevation_deg, np.nan)
+    if surface is not None:
+        over = _rendered(surface, eyes, to_grid_rad, bins, curvature, progress)
+        # A model's last digits must not put what may rise below what is there.
+        surface_deg = np.degrees(np.arctan(over.elevation_tan[:, ::every]))
+        surface_deg = np.maximum(surface_deg, elevation_deg)
     azimuth_deg = np.arange(steps) * (360.0 / steps)
     return LocalHorizons(
         lon,
         lat,
         eyes.eye_elevation_m,
         np.broadcast_to(azimuth_deg, (len(eyes), steps)),
-        np.degrees(np.arctan(rendered.elevation_tan[:, ::every])),
+        elevation_deg,
         rendered.distance_m[:, ::every],
         rendered.flags[:, ::every],
+        surface_deg,
     )
+
+
+def _rendered(
+    field: HeightField,
+    eyes: Viewpoints,
+    to_grid_rad: Float64Array,
+    bins: int,
+    curvature: Curvature | None,
+    progress: Progress | None,
+) -> Horizons:
+    parts: list[Horizons] = []
+    with PanoramaRenderer(field, bins, curvature, tolerance_deg=0.0) as renderer:
+        for start in range(0, len(eyes), _AT_ONCE):
+            part = slice(start, start + _AT_ONCE)
+            parts.append(renderer.render(eyes[part], to_grid_rad[part]))
+            if progress is not None:
+                progress(min(part.stop, len(eyes)), len(eyes))
+    return Horizons.concatenate(parts)
 
 
 def _check_step(step_deg: float) -> int:

@@ -51,11 +51,15 @@ class Matcher:
     render_thread : RenderThread, optional
         Renders, so that any thread may match, and several at a time; by default the thread that
         makes the matcher renders, and it alone may match.
+    surface : path, paths or HeightField, optional
+        A surface or canopy model: how far trees and houses may rise above the DEM's skyline. For
+        the full matcher, which heeds it in refinement.
 
     Raises
     ------
     InputError
-        No such matcher, or a store that does not hold what the matcher compares with.
+        No such matcher, a store that does not hold what the matcher compares with, or a surface
+        that is not over the DEM, or for who does not refine.
     StoreError
         The store cannot be read.
     StoreMismatchError
@@ -69,17 +73,22 @@ class Matcher:
         matcher: str = FULL,
         config: MatchConfig | None = None,
         render_thread: RenderThread | None = None,
+        surface: Dem | None = None,
     ) -> None:
         kind = named("matcher", matcher, MATCHERS)
         self._config = config or MatchConfig()
+        if surface is not None and not (matcher == FULL and self._config.refine):
+            raise InputError("a surface acts in refinement; use the full matcher, and refine")
         with open_store(store) as opened:
             self.header = opened.header
             self.rows, self.holds = len(opened), opened.header.holds
             self.viewpoints = some_eyes(opened)
             terrain = given_terrain(self.header, dem)
-            source = OpenedSource(store, opened, terrain, self._config, render_thread)
+            source = OpenedSource(store, opened, terrain, self._config, render_thread, surface)
             self._ranker = kind.open(source)
         self.terrain, self._scene = source.terrain, source.rendered
+        if surface is not None and self._scene is None:
+            raise InputError("a surface needs the store's DEM, which is not at hand; give it")
         self.render_thread = render_thread
         self.frame = Frame(self.header.frame_wkt)
 

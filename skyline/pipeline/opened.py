@@ -18,6 +18,7 @@ from skyline.render.thread import RenderThread
 from skyline.store import Store, StoreHeader
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import Ground, HeightField
+from skyline.terrain.surface import read_surface
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
@@ -36,8 +37,9 @@ class OpenedSource:
         terrain: HeightField | None,
         config: MatchConfig,
         thread: RenderThread | None,
+        surface: Dem | None = None,
     ) -> None:
-        self._path, self._store, self._thread = path, store, thread
+        self._path, self._store, self._thread, self._surface = path, store, thread, surface
         self.terrain, self.config = terrain, config
         self.rendered: RenderedScene | None = None
         self._sought = False
@@ -62,8 +64,9 @@ class OpenedSource:
         """Return the terrain to render."""
         terrain = self._found_terrain()
         if terrain is not None and self.config.refine:
-            header = self._store.header
-            self.rendered = RenderedScene.of_store(terrain, header, self.config, self._thread)
+            header, surface = self._store.header, self._surface
+            over = None if surface is None else read_surface(surface, terrain)
+            self.rendered = RenderedScene.of_store(terrain, header, self.config, self._thread, over)
         return self.rendered
 
     def _found_terrain(self) -> HeightField | None:

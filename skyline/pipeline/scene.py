@@ -1,6 +1,7 @@
 """The terrain of a store, rendered: in this thread, or piece by piece in one that renders."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Self, TypeVar
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from skyline.matching.match_config import MatchConfig
 from skyline.pipeline.config import RenderConfig, curvature_of, make_renderer
+from skyline.render.horizon import HorizonRenderer
 from skyline.render.thread import RenderThread
 from skyline.store import StoreHeader
 from skyline.terrain.heightfield import HeightField
@@ -29,16 +31,25 @@ class RenderedScene:
     config : RenderConfig
     thread : RenderThread, optional
         Renders; by default the thread that calls does, and no other may.
+    surface : HeightField, optional
+        How high things on the terrain may rise; see `skyline.terrain.surface`.
     """
 
     def __init__(
-        self, terrain: HeightField, config: RenderConfig, thread: RenderThread | None = None
+        self,
+        terrain: HeightField,
+        config: RenderConfig,
+        thread: RenderThread | None = None,
+        surface: HeightField | None = None,
     ) -> None:
         self.ground_m = terrain.height_at
         self.height_sd_m = terrain.height_sd_m
         self._thread = thread
         self._piece = max(1, _PIECE_COLUMNS // config.width)
-        self._renderer = self._run(lambda: make_renderer(terrain, config), urgent=False)
+        fields = [terrain] if surface is None else [terrain, surface]
+        self._renderers = self._run(
+            lambda: [make_renderer(field, config) for field in fields], urgent=False
+        )
 
     @classmethod
     def of_store(
@@ -47,6 +58,7 @@ class RenderedScene:
         header: StoreHeader,
         config: MatchConfig,
         thread: RenderThread | None = None,
+        surface: HeightField | None = None,
     ) -> Self:
         """Return the terrain of a store as matching renders it."""
         rendering = RenderConfig(
@@ -54,7 +66,7 @@ class RenderedScene:
             tolerance_px=config.render_tolerance_px,
             curvature=curvature_of(header),
         )
-        return cls(terrain, rendering, thread)
+        return cls(terrain, rendering, thread, surface)
 
     def render(self, viewpoints: Viewpoints, headings: ArrayLike, urgent: bool = False) -> Views:
         """Render one view an eye, each along its heading, in order.
@@ -66,16 +78,33 @@ class RenderedScene:
         urgent : bool
             Whether it goes before what others wait for, where a thread renders for all.
         """
-        along = np.asarray(headings, dtype=np.uint8)
-        if self._thread is None or len(along) <= self._piece:
-            return self._run(lambda: self._renderer.render(viewpoints, along), urgent)
-        starts = range(0, len(along), self._piece)
-        parts = (slice(start, start + self._piece) for start in starts)
-        return Views.concatenate([self.render(viewpoints[p], along[p], urgent) for p in parts])
+        return self._rendered(self._renderers[0], viewpoints, headings, urgent)
+
+    def render_surface(self, viewpoints: Viewpoints, headings: ArrayLike) -> Views | None:
+        """Render likewise what the surface lets rise above the terrain, where there is one."""
+        if len(self._renderers) == 1:
+            return None
+        return self._rendered(self._renderers[1], viewpoints, headings)
 
     def release(self) -> None:
         """Free what it holds on the GPU."""
-        self._run(self._renderer.release, urgent=False)
+        for renderer in self._renderers:
+            self._run(renderer.release, urgent=False)
+
+    def _rendered(
+        self,
+        renderer: HorizonRenderer,
+        viewpoints: Viewpoints,
+        headings: ArrayLike,
+        urgent: bool = False,
+    ) -> Views:
+        along = np.asarray(headings, dtype=np.uint8)
+        step = len(along) if self._thread is None else self._piece
+        starts = range(0, max(len(along), 1), max(step, 1))
+        parts = [slice(start, start + step) for start in starts]
+        return Views.concatenate(
+            [self._run(partial(renderer.render, viewpoints[p], along[p]), urgent) for p in parts]
+        )
 
     def _run(self, task: Callable[[], T], urgent: bool) -> T:
         return task() if self._thread is None else self._thread.run(task, urgent)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError, named
 from skyline.files import write_whole
 from skyline.solar.local_horizons import LocalHorizons
@@ -36,19 +37,19 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
 
 def horizon_csv(horizons: LocalHorizons) -> str:
     """Return horizons as CSV: a row for each place and azimuth; what is not known is empty."""
-    table = np.column_stack(
-        [
-            np.repeat(horizons.lon, horizons.azimuth_deg.shape[1]),
-            np.repeat(horizons.lat, horizons.azimuth_deg.shape[1]),
-            horizons.azimuth_deg.ravel(),
-            horizons.elevation_deg.ravel(),
-            horizons.distance_m.ravel(),
-        ]
-    )
-    text = io.StringIO()
-    np.savetxt(
-        text, table, "%.7f,%.7f,%.9g,%.5f,%.1f", header=_HEADER, comments="", encoding="utf-8"
-    )
+    columns: list[Float64Array | Float32Array] = [
+        np.repeat(horizons.lon, horizons.azimuth_deg.shape[1]),
+        np.repeat(horizons.lat, horizons.azimuth_deg.shape[1]),
+        horizons.azimuth_deg.ravel(),
+        horizons.elevation_deg.ravel(),
+        horizons.distance_m.ravel(),
+    ]
+    header, digits = _HEADER, "%.7f,%.7f,%.9g,%.5f,%.1f"
+    if horizons.has_surface:
+        columns.append(horizons.surface_deg.ravel())
+        header, digits = f"{header},surface_deg", f"{digits},%.5f"
+    text, table = io.StringIO(), np.column_stack(columns)
+    np.savetxt(text, table, digits, header=header, comments="", encoding="utf-8")
     return text.getvalue().replace("nan", "")
 
 
@@ -67,6 +68,11 @@ def _json(horizons: LocalHorizons, _: Path) -> str:
             "azimuth_deg": [round(value, 9) for value in horizons.azimuth_deg[index].tolist()],
             "elevation_deg": [_known(value, 5) for value in horizons.elevation_deg[index]],
             "distance_m": [_known(value, 1) for value in horizons.distance_m[index]],
+            **(
+                {"surface_deg": [_known(value, 5) for value in horizons.surface_deg[index]]}
+                if horizons.has_surface
+                else {}
+            ),
         }
         for index in range(len(horizons))
     ]
@@ -79,6 +85,11 @@ def _known(value: Any, digits: int) -> float | None:
 
 def _pvgis(horizons: LocalHorizons, path: Path) -> str:
     _check_single(horizons, path)
+    if horizons.has_surface:
+        raise InputError(
+            f"{path} would hold two horizons, but PVGIS' file holds one; leave --surface out, or "
+            "write .csv or .json"
+        )
     elevation_deg = np.maximum(horizons.elevation_deg[0], 0.0)
     if not np.isfinite(elevation_deg).all():
         raise InputError(
@@ -102,6 +113,10 @@ def _plot(horizons: LocalHorizons, path: Path) -> bytes:
     azimuth = np.radians(np.append(horizons.azimuth_deg[0], 360.0))
     zenith = 90.0 - np.append(elevation_deg, elevation_deg[0])
     rim = max(90.0, float(np.nanmax(zenith, initial=90.0)))
+    if horizons.has_surface:
+        free = 90.0 - np.append(horizons.surface_deg[0], horizons.surface_deg[0, 0])
+        axis.fill_between(azimuth, free, zenith, color="#8fae7c", linewidth=0, label="surface")
+        axis.legend(loc="lower left", bbox_to_anchor=(-0.12, -0.08), fontsize=9)
     axis.fill_between(azimuth, zenith, rim, color="#b9b0a2", linewidth=0)
     axis.plot(azimuth, zenith, color="#4d4438", linewidth=1.0)
     axis.set_rlim(0.0, rim)

@@ -35,6 +35,9 @@ class LocalHorizons(Rows):
     flags : (N, A) uint8
         Bits: 1, the horizon lies on the border of the data; 2, a hole may hide what is higher; 4,
         no data.
+    surface_deg : (N, A) float32
+        Elevation angle up to which trees and houses may rise above the horizon, near 90 from under
+        them; NaN where no surface model was given.
     """
 
     lon: Float64Array
@@ -44,6 +47,12 @@ class LocalHorizons(Rows):
     elevation_deg: Float32Array
     distance_m: Float32Array
     flags: NDArray[np.uint8]
+    surface_deg: Float32Array
+
+    @property
+    def has_surface(self) -> bool:
+        """Whether a surface model was given."""
+        return not bool(np.isnan(self.surface_deg).all())
 
     def __len__(self) -> int:
         return len(self.lon)
@@ -86,7 +95,8 @@ class LocalHorizons(Rows):
         Returns
         -------
         xarray.Dataset
-            ``elevation_deg``, ``distance_m`` and ``flags`` by ``point`` and ``azimuth_deg``;
+            ``elevation_deg``, ``distance_m``, ``flags`` and, where a surface model was given,
+            ``surface_deg`` by ``point`` and ``azimuth_deg``;
             ``sky_view_factor`` of a level surface, ``lon``, ``lat`` and ``eye_elevation_m`` by
             ``point``.
 
@@ -103,8 +113,11 @@ class LocalHorizons(Rows):
             ) from error
         round_about = ("point", "azimuth_deg")
         true_north = {"long_name": "azimuth, clockwise from true north", **_DEGREES}
+        up_to = "elevation angle up to which trees and houses may rise"
+        surface = (round_about, self.surface_deg, {"long_name": up_to, **_DEGREES})
         return xarray.Dataset(
             {
+                **({"surface_deg": surface} if self.has_surface else {}),
                 "elevation_deg": (
                     round_about,
                     self.elevation_deg,

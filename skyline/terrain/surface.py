@@ -1,0 +1,117 @@
+"""How high trees and houses may rise above bare ground: a surface over a terrain, on its grid."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from skyline.arrays import Float64Array
+from skyline.errors import InputError
+from skyline.terrain.cleaning import strips
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+
+UNKNOWN_M = 40.0
+"""What may stand where nothing is known: as high as tall trees."""
+
+_CANOPY_MOST_M = 120.0
+"""A model without a greater height holds heights above the ground, where the ground is higher."""
+_OFFSET_M = (-10.0, 60.0)
+"""Median height of a surface above the ground, lowest and highest."""
+
+
+def read_surface(
+    paths: str | Path | Sequence[str | Path] | HeightField, terrain: HeightField
+) -> HeightField:
+    """Read a surface or canopy model as an upper bound for what stands on a terrain.
+
+    Parameters
+    ----------
+    paths : path, paths or HeightField
+        A surface model, whose heights have the terrain's datum, or a canopy model, whose heights
+        are above the ground: one that lies far below the ground is taken for the latter. Any grid
+        and CRS; files that name no CRS have the terrain's.
+    terrain : HeightField
+        The bare ground.
+
+    Returns
+    -------
+    HeightField
+        On the terrain's samples, nowhere lower: the ground and the greatest height above the ground
+        that the model has within a sample's distance, or 40 m where the model has none.
+
+    Raises
+    ------
+    InputError
+        The model is not over the terrain, or its heights have another datum; or as `read_dem`.
+    """
+    if not isinstance(paths, HeightField):
+        paths = read_dem(paths, DemOptions(crs=terrain.frame.wkt))
+    above_m = _above_ground_m(paths, terrain)
+    wide = [
+        max(1, 2 * math.ceil(coarse / fine - 1e-6) - 1)
+        for coarse, fine in (
+            (terrain.spacing_north_m, paths.spacing_north_m),
+            (terrain.spacing_east_m, paths.spacing_east_m),
+        )
+    ]
+    if max(wide) > 1:
+        highest = maximum_filter(np.nan_to_num(above_m, nan=-np.inf), wide)
+        above_m = np.where(np.isinf(highest), np.nan, highest)
+    rise = HeightField(
+        above_m,
+        paths.west_m,
+        paths.north_m,
+        paths.spacing_east_m,
+        paths.spacing_north_m,
+        paths.frame,
+    )
+    heights_m = np.empty_like(terrain.heights_m)
+    for rows in strips(heights_m):
+        over_m = rise.height_at(*_samples(terrain, rows, paths))
+        over_m = np.where(np.isnan(over_m), UNKNOWN_M, np.maximum(over_m, 0.0))
+        heights_m[rows] = terrain.heights_m[rows] + over_m
+    heights_m.setflags(write=False)
+    return HeightField(
+        heights_m,
+        terrain.west_m,
+        terrain.north_m,
+        terrain.spacing_east_m,
+        terrain.spacing_north_m,
+        terrain.frame,
+        paths.provenance,
+    )
+
+
+def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
+    """Return how high a model's samples are above the ground, NaN where that is not known."""
+    above_m = np.empty(model.heights_m.shape)
+    for rows in strips(model.heights_m):
+        above_m[rows] = model.heights_m[rows] - terrain.height_at(*_samples(model, rows, terrain))
+    known = np.isfinite(above_m)
+    name = ", ".join(model.provenance.files) or "the surface"
+    if not known.any():
+        raise InputError(
+            f"{name} has no height over the DEM; give a surface model of the same area"
+        )
+    offset_m = float(np.median(above_m[known]))
+    if offset_m < _OFFSET_M[0] and model.height_range_m[1] <= _CANOPY_MOST_M:
+        return np.where(known, model.heights_m, np.nan)
+    if not _OFFSET_M[0] <= offset_m <= _OFFSET_M[1]:
+        raise InputError(
+            f"{name} is {offset_m:+.0f} m above the DEM in the median; expected {_OFFSET_M[0]:+g} "
+            f"to {_OFFSET_M[1]:+g}: give a surface model of the DEM's vertical datum, or a canopy "
+            "model in metres above ground"
+        )
+    return above_m
+
+
+def _samples(field: HeightField, rows: slice, other: HeightField) -> tuple[Float64Array, ...]:
+    """Return where samples of some rows lie in the frame of another field."""
+    row = np.arange(field.rows)[rows, np.newaxis]
+    place = field.to_map(*np.broadcast_arrays(row, np.arange(field.cols)))
+    if field.frame == other.frame:
+        return place
+    return other.frame.from_lonlat(*field.frame.to_lonlat(*place))
