@@ -15,7 +15,7 @@ from skyline.geodesy import Curvature
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
-_COLUMNS_AT_ONCE = 128
+_COLUMNS_AT_ONCE, _STEPS_AT_ONCE = 128, 256
 _SAMPLES_A_STEP = 0.7
 _RIDGE_JUMP, _RIDGE_SAMPLES = 1.04, 4.0
 """How much farther what is behind a ridge must be: times as far, and samples beyond that."""
@@ -73,17 +73,28 @@ class Landscape:
         drop = float(eye.eye_elevation_m[0]) + curvature.drop_m(distance)
         convergence = terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0])
         top = np.empty((len(azimuth_deg), len(distance)), np.float32)
+        bound_deg = np.degrees(np.arctan((terrain.height_range_m[1] - drop) / distance))
+        # Of all from each step on.
+        bound_deg = np.maximum.accumulate(bound_deg[::-1])[::-1]
         ranges = (np.log2(distance / distance[0]) * _RANGES_A_DOUBLING).astype(np.intp)
         ridge = np.full((ranges[-1] + 1, len(azimuth_deg)), np.nan, np.float32)
         for start in range(0, len(azimuth_deg), _COLUMNS_AT_ONCE):
             part = slice(start, start + _COLUMNS_AT_ONCE)
             grid = np.radians(azimuth_deg[part, np.newaxis] - convergence)
-            height = terrain.height_at(
-                eye.easting_m[0] + distance * np.sin(grid),
-                eye.northing_m[0] + distance * np.cos(grid),
-            )
-            up_deg = np.degrees(np.arctan((height - drop) / distance))
-            top[part] = np.maximum.accumulate(np.nan_to_num(up_deg, nan=_NOTHING_DEG), axis=1)
+            so_far = np.full((grid.shape[0], 1), _NOTHING_DEG, np.float32)
+            for first in range(0, len(distance), _STEPS_AT_ONCE):
+                if bound_deg[first] <= so_far.min():
+                    top[part, first:] = so_far
+                    break
+                steps = slice(first, first + _STEPS_AT_ONCE)
+                height = terrain.height_at(
+                    eye.easting_m[0] + distance[steps] * np.sin(grid),
+                    eye.northing_m[0] + distance[steps] * np.cos(grid),
+                )
+                up_deg = np.degrees(np.arctan((height - drop[steps]) / distance[steps]))
+                up_deg = np.nan_to_num(up_deg, nan=_NOTHING_DEG).astype(np.float32)
+                top[part, steps] = np.maximum.accumulate(np.maximum(up_deg, so_far), axis=1)
+                so_far = top[part, steps][:, -1:]
             column, step = _ridges(top[part], distance, terrain.spacing_m)
             # Later ones stand higher.
             ridge[ranges[step], start + column] = top[part][column, step]

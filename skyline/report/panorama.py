@@ -14,7 +14,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import map_coordinates
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float64Array, UInt8Array
 from skyline.report.labels import place_labels
 from skyline.report.landscape import Landscape
 from skyline.report.sightings import Sighting
@@ -204,28 +204,40 @@ def _draw_row(axis: Axes, view: PanoramaView, row: _Row) -> None:
 
 def _shaded(
     view: PanoramaView, azimuth_deg: Float64Array, distance_m: Float64Array, reach_m: float
-) -> Float64Array:
+) -> UInt8Array:
     """Return the picture (R, P, 4) of what is seen at distances (R, P); the sky is transparent."""
     terrain, eye = view.terrain, view.eye
     grid = np.radians(azimuth_deg - view.convergence_deg)
     ground = np.isfinite(distance_m)
-    away = np.where(ground, distance_m, 0.0)
-    row, col = terrain.to_grid(
+    away, grid = distance_m[ground], np.broadcast_to(grid, distance_m.shape)[ground]
+    place = terrain.to_grid(
         eye.easting_m[0] + away * np.sin(grid), eye.northing_m[0] + away * np.cos(grid)
     )
-    north, east = (
-        map_coordinates(slope, [row, col], order=1, mode="nearest")
-        for slope in np.gradient(
-            terrain.heights_m, -terrain.spacing_north_m, terrain.spacing_east_m
-        )
-    )
+    north, east = _slopes(terrain, *place)
     towards = grid + np.pi - _LIGHT_ASIDE
     lit = np.sin(_LIGHT_UP) - np.cos(_LIGHT_UP) * (east * np.sin(towards) + north * np.cos(towards))
     light = np.nan_to_num(np.clip(lit / np.sqrt(1.0 + east**2 + north**2), 0.0, 1.0), nan=0.5)
     haze = _haze(away, reach_m)[..., np.newaxis]
     lighted = _ROCK * (0.25 + 1.25 * light[..., np.newaxis])
-    colour = np.clip((1.0 - haze) * lighted + haze * _HAZE, 0.0, 1.0)
-    return np.concatenate([colour, ground[..., np.newaxis]], axis=-1)
+    picture = np.zeros((*ground.shape, 4), np.uint8)
+    picture[ground, :3] = np.clip((1.0 - haze) * lighted + haze * _HAZE, 0.0, 1.0) * 255.0 + 0.5
+    picture[ground, 3] = 255
+    return picture
+
+
+def _slopes(
+    terrain: HeightField, row: Float64Array, col: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return the rise of the terrain to the north and to the east at positions (P,)."""
+
+    def height_m(down: float, right: float) -> Float64Array:
+        at = [row + down, col + right]
+        return np.asarray(map_coordinates(terrain.heights_m, at, order=1, mode="nearest"))
+
+    return (
+        (height_m(-1.0, 0.0) - height_m(1.0, 0.0)) / (2.0 * terrain.spacing_north_m),
+        (height_m(0.0, 1.0) - height_m(0.0, -1.0)) / (2.0 * terrain.spacing_east_m),
+    )
 
 
 def _haze(distance_m: Float64Array, reach_m: float) -> Float64Array:

@@ -207,11 +207,12 @@ def _cubic(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Flo
     flat = heights_m.reshape(-1)
     warped = np.zeros(row.shape, dtype=np.float32)
     lowest, highest = np.full_like(warped, np.inf), np.full_like(warped, -np.inf)
+    beside = [np.clip(left + (j - 1), 0, cols - 1) for j in range(4)]
     for i in range(4):
         line = np.clip(top + (i - 1), 0, rows - 1) * cols
         along = np.zeros(row.shape, dtype=np.float32)
         for j in range(4):
-            sample = flat[line + np.clip(left + (j - 1), 0, cols - 1)]
+            sample = flat.take(line + beside[j])
             along += col_weights[j] * sample
             if i in _AROUND and j in _AROUND:
                 np.minimum(lowest, sample, out=lowest)
