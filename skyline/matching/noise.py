@@ -287,19 +287,19 @@ def judge(
     height_m = np.array(noise.height_m)[deviations[1]][:, np.newaxis]
     variance = angle_rad**2 + (height_m * errors.rough) ** 2 + errors.blur_rad**2
     factor = height_m[..., np.newaxis] * errors.factor
-    terrain = np.log(1.0 - noise.above_share - noise.below_share) - 0.5 * np.log(
-        2.0 * np.pi * variance / magnified**2
-    )
     explained, inner, _ = _explained(residual, trust * odds * known / variance, factor)
     spread = ((factor @ inner) * factor).sum(axis=-1)
     off = residual - explained
-    density = np.where(residual >= 0.0, noise.above_share, noise.below_share)
-    density = density / np.radians(noise.range_deg)
+    terrain = np.full_like(residual, 1.0 - noise.above_share - noise.below_share)
+    other = np.where(residual >= 0.0, noise.above_share, noise.below_share)
+    other = other / np.radians(noise.range_deg)
     limited = np.isfinite(errors.rise_rad)
     if limited.any():
-        risen = magnified * _risen(off, errors.rise_rad, np.sqrt(variance + spread), noise)
-        density = np.where(limited, risen, density)
-    other = np.log(density)
+        share, risen = _risen(off, errors.rise_rad, np.sqrt(variance + spread), noise)
+        terrain = np.where(limited, share, terrain)
+        other = np.where(limited, magnified * risen, other)
+    terrain = np.log(terrain) - 0.5 * np.log(2.0 * np.pi * variance / magnified**2)
+    other = np.log(other)
     logit = terrain - 0.5 * (off**2 + spread) / variance - other
     odds = known / (1.0 + np.exp(-np.clip(logit, -_GREATEST_LOGIT, _GREATEST_LOGIT)))
     weight = trust * odds / variance
@@ -313,16 +313,19 @@ def judge(
 
 def _risen(
     off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array, noise: Noise
-) -> Float64Array:
-    """Return the density of columns that show something else, (M, R), where its rise is known.
+) -> tuple[Float64Array, Float64Array]:
+    """Return the share of terrain, and the density of all else, (M, R), where a rise is known.
 
-    What is above the terrain is as likely anywhere up to the rise, blurred by the errors.
+    What covers the terrain is as likely anywhere up to the rise, blurred by the errors; the higher
+    it may rise, beside the errors, the likelier it is to be there.
     """
     range_rad = np.radians(noise.range_deg)
     # A rise far below the errors is none.
     rise_rad = np.clip(rise_rad, 0.1 * sd_rad, range_rad)
     within = (ndtr(off_rad / sd_rad) - ndtr((off_rad - rise_rad) / sd_rad)) / rise_rad
-    return np.asarray(noise.above_share * within + noise.below_share / range_rad)
+    shown = 1.0 - 2.0 * noise.below_share
+    covered = shown * rise_rad / (rise_rad + 2.0 * sd_rad)
+    return shown - covered, covered * within + noise.below_share / range_rad
 
 
 def _explained(

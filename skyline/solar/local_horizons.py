@@ -36,8 +36,8 @@ class LocalHorizons(Rows):
         Bits: 1, the horizon lies on the border of the data; 2, a hole may hide what is higher; 4,
         no data.
     surface_deg : (N, A) float32
-        Elevation angle up to which trees and houses may rise above the horizon, near 90 from under
-        them; NaN where no surface model was given.
+        Elevation angle up to which trees and houses may rise, at least that of the horizon; NaN
+        where no surface model was given.
     """
 
     lon: Float64Array

@@ -88,8 +88,15 @@ def read_surface(
 def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
     """Return how high a model's samples are above the ground, NaN where that is not known."""
     above_m = np.empty(model.heights_m.shape)
+    west, south, east, north = terrain.bounds_m
+    reach_m = max(model.spacing_east_m, model.spacing_north_m)
     for rows in strips(model.heights_m):
-        above_m[rows] = model.heights_m[rows] - terrain.height_at(*_samples(model, rows, terrain))
+        easting, northing = _samples(model, rows, terrain)
+        # Samples just outside are needed to know what is between them and the border.
+        for at, least, most in ((easting, west, east), (northing, south, north)):
+            beside = np.clip(at, least, most)
+            np.copyto(at, beside, where=np.abs(at - beside) <= reach_m)
+        above_m[rows] = model.heights_m[rows] - terrain.height_at(easting, northing)
     known = np.isfinite(above_m)
     name = ", ".join(model.provenance.files) or "the surface"
     if not known.any():

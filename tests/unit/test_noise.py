@@ -22,7 +22,7 @@ FIRST = (np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp))
 
 def test_without_height_errors_the_cost_is_the_mixture_s():
     noise, errors, _, _ = _setting()
-    none = HeightErrors(0.0 * errors.factor, 0.0 * errors.rough, errors.blur_rad)
+    none = replace(errors, factor=0.0 * errors.factor, rough=0.0 * errors.rough)
     residual = np.random.default_rng(1).normal(0.0, 0.004, (1, 40))
     judged = judge(residual, np.ones(40), none, noise, FIRST, np.ones((1, 40)))
     sigma = np.radians(0.1)
@@ -30,6 +30,27 @@ def test_without_height_errors_the_cost_is_the_mixture_s():
     other = np.where(residual >= 0.0, 0.15, 0.02) / np.radians(15.0)
     np.testing.assert_allclose(judged.cost[0], -np.log(terrain + other).sum(), rtol=1e-9)
     np.testing.assert_allclose(judged.odds, terrain / (terrain + other), atol=1e-9)
+
+
+def test_what_may_rise_so_far_lies_anywhere_up_to_there_and_seldom_beyond():
+    noise, errors, _, _ = _setting()
+    sigma, stray = np.radians(0.1), 0.02 / np.radians(15.0)
+    rise = np.radians(np.tile([0.0, 0.1, 1.0, 40.0, np.nan], 8))[np.newaxis]
+    none = replace(errors, factor=0.0 * errors.factor, rough=0.0 * errors.rough, rise_rad=rise)
+    residual = np.random.default_rng(1).normal(0.005, 0.01, (1, 40))
+    judged = judge(residual, np.ones(40), none, noise, FIRST, np.ones((1, 40)))
+    # The density of an even one up to the rise, blurred, by summing up.
+    limit = np.clip(rise, 0.1 * sigma, np.radians(15.0))[..., np.newaxis]
+    at = limit * (np.arange(20_000) + 0.5) / 20_000
+    even = np.exp(-0.5 * ((residual[..., np.newaxis] - at) / sigma) ** 2).mean(axis=-1)
+    covered = limit[..., 0] / (limit[..., 0] + 2.0 * sigma) * 0.96
+    terrain = (0.96 - covered) * np.exp(-0.5 * (residual / sigma) ** 2)
+    scale = np.sqrt(2.0 * np.pi) * sigma
+    limited, plain = np.isfinite(rise), np.where(residual >= 0.0, 0.15, 0.02) / np.radians(15.0)
+    other = np.where(limited, covered * even / scale + stray, plain)
+    terrain = np.where(limited, terrain, 0.83 * np.exp(-0.5 * (residual / sigma) ** 2)) / scale
+    np.testing.assert_allclose(judged.cost[0], -np.log(terrain + other).sum(), rtol=1e-5)
+    np.testing.assert_allclose(judged.odds, terrain / (terrain + other), atol=1e-5)
 
 
 def test_products_are_those_of_the_whole_covariance():
@@ -113,7 +134,7 @@ def test_the_scale_of_all_errors_is_the_likeliest(sd_rad):
     residual = np.random.default_rng(4).normal(0.0, sd_rad, (1, 40))
     costs = []
     for scale in np.geomspace(0.1, 1.3, 121):
-        scaled = HeightErrors(errors.factor, errors.rough, scale * errors.blur_rad)
+        scaled = replace(errors, blur_rad=scale * errors.blur_rad)
         angle_deg, height_m = scale * noise.angle_deg[0], scale * noise.height_sd_m
         smaller = replace(noise, angle_deg=(angle_deg,), height_sd_m=height_m)
         costs.append(_converged(residual, smaller, scaled).cost[0])

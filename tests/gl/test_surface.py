@@ -1,0 +1,145 @@
+"""What may stand on the ground: a surface model as an upper bound for the skyline."""
+
+import numpy as np
+import pytest
+from query_scenes import photographed, poses, rays_of
+from scenes import field_from, field_of, fractal
+
+from skyline import horizon, stand_on
+from skyline.errors import InputError
+from skyline.geodesy import Frame
+from skyline.matching.pose import refine
+from skyline.matching.refine_config import RefineConfig
+from skyline.pipeline.config import RenderConfig
+from skyline.pipeline.scene import RenderedScene
+from skyline.render.horizon import HorizonRenderer
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.surface import UNKNOWN_M, read_surface
+
+SHORT = RefineConfig(shortlist=12, rounds=6, restarts=1, finalists=4, final_rounds=3)
+TREES_M = 20.0
+
+
+@pytest.fixture(scope="module")
+def bare():
+    """Rough ground of 500 m relief, 12 x 12 km."""
+    return field_of(fractal(400, 400, relief_m=1500.0, seed=5, exponent=2.0) + 1500.0)
+
+
+@pytest.fixture(scope="module")
+def canopy():
+    """Trees 20 m high in patches on half of that ground."""
+    return field_of(np.where(fractal(400, 400, seed=9, exponent=1.5) > 0.0, TREES_M, 0.0))
+
+
+@pytest.fixture(scope="module")
+def forest(bare, canopy):
+    """The surface of ground and trees."""
+    return field_of(bare.heights_m + canopy.heights_m)
+
+
+def test_a_surface_and_a_canopy_model_say_the_same(bare, canopy, forest):
+    for model in (forest, canopy):
+        over = read_surface(model, bare)
+        np.testing.assert_allclose(over.heights_m - bare.heights_m, canopy.heights_m, atol=1e-3)
+
+
+def test_the_highest_of_a_fine_model_counts_and_tall_trees_where_there_is_none(bare):
+    trees = np.zeros((300, 300))
+    trees[151, 149] = 30.0
+    fine = field_of(trees, 5.0, west_m=3000.0, north_m=-3000.0)
+    rise_m = read_surface(fine, bare).heights_m - bare.heights_m
+    at_row, at_col = (3000.0 + 5.0 * 151) / 30.0, (3000.0 + 5.0 * 149) / 30.0
+    row, col = np.nonzero((rise_m > 1.0) & (rise_m < UNKNOWN_M - 1.0))
+    # All corners of the cell that it stands in, and none beyond the next.
+    assert {(int(at_row) + i, int(at_col) + j) for i in (0, 1) for j in (0, 1)} <= set(
+        zip(row.tolist(), col.tolist(), strict=True)
+    )
+    assert np.abs(row - at_row).max() <= 1.5
+    np.testing.assert_allclose(rise_m[row, col], 30.0, atol=1e-3)
+    assert rise_m[0, 0] == pytest.approx(UNKNOWN_M, abs=1e-3)
+
+
+def test_a_surface_in_another_frame_lies_where_it_is():
+    bare = field_from(lambda east, north: 1000.0 + 0.0 * east * north, 101, 30.0)
+    frame = Frame.local(9.83, 46.79)
+    east_m, north_m = frame.from_lonlat(*bare.frame.to_lonlat(600.0, -300.0))
+    row, col = np.mgrid[0:301, 0:301]
+    off_m = np.hypot(col * 30.0 - 4500.0 - east_m, 4500.0 - row * 30.0 - north_m)
+    model = HeightField(1000.0 + TREES_M * (off_m < 100.0), -4500.0, 4500.0, 30.0, 30.0, frame)
+    rise_m = read_surface(model, bare).heights_m - 1000.0
+    row, col = np.nonzero(rise_m > 10.0)
+    assert bare.to_map(row.mean(), col.mean()) == pytest.approx((600.0, -300.0), abs=15.0)
+
+
+def test_a_surface_of_elsewhere_or_of_another_datum_is_refused(bare, forest):
+    away = field_of(forest.heights_m, west_m=1e6)
+    with pytest.raises(InputError, match="has no height over the DEM"):
+        read_surface(away, bare)
+    with pytest.raises(InputError, match=r"is \+\d+ m above the DEM in the median"):
+        read_surface(field_of(forest.heights_m + 200.0), bare)
+
+
+def test_a_horizon_lies_between_the_bare_one_and_the_surface_s(bare, forest):
+    # Easting and northing of the scenes' frame, in open ground and under trees.
+    lon, lat = bare.frame.to_lonlat([4000.0, 6200.0, 8000.0], [-6000.0, -5000.0, -8000.0])
+    found = horizon(bare, lon, lat, surface=forest)
+    eyes = stand_on(bare, *bare.frame.from_lonlat(lon, lat))
+    assert (found.surface_deg >= found.elevation_deg).all()
+    assert (found.surface_deg > found.elevation_deg + 0.05).any(axis=1).all()
+    assert "surface_deg" in found.to_xarray()
+    plain = horizon(bare, lon, lat)
+    np.testing.assert_array_equal(plain.elevation_deg, found.elevation_deg)
+    assert not plain.has_surface
+    under = forest.height_at(eyes.easting_m, eyes.northing_m) > eyes.eye_elevation_m
+    assert under.tolist() == [False, False, True]
+    assert found.surface_deg[2].min() > 30.0
+
+
+def _photo(forest, bare, place_m, camera):
+    """Return the rays of a camera that stands on the ground and sees the forest."""
+    with HorizonRenderer(forest, 1280) as renderer:
+        views = renderer.render(stand_on(bare, *place_m))
+    tangent = np.tan(np.radians(views.elevation_deg()))
+    u, v = photographed(np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), **camera)
+    noise = np.random.default_rng(0).normal(0.0, np.radians(0.05), len(v))
+    return rays_of(u, v + noise, 60.0)
+
+
+def _open_places(bare, canopy, count):
+    """Return places (count, 2) from which no tree within 100 m hides the view."""
+    generator = np.random.default_rng(1)
+    ring = 100.0 * np.exp(0.25j * np.pi * np.arange(8))
+    places = []
+    while len(places) < count:
+        place = generator.uniform((3000.0, -9000.0), (9000.0, -3000.0))
+        if not canopy.height_at(place[0] + ring.real, place[1] + ring.imag).any():
+            places.append(place)
+    return np.array(places)
+
+
+def test_with_a_surface_places_in_a_forest_are_found_nearer(bare, canopy, forest):
+    off_m = {"without": [], "with": []}
+    config = RenderConfig(width=320)
+    scenes = {
+        "without": RenderedScene(bare, config),
+        "with": RenderedScene(bare, config, surface=read_surface(forest, bare)),
+    }
+    for index, place in enumerate(_open_places(bare, canopy, 16)):
+        camera = {"heading_deg": 37.0 * index, "pitch_deg": 1.0, "roll_deg": -1.0, "fov_deg": 60.0}
+        query = _photo(forest, bare, place, camera)
+        ring = 60.0 * np.exp(2j * np.pi * np.arange(6) / 6)
+        start = poses(
+            6,
+            easting_m=place[0] + ring.real,
+            northing_m=place[1] + ring.imag,
+            heading_deg=camera["heading_deg"] + 1.5 * (-1.0) ** np.arange(6),
+        )
+        for name, scene in scenes.items():
+            best = refine(start, query, scene, SHORT).hypotheses
+            off_m[name].append(np.hypot(*(place - [best.easting_m[0], best.northing_m[0]])))
+    without_m, with_m = np.array(off_m["without"]), np.array(off_m["with"])
+    for scene in scenes.values():
+        scene.release()
+    assert np.median(with_m) < 0.7 * np.median(without_m)
+    assert (with_m < 20.0).sum() > (without_m < 20.0).sum()
