@@ -56,6 +56,8 @@ Output = Annotated[Path, typer.Option("--output", "-o", help="The store to write
 Bounds = Annotated[
     str | None, typer.Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
 ]
+_RENDERINGS = "Renderings, for the paper's matcher"
+
 ShardKm = Annotated[
     float | None,
     typer.Option(metavar="K", help="Build in tiles of K km; each tile is a job. With workers: 10."),
@@ -125,6 +127,15 @@ def build(
         ),
     ] = None,
     bounds: Bounds = None,
+    drawn: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="PNG",
+            help="Draw a map of the places and how far apart they lie; with a planner, of "
+            "viewpoints and their areas.",
+        ),
+    ] = None,
     shard_km: ShardKm = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
@@ -136,69 +147,74 @@ def build(
         str | None,
         typer.Option(
             help="Store renderings instead of places, for the paper's matcher. The planner "
-            f"chooses their viewpoints: uniform, {', '.join(STRATEGIES)}."
+            f"chooses their viewpoints: uniform, {', '.join(STRATEGIES)}.",
+            rich_help_panel=_RENDERINGS,
         ),
     ] = None,
     candidate_spacing: Annotated[
         float | None,
         typer.Option(
-            help="Planner: metres between candidates.",
+            help="Metres between candidates.",
             show_default=f"{_PLANNED.spacing.candidate_m:g}",
+            rich_help_panel=_RENDERINGS,
         ),
     ] = None,
     threshold_px: Annotated[
         float | None,
         typer.Option(
             "--threshold-px",
-            help="Planner: pixels by which the skyline of a covered location may differ.",
+            help="Pixels by which the skyline of a covered location may differ.",
             show_default=f"{_PLANNED.threshold_px:g}",
+            rich_help_panel=_RENDERINGS,
         ),
     ] = None,
     coverage: Annotated[
         float | None,
         typer.Option(
-            help="Planner: share of the candidates to cover.",
+            help="Share of the candidates to cover.",
             show_default=f"{_PLANNED.coverage:g}",
+            rich_help_panel=_RENDERINGS,
         ),
     ] = None,
     budget: Annotated[
         int | None,
         typer.Option(
-            metavar="N", help="Planner: number of renderings; the threshold is raised to fit."
+            metavar="N",
+            help="Number of renderings; the threshold is raised to fit.",
+            rich_help_panel=_RENDERINGS,
         ),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(help="Planner: seed of its random choices.", show_default=f"{_PLANNED.seed}"),
-    ] = None,
-    drawn: Annotated[
-        Path | None,
         typer.Option(
-            "--map",
-            metavar="PNG",
-            help="Draw a map of the places and how far apart they lie; with a planner, of "
-            "viewpoints and their areas.",
+            help="Seed of its random choices.",
+            show_default=f"{_PLANNED.seed}",
+            rich_help_panel=_RENDERINGS,
         ),
     ] = None,
     width: Annotated[
         int | None,
         typer.Option(
-            help="Renderings: columns of a 90 degree view.", show_default=f"{_DEFAULTS.width}"
+            help="Columns of a 90 degree view.",
+            show_default=f"{_DEFAULTS.width}",
+            rich_help_panel=_RENDERINGS,
         ),
     ] = None,
     tolerance_px: Annotated[
         float | None,
         typer.Option(
             "--tolerance-px",
-            help="Renderings: pixels by which a skyline may lie too low.",
+            help="Pixels by which a skyline may lie too low.",
             show_default=f"{_DEFAULTS.tolerance_px:g}",
+            rich_help_panel=_RENDERINGS,
         ),
     ] = None,
     rows: Annotated[
         str | None,
         typer.Option(
-            help=f"Renderings: how the store holds them, {' or '.join(ROWS)}.",
+            help=f"How the store holds renderings, {' or '.join(ROWS)}.",
             show_default=_DEFAULTS.rows,
+            rich_help_panel=_RENDERINGS,
         ),
     ] = None,
 ) -> None:

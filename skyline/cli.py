@@ -37,24 +37,24 @@ from skyline.terrain.viewpoints import stand_on
 _DEFAULTS = RenderConfig()
 
 app = command_line("skyline", "A photo of mountains in, a place on the map out.")
-app.add_typer(dem_cli.app)
-app.add_typer(store_app, name="store")
 
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
-app.command()(build_cli.render)
-app.command()(build_cli.build)
-app.command()(photo_cli.match)
-app.command()(photo_cli.extract)
-app.command()(page_cli.serve)
-app.command()(horizon_cli.horizon)
-app.command()(horizon_cli.sun)
-app.command()(panorama_cli.panorama)
-app.command()(panorama_cli.peaks)
+_COMMANDS = {
+    "Photos": (photo_cli.match, photo_cli.extract, page_cli.serve),
+    "Stores": (build_cli.build, build_cli.render),
+    "Views from a place": (horizon_cli.horizon, horizon_cli.sun, panorama_cli.panorama),
+    "Data": (panorama_cli.peaks,),
+}
+for subject, commands in _COMMANDS.items():
+    for command in commands:
+        app.command(rich_help_panel=subject)(command)
+app.add_typer(store_app, name="store", rich_help_panel="Stores")
+app.add_typer(dem_cli.app, rich_help_panel="Data")
 
 
-@app.command()
+@app.command(rich_help_panel="Data")
 def info(
     path: Annotated[
         list[str] | None,
@@ -77,7 +77,7 @@ def info(
     _say_facts(facts, as_json)
 
 
-@app.command()
+@app.command(rich_help_panel="Data")
 def explain(
     dem: Dems,
     at: Annotated[

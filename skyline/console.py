@@ -34,13 +34,23 @@ _TOLD_EACH_S = 1.0
 
 _log = logging.getLogger(__name__)
 
+# Groups of options in the help of commands that have many.
+_TERRAIN, _SPREAD = "Terrain and rendering", "Many processors"
+
 Workers = Annotated[
-    int | None, typer.Option(metavar="N", help="Spread the work over N processes of this machine.")
+    int | None,
+    typer.Option(
+        metavar="N",
+        help="Spread the work over N processes of this machine.",
+        rich_help_panel=_SPREAD,
+    ),
 ]
 Scheduler = Annotated[
     str | None,
     typer.Option(
-        metavar="ADDRESS", help="Spread the work over a dask cluster, e.g. tcp://host:8786."
+        metavar="ADDRESS",
+        help="Spread the work over a dask cluster, e.g. tcp://host:8786.",
+        rich_help_panel=_SPREAD,
     ),
 ]
 
@@ -54,20 +64,35 @@ Surfaces = Annotated[
         metavar="FILE",
         help="A surface or canopy model: how far trees and houses may rise above the bare skyline; "
         "repeat for each tile.",
+        rich_help_panel=_TERRAIN,
     ),
 ]
-RefractionK = Annotated[float, typer.Option("--k", help="Refraction coefficient.")]
-NoCurvature = Annotated[bool, typer.Option("--no-curvature", help="Take the Earth as flat.")]
+RefractionK = Annotated[
+    float, typer.Option("--k", help="Refraction coefficient.", rich_help_panel=_TERRAIN)
+]
+NoCurvature = Annotated[
+    bool, typer.Option("--no-curvature", help="Take the Earth as flat.", rich_help_panel=_TERRAIN)
+]
 Crs = Annotated[
-    str | None, typer.Option(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")
+    str | None,
+    typer.Option(
+        help="CRS of a DEM whose files name none, e.g. EPSG:32632.", rich_help_panel=_TERRAIN
+    ),
 ]
 Reproject = Annotated[
-    bool, typer.Option("--reproject", help="Warp a DEM whose CRS is not conformal.")
+    bool,
+    typer.Option(
+        "--reproject", help="Warp a DEM whose CRS is not conformal.", rich_help_panel=_TERRAIN
+    ),
 ]
-Width = Annotated[int, typer.Option(help="Columns of a 90 degree view.")]
+Width = Annotated[int, typer.Option(help="Columns of a 90 degree view.", rich_help_panel=_TERRAIN)]
 Tolerance = Annotated[
     float,
-    typer.Option("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact."),
+    typer.Option(
+        "--tolerance-px",
+        help="Pixels by which a skyline may lie too low; 0 is exact.",
+        rich_help_panel=_TERRAIN,
+    ),
 ]
 
 

@@ -48,16 +48,25 @@ from skyline.terrain.tiles import absolute_name
 
 _DEFAULTS = MatchConfig()
 
+# Groups of options in the help, after those that most people need.
+_PHOTOS, _CAMERA = "The photos", "Where the camera stood, and how"
+_SEARCH, _OUTPUT = "The search", "More files to write"
+
 FieldOfView = Annotated[
     float | None,
     typer.Option(help="Horizontal field of view; by default from the photo's EXIF or XMP."),
 ]
 PhotoProjection = Annotated[
     Projection | None,
-    typer.Option("--projection", help="Projection of a panorama, usually cylindrical."),
+    typer.Option(
+        "--projection",
+        help="Projection of a panorama, usually cylindrical.",
+        rich_help_panel=_PHOTOS,
+    ),
 ]
 SkyModel = Annotated[
-    Path | None, typer.Option(metavar="ONNX", help="Your own sky segmentation model.")
+    Path | None,
+    typer.Option(metavar="ONNX", help="Your own sky segmentation model.", rich_help_panel=_PHOTOS),
 ]
 
 
@@ -71,69 +80,96 @@ def match(
         ),
     ],
     fov_deg: FieldOfView = None,
-    projection: PhotoProjection = None,
-    sky_model: SkyModel = None,
-    dem: Annotated[
-        list[str] | None,
-        typer.Option(metavar="DEM", help="The store's DEM, if it has moved; repeat for each tile."),
-    ] = None,
-    surface: Surfaces = None,
-    matcher: Annotated[str, typer.Option(help=f"One of {', '.join(MATCHERS)}.")] = FULL,
-    no_refine: Annotated[
-        bool, typer.Option("--no-refine", help="Skip refinement: faster, less exact.")
-    ] = False,
     near: Annotated[
         str | None,
         typer.Option(metavar="LON,LAT,KM", help="Search only within so many km of a point."),
     ] = None,
+    dem: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DEM", help="The store's DEM, if it has moved; repeat for each tile."),
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write a page with pictures and maps.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    projection: PhotoProjection = None,
     bounds: Annotated[
-        str | None, typer.Option(metavar="W,S,E,N", help="Search only in this box, in degrees.")
+        str | None,
+        typer.Option(
+            metavar="W,S,E,N", help="Search only in this box, in degrees.", rich_help_panel=_CAMERA
+        ),
     ] = None,
     heading: Annotated[
         str | None,
         typer.Option(
             metavar="DEG,SLACK",
             help="Camera heading from true north, within SLACK degrees.",
+            rich_help_panel=_CAMERA,
         ),
     ] = None,
     elevation: Annotated[
         str | None,
         typer.Option(
-            metavar="LOW,HIGH", help="The camera stood between these elevations, in metres."
+            metavar="LOW,HIGH",
+            help="The camera stood between these elevations, in metres.",
+            rich_help_panel=_CAMERA,
+        ),
+    ] = None,
+    eye_height: Annotated[
+        float | None,
+        typer.Option(
+            metavar="M",
+            help="Camera above the ground; by default it is found.",
+            rich_help_panel=_CAMERA,
         ),
     ] = None,
     fov_slack: Annotated[
         float,
-        typer.Option(help="Standard deviation of the field of view, as a share of it."),
+        typer.Option(
+            help="Standard deviation of the field of view, as a share of it.",
+            rich_help_panel=_PHOTOS,
+        ),
     ] = _DEFAULTS.fov_slack,
     use_gps: Annotated[
         bool,
         typer.Option(
-            "--use-gps", help="Let each photo's own GPS position draw its search, never bind it."
+            "--use-gps",
+            help="Let each photo's own GPS position draw its search, never bind it.",
+            rich_help_panel=_CAMERA,
         ),
     ] = False,
-    eye_height: Annotated[
-        float | None,
-        typer.Option(metavar="M", help="Camera above the ground; by default it is found."),
-    ] = None,
     same_place: Annotated[
         bool,
         typer.Option(
-            "--same-place", help="The photos were taken at one place: find it from all of them."
+            "--same-place",
+            help="The photos were taken at one place: find it from all of them.",
+            rich_help_panel=_PHOTOS,
         ),
     ] = False,
+    surface: Surfaces = None,
+    matcher: Annotated[
+        str, typer.Option(help=f"One of {', '.join(MATCHERS)}.", rich_help_panel=_SEARCH)
+    ] = FULL,
+    no_refine: Annotated[
+        bool,
+        typer.Option(
+            "--no-refine", help="Skip refinement: faster, less exact.", rich_help_panel=_SEARCH
+        ),
+    ] = False,
+    sky_model: SkyModel = None,
     min_confidence: Annotated[
-        float, typer.Option(help="Least confidence for an answer.")
+        float, typer.Option(help="Least confidence for an answer.", rich_help_panel=_SEARCH)
     ] = _DEFAULTS.min_confidence,
-    top: Annotated[int, typer.Option(help="Number of candidates to print.")] = 5,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-    report: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write a page with pictures and maps.")
-    ] = None,
-    peaks: Annotated[
+    top: Annotated[
+        int, typer.Option(help="Number of candidates to print.", rich_help_panel=_SEARCH)
+    ] = 5,
+    results: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE.csv", help="Peaks to name in the report: name,lon,lat[,height_m]."
+            metavar="FILE",
+            help=f"Write a row a photo as it is done ({', '.join(RESULTS)}). Photos that the file "
+            "has are not matched again.",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     export: Annotated[
@@ -141,14 +177,15 @@ def match(
         typer.Option(
             metavar="FILE",
             help=f"Write the candidates, by the suffix: {', '.join(EXPORTS)}; may be repeated.",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
-    results: Annotated[
+    peaks: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help=f"Write a row a photo as it is done ({', '.join(RESULTS)}). Photos that the file "
-            "has are not matched again.",
+            help="Peaks to name in the report: GeoJSON, or CSV with name,lon,lat[,height_m].",
+            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     workers: Workers = None,
