@@ -20,6 +20,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+import rasterio
 import typer
 from documents import (
     DOCUMENTS,
@@ -63,6 +64,7 @@ SMALLER = {
 
 LEFT = {
     "queries.md": ("report/index.html", "candidates.geojson", "candidates.kml"),
+    "surfaces.md": ("both.png",),
     "scripts.md": ("pictures/0000.png", "python.h5"),
 }
 """Page -> files that its commands leave."""
@@ -201,6 +203,12 @@ def make_queries():
     shutil.copy("photo.jpg", "photos/a.jpg")
     Path("viewpoints.csv").write_text("lon,lat\n9.85,46.75\n")
     Path("peaks.csv").write_text("name,lon,lat\nGrat,9.87,46.72\n")
+    trees = np.where(fractal(_PER_DEGREE, _PER_DEGREE, seed=6) > 0.0, 20.0, 0.0)
+    with rasterio.open(
+        "canopy.tif", "w", driver="GTiff", width=_PER_DEGREE, height=_PER_DEGREE, count=1,
+        dtype="float32", crs="EPSG:4326", transform=from_origin(9, 47, *[1 / _PER_DEGREE] * 2),
+    ) as file:  # fmt: skip
+        file.write(trees.astype(np.float32), 1)
 
 
 def test_what_pages_share_is_what_they_say(world):

@@ -52,6 +52,24 @@ def test_csv_is_printed_and_is_what_python_gives(run, dem, places):
     assert rows[720]["lon"] == places[1].split(",")[0]
 
 
+def test_a_surface_is_shown_beside_the_bare_horizon(run, dem, places, tmp_path):
+    canopy = write_dem(tmp_path / "canopy.tif", np.full((120, 140), 20.0, np.float32))
+    common = ("horizon", dem, "--at", places[0])
+    done = run(*common, "--surface", canopy)
+    assert done.code == 0, done.err
+    rows, bare = table(done.out), table(run(*common).out)
+    assert all(float(row.pop("surface_deg")) >= float(row["elevation_deg"]) for row in rows)
+    assert rows == bare
+    target = tmp_path / "both.json"
+    assert run(*common, "--surface", canopy, "-o", target).code == 0
+    (told,) = json.loads(target.read_text())["places"]
+    both = np.array([told["elevation_deg"], told["surface_deg"]])
+    assert (both[1] >= both[0]).all()
+    assert_refused(
+        run(*common, "--surface", canopy, "-o", tmp_path / "horizon.txt"), "leave --surface out"
+    )
+
+
 def test_points_are_read_and_json_is_written(run, dem, places, tmp_path):
     points = csv_of(tmp_path / "points.csv", places, "lon,lat")
     target = tmp_path / "horizons.json"

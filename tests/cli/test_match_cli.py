@@ -6,6 +6,7 @@ import re
 import shutil
 
 import cv2
+import numpy as np
 import pytest
 from commands import assert_refused, csv_of
 from PIL import Image
@@ -234,6 +235,19 @@ def test_what_takes_long_is_said(run, store, photo, monkeypatch):
     assert f"opening {store} and its elevation model takes a while" in done.err
     assert f"matching {photo} takes a while" in done.err
     assert "of 9999 candidates" in done.out
+
+
+def test_a_surface_is_heeded_in_refinement(run, store, photo, tmp_path):
+    canopy = write_dem(tmp_path / "canopy.tif", np.zeros((110, 120), np.float32))
+    common = ("match", store, photo, "--fov-deg", "60", "--json")
+    done = run(*common, "--surface", canopy)
+    assert done.code == 0, done.err
+    found, plain = (json.loads(one.out)["candidates"][0] for one in (done, run(*common)))
+    assert math.hypot(*(found[axis] - plain[axis] for axis in ("easting", "northing"))) < 20.0
+    assert found["score"] != plain["score"]
+    for options in (("--no-refine",), ("--matcher", "paper")):
+        assert_refused(run(*common, "--surface", canopy, *options), "a surface acts in refinement")
+    assert_refused(run(*common, "--surface", "none.tif"), "no file")
 
 
 def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path):
