@@ -33,6 +33,9 @@ class _Scene:
     def render(self, viewpoints, headings):
         return self.renderer.render(viewpoints, headings)
 
+    def render_surface(self, viewpoints, headings):
+        return None
+
     def ground_m(self, easting_m, northing_m):
         return self.field.height_at(easting_m, northing_m)
 
