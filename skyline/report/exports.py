@@ -6,6 +6,7 @@ from types import MappingProxyType
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.report.cameras import write_cameras
 from skyline.report.geojson import write_geojson
 from skyline.report.gpx import write_gpx
 from skyline.report.kml import write_kml
@@ -21,10 +22,10 @@ def _geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
 EXPORTS: Mapping[str, Writer] = MappingProxyType(
     {
         ".geojson": _geojson,
-        ".json": _geojson,
         ".kml": write_kml,
         ".kmz": write_kml,
         ".gpx": lambda path, matches, _: write_gpx(path, matches),
+        ".json": lambda path, matches, _: write_cameras(path, matches),
     }
 )
 """What writes a file of each suffix."""
@@ -39,7 +40,7 @@ def check_export(path: str | Path) -> Writer:
 
 
 def export_matches(path: str | Path, matches: Sequence[Matched], frame: Frame) -> None:
-    """Write the candidates of matches: GeoJSON, KML, KMZ or GPX, by the file's suffix.
+    """Write the candidates of matches by the suffix: GeoJSON, KML, KMZ, GPX, or cameras in JSON.
 
     Parameters
     ----------

@@ -1,9 +1,11 @@
 """Files for other programs, read back by other programs: GDAL, and the parsers of Python."""
 
 import io
+import json
 import math
 import xml.etree.ElementTree as Xml
 import zipfile
+from dataclasses import replace
 
 import geopandas
 import numpy as np
@@ -11,9 +13,19 @@ import pytest
 import rasterio
 from PIL import Image
 from PIL.ExifTags import IFD, Base
+from pyproj import Geod, Transformer
 from scenes import FRAME, candidate_at
 
-from skyline import InputError, Matched, QuerySkyline, export_matches, read_photo, write_located
+from skyline import (
+    InputError,
+    Matched,
+    Projection,
+    QuerySkyline,
+    export_matches,
+    read_photo,
+    write_located,
+)
+from skyline_bench.queries.pinhole import Camera
 
 BEST = candidate_at(
     100.0, 200.0, 30.0, 4.0, -3.0, 50.0, eye_elevation_m=1234.5, confidence=0.93
@@ -81,6 +93,31 @@ def test_gdal_reads_the_geojson(tmp_path):
     assert table[table["shape"] == "candidate"].geometry.x.tolist() == pytest.approx(
         [BEST.lon, OTHER.lon], abs=1e-6
     )
+
+
+def test_a_camera_sees_a_point_where_the_photo_does(tmp_path):
+    path = tmp_path / "cameras.json"
+    export_matches(path, matches(), FRAME)
+    (photo,) = json.loads(path.read_text())["photos"]
+    camera = photo["cameras"][0]
+    assert camera["crs"] == "EPSG:32632"
+    to_utm = Transformer.from_crs("EPSG:4326", camera["crs"], always_xy=True)
+    place = np.array([*to_utm.transform(BEST.lon, BEST.lat), BEST.eye_elevation_m])
+    np.testing.assert_allclose(camera["position_m"], place, atol=0.01)
+    # Straight ahead by the geodesic, and every pixel by another camera's rays.
+    ahead = to_utm.transform(
+        *Geod(ellps="WGS84").fwd(BEST.lon, BEST.lat, BEST.heading_deg, 5e3)[:2]
+    )
+    grid_deg = np.degrees(np.arctan2(*(np.array(ahead) - place[:2])))
+    held = Camera(grid_deg, BEST.pitch_deg, BEST.roll_deg, BEST.fov_deg, 40, 30)
+    rays = held.rays()[..., [0, 2, 1]].reshape(-1, 3)
+    seen = np.array(camera["matrix"]) @ np.array(camera["rotation"]) @ (5e3 * rays.T)
+    row, col = np.mgrid[0:30, 0:40] + 0.5
+    np.testing.assert_allclose(seen[0] / seen[2], col.ravel(), atol=0.02)
+    np.testing.assert_allclose(seen[1] / seen[2], row.ravel(), atol=0.02)
+    panorama = replace(matches()[0].query, projection=Projection.CYLINDRICAL)
+    export_matches(path, [replace(matches()[0], query=panorama)], FRAME)
+    assert json.loads(path.read_text())["photos"][0]["cameras"][0]["matrix"] is None
 
 
 def test_another_suffix_is_refused(tmp_path):
