@@ -32,7 +32,7 @@ def read_surface(
     paths : path, paths or HeightField
         A surface model, whose heights have the terrain's datum, or a canopy model, whose heights
         are above the ground: one that lies far below the ground is taken for the latter. Any grid
-        and CRS; files that name no CRS have the terrain's.
+        and CRS; for files that name none, the one that was given for the terrain's.
     terrain : HeightField
         The bare ground.
 
@@ -48,7 +48,8 @@ def read_surface(
         The model is not over the terrain, or its heights have another datum; or as `read_dem`.
     """
     if not isinstance(paths, HeightField):
-        paths = read_dem(paths, DemOptions(crs=terrain.frame.wkt))
+        crs = DemOptions.from_json(terrain.provenance.options).crs
+        paths = read_dem(paths, DemOptions(crs=crs))
     above_m = _above_ground_m(paths, terrain)
     wide = [
         max(1, 2 * math.ceil(coarse / fine - 1e-6) - 1)
