@@ -23,7 +23,6 @@ that everything costs matrices of that size.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtr
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
@@ -319,6 +318,8 @@ def _risen(
     What covers the terrain is as likely anywhere up to the rise, blurred by the errors; the higher
     it may rise, beside the errors, the likelier it is to be there.
     """
+    from scipy.special import ndtr  # noqa: PLC0415  (slow to load, seldom needed)
+
     range_rad = np.radians(noise.range_deg)
     # A rise far below the errors is none.
     rise_rad = np.clip(rise_rad, 0.1 * sd_rad, range_rad)

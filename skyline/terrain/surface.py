@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
@@ -59,6 +58,8 @@ def read_surface(
         )
     ]
     if max(wide) > 1:
+        from scipy.ndimage import maximum_filter  # noqa: PLC0415  (slow to load, seldom needed)
+
         highest = maximum_filter(np.nan_to_num(above_m, nan=-np.inf), wide)
         above_m = np.where(np.isinf(highest), np.nan, highest)
     rise = HeightField(
