@@ -211,13 +211,15 @@ def _shaded(
     terrain, eye = view.terrain, view.eye
     grid = np.radians(azimuth_deg - view.convergence_deg)
     ground = np.isfinite(distance_m)
-    away, grid = distance_m[ground], np.broadcast_to(grid, distance_m.shape)[ground]
+    away, column = distance_m[ground], np.nonzero(ground)[1]
     place = terrain.to_grid(
-        eye.easting_m[0] + away * np.sin(grid), eye.northing_m[0] + away * np.cos(grid)
+        eye.easting_m[0] + away * np.sin(grid)[column],
+        eye.northing_m[0] + away * np.cos(grid)[column],
     )
     north, east = _slopes(terrain, *place)
     towards = grid + np.pi - _LIGHT_ASIDE
-    lit = np.sin(_LIGHT_UP) - np.cos(_LIGHT_UP) * (east * np.sin(towards) + north * np.cos(towards))
+    facing = east * np.sin(towards)[column] + north * np.cos(towards)[column]
+    lit = np.sin(_LIGHT_UP) - np.cos(_LIGHT_UP) * facing
     light = np.nan_to_num(np.clip(lit / np.sqrt(1.0 + east**2 + north**2), 0.0, 1.0), nan=0.5)
     haze = _haze(away, reach_m)[..., np.newaxis]
     lighted = _ROCK * (0.25 + 1.25 * light[..., np.newaxis])
