@@ -24,7 +24,7 @@ POSITION_TOLERANCE = 1e-3
 
 _NODE_STEP = 32
 _EDGE_POINTS = 129
-_BLOCK_SAMPLES = 1 << 18
+_BLOCK_SAMPLES = 1 << 16
 _THREADS = 4
 _AROUND = (1, 2)
 """Of the four rows and columns of a cubic, those next to the position."""
