@@ -289,15 +289,15 @@ def judge(
     explained, inner, _ = _explained(residual, trust * odds * known / variance, factor)
     spread = ((factor @ inner) * factor).sum(axis=-1)
     off = residual - explained
-    terrain = np.full_like(residual, 1.0 - noise.above_share - noise.below_share)
+    bare: Float64Array | float = 1.0 - noise.above_share - noise.below_share
     other = np.where(residual >= 0.0, noise.above_share, noise.below_share)
     other = other / np.radians(noise.range_deg)
     limited = np.isfinite(errors.rise_rad)
     if limited.any():
         share, risen = _risen(off, errors.rise_rad, np.sqrt(variance + spread), noise)
-        terrain = np.where(limited, share, terrain)
+        bare = np.where(limited, share, bare)
         other = np.where(limited, magnified * risen, other)
-    terrain = np.log(terrain) - 0.5 * np.log(2.0 * np.pi * variance / magnified**2)
+    terrain = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / magnified**2)
     other = np.log(other)
     logit = terrain - 0.5 * (off**2 + spread) / variance - other
     odds = known / (1.0 + np.exp(-np.clip(logit, -_GREATEST_LOGIT, _GREATEST_LOGIT)))
