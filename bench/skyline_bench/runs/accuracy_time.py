@@ -33,7 +33,7 @@ from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth, 
 T = TypeVar("T")
 
 FULL = FullConfig()
-FITTED = (125, 500, 2000)
+FITTED = (500, 2000, 8192)
 """Places whose pose is fitted well in retrieval; the last before every refinement."""
 SHORTLISTS = (4, 16, 64, 400)
 """Retrieved poses that a refinement starts from."""
