@@ -18,12 +18,10 @@ from skyline_bench.commands.options import (
     Quick,
     Seed,
     check_outputs,
-    check_report,
     keep_record,
     print_rows,
     store_folder,
 )
-from skyline_bench.figures.report import write_report
 from skyline_bench.figures.tables import EQUAL, REACHED, STORES, in_megabytes, store_lines
 from skyline_bench.figures.uniform_adaptive import save_costs
 from skyline_bench.runs.cost_summary import equal_rows, reached_rows
@@ -74,10 +72,6 @@ def uniform_adaptive(
     ] = None,
     json_file: JsonFile = None,
     plot: PlotFile = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Write index.html and all figures as PNG."),
-    ] = None,
     seed: Seed = _CONFIG.seed,
     quick: Quick = False,
     crs: Crs = None,
@@ -105,7 +99,6 @@ def uniform_adaptive(
     terrain = read_dem(dem, DemOptions(crs=crs))
     config = config.quick(terrain) if quick else config
     check(terrain, config)
-    check_report(report)
     with store_folder(folder) as place:
         with progress_bar("comparing") as progress:
             compared = measure(terrain, config, place, progress)
@@ -119,8 +112,6 @@ def uniform_adaptive(
         keep_record(json_file, "uniform-adaptive", rows, summary)
         if plot is not None:
             save_costs(rows, plot)
-        if report is not None:
-            typer.echo(f"report in {write_report(report, compared)}")
 
 
 def _about(group: DistanceGroup) -> str:

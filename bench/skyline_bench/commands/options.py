@@ -60,20 +60,6 @@ def check_folder(option: str, path: Path | None) -> None:
         raise InputError(f"{option} {path}: there is no folder {path.parent}; make it first")
 
 
-def check_report(folder: Path | None) -> None:
-    """Make the folder of a report, and refuse one that nothing can be written to."""
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise InputError(
-            f"--report {folder}: cannot be written to ({error.strerror}); name another folder"
-        ) from error
-
-
 @contextmanager
 def store_folder(kept: Path | None) -> Iterator[Path]:
     """Give a folder for stores: the one named, made where it is not there, else one for now."""

@@ -1,4 +1,4 @@
-"""Photographs measured: skylines found in them, and where a real one is put."""
+"""Photographs measured: where real ones are put; and the README's own."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -15,7 +15,6 @@ from skyline_bench.commands.options import (
     Crs,
     JsonFile,
     Quick,
-    Seed,
     check_folder,
     check_outputs,
     keep_record,
@@ -25,7 +24,6 @@ from skyline_bench.commands.options import (
 from skyline_bench.figures.photographs import PhotographsPage
 from skyline_bench.figures.readme import save_match
 from skyline_bench.queries.manifest import EXTRACT, KINDS, Photograph, read_manifest
-from skyline_bench.runs import photo_quality as drawn
 from skyline_bench.runs.photographs import Measured, PhotosConfig, Shown, measure, summarize
 
 _PHOTOS = PhotosConfig()
@@ -43,21 +41,6 @@ _PHOTO_COLUMNS = {
     "lost": "lost by",
     "seconds": "s",
 }
-
-
-def photo_quality(
-    photos: Annotated[int, typer.Option(help="Of each of 20 conditions.")] = 10,
-    json_file: JsonFile = None,
-    seed: Seed = 0,
-    quick: Quick = False,
-) -> None:
-    """Skylines extracted from drawn photos, condition by condition."""
-    check_outputs(json_file, None)
-    with progress_bar("conditions") as progress:
-        found = drawn.measure(range(seed, seed + (1 if quick else photos)), progress)
-    rows = [asdict(row) for row in found]
-    print_rows(rows)
-    keep_record(json_file, "photo-quality", rows)
 
 
 def photos(

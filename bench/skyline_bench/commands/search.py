@@ -1,4 +1,4 @@
-"""Our search measured: what time buys, very many places, skylines of elsewhere, its confidence."""
+"""Our search measured: very many places, skylines of elsewhere, its confidence."""
 
 from pathlib import Path
 from typing import Annotated
@@ -19,33 +19,11 @@ from skyline_bench.commands.options import (
     keep_record,
     print_rows,
 )
-from skyline_bench.figures.accuracy_time import save_accuracy_time
 from skyline_bench.figures.reliability import save_reliability
-from skyline_bench.runs import accuracy_time as accuracy_times
 from skyline_bench.runs import learning
 from skyline_bench.runs import retrieval_scale as retrieval
 from skyline_bench.runs import strangers as elsewhere
 from skyline_bench.runs.calibration import write_models
-
-
-def accuracy_time(
-    store: StoreFile,
-    dem: Dems,
-    queries: Annotated[int, typer.Option(help="Each is matched in every setting.")] = 60,
-    json_file: JsonFile = None,
-    plot: PlotFile = None,
-    seed: Seed = 0,
-    quick: Quick = False,
-) -> None:
-    """Accuracy against time: how long a short list, how deep a refinement."""
-    check_outputs(json_file, plot)
-    count = min(queries, 2) if quick else queries
-    with progress_bar("queries") as progress:
-        rows = accuracy_times.measure(store, dem, count, seed, progress)
-    print_rows(rows)
-    keep_record(json_file, "accuracy-time", rows)
-    if plot is not None:
-        save_accuracy_time(rows, plot)
 
 
 def retrieval_scale(

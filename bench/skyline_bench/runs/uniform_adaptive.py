@@ -180,10 +180,6 @@ class UniformAdaptive:
 
     Attributes
     ----------
-    terrain : HeightField
-    bounds_deg : tuple
-        Of the area.
-    queries : tuple of SyntheticQuery
     groups : tuple of DistanceGroup
         Close, medium, far and all.
     measured : tuple of Measured
@@ -191,9 +187,6 @@ class UniformAdaptive:
     seed : int
     """
 
-    terrain: HeightField
-    bounds_deg: BoundsDeg
-    queries: tuple[SyntheticQuery, ...]
     groups: tuple[DistanceGroup, ...]
     measured: tuple[Measured, ...]
     seed: int
@@ -312,7 +305,7 @@ def measure(
         for name in config.matchers
         for store in (held[searched_by(name)],)
     )
-    return UniformAdaptive(terrain, bounds_deg, queries, groups, measured, config.seed)
+    return UniformAdaptive(groups, measured, config.seed)
 
 
 class _Counter:
