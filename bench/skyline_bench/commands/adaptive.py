@@ -6,22 +6,10 @@ from typing import Annotated
 
 import typer
 
-from skyline.console import parse_bounds, progress_bar
+from skyline.console import progress_bar
 from skyline.paper.planning.strategies import STRATEGIES
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline_bench.commands.options import (
-    Bounds,
-    Crs,
-    Dems,
-    JsonFile,
-    PlotFile,
-    Quick,
-    Seed,
-    check_outputs,
-    keep_record,
-    print_rows,
-    store_folder,
-)
+from skyline_bench.commands import options
 from skyline_bench.figures.tables import EQUAL, REACHED, STORES, in_megabytes, store_lines
 from skyline_bench.figures.uniform_adaptive import save_costs
 from skyline_bench.runs.cost_summary import equal_rows, reached_rows
@@ -33,8 +21,8 @@ _CONFIG = AdaptiveConfig()
 
 
 def uniform_adaptive(
-    dem: Dems,
-    bounds: Bounds = None,
+    dem: options.Dems,
+    bounds: options.Bounds = None,
     spacing: Annotated[
         list[float] | None,
         typer.Option(help="Of a uniform store, metres; may be repeated [1024 512 256 128]."),
@@ -70,11 +58,11 @@ def uniform_adaptive(
             help="Where stores and results are kept: a run that was stopped goes on from there."
         ),
     ] = None,
-    json_file: JsonFile = None,
-    plot: PlotFile = None,
-    seed: Seed = _CONFIG.seed,
-    quick: Quick = False,
-    crs: Crs = None,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    seed: options.Seed = _CONFIG.seed,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Uniform and adaptive stores: renderings, seconds and bytes against accuracy.
 
@@ -85,7 +73,7 @@ def uniform_adaptive(
     area's diagonal.
     """
     config = AdaptiveConfig(
-        bounds_deg=parse_bounds(bounds) if bounds is not None else None,
+        bounds_deg=options.bounds_of(bounds),
         spacings_m=tuple(spacing or _CONFIG.spacings_m),
         strategies=tuple(strategy or _CONFIG.strategies),
         budgets=tuple(budget or _CONFIG.budgets),
@@ -95,21 +83,21 @@ def uniform_adaptive(
         seed=seed,
         workers=workers,
     )
-    check_outputs(json_file, plot)
+    options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
     config = config.quick(terrain) if quick else config
     check(terrain, config)
-    with store_folder(folder) as place:
+    with options.store_folder(folder) as place:
         with progress_bar("comparing") as progress:
             compared = measure(terrain, config, place, progress)
         rows = compared.rows()
-        print_rows(store_lines(rows), STORES)
+        options.print_rows(store_lines(rows), STORES)
         for group in compared.groups:
             typer.echo(_about(group))
         summary = {"as_accurate": reached_rows(rows), "as_many_renderings": equal_rows(rows)}
-        print_rows([in_megabytes(row) for row in summary["as_accurate"]], REACHED)
-        print_rows(summary["as_many_renderings"], EQUAL)
-        keep_record(json_file, "uniform-adaptive", rows, summary)
+        options.print_rows([in_megabytes(row) for row in summary["as_accurate"]], REACHED)
+        options.print_rows(summary["as_many_renderings"], EQUAL)
+        options.keep_record(json_file, "uniform-adaptive", rows, summary)
         if plot is not None:
             save_costs(rows, plot)
 

@@ -11,16 +11,7 @@ from skyline import InputError, Viewer
 from skyline.console import progress_bar
 from skyline.pipeline import Progress
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline_bench.commands.options import (
-    Crs,
-    JsonFile,
-    Quick,
-    check_folder,
-    check_outputs,
-    keep_record,
-    print_rows,
-    store_folder,
-)
+from skyline_bench.commands import options
 from skyline_bench.figures.photographs import PhotographsPage
 from skyline_bench.figures.readme import save_match
 from skyline_bench.queries.manifest import EXTRACT, KINDS, Photograph, read_manifest
@@ -67,9 +58,9 @@ def photos(
     page: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Draw each photograph's skylines.")
     ] = None,
-    json_file: JsonFile = None,
-    quick: Quick = False,
-    crs: Crs = None,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Real photographs: their skylines, their places, and which stage lost a place.
 
@@ -79,8 +70,8 @@ def photos(
 
     --quick searches areas of 4 km, and three photographs of each kind.
     """
-    check_outputs(json_file, None)
-    check_folder("--page", page)
+    options.check_outputs(json_file)
+    options.check_folder("--page", page)
     wanted = read_manifest(manifest)
     config = PhotosConfig(1000.0 * side_km, spacing, use_gps)
     if quick:
@@ -90,16 +81,16 @@ def photos(
         raise InputError(f"{manifest} has photographs to locate; give their elevation model too")
     terrain = read_dem(dem, DemOptions(crs=crs)) if located and dem else None
     drawn = PhotographsPage() if page is not None else None
-    with store_folder(folder) as place, progress_bar("photographs") as progress:
+    with options.store_folder(folder) as place, progress_bar("photographs") as progress:
         rows = measure(wanted, terrain, config, place, _told(drawn, progress, len(wanted)))
     summary = summarize(rows)
-    print_rows(rows, _PHOTO_COLUMNS)
-    print_rows(summary)
+    options.print_rows(rows, _PHOTO_COLUMNS)
+    options.print_rows(summary)
     name = manifest.stem
     how = {"manifest": name, **asdict(config)}
     rows = [{**how, **row} for row in rows]
     summary = [{**how, **row} for row in summary]
-    keep_record(json_file, "photos", rows, {"photos": summary})
+    options.keep_record(json_file, "photos", rows, {"photos": summary})
     if drawn is not None and page is not None:
         drawn.write(page, f"{len(rows)} photographs of {manifest.name}.")
 
@@ -121,8 +112,8 @@ def _told(page: PhotographsPage | None, progress: Progress, count: int) -> Shown
 
 def readme_picture(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The JPEG to write.")],
-    quick: Quick = False,
+    quick: options.Quick = False,
 ) -> None:
     """The README's picture: a photo made of the sample terrain, and where it was put."""
-    check_folder("--out", out)
-    print_rows([save_match(out, width=512 if quick else 2048)])
+    options.check_folder("--out", out)
+    options.print_rows([save_match(out, width=512 if quick else 2048)])
