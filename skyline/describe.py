@@ -11,7 +11,7 @@ from skyline.render.context import describe_context
 from skyline.report.claims import claim_in_words, describe_claim
 from skyline.report.records import CandidateRecord, LensRecord, MatchRecord, describe_candidates
 from skyline.store import StoreHeader, open_store
-from skyline.store.header import PLACES
+from skyline.store.header import PLACES, SCHEMA_VERSION
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.products import model_of
 from skyline.terrain.scene import SceneNeeds
@@ -229,7 +229,7 @@ def describe_store(path: str) -> Facts:
             **_describe_coding(header),
             "renderer": header.renderer,
             "package_version": header.package_version,
-            "schema_version": header.schema_version,
+            "schema_version": SCHEMA_VERSION,
         }
         if store.committed:
             lon, lat = frame.to_lonlat(eyes.easting_m, eyes.northing_m)
