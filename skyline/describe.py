@@ -59,7 +59,7 @@ def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
         said.append(f"  no answer: {record['refusal']}")
     said += [
         f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
-        f"{place['easting']:.0f} northing {place['northing']:.0f}  heading "
+        f"{place['easting_m']:.0f} northing {place['northing_m']:.0f}  heading "
         f"{place['heading_deg']:.1f} from true north  pitch {place['pitch_deg']:.1f}  fov "
         f"{place['fov_deg']:.1f}  "
         f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"

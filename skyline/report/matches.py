@@ -20,6 +20,7 @@ from skyline.report.matched import Matched
 from skyline.report.overlay import Overlay
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, median_gap_deg
+from skyline.report.records import confidence_within
 from skyline.report.shapes import Ellipse
 from skyline.report.sightings import HIDDEN_DEG, Sighting, visible_peaks
 from skyline.report.surroundings import Surroundings
@@ -186,7 +187,8 @@ def _result(matched: Matched) -> str:
     if not matched.candidates:
         return "No place fits."
     best = matched.candidates[0]
-    sure = "" if best.confidence is None else f", confidence {100.0 * best.confidence:.0f} %"
+    confidence = confidence_within(best, matched.within_m)
+    sure = "" if confidence is None else f", confidence {100.0 * confidence:.0f} %"
     if matched.is_answered and matched.within_m is not None:
         sure += f", right within {matched.within_m:g} m"
     place = (
