@@ -9,7 +9,6 @@ import numpy as np
 
 from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
-from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
 from skyline.photo import QuerySkyline
 from skyline.report.claims import claim_said
@@ -73,15 +72,10 @@ def write_match_report(
     lead = f"{answered} of {len(matches)} queries answered. " + _about(surroundings)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     page = Page("Where these were taken", lead, sections, f"{made_by} {today}".strip())
-    write_match_geojson(folder / "matches.geojson", matches, surroundings.frame)
+    write_geojson(folder / "matches.geojson", matches, surroundings.frame)
     path = folder / "index.html"
     page.write(path)
     return path
-
-
-def write_match_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
-    """Write all candidates of matches as GeoJSON; see `skyline.report.geojson`."""
-    write_geojson(path, [(matched.name, matched.candidates) for matched in matches], frame)
 
 
 def result_html(said: str, query: QuerySkyline, candidates: Sequence[Candidate]) -> str:

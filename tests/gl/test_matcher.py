@@ -84,7 +84,7 @@ def error_m(candidate, truth):
 
 def test_queries_are_found_where_they_were_taken(store, terrain, queries):
     with Matcher(store, terrain, config=BOLD) as matcher:
-        found = matcher.match_all(query.skyline for query in queries)
+        found = [matcher.match(query.skyline) for query in queries]
     off_m = [error_m(one.answer, query.truth) for one, query in zip(found, queries, strict=True)]
     assert np.median(off_m) < 10.0
     for one, query in zip(found, queries, strict=True):
@@ -222,7 +222,7 @@ def test_each_matcher_has_its_kind_of_store(store, renderings, terrain, queries)
 
 def test_without_refinement_places_are_those_retrieved(store, terrain, queries):
     matcher = Matcher(store, terrain, config=replace(BOLD, refine=False))
-    found = matcher.match_all(query.skyline for query in queries)
+    found = [matcher.match(query.skyline) for query in queries]
     off_m = [error_m(one.answer, query.truth) for one, query in zip(found, queries, strict=True)]
     assert np.median(off_m) < 100.0
     assert not any(one.answer.refined for one in found)

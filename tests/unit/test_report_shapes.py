@@ -8,6 +8,7 @@ from scenes import FRAME, candidate_at
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.report import Matched
 from skyline.report.geojson import VIEW_REACH_M, match_collection, write_geojson
 from skyline.report.shapes import Ellipse, view_wedge_m
 
@@ -71,7 +72,8 @@ def test_a_wedge_spans_the_field_of_view_about_the_heading():
 
 def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
     path = tmp_path / "new" / "matches.geojson"
-    write_geojson(path, [("<b>.jpg", [BEST, OTHER]), ("none.csv", [])], UTM)
+    found = {"<b>.jpg": [BEST, OTHER], "none.csv": []}
+    write_geojson(path, [Matched(name, None, some, 0.0) for name, some in found.items()], UTM)
     collection = json.loads(path.read_text())
     assert collection["type"] == "FeatureCollection"
     about = [
@@ -104,7 +106,7 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
 
 def test_geojson_has_no_word_for_infinity():
     lost = candidate_at(0.0, 0.0, score=np.inf)
-    point = match_collection([("q", [lost])], FRAME)["features"][0]
+    point = match_collection([Matched("q", None, [lost], 0.0)], FRAME)["features"][0]
     assert point["properties"]["score"] is None
 
 
