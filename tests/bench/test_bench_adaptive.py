@@ -66,8 +66,14 @@ def test_stores_matchers_and_groups_are_compared(compare, kept, made, tmp_path):
     rows = record["rows"]
     assert [(row["store"], row["matcher"], row["group"]) for row in rows] == [
         (store, matcher, group)
-        for store in ("uniform-600", "lpov-60")
-        for matcher in matchers
+        for store, matcher in (
+            ("uniform-600", "paper"),
+            ("places-600", "retrieved"),
+            ("places-600", "full"),
+            ("lpov-60", "paper"),
+            ("lpov-60", "retrieved"),
+            ("lpov-60", "full"),
+        )
         for group in ("close", "medium", "far", "all")
     ]
     for row in rows:
@@ -78,7 +84,7 @@ def test_stores_matchers_and_groups_are_compared(compare, kept, made, tmp_path):
         assert row["store"] in printed
         assert (
             row["renderings"] <= 60
-            or row["store"] == "uniform-600"
+            or row["planner"] == "uniform"
             or (row["matcher"] != "paper" and row["renderings"] % 4 == 0)
         )
     # No query is dropped, and the groups make up the whole.
@@ -106,12 +112,17 @@ def test_what_is_there_is_not_done_again(compare, kept, made):
     assert {path: path.stat().st_mtime_ns for path in trials} == before
     assert {path: path.read_bytes() for path in kept.glob("*.h5")} == stores
     # One is stale, one is gone: both are measured again, and come out the same.
-    stale, gone = (kept / "trials" / f"{store}.paper.json" for store in ("lpov-60", "uniform-600"))
-    stale.write_text(stale.read_text().replace('"seed": 0', '"seed": 1', 1))
+    stale, gone = (
+        kept / "trials" / f"{store}.paper.plain.json" for store in ("lpov-60", "uniform-600")
+    )
+    stale.write_text(stale.read_text().replace('["paper", 1]', '["paper", 2]', 1))
+    told = stale.read_text()
     gone.unlink()
     record, _ = compare("--folder", kept, *matchers)
     assert without_times(record) == asked
     assert {path for path in trials if path.stat().st_mtime_ns != before[path]} == {stale, gone}
+    assert '["paper", 2]' in told
+    assert '["paper", 1]' in stale.read_text()
 
 
 @pytest.mark.slow

@@ -9,7 +9,8 @@ from skyline.console import progress_bar
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands import options
 from skyline_bench.figures.matching import save_accuracy
-from skyline_bench.runs.matching import KINDS, MatchingConfig, measure
+from skyline_bench.runs.matching import KINDS, MatchingConfig
+from skyline_bench.runs.matching_trials import check, measure
 from skyline_bench.trials.matchers import WHAT
 
 _MATCHING = MatchingConfig()
@@ -34,10 +35,7 @@ def matching(
         list[Path] | None,
         typer.Option(help="A store that is there already, instead; may be repeated."),
     ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(help="Where uniform stores are kept and found again; else thrown away."),
-    ] = None,
+    folder: options.Folder = None,
     matcher: Annotated[
         list[str] | None,
         typer.Option(help=f"May be repeated; by default all: {', '.join(WHAT)}."),
@@ -72,9 +70,10 @@ def matching(
     )
     options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
+    config = config.quick(terrain) if quick else config
+    check(terrain, config)
     with options.store_folder(folder) as place, progress_bar("matching") as progress:
-        compared = measure(terrain, config.quick() if quick else config, place, progress)
-    rows = [comparison.row(seed) for comparison in compared]
+        rows = measure(terrain, config, place, progress).rows()
     columns = {
         "store": "store",
         "matcher": "matcher",

@@ -33,6 +33,10 @@ PlotFile = Annotated[
 ]
 Seed = Annotated[int, typer.Option(help="Of whatever is drawn at random.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Two minutes at most: much smaller.")]
+Folder = Annotated[
+    Path | None,
+    typer.Option(help="Where stores and results are kept: a run that was stopped goes on."),
+]
 Bounds = Annotated[
     str | None,
     typer.Option(

@@ -42,10 +42,7 @@ def photos(
         list[str] | None,
         typer.Argument(metavar="DEM...", help="Their elevation model; none to extract alone."),
     ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(help="Where the areas' stores are kept and found again; else thrown away."),
-    ] = None,
+    folder: options.Folder = None,
     side_km: Annotated[
         float, typer.Option(help="Side of the square about a photograph that is searched.")
     ] = _PHOTOS.side_m / 1000.0,

@@ -1,6 +1,5 @@
 """Placing measured: uniform grids against planned places."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -49,10 +48,7 @@ def placing(
     queries: Annotated[int, typer.Option(help="Each is looked for in every store.")] = (
         _PLACING.queries
     ),
-    folder: Annotated[
-        Path | None,
-        typer.Option(help="Where stores and results are kept: a run that was stopped goes on."),
-    ] = None,
+    folder: options.Folder = None,
     json_file: options.JsonFile = None,
     plot: options.PlotFile = None,
     seed: options.Seed = _PLACING.seed,

@@ -1,6 +1,5 @@
 """Photos of one place measured: each alone and all together."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -36,9 +35,7 @@ def same_place(
     ] = _SAME_PLACE.spacing_m,
     places: Annotated[int, typer.Option(help="Where photos are taken.")] = _SAME_PLACE.places,
     photos: Annotated[int, typer.Option(help="Photos of each place.")] = _SAME_PLACE.photos,
-    folder: Annotated[
-        Path | None, typer.Option(help="Where the store is kept and found again.")
-    ] = None,
+    folder: options.Folder = None,
     json_file: options.JsonFile = None,
     seed: options.Seed = _SAME_PLACE.seed,
     quick: options.Quick = False,

@@ -72,10 +72,7 @@ def scale(
     queries: Annotated[int, typer.Option(help="Each is looked for in every area.")] = (
         _SCALE.queries
     ),
-    folder: Annotated[
-        Path | None,
-        typer.Option(help="Where store and results are kept: a run that was stopped goes on."),
-    ] = None,
+    folder: options.Folder = None,
     json_file: options.JsonFile = None,
     plot: options.PlotFile = None,
     seed: options.Seed = _SCALE.seed,
