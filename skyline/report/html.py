@@ -79,9 +79,9 @@ class Table:
     caption: str = ""
 
     @classmethod
-    def of_facts(cls, facts: Mapping[str, object], caption: str = "") -> "Table":
+    def of_facts(cls, facts: Mapping[str, object]) -> "Table":
         """Make a table of named facts, one a row."""
-        return cls(("", ""), [[name, str(value)] for name, value in facts.items()], caption)
+        return cls(("", ""), [[name, str(value)] for name, value in facts.items()])
 
     def html(self) -> str:
         """Return the table's HTML."""
