@@ -68,7 +68,7 @@ def test_a_plain_needs_a_handful_and_a_narrow_valley_many(tmp_path):
     renderings = [
         build_planned(
             field_of(heights, 40.0), tmp_path / f"{name}.h5", far, config=NARROW
-        ).built.renderings
+        ).built.rows
         for name, heights in (("plain", plain), ("valley", walls))
     ]
     few, many = renderings
