@@ -26,14 +26,15 @@ from skyline.pipeline import (
     RenderConfig,
     build_places,
     build_uniform,
+    matched,
+    report_matches,
     save_depth_pictures,
     save_panorama,
 )
 from skyline.render.depth import DepthRenderer
-from skyline.report import Found, save_map
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.terrain.viewpoints import stand_on
 from skyline_bench.queries.photographs import photograph
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.sample import write_sample_dem
@@ -85,11 +86,13 @@ def main() -> None:
         picture = np.asarray(Image.open(query.path))
         write_overlay(picture, result.query, query.path.with_suffix(".skyline.png"))
 
-    draw(terrain, matchers[FULL].viewpoints, queries, results[FULL], out)
+    draw(terrain, queries[0], out)
+    told = [matched(query.path, one) for query, one in zip(queries, results[FULL], strict=True)]
+    page = report_matches(out / "report", matchers[FULL], told, terrain)
     for name, found in results.items():
         console.print(table_of(name, queries, found))
-    console.print(f"all in {time.perf_counter() - started:.0f} s; pictures in {out}:")
-    for path in sorted(out.rglob("*.png")):
+    console.print(f"all in {time.perf_counter() - started:.0f} s; report and pictures:")
+    for path in [page, *sorted(out.rglob("*.png"))]:
         console.print(f"  {path}")
     console.print("\nTo find them with the mouse, run this and open the address that it prints:")
     skyline = os.path.relpath(Path(sys.executable).parent / "skyline")
@@ -120,31 +123,12 @@ def take_pictures(terrain: HeightField, folder: Path) -> list[Query]:
     return queries
 
 
-def draw(
-    terrain: HeightField,
-    viewpoints: Viewpoints,
-    queries: list[Query],
-    results: list[MatchResult],
-    out: Path,
-) -> None:
-    """Save depth images, the panorama and the map."""
-    first = stand_on(terrain, queries[0].easting_m, queries[0].northing_m)
-    save_depth_pictures(terrain, first, out / "depth", RenderConfig())
-    lon, lat = terrain.frame.to_lonlat(first.easting_m, first.northing_m)
+def draw(terrain: HeightField, first: Query, out: Path) -> None:
+    """Save depth images and the panorama of where the first picture was taken."""
+    eye = stand_on(terrain, first.easting_m, first.northing_m)
+    save_depth_pictures(terrain, eye, out / "depth", RenderConfig())
+    lon, lat = terrain.frame.to_lonlat(eye.easting_m, eye.northing_m)
     save_panorama(terrain, float(lon[0]), float(lat[0]), out / "panorama.png")
-    found = []
-    for query, result in zip(queries, results, strict=True):
-        answer = result.answer
-        found.append(
-            Found(
-                query.path.stem,
-                (query.easting_m, query.northing_m),
-                (answer.easting_m, answer.northing_m) if answer else None,
-                query.heading_deg,
-                answer.grid_heading_deg if answer else None,
-            )
-        )
-    save_map(terrain, viewpoints, found, out / "map.png")
 
 
 def table_of(matcher: str, queries: list[Query], results: list[MatchResult]) -> Table:

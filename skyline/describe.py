@@ -11,7 +11,7 @@ from skyline.render.context import describe_context
 from skyline.report.claims import claim_in_words, describe_claim
 from skyline.report.records import CandidateRecord, LensRecord, MatchRecord, describe_candidates
 from skyline.store import StoreHeader, open_store
-from skyline.store.header import PLACES
+from skyline.store.header import PLACES, SCHEMA_VERSION
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.products import model_of
 from skyline.terrain.scene import SceneNeeds
@@ -59,7 +59,7 @@ def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
         said.append(f"  no answer: {record['refusal']}")
     said += [
         f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
-        f"{place['easting']:.0f} northing {place['northing']:.0f}  heading "
+        f"{place['easting_m']:.0f} northing {place['northing_m']:.0f}  heading "
         f"{place['heading_deg']:.1f} from true north  pitch {place['pitch_deg']:.1f}  fov "
         f"{place['fov_deg']:.1f}  "
         f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"
@@ -229,7 +229,7 @@ def describe_store(path: str) -> Facts:
             **_describe_coding(header),
             "renderer": header.renderer,
             "package_version": header.package_version,
-            "schema_version": header.schema_version,
+            "schema_version": SCHEMA_VERSION,
         }
         if store.committed:
             lon, lat = frame.to_lonlat(eyes.easting_m, eyes.northing_m)

@@ -14,9 +14,7 @@ NO_KEYPOINT = 65535
 DEFAULT_MAX_KEYPOINTS = 128
 
 
-def polyline_keypoints(
-    views: Views, tolerance_px: float, max_keypoints: int = DEFAULT_MAX_KEYPOINTS
-) -> NDArray[np.uint16]:
+def polyline_keypoints(views: Views, tolerance_px: float) -> NDArray[np.uint16]:
     """Return the columns of the polyline vertices of each skyline: the paper's key features.
 
     Parameters
@@ -25,22 +23,19 @@ def polyline_keypoints(
         N views of W columns.
     tolerance_px : float
         Greatest vertical distance between skyline and polyline in any column, in px (2 / W in v).
-    max_keypoints : int
-        At most this many vertices a view; see `polyline_vertices` for which are kept.
 
     Returns
     -------
-    (N, max_keypoints) uint16
-        Ascending columns, padded with `NO_KEYPOINT`.
+    (N, DEFAULT_MAX_KEYPOINTS) uint16
+        Ascending columns, padded with `NO_KEYPOINT`; see `polyline_vertices` for which are kept of
+        more.
 
     Raises
     ------
     InputError
-        The tolerance is not a finite number of at least 0, or ``max_keypoints`` is below 2.
+        The tolerance is not a finite number of at least 0.
     """
-    return polyline_vertices(
-        views.elevation_tan, tolerance_px * pixel_size(views.width), max_keypoints
-    )
+    return polyline_vertices(views.elevation_tan, tolerance_px * pixel_size(views.width))
 
 
 def polyline_vertices(

@@ -60,6 +60,25 @@ class Curvature:
 Rectangle = tuple[float, float, float, float]
 """West, south, east, north in metres of a frame."""
 
+Bounds = tuple[float, float, float, float]
+"""West, south, east, north in degrees; west above east means a box across the antimeridian."""
+
+
+def check_bounds(bounds_deg: Bounds) -> Bounds:
+    """Return bounds; `InputError` where they are not W,S,E,N with S < N."""
+    west, south, east, north = bounds_deg
+    if not (
+        np.isfinite(bounds_deg).all()
+        and -90.0 <= south < north <= 90.0
+        and -180.0 <= west <= 180.0
+        and -180.0 <= east <= 180.0
+        and west != east
+    ):
+        raise InputError(
+            f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees with S < N"
+        )
+    return bounds_deg
+
 
 def is_metric(crs: CRS) -> bool:
     """Whether a CRS is projected and in metres, so that it can be a frame."""
@@ -132,7 +151,7 @@ class Frame:
         easting, northing = self._to_lonlat.transform(lon_deg, lat_deg, direction="INVERSE")
         return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
 
-    def rectangle_m(self, bounds_deg: tuple[float, float, float, float]) -> Rectangle:
+    def rectangle_m(self, bounds_deg: Bounds) -> Rectangle:
         """Return west, south, east, north in metres of the rectangle around a box in degrees.
 
         The box W, S, E, N is a curved quadrangle on the map. West above east means a box across
@@ -143,17 +162,7 @@ class Frame:
         InputError
             Bounds that are not numbers in order.
         """
-        west, south, east, north = bounds_deg
-        if not (
-            np.isfinite(bounds_deg).all()
-            and -90.0 <= south < north <= 90.0
-            and -180.0 <= west <= 180.0
-            and -180.0 <= east <= 180.0
-            and west != east
-        ):
-            raise InputError(
-                f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees with S < N"
-            )
+        west, south, east, north = check_bounds(bounds_deg)
         width = (east - west) % 360.0
         share = np.linspace(0.0, 1.0, 33)
         lon = west + width * np.concatenate([share, share, 0.0 * share, 0.0 * share + 1.0])

@@ -44,12 +44,7 @@ def check(
         said = "; ".join(damage.what for damage in report.damage[:3])
         more = f"; and {len(report.damage) - 3} more" if len(report.damage) > 3 else ""
         raise InputError(f"{store} is damaged: {said}{more}")
-    notes = (
-        []
-        if report.checksums
-        else ["its schema version has no checksums; `store compact` adds them"]
-    )
-    notes += ["a writer has it open, or was killed"] if report.in_use else []
+    notes = ["a writer has it open, or was killed"] if report.in_use else []
     typer.echo("; ".join([f"{store}: {report.committed:,} {report.holds}, whole", *notes]))
 
 
@@ -88,7 +83,7 @@ def compact(
         typer.Option("--depth-error", help="With --quantize: greatest relative error of depths."),
     ] = 0.001,
 ) -> None:
-    """Write a sorted copy in the newest schema; the same rows give the same bytes."""
+    """Write a sorted copy without dead bytes; the same rows give the same bytes."""
     coding = None
     if quantize:
         with open_store(store) as opened:

@@ -7,12 +7,12 @@ from skyline.console import command_line, run_app
 from skyline_bench.commands.adaptive import uniform_adaptive
 from skyline_bench.commands.matching import matching
 from skyline_bench.commands.page import page
-from skyline_bench.commands.photos import photo_quality, photos, readme_picture
+from skyline_bench.commands.photos import photos, readme_picture
 from skyline_bench.commands.placing import placing
 from skyline_bench.commands.planning import prediction_quality, table1
 from skyline_bench.commands.same_place import same_place
 from skyline_bench.commands.scale import scale
-from skyline_bench.commands.search import accuracy_time, calibrate, retrieval_scale, strangers
+from skyline_bench.commands.search import calibrate, retrieval_scale, strangers
 from skyline_bench.commands.sky_model import sky_masks, train_sky_model
 from skyline_bench.commands.skylines import (
     horizon,
@@ -49,14 +49,12 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         uniform_adaptive: "hours",
         scale: "hours",
         placing: "an hour",
-        accuracy_time: "30 minutes",
         retrieval_scale: "5 minutes",
         strangers: "10 minutes",
         same_place: "20 minutes",
         calibrate: "20 minutes",
     },
     "Photographs": {
-        photo_quality: "15 minutes",
         photos: "30 minutes",
         sky_masks: "a minute",
         train_sky_model: "an hour",

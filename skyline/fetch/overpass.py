@@ -12,8 +12,8 @@ from urllib.request import Request, urlopen
 
 from skyline.errors import FetchError, InputError
 from skyline.fetch.remote import HttpOptions, shown
-from skyline.fetch.sources import Bounds, check_bounds
 from skyline.files import write_whole
+from skyline.geodesy import Bounds, check_bounds
 
 _MOST_BYTES = 1 << 26
 _AGAIN = (429, 500, 502, 503, 504)

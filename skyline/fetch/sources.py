@@ -7,9 +7,7 @@ from typing import Self
 from urllib.parse import urlsplit
 
 from skyline.errors import InputError
-
-Bounds = tuple[float, float, float, float]
-"""West, south, east, north in degrees; west above east means a box across the antimeridian."""
+from skyline.geodesy import Bounds, check_bounds
 
 MAX_TILES = 64
 """The largest fetch: 8 x 8 degrees."""
@@ -132,19 +130,3 @@ class TileSource:
                 "time: choose smaller bounds"
             )
         return [DegreeTile(lat, (lon + 180) % 360 - 180) for lat in lats for lon in lons]
-
-
-def check_bounds(bounds_deg: Bounds) -> Bounds:
-    """Return bounds; `InputError` where they are not W,S,E,N with S < N."""
-    west, south, east, north = bounds_deg
-    if not (
-        all(map(math.isfinite, bounds_deg))
-        and -90.0 <= south < north <= 90.0
-        and -180.0 <= west <= 180.0
-        and -180.0 <= east <= 180.0
-        and west != east
-    ):
-        raise InputError(
-            f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees with S < N"
-        )
-    return bounds_deg

@@ -18,7 +18,8 @@ from rasterio.windows import Window
 
 from skyline.errors import FetchError, InputError
 from skyline.fetch.remote import AbsentError, HttpOptions, shown, with_remote
-from skyline.fetch.sources import Bounds, TileSource
+from skyline.fetch.sources import TileSource
+from skyline.geodesy import Bounds
 from skyline.terrain.tiles import GRID_TOLERANCE
 
 MAX_BYTES = 4 << 30

@@ -5,6 +5,7 @@ to the skylines of the best, first roughly and of many, then well and of fewer (
 the best that differ from one another.
 """
 
+import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +27,10 @@ from skyline.terrain.heightfield import Ground
 
 _FITS_AT_ONCE = 256
 """Poses fitted together; keeps the arrays in the cache."""
+_LIKELY_DEVIATIONS = 2.5
+"""Fields of view that are screened; fits go on from there to all that are searched."""
+_UNLIKELY = 0.25
+"""What a score loses for a field of view by one deviation from the one expected, squared."""
 _SLOPE_BASE_M = 30.0
 _NOWHERE = (
     "there is no place within what the search is narrowed to; widen it, or build a store of that "
@@ -40,9 +45,11 @@ class RetrievalConfig:
     Attributes
     ----------
     zoom_step : float
-        Assumed fields of view differ by this share.
-    screened : int
-        Places whose pose is fitted roughly.
+        Fields of view that are screened differ by this share.
+    screened_share : float
+        Part of all places whose pose is fitted roughly.
+    screened_least, screened_most : int
+        How many these are at least, where there are as many, and at most: they are held in memory.
     fitted : int
         Of these, places whose pose is fitted well.
     alike_weight : float
@@ -53,9 +60,11 @@ class RetrievalConfig:
     rough, fit : FitConfig
     """
 
-    zoom_step: float = 0.065
-    screened: int = 16_384
-    fitted: int = 2000
+    zoom_step: float = 0.18
+    screened_share: float = 0.05
+    screened_least: int = 16_384
+    screened_most: int = 262_144
+    fitted: int = 8192
     alike_weight: float = 1.0
     separation_m: float = 30.0
     turn_deg: float = 20.0
@@ -63,11 +72,16 @@ class RetrievalConfig:
     fit: FitConfig = field(default_factory=FitConfig)
 
     def __post_init__(self) -> None:
-        if min(self.screened, self.fitted) < 1 or not self.zoom_step > 0.0:
+        if min(self.screened_least, self.fitted) < 1 or not self.zoom_step > 0.0:
             raise InputError(
-                f"{self.screened} screened and {self.fitted} fitted places, fields of view "
+                f"{self.screened_least} screened and {self.fitted} fitted places, fields of view "
                 f"{self.zoom_step:g} apart; expected each above 0"
             )
+
+    def screened(self, places: int) -> int:
+        """Return how many of so many places are fitted roughly."""
+        share = math.ceil(self.screened_share * places)
+        return min(max(share, self.screened_least), self.screened_most)
 
 
 class Retriever:
@@ -91,6 +105,7 @@ class Retriever:
         self.config = config or RetrievalConfig()
         self.places = places
         self._ground = ground
+        self._screened = self.config.screened(len(places))
         self._sample: Places | None = None
 
     def screened(
@@ -98,7 +113,7 @@ class Retriever:
     ) -> Alike:
         """Return the places most like a query, of a part of the blocks of places."""
         screen = self._screen(query, narrowed)
-        return screen_places(screen.scores, self.places, self.config.screened, narrowed, part)
+        return screen_places(screen.scores, self.places, self._screened, narrowed, part)
 
     def shortlist(
         self,
@@ -133,7 +148,7 @@ class Retriever:
         if count < 1:
             raise InputError(f"count is {count}; expected at least 1 hypothesis")
         alike = self.screened(query, narrowed) if screened is None else screened
-        alike = alike.best(self.config.screened)
+        alike = alike.best(self._screened)
         if not len(alike):
             raise InputError(_NOWHERE)
         fitted = self._fitted(query, self._screen(query, narrowed), alike)
@@ -175,7 +190,7 @@ class Retriever:
         alike = screen_places(
             lambda phase: np.sum([screen.scores(phase) for screen in screens], axis=0),
             self.places,
-            self.config.screened,
+            self._screened,
             (lambda some: np.all([test(some) for test in tests], axis=0)) if tests else None,
         )
         if not len(alike):
@@ -200,15 +215,16 @@ class Retriever:
     def _screen(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         if self._sample is None:
             self._sample = sample_of(self.places)
-        fovs_deg = _fov_deg(query, self._zooms(_zoom_bounds(query)))
+        zooms = self._zooms(query)
+        unlikely = _UNLIKELY * np.square(zooms / query.log_scale_sd)
         turns = None if narrowed is None else narrowed.open_turns
-        return Screen.of(query, fovs_deg, self._sample, turns)
+        return Screen.of(query, _fov_deg(query, zooms), self._sample, turns, unlikely)
 
     def _start(
         self, query: QueryRays, screen: Screen, places: Places, score: Float32Array
     ) -> "_Start":
         heading_deg, fov = screen.best_turns(places.phase)
-        zoom = self._zooms(_zoom_bounds(query))[fov]
+        zoom = self._zooms(query)[fov]
         return _Start(places, score, np.radians(heading_deg), zoom)
 
     def _fitted(self, query: QueryRays, screen: Screen, alike: Alike) -> Hypotheses:
@@ -279,9 +295,10 @@ class Retriever:
         )
         return np.nan_to_num(rise / _SLOPE_BASE_M).astype(np.float32)
 
-    def _zooms(self, bounds: tuple[float, float]) -> Float64Array:
-        """Return the middles of as few equal parts of a range as are narrow enough."""
-        low, high = bounds
+    def _zooms(self, query: QueryRays) -> Float64Array:
+        """Return the middles of as few equal parts of what is likely as are narrow enough."""
+        likely = _LIKELY_DEVIATIONS * query.log_scale_sd
+        low, high = np.clip(_zoom_bounds(query), -likely, likely)
         parts = max(1, int(np.ceil((high - low) / self.config.zoom_step)))
         return np.asarray(low + (np.arange(parts) + 0.5) * ((high - low) / parts))
 

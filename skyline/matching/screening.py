@@ -51,7 +51,8 @@ class Alike:
     row : (K,) intp
         In the source.
     score : (K,) float32
-        Standard deviations of the best turn above the mean of all turns; higher is better.
+        Standard deviations of the best turn above the mean of all turns, less what its field of
+        view is unlikely; higher is better.
     """
 
     row: IntArray
@@ -91,7 +92,8 @@ class Screen:
     open_turns : (B,) bool
         The turns that are looked at.
     mean, scale : (F,) float32
-        Of the scores of all turns: what is taken off, and what the rest is multiplied by.
+        What is taken off scores, and what the rest is multiplied by: then they are deviations
+        above the mean of all turns, less what a field of view is unlikely.
     """
 
     first: int
@@ -108,6 +110,7 @@ class Screen:
         fovs_deg: Float64Array,
         sample: Places,
         open_turns: BoolArray | None = None,
+        unlikely: Float64Array | None = None,
     ) -> "Screen":
         """Prepare a query.
 
@@ -121,6 +124,8 @@ class Screen:
             these places are spread.
         open_turns : (180,) bool, optional
             See `turns_within`; all by default.
+        unlikely : (F,) float64, optional
+            Deviations that scores of each field of view lose; none by default.
         """
         waves = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
         seen = np.flatnonzero(np.abs(waves).any(axis=0))
@@ -138,6 +143,8 @@ class Screen:
         sums = raw._every_turn(sample.phase)
         mean = sums.mean(axis=(0, 2), dtype=np.float64).astype(np.float32)
         deviation = sums.std(axis=(0, 2), dtype=np.float64).astype(np.float32)
+        if unlikely is not None:
+            mean += (unlikely * deviation).astype(np.float32)
         scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > 0.0)
         return cls(first, span, matrix, raw.open_turns, mean, scale)
 

@@ -7,7 +7,6 @@ rounded to multiples of 32.
 """
 
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Protocol
 
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.errors import InputError, MissingFileError
+from skyline.extras import library
 from skyline.photo.frame import Content, content_of
 from skyline.photo.query import QuerySkyline
 
@@ -56,12 +56,7 @@ def load_sky_model(path: str | Path) -> SkySession:
     """
     if not Path(path).is_file():
         raise MissingFileError(f"{path} does not exist; expected a sky model (ONNX)")
-    try:
-        runtime = import_module("onnxruntime")
-    except ImportError as error:
-        raise InputError(
-            f"{path} needs onnxruntime, which is not installed: pip install 'skyline[onnx]'"
-        ) from error
+    runtime = library("onnxruntime", "onnx", str(path))
     try:
         session: SkySession = runtime.InferenceSession(
             str(path), providers=["CPUExecutionProvider"]

@@ -46,11 +46,6 @@ class BuildResult:
     rendered: int
     seconds: float
 
-    @property
-    def renderings(self) -> int:
-        """The rows of a store of renderings."""
-        return self.rows
-
 
 class _Renderer(Protocol):
     def release(self) -> None: ...

@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 from uuid import uuid4
 
 from skyline.errors import BuildError, InputError
+from skyline.extras import library
 from skyline.pipeline.jobs import Runner
 
 T = TypeVar("T")
@@ -104,12 +105,7 @@ def remote_runner(address: str) -> Iterator[Runner]:
 
 
 def _distributed() -> Any:
-    try:
-        import distributed  # noqa: PLC0415  (optional, and half a second to load)
-    except ImportError as error:
-        raise InputError(
-            "workers need dask, which is not installed; pip install 'skyline[cluster]'"
-        ) from error
+    distributed = library("distributed", "cluster", "a run on workers")
     # It tells of every step it takes; what matters to a user is told by `_outcome`.
     logging.getLogger("distributed").setLevel(logging.ERROR)
     return distributed

@@ -3,7 +3,7 @@
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -271,15 +271,6 @@ class Matcher:
         if too_little(query, self._config) is not None:
             return None
         return self._ranker.screened(self._rays(query), self._narrowed(narrowing, query), part)
-
-    def match_all(
-        self,
-        queries: Iterable[str | Path | QuerySkyline],
-        fov_deg: float | None = None,
-        top: int = 5,
-    ) -> list[MatchResult]:
-        """Find where several queries were taken, in order; see `match`."""
-        return [self.match(query, fov_deg, top) for query in queries]
 
     def _narrowed(self, narrowing: Narrowing | None, query: QuerySkyline) -> Narrowed | None:
         narrowing = narrowing or Narrowing()

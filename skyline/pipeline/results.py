@@ -8,6 +8,7 @@ from skyline.matching import Candidate
 from skyline.photo import QuerySkyline
 from skyline.pipeline.tables import to_geodataframe
 from skyline.report.claims import claim_said
+from skyline.report.records import confidence_within
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +40,11 @@ class MatchResult:
     def answer(self) -> Candidate | None:
         """The best candidate, if the matcher stands by it."""
         return self.candidates[0] if self.candidates and not self.refusal else None
+
+    @property
+    def confidence(self) -> float | None:
+        """The estimated chance that the answer is right within `within_m`; None without any."""
+        return None if self.answer is None else confidence_within(self.answer, self.within_m)
 
     @property
     def claim(self) -> str:
@@ -117,4 +123,5 @@ def _in_short(result: MatchResult | JointResult) -> str:
     said = f"latitude {best.lat:.5f}, longitude {best.lon:.5f}, heading {best.heading_deg:.1f}"
     if result.within_m is not None:
         said += f", right within {result.within_m:g} m"
-    return said if best.confidence is None else f"{said}, confidence {best.confidence:.2f}"
+    confidence = confidence_within(best, result.within_m)
+    return said if confidence is None else f"{said}, confidence {confidence:.2f}"

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from skyline.errors import InputError
+from skyline.extras import library
 from skyline.matching.ranking import Candidate
 
 if TYPE_CHECKING:
@@ -36,12 +36,7 @@ def to_geodataframe(results: Iterable["MatchResult"]) -> Any:
     InputError
         GeoPandas is not installed.
     """
-    try:
-        import geopandas  # noqa: PLC0415  (optional, and a second to load)
-    except ImportError as error:
-        raise InputError(
-            "a GeoDataFrame needs geopandas, which is not installed; pip install 'skyline[geo]'"
-        ) from error
+    geopandas = library("geopandas", "geo", "a GeoDataFrame")
     rows = [
         {"query": query, "rank": rank, "is_answer": candidate is result.answer, **_row(candidate)}
         for query, result in enumerate(results)

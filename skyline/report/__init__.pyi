@@ -1,9 +1,8 @@
 from .coverage_map import save_coverage_map
 from .html import Page, Picture, Section, Table, Text
 from .landscape import Landscape
-from .maps import Found, save_map
 from .matched import Matched
-from .matches import write_match_geojson, write_match_report
+from .matches import write_match_report
 from .panorama import PanoramaView, draw_panorama, encode_panorama, picture_azimuths_deg
 from .peaks import Peaks, read_peaks
 from .pictures import save_depth_images
@@ -11,7 +10,6 @@ from .place_map import save_place_map
 from .surroundings import Surroundings
 
 __all__ = [
-    "Found",
     "Landscape",
     "Matched",
     "Page",
@@ -28,8 +26,6 @@ __all__ = [
     "read_peaks",
     "save_coverage_map",
     "save_depth_images",
-    "save_map",
     "save_place_map",
-    "write_match_geojson",
     "write_match_report",
 ]

@@ -15,13 +15,9 @@ from skyline.report.matched import Matched
 Writer = Callable[[Path, Sequence[Matched], Frame], None]
 
 
-def _geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
-    write_geojson(path, [(one.name, one.candidates) for one in matches], frame)
-
-
 EXPORTS: Mapping[str, Writer] = MappingProxyType(
     {
-        ".geojson": _geojson,
+        ".geojson": write_geojson,
         ".kml": write_kml,
         ".kmz": write_kml,
         ".gpx": lambda path, matches, _: write_gpx(path, matches),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from skyline.files import write_with_folders
 from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
+from skyline.report.matched import Matched
 from skyline.report.records import describe_candidate
 from skyline.report.shapes import Ellipse, view_wedge_m
 
@@ -23,13 +24,12 @@ _DECIMALS = 7
 Json = dict[str, object]
 
 
-def match_collection(matches: Iterable[tuple[str, Iterable[Candidate]]], frame: Frame) -> Json:
+def match_collection(matches: Iterable[Matched], frame: Frame) -> Json:
     """Return the candidates of queries as a FeatureCollection.
 
     Parameters
     ----------
-    matches : iterable of (str, iterable of Candidate)
-        Queries by name, each with its candidates, best first.
+    matches : iterable of Matched
     frame : Frame
         Of the candidates.
 
@@ -43,16 +43,14 @@ def match_collection(matches: Iterable[tuple[str, Iterable[Candidate]]], frame: 
     """
     features = [
         feature
-        for query, candidates in matches
-        for rank, candidate in enumerate(candidates, start=1)
-        for feature in _features(query, rank, candidate, frame)
+        for one in matches
+        for rank, candidate in enumerate(one.candidates, start=1)
+        for feature in _features(one.name, rank, candidate, frame)
     ]
     return {"type": "FeatureCollection", "features": features}
 
 
-def write_geojson(
-    path: Path, matches: Iterable[tuple[str, Iterable[Candidate]]], frame: Frame
-) -> None:
+def write_geojson(path: Path, matches: Iterable[Matched], frame: Frame) -> None:
     """Write `match_collection` to a file; raises `InputError` where it cannot be written."""
     text = json.dumps(match_collection(matches, frame), indent=1, allow_nan=False)
     write_with_folders(path, text + "\n")

@@ -78,18 +78,10 @@ class Table:
     rows: Sequence[Sequence[object]]
     caption: str = ""
 
-    def __post_init__(self) -> None:
-        for row in self.rows:
-            if len(row) != len(self.columns):
-                raise InputError(
-                    f"a table's row has {len(row)} values; expected {len(self.columns)} for "
-                    f"{', '.join(self.columns)}"
-                )
-
     @classmethod
-    def of_facts(cls, facts: Mapping[str, object], caption: str = "") -> "Table":
+    def of_facts(cls, facts: Mapping[str, object]) -> "Table":
         """Make a table of named facts, one a row."""
-        return cls(("", ""), [[name, str(value)] for name, value in facts.items()], caption)
+        return cls(("", ""), [[name, str(value)] for name, value in facts.items()])
 
     def html(self) -> str:
         """Return the table's HTML."""
@@ -115,14 +107,6 @@ class Picture:
     data: bytes = field(repr=False)
     caption: str
     wide: bool = True
-
-    @classmethod
-    def read(cls, path: Path, caption: str, wide: bool = True) -> "Picture":
-        """Read a picture from a file; raises `InputError` where it is neither PNG nor JPEG."""
-        try:
-            return cls(path.read_bytes(), caption, wide)
-        except OSError as error:
-            raise InputError(f"picture {path} cannot be read ({error.strerror})") from error
 
     def __post_init__(self) -> None:
         if self._mime is None:

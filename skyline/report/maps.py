@@ -1,8 +1,6 @@
-"""Maps: a match's candidates on the terrain, and many queries' true and found places."""
+"""Maps of a match: its candidates on the terrain."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,12 +9,10 @@ from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 
 from skyline.matching.ranking import Candidate
-from skyline.report.pictures import save_figure
 from skyline.report.relief import Area, draw_bearings, draw_relief
 from skyline.report.shapes import Ellipse, view_wedge_m
 from skyline.report.sightings import Sighting
 from skyline.report.surroundings import Surroundings
-from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 BEST_COLOUR, OTHER_COLOUR = "#d1103d", "#1f5fbf"
@@ -29,17 +25,6 @@ _NEAR_BORDER = 0.2
 """Share of the map in which a label would run over its border, were it centred."""
 _WIDTH_IN = 5.8
 _HALO = [withStroke(linewidth=2.5, foreground="white")]
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """A query on a map: where it was taken, where it was put (grid coordinates and azimuths)."""
-
-    name: str
-    true_m: tuple[float, float] | None
-    found_m: tuple[float, float] | None
-    true_heading_deg: float | None = None
-    found_heading_deg: float | None = None
 
 
 def overview_area(candidates: Sequence[Candidate], surroundings: Surroundings) -> Area:
@@ -162,67 +147,4 @@ def _draw_peaks(axis: Axes, peaks: Sequence[Sighting], area: Area) -> None:
             parse_math=False,
             annotation_clip=True,
             zorder=5,
-        )
-
-
-def save_map(
-    terrain: HeightField, viewpoints: Viewpoints | None, found: Sequence[Found], path: Path
-) -> None:
-    """Save the terrain shaded from above, with viewpoints and true and found positions."""
-    figure = Figure(figsize=(9, 9), layout="constrained")
-    axis = figure.subplots()
-    area = Area.of(terrain)
-    if viewpoints is not None and len(viewpoints):
-        places = viewpoints.easting_m, viewpoints.northing_m
-        area = Area.around(*places, _MARGIN, _LEAST_SIDE_M).within(terrain)
-    draw_relief(axis, terrain, area)
-    if viewpoints is not None and len(viewpoints):
-        axis.plot(*places, ".", color="black", markersize=2, label=f"{len(viewpoints)} viewpoints")
-    for index, query in enumerate(found):
-        _draw_found(axis, query, first=index == 0)
-    axis.autoscale(False)
-    draw_bearings(axis, terrain.frame, area)
-    if axis.get_legend_handles_labels()[0]:
-        axis.legend(loc="upper right", framealpha=0.9)
-    save_figure(figure, path)
-
-
-def _draw_found(axis: Axes, query: Found, first: bool) -> None:
-    places = (
-        (query.true_m, query.true_heading_deg, "o", "tab:blue", "true position"),
-        (query.found_m, query.found_heading_deg, "X", "crimson", "found position"),
-    )
-    arrow_m = 0.06 * float(np.ptp(axis.get_xlim()))
-    if query.true_m and query.found_m:
-        pair = np.array([query.true_m, query.found_m])
-        axis.plot(pair[:, 0], pair[:, 1], "-", color="crimson", linewidth=1.0)
-    for place, heading_deg, marker, colour, label in places:
-        if place is None:
-            continue
-        axis.plot(
-            *place,
-            marker,
-            color=colour,
-            markeredgecolor="white",
-            markersize=9,
-            label=label if first else None,
-        )
-        if heading_deg is not None:
-            turn = np.radians(heading_deg)
-            axis.annotate(
-                "",
-                xytext=place,
-                xy=(place[0] + arrow_m * np.sin(turn), place[1] + arrow_m * np.cos(turn)),
-                arrowprops={"arrowstyle": "->", "color": colour},
-            )
-    anchor = query.true_m or query.found_m
-    if anchor is not None:
-        axis.annotate(
-            query.name,
-            anchor,
-            xytext=(6, 6),
-            textcoords="offset points",
-            fontsize=8,
-            parse_math=False,
-            bbox={"boxstyle": "round,pad=0.15", "fc": "white", "alpha": 0.7, "lw": 0},
         )

@@ -9,7 +9,6 @@ import numpy as np
 
 from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
-from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
 from skyline.photo import QuerySkyline
 from skyline.report.claims import claim_said
@@ -20,6 +19,7 @@ from skyline.report.matched import Matched
 from skyline.report.overlay import Overlay
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, median_gap_deg
+from skyline.report.records import confidence_within
 from skyline.report.shapes import Ellipse
 from skyline.report.sightings import HIDDEN_DEG, Sighting, visible_peaks
 from skyline.report.surroundings import Surroundings
@@ -72,15 +72,10 @@ def write_match_report(
     lead = f"{answered} of {len(matches)} queries answered. " + _about(surroundings)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     page = Page("Where these were taken", lead, sections, f"{made_by} {today}".strip())
-    write_match_geojson(folder / "matches.geojson", matches, surroundings.frame)
+    write_geojson(folder / "matches.geojson", matches, surroundings.frame)
     path = folder / "index.html"
     page.write(path)
     return path
-
-
-def write_match_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
-    """Write all candidates of matches as GeoJSON; see `skyline.report.geojson`."""
-    write_geojson(path, [(matched.name, matched.candidates) for matched in matches], frame)
 
 
 def result_html(said: str, query: QuerySkyline, candidates: Sequence[Candidate]) -> str:
@@ -186,7 +181,8 @@ def _result(matched: Matched) -> str:
     if not matched.candidates:
         return "No place fits."
     best = matched.candidates[0]
-    sure = "" if best.confidence is None else f", confidence {100.0 * best.confidence:.0f} %"
+    confidence = confidence_within(best, matched.within_m)
+    sure = "" if confidence is None else f", confidence {100.0 * confidence:.0f} %"
     if matched.is_answered and matched.within_m is not None:
         sure += f", right within {matched.within_m:g} m"
     place = (

@@ -1,8 +1,9 @@
 """A match in the terms of the public JSON."""
 
 from collections.abc import Iterable
-from typing import NotRequired, TypedDict
+from typing import NotRequired, TypedDict, cast
 
+from skyline.matching.confidence import DISTANCES_M
 from skyline.matching.ranking import Candidate
 from skyline.report.claims import ExifRecord
 
@@ -10,8 +11,8 @@ from skyline.report.claims import ExifRecord
 class CandidateRecord(TypedDict):
     """One `Candidate` as ``skyline match --json`` prints it; the heading is from true north."""
 
-    easting: float
-    northing: float
+    easting_m: float
+    northing_m: float
     lon: float
     lat: float
     eye_elevation_m: float
@@ -62,6 +63,11 @@ class FailureRecord(TypedDict):
     error: str
 
 
+def confidence_within(candidate: Candidate, within_m: float | None) -> float | None:
+    """Return how likely a candidate is right within a distance, one of `DISTANCES_M` or None."""
+    return candidate.confidence_1km if within_m == DISTANCES_M[1] else candidate.confidence
+
+
 def describe_candidates(candidates: Iterable[Candidate]) -> list[CandidateRecord]:
     """Return candidates in the public JSON's terms."""
     return [describe_candidate(candidate) for candidate in candidates]
@@ -69,19 +75,5 @@ def describe_candidates(candidates: Iterable[Candidate]) -> list[CandidateRecord
 
 def describe_candidate(candidate: Candidate) -> CandidateRecord:
     """Return one candidate in the public JSON's terms."""
-    return CandidateRecord(
-        easting=candidate.easting_m,
-        northing=candidate.northing_m,
-        lon=candidate.lon,
-        lat=candidate.lat,
-        eye_elevation_m=candidate.eye_elevation_m,
-        radius_m=candidate.radius_m,
-        heading_deg=candidate.heading_deg,
-        pitch_deg=candidate.pitch_deg,
-        roll_deg=candidate.roll_deg,
-        fov_deg=candidate.fov_deg,
-        score=candidate.score,
-        confidence=candidate.confidence,
-        confidence_1km=candidate.confidence_1km,
-        refined=candidate.refined,
-    )
+    names = CandidateRecord.__annotations__
+    return cast(CandidateRecord, {name: getattr(candidate, name) for name in names})

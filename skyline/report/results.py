@@ -20,7 +20,7 @@ Row = dict[str, str | float | int | None]
 
 _TYPES: Mapping[str, str] = {
     "query": "TEXT", "search": "TEXT", "answered": "INTEGER", "within_m": "REAL",
-    "lon": "REAL", "lat": "REAL", "easting": "REAL", "northing": "REAL",
+    "lon": "REAL", "lat": "REAL", "easting_m": "REAL", "northing_m": "REAL",
     "eye_elevation_m": "REAL", "radius_m": "REAL", "heading_deg": "REAL", "pitch_deg": "REAL",
     "roll_deg": "REAL", "fov_deg": "REAL", "confidence": "REAL", "confidence_1km": "REAL",
     "exif_distance_m": "REAL", "seconds": "REAL", "said": "TEXT",

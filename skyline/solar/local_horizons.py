@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array
-from skyline.errors import InputError
+from skyline.extras import library
 from skyline.rows import Rows
 from skyline.solar.sky_view import sky_view_factor
 from skyline.solar.sun import sun_above
@@ -79,12 +79,7 @@ class LocalHorizons(Rows):
         InputError
             Pandas is not installed.
         """
-        try:
-            import pandas  # noqa: PLC0415  (optional)
-        except ImportError as error:
-            raise InputError(
-                "a Series needs pandas, which is not installed; pip install 'skyline[geo]'"
-            ) from error
+        pandas = library("pandas", "geo", "a Series")
         index = pandas.Index(self.azimuth_deg[place], name="horizon_azimuth")
         elevation = self.elevation_deg[place].astype(np.float64)
         return pandas.Series(elevation, index, name="horizon_elevation")
@@ -105,12 +100,7 @@ class LocalHorizons(Rows):
         InputError
             Xarray is not installed.
         """
-        try:
-            import xarray  # noqa: PLC0415  (optional)
-        except ImportError as error:
-            raise InputError(
-                "a Dataset needs xarray, which is not installed; pip install 'skyline[geo]'"
-            ) from error
+        xarray = library("xarray", "geo", "a Dataset")
         round_about = ("point", "azimuth_deg")
         true_north = {"long_name": "azimuth, clockwise from true north", **_DEGREES}
         up_to = "elevation angle up to which trees and houses may rise"

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable
 from datetime import UTC, date, datetime, time, timedelta
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
+from skyline.extras import library
 
 _STEP = timedelta(minutes=1)
 _TO_SECONDS = 0.1
@@ -81,17 +81,12 @@ def _crossing(above: Callable[[datetime], float], low: datetime, high: datetime)
 
 def _sun(lon: float, lat: float, elevation_m: float) -> Callable[[datetime], Float64Array]:
     """Return what gives the sun's azimuth, refracted elevation and radius in degrees at a time."""
-    try:
-        import ephem  # noqa: PLC0415  (optional)
-    except ImportError as error:
-        raise InputError(
-            "the sun's position needs ephem, which is not installed; pip install 'skyline[sun]'"
-        ) from error
-    observer: Any = ephem.Observer()
+    ephem = library("ephem", "sun", "the sun's position")
+    observer = ephem.Observer()
     observer.lon, observer.lat = np.radians(lon), np.radians(lat)
     observer.elevation, observer.temp = elevation_m, 15.0 - 0.0065 * elevation_m
     observer.compute_pressure()
-    body: Any = ephem.Sun()
+    body = ephem.Sun()
 
     def position(at: datetime) -> Float64Array:
         observer.date = at.replace(tzinfo=None)

@@ -11,7 +11,6 @@ from skyline.errors import InputError, StoreError
 from skyline.store.coding import RowCoding
 from skyline.store.explain import REBUILD
 from skyline.store.header import (
-    CHECKED_SINCE,
     KEYPOINTS,
     PLACE_CODING,
     PLACES,
@@ -25,9 +24,6 @@ from skyline.store.header import (
 )
 
 _MAX_CHUNK_BYTES = 1 << 26
-
-_SHELLS = "shell_edges_m"
-"""An attribute of stores that earlier versions made with more than skylines."""
 
 _CHECKSUMMED = frozenset({h5py.h5z.FILTER_FLETCHER32})
 _PACKED = _CHECKSUMMED | {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}
@@ -45,11 +41,7 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     """Return the header of a store; raises `StoreError` where any of it is not as it must be."""
     if "schema" not in file.attrs or _text(path, file, "schema") != SCHEMA:
         raise not_a_store(path)
-    version = _schema_version(path, file)
-    if _SHELLS in file.attrs:
-        raise StoreError(
-            f"store {path} holds distance shells, which skyline no longer reads; build it again"
-        )
+    _check_version(path, file)
     config = json.loads(_text(path, file, "config"))
     files = json.loads(_text(path, file, "dem_files"))
     if not isinstance(config, dict):
@@ -57,7 +49,7 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
         raise StoreError(f"store {path} has dem_files that are not a JSON list; {REBUILD}")
     try:
-        said = _rows(path, file) if version >= CHECKED_SINCE else {"rows": "exact"}
+        said = _rows(path, file)
         holds = PLACES if said["rows"] == PLACES else RENDERINGS
         header = StoreHeader(
             frame_wkt=_text(path, file, "frame"),
@@ -68,11 +60,10 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
             **(_layout_of_views(path, file, said) if holds == RENDERINGS else {}),
             holds=holds,
             package_version=_text(path, file, "package_version"),
-            schema_version=version,
         )
     except InputError as error:
         raise StoreError(f"store {path} is damaged: {error}; {REBUILD}") from error
-    if version >= CHECKED_SINCE and _text(path, file, "header_digest") != header.digest:
+    if _text(path, file, "header_digest") != header.digest:
         raise StoreError(
             f"store {path} is damaged: its header (frame, DEM, config, renderer, rows) does not "
             f"have the digest that was written with it; {REBUILD}"
@@ -109,18 +100,18 @@ def _layout_of_views(path: Path, file: h5py.File, rows: dict[str, Any]) -> dict[
     }
 
 
-def _schema_version(path: Path, file: h5py.File) -> int:
+def _check_version(path: Path, file: h5py.File) -> None:
     version = _attribute(path, file, "schema_version")
-    if not isinstance(version, np.integer) or version < 1:
+    if not isinstance(version, np.integer) or version < SCHEMA_VERSION:
         raise StoreError(
-            f"store {path} has schema version {version!r}; expected {SCHEMA_VERSION}; {REBUILD}"
+            f"store {path} has schema version {version!r}; expected {SCHEMA_VERSION}; build it "
+            "again"
         )
     if version > SCHEMA_VERSION:
         raise StoreError(
             f"store {path} has schema version {version}; this skyline ({package_version()}) reads "
-            f"up to {SCHEMA_VERSION}: upgrade skyline"
+            f"version {SCHEMA_VERSION}: upgrade skyline"
         )
-    return int(version)
 
 
 def read_committed(path: Path, file: h5py.File) -> int:

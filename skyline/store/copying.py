@@ -23,7 +23,6 @@ from skyline.store.explain import explained
 from skyline.store.header import (
     KEYPOINTS,
     RENDERINGS,
-    SCHEMA_VERSION,
     StoreHeader,
     check_holds,
 )
@@ -89,7 +88,7 @@ def compact_store(
     out: str | os.PathLike[str],
     coding: RowCoding | None = None,
 ) -> CopyReport:
-    """Write a store anew: without dead bytes, in the newest schema, rows sorted and once each.
+    """Write a store anew: without dead bytes, rows sorted and once each.
 
     Parameters
     ----------
@@ -169,7 +168,6 @@ def _joint_header(stores: Sequence[Store]) -> StoreHeader:
 
 def _copy(stores: Sequence[Store], header: StoreHeader, out: Path) -> CopyReport:
     """Write the rows of stores, sorted and once each, as ``header`` holds them."""
-    header = replace(header, schema_version=SCHEMA_VERSION)
     total = sum(len(store) for store in stores)
     with (
         _new_file(out) as partial,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import columns_u
-from skyline.errors import InputError
+from skyline.extras import library
 from skyline.geodesy import Frame
 from skyline.horizons import bin_azimuths_rad
 from skyline.places import BINS, DISTANCE_BINS, Places
@@ -33,7 +33,7 @@ def dataset_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> A
     coords["azimuth_deg"] = ("place", angle), _from_true_north(coords, grid_deg), _TRUE
     distance_m = np.repeat(places.distance_m(), BINS // DISTANCE_BINS, axis=1)
     nearest = f"horizontal distance of the skyline, its nearest in {360 // DISTANCE_BINS} degrees"
-    return _xarray().Dataset(
+    return library("xarray", "geo", "a Dataset").Dataset(
         {
             "elevation_deg": (
                 ("place", angle),
@@ -48,12 +48,7 @@ def dataset_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> A
 
 def table_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> Any:
     """Return places as a table of points; see `Store.to_geodataframe`."""
-    try:
-        import geopandas  # noqa: PLC0415  (optional, and a second to load)
-    except ImportError as error:
-        raise InputError(
-            "a GeoDataFrame needs geopandas, which is not installed; pip install 'skyline[geo]'"
-        ) from error
+    geopandas = library("geopandas", "geo", "a GeoDataFrame")
     lon, lat = frame.to_lonlat(places.easting_m, places.northing_m)
     columns = {
         "place": rows,
@@ -75,7 +70,7 @@ def dataset_of_views(views: Views, rows: NDArray[np.intp], frame: Frame) -> Any:
     coords["grid_azimuth_deg"] = columns, grid_deg, _GRID
     coords["azimuth_deg"] = columns, _from_true_north(coords, grid_deg), _TRUE
     distance_m = views.depth_m * np.hypot(1.0, columns_u(views.width)).astype(np.float32)
-    return _xarray().Dataset(
+    return library("xarray", "geo", "a Dataset").Dataset(
         {
             "elevation_deg": (columns, views.elevation_deg().astype(np.float32), _ELEVATION),
             "distance_m": (
@@ -111,13 +106,3 @@ def _coordinates(
 def _from_true_north(coords: dict[str, Any], grid_deg: NDArray[np.float64]) -> NDArray[np.float64]:
     convergence_deg: NDArray[np.float64] = coords["convergence_deg"][1]
     return (grid_deg + convergence_deg[:, np.newaxis]) % 360.0
-
-
-def _xarray() -> Any:
-    try:
-        import xarray  # noqa: PLC0415  (optional)
-    except ImportError as error:
-        raise InputError(
-            "a Dataset needs xarray, which is not installed; pip install 'skyline[geo]'"
-        ) from error
-    return xarray

@@ -20,11 +20,6 @@ from skyline.store.coding import RowCoding
 
 SCHEMA = "skyline-store"
 SCHEMA_VERSION = 3
-"""2 brought checksums and compact rows, 3 places. Older ones are read, and lifted to 3 when
-appended to."""
-
-CHECKED_SINCE = 2
-"""The version from which stores hold checksums of their header and rows."""
 
 RENDERINGS, PLACES = "renderings", "places"
 """What a store may hold."""
@@ -133,8 +128,6 @@ class StoreHeader:
         "renderings" or "places". Places have no width, keypoints or coding to choose.
     package_version : str
         Release that created the store.
-    schema_version : int
-        Layout of the file; a store that is written has the newest.
 
     Raises
     ------
@@ -153,7 +146,6 @@ class StoreHeader:
     coding: RowCoding | None = None
     holds: str = RENDERINGS
     package_version: str = field(default_factory=package_version, compare=False)
-    schema_version: int = field(default=SCHEMA_VERSION, compare=False)
 
     def __post_init__(self) -> None:
         if self.holds == PLACES:
@@ -211,9 +203,8 @@ class StoreHeader:
         """The row-aligned datasets of this store, by name."""
         if self.holds == PLACES:
             return dict(PLACE_SPECS.values()) | {PLACE_CHECKSUM: Spec("<u4")}
-        held = dict(VIEW_SPECS.values()) | {KEYPOINTS: Spec("<u2", "keypoints")}
-        if self.schema_version >= CHECKED_SINCE:
-            held |= {CHECKSUM: Spec("<u4")}
+        held = dict(VIEW_SPECS.values())
+        held |= {KEYPOINTS: Spec("<u2", "keypoints"), CHECKSUM: Spec("<u4")}
         if self.coding:
             held |= {name: Spec("<u4", held[name].per_row) for name in CODED}
         return held
@@ -240,7 +231,7 @@ class StoreHeader:
     def digest(self) -> str:
         """SHA-256 of all the header says: HDF5 does not guard the text of attributes."""
         # The empty list stood for distance shells: stores that never had any keep their digest.
-        facts = [self.schema_version, self.width, self.max_keypoints, []]
+        facts = [SCHEMA_VERSION, self.width, self.max_keypoints, []]
         text = json.dumps([facts, self.attributes], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 

@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from skyline.errors import MissingFileError, SkylineError, StoreError
 from skyline.store.digest import row_checksums
-from skyline.store.header import CHECKED_SINCE
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns
 
@@ -69,8 +68,6 @@ class StoreReport:
     ----------
     committed : int
         Rows that the store says it holds; 0 where it cannot be opened.
-    checksums : bool
-        Whether the store holds checksums; without them changed data can go unseen.
     in_use : bool
         A writer is at work, or was killed; the next build goes on from the committed rows.
     damage : tuple of Damage
@@ -80,7 +77,6 @@ class StoreReport:
     """
 
     committed: int
-    checksums: bool
     in_use: bool
     damage: tuple[Damage, ...]
     holds: str = "rows"
@@ -132,7 +128,7 @@ def check_store(path: str | os.PathLike[str]) -> StoreReport:
 
 
 def _hopeless(what: str) -> StoreReport:
-    return StoreReport(0, checksums=False, in_use=False, damage=(Damage(what),))
+    return StoreReport(0, in_use=False, damage=(Damage(what),))
 
 
 def examine(path: Path) -> StoreReport:
@@ -142,7 +138,6 @@ def examine(path: Path) -> StoreReport:
             found = [*_left_over(store), *(damage for _, _, damage in whole_rows(store) if damage)]
             return StoreReport(
                 store.committed,
-                checksums=store.header.schema_version >= CHECKED_SINCE,
                 in_use=store.in_use,
                 damage=_joined(found),
                 holds=store.header.holds,
@@ -181,10 +176,6 @@ def whole_rows(store: Store) -> Iterator[Rows]:
 
 def _held_to_checksums(store: Store, start: int, stop: int) -> Rows:
     columns = store.stored(slice(start, stop))
-    if store.header.checksum not in columns:
-        store.views(slice(start, stop))
-        store.keypoint_columns(slice(start, stop))
-        return columns, np.arange(stop - start), None
     same = row_checksums(columns) == columns[store.header.checksum]
     if same.all():
         return columns, np.arange(stop - start), None

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from skyline.store.explain import explained
-from skyline.store.header import PLACES, SCHEMA, StoreHeader
+from skyline.store.header import PLACES, SCHEMA, SCHEMA_VERSION, StoreHeader
 
 _LIBVER = ("v110", "v110")
 """SWMR needs the file format of HDF5 1.10; pinned, so that every release since reads it."""
@@ -41,7 +41,7 @@ def write_empty(path: Path, header: StoreHeader) -> None:
 
 def _lay_out(file: h5py.File, header: StoreHeader) -> None:
     file.attrs["schema"] = SCHEMA
-    file.attrs["schema_version"] = header.schema_version
+    file.attrs["schema_version"] = SCHEMA_VERSION
     for name, text in header.attributes.items():
         file.attrs[name] = text
     file.attrs["header_digest"] = header.digest

@@ -24,7 +24,6 @@ from skyline.store.explain import RESUME, explained
 from skyline.store.header import (
     PLACES,
     RENDERINGS,
-    SCHEMA_VERSION,
     KeypointColumns,
     StoreHeader,
     check_holds,
@@ -213,8 +212,6 @@ def create_store(
         The file exists, is being written by another process, or the folder is not writable.
     """
     path = Path(path).resolve()
-    # A header may come from an older store.
-    header = replace(header, schema_version=SCHEMA_VERSION)
     if not path.parent.is_dir():
         raise MissingFileError(
             f"store {path} cannot be created: folder {path.parent} does not exist; make it first"
@@ -240,8 +237,7 @@ def open_for_append(path: str | os.PathLike[str], header: StoreHeader) -> StoreW
     path : path-like
     header : StoreHeader
         What the new rows are built from and how. What it holds, the frame, DEM digest, config,
-        width, number of keypoints and coding must equal the store's; its other fields are kept. A
-        store of an older schema is lifted to the newest.
+        width, number of keypoints and coding must equal the store's; its other fields are kept.
 
     Raises
     ------
@@ -262,11 +258,7 @@ def open_for_append(path: str | os.PathLike[str], header: StoreHeader) -> StoreW
             if store.in_use:  # by nobody, since the lock was free
                 _log.warning("store %s: its writer was killed; keeping %d rows", path, len(store))
                 _rewrite(path, store)
-            elif stored.schema_version < SCHEMA_VERSION:
-                _log.warning("store %s: lifted to schema version %d", path, SCHEMA_VERSION)
-                _rewrite(path, store)
         file = resources.enter_context(open_to_write(path, stored))
-        stored = replace(stored, schema_version=SCHEMA_VERSION)
         return StoreWriter(path, stored, file, resources.pop_all())
 
 
@@ -317,7 +309,6 @@ def block_rows(header: StoreHeader) -> int:
 
 def write_rows(path: Path, header: StoreHeader, blocks: Iterable[Columns]) -> None:
     """Write a new store file of stored rows: the same rows and header give the same bytes."""
-    header = replace(header, schema_version=SCHEMA_VERSION)
     write_empty(path, header)
     with (
         open_to_write(path, header) as file,

@@ -16,7 +16,7 @@ from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
 pytestmark = pytest.mark.usefixtures("no_gl_error")
 
-CONFIG = QueryConfig(fov_deg=(50.0, 70.0), width_px=480, height_px=320, render_width=1280)
+CONFIG = QueryConfig(fov_deg=(50.0, 70.0), width_px=480, height_px=320, azimuths=5120)
 AREA = (2000.0, -3000.0, 3000.0, -2000.0)
 CLEAR = Scenery(clouds=0.0)
 

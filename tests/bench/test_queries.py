@@ -136,7 +136,7 @@ def test_occluders_are_masked_or_left_in(terrain, masked):
         {"occluded_share": (0.0, 1.0)},
         {"smooth_share": -0.1},
         {"masked_runs": 0},
-        {"render_width": 0},
+        {"azimuths": 0},
     ],
 )
 def test_bad_options_are_refused(config):

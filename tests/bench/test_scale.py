@@ -17,7 +17,7 @@ from skyline_bench.trials.traced import STAGES, Outcome, Traced
 AREA_M = (1000.0, 2000.0, 11_000.0, 8000.0)
 CONFIG = ScaleConfig(
     spacing_m=300.0, areas_km2=(2.0, 70.0), near_km=(0.5,), queries=2,
-    query=QueryConfig(width_px=240, height_px=360, render_width=640),
+    query=QueryConfig(width_px=240, height_px=360, azimuths=2560),
 )  # fmt: skip
 
 

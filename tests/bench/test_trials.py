@@ -1,8 +1,5 @@
 """What a matcher's answers are worth, and their summary."""
 
-import csv
-import json
-
 import numpy as np
 import pytest
 from scenes import candidate_at
@@ -11,7 +8,7 @@ from skyline.errors import InputError
 from skyline.photo import QuerySkyline
 from skyline.pipeline import MatchResult
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
-from skyline_bench.trials.trials import candidate_rows, run_trials, summarize, write_rows
+from skyline_bench.trials.trials import run_trials, summarize
 
 MISS_M = 5000.0
 SKYLINE = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
@@ -87,21 +84,3 @@ def test_nothing_right_has_no_heading(trials):
     row = summarize(trials[2:], seed=0)
     assert row["heading_median_deg"] is None
     assert row["precision"] is None
-
-
-def test_every_candidate_has_a_row(trials, tmp_path):
-    rows = [row for trial in trials for row in candidate_rows(trial)]
-    assert [row["rank"] for row in rows] == [1, 2, 3, 1, 2, 3, None, None]
-    assert rows[1]["error_m"] == pytest.approx(np.hypot(30.0, 100.0))
-    assert rows[1]["score"] == 0.1
-    assert rows[0]["true_grid_heading_deg"] == 355.0
-    write_rows(tmp_path / "rows.csv", "matching-candidates", rows)
-    with (tmp_path / "rows.csv").open() as file:
-        read = list(csv.DictReader(file))
-    assert [row["rank"] for row in read] == ["1", "2", "3", "1", "2", "3", "", ""]
-    assert [float(row["error_m"]) for row in read] == [row["error_m"] for row in rows]
-    write_rows(tmp_path / "rows.json", "matching-candidates", rows)
-    record = json.loads((tmp_path / "rows.json").read_text())
-    assert record["bench"] == "matching-candidates"
-    assert len(record["rows"]) == 8
-    assert {each.name for each in tmp_path.iterdir()} == {"rows.csv", "rows.json"}

@@ -34,7 +34,7 @@ def rows_of(path):
 @pytest.mark.parametrize("strategy", ["lpov", "rov"])
 def test_renders_as_much_as_it_was_given_and_says_what_for(valley, tmp_path, strategy):
     done = build_planned(valley, tmp_path / "s.h5", planned(strategy), config=NARROW)
-    assert 0.9 * BUDGET <= done.built.renderings <= BUDGET
+    assert 0.9 * BUDGET <= done.built.rows <= BUDGET
     assert done.plan.threshold_px > 0.2
     assert done.plan.coverage >= 0.9
     _, header = rows_of(tmp_path / "s.h5")

@@ -193,7 +193,7 @@ def test_an_interrupted_build_goes_on_to_the_same_store(dem, tmp_path):
         kept = len(opened)
     assert 0 < kept < 4 * 110
     resumed = build_uniform(terrain, broken, 300.0)
-    assert resumed.rendered == resumed.renderings - kept
+    assert resumed.rendered == resumed.rows - kept
     with open_store(whole) as first, open_store(broken) as second:
         assert len(first) == len(second)
         for name in ("easting_m", "heading", "elevation_tan", "depth_m", "flags"):

@@ -39,7 +39,7 @@ def test_covers_what_was_asked_and_says_what_holds(valley, tmp_path, strategy):
     assert proof.predicted == result.plan.coverage
     assert 0.5 < proof.low <= proof.share <= proof.high <= 1.0
     places = rows_of(tmp_path / "s.h5")
-    assert len(places) == len(set(places)) == result.built.renderings
+    assert len(places) == len(set(places)) == result.built.rows
 
 
 @pytest.mark.parametrize("strategy", ["lpov", "rov"])
@@ -55,7 +55,7 @@ def test_a_stopped_build_goes_on_to_the_same_store(valley, tmp_path, strategy):
         build_planned(valley, broken, planned(strategy), config=NARROW, progress=stop)
     kept = len(rows_of(broken))
     again = build_planned(valley, broken, planned(strategy), config=NARROW)
-    assert again.built.rendered == again.built.renderings - kept
+    assert again.built.rendered == again.built.rows - kept
     assert rows_of(broken) == rows_of(whole)
 
 
@@ -68,7 +68,7 @@ def test_a_plain_needs_a_handful_and_a_narrow_valley_many(tmp_path):
     renderings = [
         build_planned(
             field_of(heights, 40.0), tmp_path / f"{name}.h5", far, config=NARROW
-        ).built.renderings
+        ).built.rows
         for name, heights in (("plain", plain), ("valley", walls))
     ]
     few, many = renderings

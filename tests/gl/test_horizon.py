@@ -17,21 +17,6 @@ EXACT_PX = 0.001
 """Rounding of float32 on these scenes; the worst seen is 2e-4."""
 
 
-@pytest.fixture(scope="module")
-def rough():
-    """A rough field with holes, and twelve eyes on it."""
-    heights = fractal(90, 70, relief_m=700.0, seed=3)
-    heights[20:26, 30:41] = np.nan
-    heights[60, 10:50] = np.nan
-    heights[85:, :8] = np.nan
-    field = field_of(heights, 30.0)
-    place = np.random.default_rng(5)
-    row, col = place.uniform(2, 80, 40), place.uniform(10, 66, 40)
-    easting, northing = field.to_map(row, col)
-    there = np.flatnonzero(~np.isnan(field.height_at(easting, northing)))[:12]
-    return field, stand_on(field, easting[there], northing[there])
-
-
 def render(field, eyes, width=160, **options):
     with HorizonRenderer(field, width, **options) as renderer:
         return renderer.render(eyes)

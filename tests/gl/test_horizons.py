@@ -18,21 +18,6 @@ BINS = 240
 EPSILON = 2.0**-24
 
 
-@pytest.fixture(scope="module")
-def rough():
-    """A rough field with holes, and twelve eyes on it."""
-    heights = fractal(90, 70, relief_m=700.0, seed=3)
-    heights[20:26, 30:41] = np.nan
-    heights[60, 10:50] = np.nan
-    heights[85:, :8] = np.nan
-    field = field_of(heights, 30.0)
-    place = np.random.default_rng(5)
-    row, col = place.uniform(2, 80, 40), place.uniform(10, 66, 40)
-    easting, northing = field.to_map(row, col)
-    there = np.flatnonzero(~np.isnan(field.height_at(easting, northing)))[:12]
-    return field, stand_on(field, easting[there], northing[there])
-
-
 def render(field, eyes, bins=BINS, tolerance_deg=0.0, first_rad=None):
     with PanoramaRenderer(field, bins, tolerance_deg=tolerance_deg) as renderer:
         return renderer.render(eyes, first_rad)

@@ -95,7 +95,7 @@ def test_progress_and_a_clean_folder(terrain, unbroken, tmp_path):
         terrain, tmp_path / "s.h5", PLAN, CONFIG, progress=lambda *now: told.append(now)
     )
     points = len(uniform_grid(terrain, PLAN.spacing_m))
-    assert done.renderings == done.rendered == len(HEADINGS) * points
+    assert done.rows == done.rendered == len(HEADINGS) * points
     tiles = len(cut_into_shards(uniform_grid(terrain, PLAN.spacing_m), PLAN.tile_m))
     assert told == [(finished, tiles) for finished in range(tiles + 1)]
     assert [path.name for path in tmp_path.iterdir()] == ["s.h5"]
@@ -115,7 +115,7 @@ def test_a_store_that_is_whole_is_left_alone(terrain, unbroken, tmp_path):
     again = build_sharded(terrain, path, PLAN, CONFIG)
     assert not left.exists()
     assert again.rendered == 0
-    assert again.renderings > 0
+    assert again.rows > 0
     assert path.read_bytes() == unbroken
     with pytest.raises(StoreMismatchError, match="width is 80 there, 160 here"):
         build_sharded(terrain, path, PLAN, RenderConfig(width=160))
@@ -151,7 +151,7 @@ def test_a_stopped_build_goes_on(terrain, unbroken, tmp_path):
     assert not path.exists()
     assert len(list((tmp_path / "s.h5.shards").glob("*.h5"))) == 3
     done = build_sharded(terrain, path, PLAN, CONFIG)
-    assert 0 < done.rendered < done.renderings
+    assert 0 < done.rendered < done.rows
     assert path.read_bytes() == unbroken
 
 
@@ -172,7 +172,7 @@ def test_failed_tiles_are_named_and_the_others_kept(terrain, unbroken, two_worke
         build_sharded(terrain, path, PLAN, CONFIG, runner)
     assert not path.exists()
     done = build_sharded(terrain, path, PLAN, CONFIG, two_workers)
-    assert 0 < done.rendered < done.renderings / 2
+    assert 0 < done.rendered < done.rows / 2
     assert path.read_bytes() == unbroken
 
 

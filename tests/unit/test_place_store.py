@@ -242,36 +242,9 @@ class TestKinds:
         assert one_line(caught.value, path)
 
 
-def version_2(path: Path, count: int, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A store of renderings as the release before places wrote it."""
-    with monkeypatch.context() as patch:
-        patch.setattr("skyline.store.writer.SCHEMA_VERSION", 2)
-        return build(path, count)
-
-
-class TestVersion2:
-    def test_is_read_and_lifted(
-        self,
-        tmp_path: Path,
-        monkeypatch: pytest.MonkeyPatch,
-        caplog: pytest.LogCaptureFixture,
-    ) -> None:
-        path = version_2(tmp_path / "s.h5", 70, monkeypatch)
-        with h5py.File(path) as file:
-            assert file.attrs["schema_version"] == 2
-        assert (examine(path).committed, examine(path).whole) == (70, True)
-        with open_for_append(path, HEADER) as writer:
-            writer.append(*rows(70, 100))
-        assert "lifted to schema version 3" in caplog.text
-        with open_store(path) as store:
-            assert len(store) == 100
-            assert store.header.schema_version == 3
-        compact_store(path, tmp_path / "a.h5")
-        compact_store(build(tmp_path / "b.h5", 100), tmp_path / "c.h5")
-        assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "c.h5").read_bytes()
-
-    def test_its_checksums_are_those_of_its_release(self, tmp_path: Path) -> None:
-        """CRC-32s chained over the datasets in order of name, as version 2 took them."""
+class TestChecksums:
+    def test_of_renderings_are_those_of_their_bytes(self, tmp_path: Path) -> None:
+        """CRC-32s chained over the datasets in order of name."""
         with open_store(build(tmp_path / "s.h5", 40)) as store:
             columns = dict(store.stored())
         sums = columns.pop("views/checksum")

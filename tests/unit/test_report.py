@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 from scenes import field_of, fractal
 
-from skyline.planning.uniform import uniform_grid
-from skyline.report import Found, save_depth_images, save_map
+from skyline.report import save_depth_images
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
@@ -22,15 +21,6 @@ def picture(path):
 def crimson(pixels):
     blue, green, red = np.moveaxis(pixels, -1, 0)
     return (red > 190) & (green < 60) & (blue < 90)
-
-
-def test_map_shows_true_and_found_positions(tmp_path):
-    grid = uniform_grid(FIELD, 600.0)
-    save_map(FIELD, grid, [], tmp_path / "bare.png")
-    found = [Found("one", (1000.0, 1000.0), (2500.0, 2400.0), 30.0, 60.0), Found("two", None, None)]
-    save_map(FIELD, grid, found, tmp_path / "new" / "map.png")
-    assert crimson(picture(tmp_path / "new" / "map.png")).sum() > 100
-    assert crimson(picture(tmp_path / "bare.png")).sum() == 0
 
 
 def test_depth_images_are_not_blank(tmp_path):

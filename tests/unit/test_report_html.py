@@ -81,15 +81,9 @@ def test_a_table_shows_numbers_to_the_right_and_dashes_for_nothing():
     assert "<td class=n>-4.50</td><td>x</td><td>–</td>" in html
 
 
-def test_what_is_no_table_and_no_picture_is_refused(tmp_path):
-    with pytest.raises(InputError, match="2 values; expected 1"):
-        Table(("a",), [(1, 2)])
+def test_what_is_no_picture_is_refused():
     with pytest.raises(InputError, match="neither PNG nor JPEG"):
         Picture(b"<svg/>", "drawing")
-    with pytest.raises(InputError, match="cannot be read"):
-        Picture.read(tmp_path / "none.png", "none")
-    (tmp_path / "a.png").write_bytes(PNG)
-    assert Picture.read(tmp_path / "a.png", "a").data == PNG
 
 
 def test_a_page_is_written_whole_with_any_name(tmp_path):

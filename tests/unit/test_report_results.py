@@ -10,8 +10,8 @@ from skyline.report.results import RESULTS, open_results, row_of
 
 PLACE = dict.fromkeys(
     (
-        "easting", "northing", "eye_elevation_m", "radius_m", "pitch_deg", "roll_deg", "fov_deg",
-        "score",
+        "easting_m", "northing_m", "eye_elevation_m", "radius_m", "pitch_deg", "roll_deg",
+        "fov_deg", "score",
     ), 1.5,
 ) | {
     "lon": 9.8, "lat": 46.7, "heading_deg": 131.0, "confidence": 0.9, "confidence_1km": 0.95,

@@ -8,6 +8,7 @@ from scenes import FRAME, candidate_at
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.report import Matched
 from skyline.report.geojson import VIEW_REACH_M, match_collection, write_geojson
 from skyline.report.shapes import Ellipse, view_wedge_m
 
@@ -71,7 +72,8 @@ def test_a_wedge_spans_the_field_of_view_about_the_heading():
 
 def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
     path = tmp_path / "new" / "matches.geojson"
-    write_geojson(path, [("<b>.jpg", [BEST, OTHER]), ("none.csv", [])], UTM)
+    found = {"<b>.jpg": [BEST, OTHER], "none.csv": []}
+    write_geojson(path, [Matched(name, None, some, 0.0) for name, some in found.items()], UTM)
     collection = json.loads(path.read_text())
     assert collection["type"] == "FeatureCollection"
     about = [
@@ -89,7 +91,7 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
     np.testing.assert_allclose(point["geometry"]["coordinates"], [10.78277, 46.79586], atol=1e-7)
     convergence_deg = float(UTM.convergence_deg(*PLACE))
     assert point["properties"]["heading_deg"] == pytest.approx(275.0 + convergence_deg)
-    assert {"lon", "lat", "easting", "northing", "pitch_deg", "roll_deg", "fov_deg", "score",
+    assert {"lon", "lat", "easting_m", "northing_m", "pitch_deg", "roll_deg", "fov_deg", "score",
             "confidence", "refined"} <= point["properties"].keys()  # fmt: skip
     assert ellipse["properties"]["semi_major_m"] > ellipse["properties"]["semi_minor_m"] > 0.0
     for polygon in (view, ellipse):
@@ -104,7 +106,7 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
 
 def test_geojson_has_no_word_for_infinity():
     lost = candidate_at(0.0, 0.0, score=np.inf)
-    point = match_collection([("q", [lost])], FRAME)["features"][0]
+    point = match_collection([Matched("q", None, [lost], 0.0)], FRAME)["features"][0]
     assert point["properties"]["score"] is None
 
 

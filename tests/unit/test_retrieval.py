@@ -1,5 +1,8 @@
 """Retrieval: poses found back among places."""
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,7 +11,7 @@ from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 
 from skyline.errors import InputError
 from skyline.matching import QueryRays
-from skyline.matching.retrieval import RetrievalConfig, Retriever
+from skyline.matching.retrieval import RetrievalConfig, Retriever, _zoom_bounds
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +166,35 @@ def test_senseless_requests_are_refused(places):
         Retriever(places).shortlist(rays(0, 0.0), 0)
     with pytest.raises(InputError, match="above 0"):
         RetrievalConfig(fitted=0)
+
+
+@pytest.mark.parametrize(
+    ("places", "screened"),
+    [(1, 16_384), (327_680, 16_384), (1_000_000, 50_000), (100_000_000, 262_144)],
+)
+def test_a_part_of_all_places_is_fitted(places, screened):
+    assert RetrievalConfig().screened(places) == screened
+
+
+@pytest.mark.parametrize(
+    ("given_deg", "sd_deg", "range_deg", "most"),
+    [
+        (60.0, math.inf, None, 1),
+        (60.0, 1.5, (54.0, 66.0), 1),
+        (55.0, 14.0, (25.0, 100.0), 10),
+        (55.0, math.inf, (25.0, 100.0), 10),
+    ],
+)
+def test_fields_of_view_that_are_screened_leave_no_gap(places, given_deg, sd_deg, range_deg, most):
+    query = replace(rays(0, 0.0), fov_deg=given_deg, fov_range_deg=range_deg, fov_sd_deg=sd_deg)
+    retriever = Retriever(places)
+    zooms = retriever._zooms(query)
+    likely = 2.5 * query.log_scale_sd
+    low, high = np.clip(_zoom_bounds(query), -likely, likely)
+    step = (high - low) / len(zooms)
+    assert len(zooms) <= most
+    assert step <= retriever.config.zoom_step
+    np.testing.assert_allclose(zooms, low + step * (np.arange(len(zooms)) + 0.5), atol=1e-12)
 
 
 def test_queries_of_one_place_find_it_together_where_few_do_alone(places):

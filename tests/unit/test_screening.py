@@ -99,6 +99,15 @@ def test_the_best_score_is_that_of_the_best_turn(places):
     np.testing.assert_array_equal(screen.scores(places.phase), every.max(axis=(1, 2)))
 
 
+def test_an_unlikely_field_of_view_loses_what_it_is_unlikely(places):
+    query, unlikely = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
+    alone = [Screen.of(query, FOVS_DEG[k : k + 1], places).scores(places.phase) for k in range(3)]
+    expected = (np.array(alone) - unlikely[:, np.newaxis]).max(axis=0)
+    scores = Screen.of(query, FOVS_DEG, places, unlikely=unlikely).scores(places.phase)
+    # float32 of scores that reach a hundred.
+    np.testing.assert_allclose(scores, expected, atol=1e-4)
+
+
 @pytest.mark.parametrize("size", [64, 7, 1])
 @pytest.mark.parametrize("count", [1, 5, 64, 200])
 def test_blocks_change_nothing(places, size, count):

@@ -2,7 +2,6 @@
 
 import errno
 import hashlib
-import json
 import os
 import shutil
 from dataclasses import replace
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 from store_rows import HEADER, WIDTH, rows
 
-from skyline import __version__
 from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
 from skyline.store import (
     RowCoding,
@@ -40,38 +38,6 @@ def build(path: Path, *spans: tuple[int, int], header: StoreHeader = HEADER) -> 
     return path
 
 
-def version_1(path: Path, count: int) -> Path:
-    """A store as the first release wrote it: no checksums, no digest, no coding."""
-    views, keypoints = rows(0, count)
-    with h5py.File(path, "w", libver=("v110", "v110")) as file:
-        file.attrs["schema"], file.attrs["schema_version"] = "skyline-store", 1
-        file.attrs["frame"], file.attrs["dem_digest"] = HEADER.frame_wkt, HEADER.dem_digest
-        file.attrs["dem_files"] = json.dumps(HEADER.dem_files)
-        file.attrs["config"] = json.dumps(HEADER.config)
-        file.attrs["renderer"], file.attrs["package_version"] = HEADER.renderer, __version__
-        named = {
-            "views/easting": views.easting_m,
-            "views/northing": views.northing_m,
-            "views/eye_elevation_m": views.eye_elevation_m,
-            "views/heading": views.heading,
-            "views/elevation_tan": views.elevation_tan,
-            "views/depth_m": views.depth_m,
-            "views/flags": views.flags,
-            "features/keypoint_column": keypoints,
-        }
-        for name, values in named.items():
-            wide = values.ndim > 1
-            file.create_dataset(
-                name,
-                data=values,
-                maxshape=(None, *values.shape[1:]),
-                chunks=(CHUNK, *values.shape[1:]) if wide else (1024,),
-                **({"shuffle": True, "compression": "gzip"} if wide else {}),
-            )
-        file.create_dataset("committed", data=np.uint64(count))
-    return path
-
-
 def assert_holds(path: Path, count: int, header: StoreHeader = HEADER) -> None:
     views, keypoints = rows(0, count)
     with open_store(path) as store:
@@ -81,46 +47,12 @@ def assert_holds(path: Path, count: int, header: StoreHeader = HEADER) -> None:
         np.testing.assert_array_equal(store.keypoint_columns(), keypoints)
 
 
-class TestVersion1:
-    def test_is_read(self, tmp_path: Path) -> None:
-        assert_holds(version_1(tmp_path / "s.h5", 70), 70)
-        report = examine(tmp_path / "s.h5")
-        assert (report.committed, report.whole, report.checksums) == (70, True, False)
-
-    def test_is_lifted_when_appended_to(
-        self, tmp_path: Path, caplog: pytest.LogCaptureFixture
-    ) -> None:
-        path = version_1(tmp_path / "s.h5", 70)
-        with open_for_append(path, HEADER) as writer:
-            writer.append(*rows(70, 100))
-        assert "lifted to schema version 3" in caplog.text
-        assert_holds(path, 100)
-        report = examine(path)
-        assert (report.committed, report.whole, report.checksums) == (100, True, True)
-
-    def test_its_header_begins_a_new_store(self, tmp_path: Path) -> None:
-        with open_store(version_1(tmp_path / "old.h5", 3)) as store:
-            header = store.header
-        assert_holds(build(tmp_path / "new.h5", (0, 70), header=header), 70)
-        assert examine(tmp_path / "new.h5").checksums
-
-    def test_is_lifted_by_compact(self, tmp_path: Path) -> None:
-        compact_store(version_1(tmp_path / "old.h5", 70), tmp_path / "new.h5")
-        compact_store(build(tmp_path / "s.h5", (0, 70)), tmp_path / "same.h5")
-        assert (tmp_path / "new.h5").read_bytes() == (tmp_path / "same.h5").read_bytes()
-
-
 class TestCheck:
     @pytest.mark.parametrize("header", [HEADER, COMPACT])
     def test_a_whole_store(self, tmp_path: Path, header: StoreHeader) -> None:
         path = build(tmp_path / "s.h5", (0, 100), header=header)
         report = check_store(path)
-        assert (report.committed, report.whole, report.checksums, report.in_use) == (
-            100,
-            True,
-            True,
-            False,
-        )
+        assert (report.committed, report.whole, report.in_use) == (100, True, False)
 
     @pytest.mark.parametrize("header", [HEADER, COMPACT])
     def test_every_flipped_bit_that_changes_data_is_found(

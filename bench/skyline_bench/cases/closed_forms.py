@@ -123,9 +123,9 @@ def eyes_at(
     return stand_on(field, *field.to_map(row, col), eye_height_m)
 
 
-def spots(field: HeightField, count: int, seed: int = 7) -> tuple[Float64Array, Float64Array]:
+def spots(field: HeightField, count: int) -> tuple[Float64Array, Float64Array]:
     """Return rows and columns of samples away from the border."""
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(7)
     row = generator.integers(field.rows // 8, field.rows - field.rows // 8 - 1, count)
     col = generator.integers(field.cols // 8, field.cols - field.cols // 8 - 1, count)
     return row.astype(np.float64), col.astype(np.float64)
@@ -136,10 +136,8 @@ def rough_field(seed: int = 1) -> HeightField:
     return field_of(rough_heights(96, 96, seed=seed))
 
 
-def eyes_anywhere(
-    field: HeightField, count: int, eye_height_m: ArrayLike, seed: int = 3
-) -> Viewpoints:
+def eyes_anywhere(field: HeightField, count: int, eye_height_m: ArrayLike) -> Viewpoints:
     """Stand at random places away from the border."""
     row, col = spots(field, count)
-    row_share, col_share = np.random.default_rng(seed).uniform(0.0, 1.0, (2, count))
+    row_share, col_share = np.random.default_rng(3).uniform(0.0, 1.0, (2, count))
     return eyes_at(field, row + row_share, col + col_share, eye_height_m)

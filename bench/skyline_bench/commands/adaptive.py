@@ -1,42 +1,35 @@
 """Stores measured: uniform against adaptive (paper 5.2)."""
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from skyline.console import parse_bounds, progress_bar
+from skyline.console import progress_bar
+from skyline.paper.planning.candidates import Spacing
+from skyline.paper.planning.plan import PlanConfig
 from skyline.paper.planning.strategies import STRATEGIES
+from skyline.pipeline import FULL
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline_bench.commands.options import (
-    Bounds,
-    Crs,
-    Dems,
-    JsonFile,
-    PlotFile,
-    Quick,
-    Seed,
-    check_outputs,
-    check_report,
-    keep_record,
-    print_rows,
-    store_folder,
-)
-from skyline_bench.figures.report import write_report
+from skyline_bench.commands import options
 from skyline_bench.figures.tables import EQUAL, REACHED, STORES, in_megabytes, store_lines
 from skyline_bench.figures.uniform_adaptive import save_costs
+from skyline_bench.measuring.timing import core_count
 from skyline_bench.runs.cost_summary import equal_rows, reached_rows
-from skyline_bench.runs.uniform_adaptive import AdaptiveConfig, check, measure
+from skyline_bench.runs.matching import PLAIN, MatchingConfig
+from skyline_bench.runs.matching_trials import check, measure
 from skyline_bench.trials.distance_groups import DistanceGroup
-from skyline_bench.trials.matchers import WHAT
+from skyline_bench.trials.matchers import PAPER, RETRIEVED, WHAT
 
-_CONFIG = AdaptiveConfig()
+_SPACINGS_M = (1024.0, 512.0, 256.0, 128.0)
+_STRATEGIES = ("lpov",)
+_BUDGETS = (800, 1600, 2800)
+_MATCHERS = (PAPER, RETRIEVED, FULL)
 
 
 def uniform_adaptive(
-    dem: Dems,
-    bounds: Bounds = None,
+    dem: options.Dems,
+    bounds: options.Bounds = None,
     spacing: Annotated[
         list[float] | None,
         typer.Option(help="Of a uniform store, metres; may be repeated [1024 512 256 128]."),
@@ -44,7 +37,7 @@ def uniform_adaptive(
     strategy: Annotated[
         list[str] | None,
         typer.Option(
-            help=f"Of adaptive stores; may be repeated [{' '.join(_CONFIG.strategies)}]: "
+            help=f"Of adaptive stores; may be repeated [{' '.join(_STRATEGIES)}]: "
             f"{', '.join(STRATEGIES)}."
         ),
     ] = None,
@@ -52,35 +45,26 @@ def uniform_adaptive(
         list[int] | None,
         typer.Option(
             help="Renderings of an adaptive store; may be repeated "
-            f"[{' '.join(map(str, _CONFIG.budgets))}]."
+            f"[{' '.join(map(str, _BUDGETS))}]."
         ),
     ] = None,
     candidate_spacing: Annotated[
         float, typer.Option(help="Between places that a planner chooses from, metres.")
-    ] = _CONFIG.spacing.candidate_m,
+    ] = Spacing().candidate_m,
     matcher: Annotated[
         list[str] | None,
-        typer.Option(help=f"May be repeated [{' '.join(_CONFIG.matchers)}]: {', '.join(WHAT)}."),
+        typer.Option(help=f"May be repeated [{' '.join(_MATCHERS)}]: {', '.join(WHAT)}."),
     ] = None,
-    queries: Annotated[int, typer.Option(help="Queries, at least 3.")] = _CONFIG.queries,
+    queries: Annotated[int, typer.Option(help="Queries, at least 3.")] = 300,
     workers: Annotated[
         int, typer.Option(metavar="N", help="Processes at work.", show_default="one a core")
-    ] = _CONFIG.workers,
-    folder: Annotated[
-        Path | None,
-        typer.Option(
-            help="Where stores and results are kept: a run that was stopped goes on from there."
-        ),
-    ] = None,
-    json_file: JsonFile = None,
-    plot: PlotFile = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Write index.html and all figures as PNG."),
-    ] = None,
-    seed: Seed = _CONFIG.seed,
-    quick: Quick = False,
-    crs: Crs = None,
+    ] = core_count(),
+    folder: options.Folder = None,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    seed: options.Seed = 0,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Uniform and adaptive stores: renderings, seconds and bytes against accuracy.
 
@@ -90,37 +74,42 @@ def uniform_adaptive(
     query without any candidate counts as wrong by half of the
     area's diagonal.
     """
-    config = AdaptiveConfig(
-        bounds_deg=parse_bounds(bounds) if bounds is not None else None,
-        spacings_m=tuple(spacing or _CONFIG.spacings_m),
-        strategies=tuple(strategy or _CONFIG.strategies),
-        budgets=tuple(budget or _CONFIG.budgets),
-        spacing=replace(_CONFIG.spacing, candidate_m=candidate_spacing),
-        matchers=tuple(matcher or _CONFIG.matchers),
+    grids = tuple(spacing or _SPACINGS_M)
+    apart = replace(Spacing(), candidate_m=candidate_spacing)
+    config = MatchingConfig(
+        bounds_deg=options.bounds_of(bounds),
+        spacings_m=grids,
+        place_spacings_m=grids,
+        plans=tuple(
+            PlanConfig(name, apart, seed=seed, budget=renderings)
+            for name in strategy or _STRATEGIES
+            for renderings in sorted(budget or _BUDGETS)
+        ),
+        matchers=tuple(matcher or _MATCHERS),
+        kinds=(PLAIN,),
         queries=queries,
+        grouped=True,
         seed=seed,
+        top=1,
         workers=workers,
     )
-    check_outputs(json_file, plot)
+    options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
     config = config.quick(terrain) if quick else config
     check(terrain, config)
-    check_report(report)
-    with store_folder(folder) as place:
+    with options.store_folder(folder) as place:
         with progress_bar("comparing") as progress:
             compared = measure(terrain, config, place, progress)
         rows = compared.rows()
-        print_rows(store_lines(rows), STORES)
+        options.print_rows(store_lines(rows), STORES)
         for group in compared.groups:
             typer.echo(_about(group))
         summary = {"as_accurate": reached_rows(rows), "as_many_renderings": equal_rows(rows)}
-        print_rows([in_megabytes(row) for row in summary["as_accurate"]], REACHED)
-        print_rows(summary["as_many_renderings"], EQUAL)
-        keep_record(json_file, "uniform-adaptive", rows, summary)
+        options.print_rows([in_megabytes(row) for row in summary["as_accurate"]], REACHED)
+        options.print_rows(summary["as_many_renderings"], EQUAL)
+        options.keep_record(json_file, "uniform-adaptive", rows, summary)
         if plot is not None:
             save_costs(rows, plot)
-        if report is not None:
-            typer.echo(f"report in {write_report(report, compared)}")
 
 
 def _about(group: DistanceGroup) -> str:

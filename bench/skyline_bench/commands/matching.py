@@ -5,33 +5,20 @@ from typing import Annotated
 
 import typer
 
-from skyline.console import parse_bounds, progress_bar
+from skyline.console import progress_bar
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline_bench.commands.options import (
-    Bounds,
-    Crs,
-    Dems,
-    JsonFile,
-    PlotFile,
-    Quick,
-    Seed,
-    check_folder,
-    check_outputs,
-    keep_record,
-    print_rows,
-    store_folder,
-)
+from skyline_bench.commands import options
 from skyline_bench.figures.matching import save_accuracy
-from skyline_bench.runs.matching import KINDS, MatchingConfig, measure
+from skyline_bench.runs.matching import KINDS, MatchingConfig
+from skyline_bench.runs.matching_trials import check, measure
 from skyline_bench.trials.matchers import WHAT
-from skyline_bench.trials.trials import candidate_rows, write_rows
 
 _MATCHING = MatchingConfig()
 
 
 def matching(
-    dem: Dems,
-    bounds: Bounds = None,
+    dem: options.Dems,
+    bounds: options.Bounds = None,
     spacing: Annotated[
         list[float] | None,
         typer.Option(
@@ -48,10 +35,7 @@ def matching(
         list[Path] | None,
         typer.Option(help="A store that is there already, instead; may be repeated."),
     ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(help="Where uniform stores are kept and found again; else thrown away."),
-    ] = None,
+    folder: options.Folder = None,
     matcher: Annotated[
         list[str] | None,
         typer.Option(help=f"May be repeated; by default all: {', '.join(WHAT)}."),
@@ -61,15 +45,11 @@ def matching(
         typer.Option(help=f"Of queries; may be repeated; by default all: {', '.join(KINDS)}."),
     ] = None,
     queries: Annotated[int, typer.Option(help="Queries of each kind.")] = _MATCHING.queries,
-    json_file: JsonFile = None,
-    per_query: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write every candidate of every query: CSV or JSON."),
-    ] = None,
-    plot: PlotFile = None,
-    seed: Seed = _MATCHING.seed,
-    quick: Quick = False,
-    crs: Crs = None,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    seed: options.Seed = _MATCHING.seed,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Matchers on uniform stores: how often, how far off and how fast synthetic queries are found.
 
@@ -79,7 +59,7 @@ def matching(
     """
     given = spacing or place_spacing or store
     config = MatchingConfig(
-        bounds_deg=parse_bounds(bounds) if bounds is not None else None,
+        bounds_deg=options.bounds_of(bounds),
         spacings_m=tuple(spacing or ()) if given else _MATCHING.spacings_m,
         place_spacings_m=tuple(place_spacing or ()) if given else _MATCHING.place_spacings_m,
         stores=tuple(store or ()),
@@ -88,19 +68,19 @@ def matching(
         queries=queries,
         seed=seed,
     )
-    check_outputs(json_file, plot)
-    check_folder("--per-query", per_query)
+    options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
-    with store_folder(folder) as place, progress_bar("matching") as progress:
-        compared = measure(terrain, config.quick() if quick else config, place, progress)
-    rows = [comparison.row(seed) for comparison in compared]
+    config = config.quick(terrain) if quick else config
+    check(terrain, config)
+    with options.store_folder(folder) as place, progress_bar("matching") as progress:
+        rows = measure(terrain, config, place, progress).rows()
     columns = {
         "store": "store",
         "matcher": "matcher",
         "queries": "queries",
         "places": "places",
         "build_cpu_s": "cpu s",
-        "megabytes": "MB",
+        "bytes": "MB",
         "within_200m": "in 200 m",
         "within_200m_low": "from",
         "within_200m_high": "to",
@@ -111,15 +91,6 @@ def matching(
         "answered": "answered",
         "query_ms": "ms",
     }
-    print_rows([{**row, "megabytes": float(str(row["bytes"])) / 1e6} for row in rows], columns)
-    keep_record(json_file, "matching", rows)
-    if per_query is not None:
-        candidates = [
-            {"store": each.store.name, "matcher": each.matcher, "queries": each.kind, **row}
-            for each in compared
-            for trial in each.trials
-            for row in candidate_rows(trial)
-        ]
-        write_rows(per_query, "matching-candidates", candidates)
+    options.tell(json_file, "matching", rows, columns)
     if plot is not None:
         save_accuracy(rows, plot)

@@ -12,11 +12,15 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from skyline.console import parse_bounds
 from skyline.errors import InputError
 from skyline_bench.measuring.record import Row, shown, write_record
 
 _PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 _PIPED_WIDTH = 200
+
+Columns = Mapping[str, str]
+"""Keys of rows, and the headings that a table gives them."""
 
 Dems = Annotated[
     list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
@@ -29,6 +33,10 @@ PlotFile = Annotated[
 ]
 Seed = Annotated[int, typer.Option(help="Of whatever is drawn at random.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Two minutes at most: much smaller.")]
+Folder = Annotated[
+    Path | None,
+    typer.Option(help="Where stores and results are kept: a run that was stopped goes on."),
+]
 Bounds = Annotated[
     str | None,
     typer.Option(
@@ -44,7 +52,12 @@ Crs = Annotated[
 ]
 
 
-def check_outputs(json_file: Path | None, plot: Path | None) -> None:
+def bounds_of(bounds: str | None) -> tuple[float, float, float, float] | None:
+    """Return west, south, east, north of the option `Bounds`; raises as `parse_bounds`."""
+    return None if bounds is None else parse_bounds(bounds)
+
+
+def check_outputs(json_file: Path | None, plot: Path | None = None) -> None:
     """Refuse files that could not be written, before the measurement and not after it."""
     for option, path in (("--json", json_file), ("--plot", plot)):
         check_folder(option, path)
@@ -58,20 +71,6 @@ def check_folder(option: str, path: Path | None) -> None:
     """Refuse a file in a folder that is not there."""
     if path is not None and not path.absolute().parent.is_dir():
         raise InputError(f"{option} {path}: there is no folder {path.parent}; make it first")
-
-
-def check_report(folder: Path | None) -> None:
-    """Make the folder of a report, and refuse one that nothing can be written to."""
-    if folder is None:
-        return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise InputError(
-            f"--report {folder}: cannot be written to ({error.strerror}); name another folder"
-        ) from error
 
 
 @contextmanager
@@ -96,6 +95,14 @@ def keep_record(
         write_record(json_file, bench, rows, summary)
 
 
+def tell(
+    json_file: Path | None, bench: str, rows: Sequence[Row], columns: Columns | None = None
+) -> None:
+    """Print the table of a benchmark and write its record where one is asked for."""
+    print_rows(rows, columns)
+    keep_record(json_file, bench, rows)
+
+
 def rows_but(json_file: Path | None, key: str, begins: Iterable[str]) -> list[Row]:
     """Return the rows of a record that is there already, but those to be measured anew.
 
@@ -107,15 +114,24 @@ def rows_but(json_file: Path | None, key: str, begins: Iterable[str]) -> list[Ro
     return [row for row in rows if not str(row[key]).startswith(tuple(begins))]
 
 
-def print_rows(rows: Sequence[Row], columns: Mapping[str, str] | None = None) -> None:
-    """Print rows as a table; ``columns`` are the keys shown, by default all, with headings."""
+def print_rows(rows: Sequence[Row], columns: Columns | None = None) -> None:
+    """Print rows as a table; ``columns`` are the keys shown, by default all, with headings.
+
+    Bytes are shown as megabytes where the heading says so.
+    """
     columns = columns or {key: key for row in rows for key in row}
     table = Table(box=SIMPLE_HEAD)
     for key, heading in columns.items():
         words = any(isinstance(row.get(key), str) for row in rows)
         table.add_column(heading, justify="left" if words else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*(shown(row.get(key)) for key in columns))
+        table.add_row(*(_told(row.get(key), heading) for key, heading in columns.items()))
     console = Console()
     # A file or a pipe has no width that figures would have to be cut to.
     (console if console.is_terminal else Console(width=_PIPED_WIDTH)).print(table)
+
+
+def _told(value: object, heading: str) -> str:
+    if heading.endswith("MB") and isinstance(value, int | float):
+        return shown(value / 1e6)
+    return shown(value)

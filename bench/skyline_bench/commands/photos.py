@@ -1,4 +1,4 @@
-"""Photographs measured: skylines found in them, and where a real one is put."""
+"""Photographs measured: where real ones are put; and the README's own."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -11,21 +11,10 @@ from skyline import InputError, Viewer
 from skyline.console import progress_bar
 from skyline.pipeline import Progress
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline_bench.commands.options import (
-    Crs,
-    JsonFile,
-    Quick,
-    Seed,
-    check_folder,
-    check_outputs,
-    keep_record,
-    print_rows,
-    store_folder,
-)
+from skyline_bench.commands import options
 from skyline_bench.figures.photographs import PhotographsPage
 from skyline_bench.figures.readme import save_match
 from skyline_bench.queries.manifest import EXTRACT, KINDS, Photograph, read_manifest
-from skyline_bench.runs import photo_quality as drawn
 from skyline_bench.runs.photographs import Measured, PhotosConfig, Shown, measure, summarize
 
 _PHOTOS = PhotosConfig()
@@ -45,21 +34,6 @@ _PHOTO_COLUMNS = {
 }
 
 
-def photo_quality(
-    photos: Annotated[int, typer.Option(help="Of each of 20 conditions.")] = 10,
-    json_file: JsonFile = None,
-    seed: Seed = 0,
-    quick: Quick = False,
-) -> None:
-    """Skylines extracted from drawn photos, condition by condition."""
-    check_outputs(json_file, None)
-    with progress_bar("conditions") as progress:
-        found = drawn.measure(range(seed, seed + (1 if quick else photos)), progress)
-    rows = [asdict(row) for row in found]
-    print_rows(rows)
-    keep_record(json_file, "photo-quality", rows)
-
-
 def photos(
     manifest: Annotated[
         Path, typer.Argument(metavar="MANIFEST.csv", help="Photographs and what is true of them.")
@@ -68,10 +42,7 @@ def photos(
         list[str] | None,
         typer.Argument(metavar="DEM...", help="Their elevation model; none to extract alone."),
     ] = None,
-    folder: Annotated[
-        Path | None,
-        typer.Option(help="Where the areas' stores are kept and found again; else thrown away."),
-    ] = None,
+    folder: options.Folder = None,
     side_km: Annotated[
         float, typer.Option(help="Side of the square about a photograph that is searched.")
     ] = _PHOTOS.side_m / 1000.0,
@@ -84,9 +55,9 @@ def photos(
     page: Annotated[
         Path | None, typer.Option(metavar="FILE.html", help="Draw each photograph's skylines.")
     ] = None,
-    json_file: JsonFile = None,
-    quick: Quick = False,
-    crs: Crs = None,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Real photographs: their skylines, their places, and which stage lost a place.
 
@@ -96,8 +67,8 @@ def photos(
 
     --quick searches areas of 4 km, and three photographs of each kind.
     """
-    check_outputs(json_file, None)
-    check_folder("--page", page)
+    options.check_outputs(json_file)
+    options.check_folder("--page", page)
     wanted = read_manifest(manifest)
     config = PhotosConfig(1000.0 * side_km, spacing, use_gps)
     if quick:
@@ -107,16 +78,16 @@ def photos(
         raise InputError(f"{manifest} has photographs to locate; give their elevation model too")
     terrain = read_dem(dem, DemOptions(crs=crs)) if located and dem else None
     drawn = PhotographsPage() if page is not None else None
-    with store_folder(folder) as place, progress_bar("photographs") as progress:
+    with options.store_folder(folder) as place, progress_bar("photographs") as progress:
         rows = measure(wanted, terrain, config, place, _told(drawn, progress, len(wanted)))
     summary = summarize(rows)
-    print_rows(rows, _PHOTO_COLUMNS)
-    print_rows(summary)
+    options.print_rows(rows, _PHOTO_COLUMNS)
+    options.print_rows(summary)
     name = manifest.stem
     how = {"manifest": name, **asdict(config)}
     rows = [{**how, **row} for row in rows]
     summary = [{**how, **row} for row in summary]
-    keep_record(json_file, "photos", rows, {"photos": summary})
+    options.keep_record(json_file, "photos", rows, {"photos": summary})
     if drawn is not None and page is not None:
         drawn.write(page, f"{len(rows)} photographs of {manifest.name}.")
 
@@ -138,8 +109,8 @@ def _told(page: PhotographsPage | None, progress: Progress, count: int) -> Shown
 
 def readme_picture(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The JPEG to write.")],
-    quick: Quick = False,
+    quick: options.Quick = False,
 ) -> None:
     """The README's picture: a photo made of the sample terrain, and where it was put."""
-    check_folder("--out", out)
-    print_rows([save_match(out, width=512 if quick else 2048)])
+    options.check_folder("--out", out)
+    options.print_rows([save_match(out, width=512 if quick else 2048)])

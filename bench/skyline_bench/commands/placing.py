@@ -1,24 +1,12 @@
 """Placing measured: uniform grids against planned places."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from skyline.console import parse_bounds, progress_bar
+from skyline.console import progress_bar
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline_bench.commands.options import (
-    Crs,
-    Dems,
-    JsonFile,
-    PlotFile,
-    Quick,
-    Seed,
-    check_outputs,
-    keep_record,
-    print_rows,
-    store_folder,
-)
+from skyline_bench.commands import options
 from skyline_bench.figures.placing import save_placing
 from skyline_bench.runs.placing import PlacingConfig, measure
 
@@ -26,7 +14,7 @@ _PLACING = PlacingConfig()
 _COLUMNS = {
     "layout": "layout",
     "places": "places",
-    "megabytes": "MB",
+    "bytes": "MB",
     "build_cpu_s": "cpu s",
     "group": "skyline",
     "n": "n",
@@ -45,7 +33,7 @@ _COLUMNS = {
 
 
 def placing(
-    dem: Dems,
+    dem: options.Dems,
     spacing: Annotated[
         list[float] | None,
         typer.Option(metavar="M", help="Of a uniform grid; may be repeated [320 160 80]."),
@@ -60,15 +48,12 @@ def placing(
     queries: Annotated[int, typer.Option(help="Each is looked for in every store.")] = (
         _PLACING.queries
     ),
-    folder: Annotated[
-        Path | None,
-        typer.Option(help="Where stores and results are kept: a run that was stopped goes on."),
-    ] = None,
-    json_file: JsonFile = None,
-    plot: PlotFile = None,
-    seed: Seed = _PLACING.seed,
-    quick: Quick = False,
-    crs: Crs = None,
+    folder: options.Folder = None,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    seed: options.Seed = _PLACING.seed,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Placing: what uniform grids and planned places find for what they cost.
 
@@ -79,16 +64,15 @@ def placing(
     config = PlacingConfig(
         tuple(spacing or _PLACING.spacings_m),
         tuple(loss or _PLACING.losses),
-        parse_bounds(bounds) if bounds is not None else None,
+        options.bounds_of(bounds),
         queries,
         seed,
     )
-    check_outputs(json_file, plot)
+    options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
     config = config.quick(terrain) if quick else config
-    with store_folder(folder) as place, progress_bar("building and matching") as progress:
+    with options.store_folder(folder) as place, progress_bar("building and matching") as progress:
         rows = measure(terrain, config, place, progress)
-    print_rows([{**row, "megabytes": float(str(row["bytes"])) / 1e6} for row in rows], _COLUMNS)
-    keep_record(json_file, "placing", rows)
+    options.tell(json_file, "placing", rows, _COLUMNS)
     if plot is not None:
         save_placing(rows, plot)

@@ -6,17 +6,7 @@ from typing import Annotated
 import typer
 
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline_bench.commands.options import (
-    Crs,
-    Dems,
-    JsonFile,
-    PlotFile,
-    Quick,
-    Seed,
-    check_outputs,
-    keep_record,
-    print_rows,
-)
+from skyline_bench.commands import options
 from skyline_bench.figures.table1 import save_table1
 from skyline_bench.runs.prediction_quality import QualitySetup
 from skyline_bench.runs.prediction_quality import prediction_quality as qualities
@@ -25,12 +15,12 @@ from skyline_bench.runs.table1 import SEEDS, conclusions, measure
 
 def table1(
     seeds: Annotated[int, typer.Option(help="How many seeds, from 0 on.")] = SEEDS,
-    json_file: JsonFile = None,
-    plot: PlotFile = None,
-    quick: Quick = False,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    quick: options.Quick = False,
 ) -> None:
     """Repeat the paper's simulation: viewpoints and overlap of each of its strategies."""
-    check_outputs(json_file, plot)
+    options.check_outputs(json_file, plot)
     rows = measure(seeds, quick)
     columns = {
         "row": "row",
@@ -42,10 +32,10 @@ def table1(
         "bound": "bound",
         "seconds": "s",
     }
-    print_rows(rows, columns)
+    options.print_rows(rows, columns)
     for said, holds in conclusions(rows).items():
         typer.echo(f"{'holds' if holds else 'does not hold':<14} {said}")
-    keep_record(json_file, "table1", rows)
+    options.keep_record(json_file, "table1", rows)
     if plot is not None:
         save_table1(plot)
 
@@ -62,17 +52,16 @@ _QUALITY = {
 
 
 def prediction_quality(
-    dem: Dems,
+    dem: options.Dems,
     viewpoints: Annotated[int, typer.Option(help="Drawn at random.")] = _SETUP.viewpoints,
-    json_file: JsonFile = None,
-    seed: Seed = _SETUP.seed,
-    quick: Quick = False,
-    crs: Crs = None,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = _SETUP.seed,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Predictors against renderings: which displaced views look alike."""
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     setup = replace(_SETUP, viewpoints=min(viewpoints, 8) if quick else viewpoints, seed=seed)
     terrain = read_dem(dem, DemOptions(crs=crs))
     rows = [asdict(row) for row in qualities(terrain, setup)]
-    print_rows(rows, _QUALITY)
-    keep_record(json_file, "prediction-quality", rows)
+    options.tell(json_file, "prediction-quality", rows, _QUALITY)

@@ -1,24 +1,12 @@
 """Photos of one place measured: each alone and all together."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from skyline.console import parse_bounds, progress_bar
+from skyline.console import progress_bar
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline_bench.commands.options import (
-    Bounds,
-    Crs,
-    Dems,
-    JsonFile,
-    Quick,
-    Seed,
-    check_outputs,
-    keep_record,
-    print_rows,
-    store_folder,
-)
+from skyline_bench.commands import options
 from skyline_bench.runs.same_place import SamePlaceConfig, measure
 
 _SAME_PLACE = SamePlaceConfig()
@@ -40,31 +28,26 @@ _COLUMNS = {
 
 
 def same_place(
-    dem: Dems,
-    bounds: Bounds = None,
+    dem: options.Dems,
+    bounds: options.Bounds = None,
     spacing: Annotated[
         float, typer.Option(help="Of the store of places, metres.")
     ] = _SAME_PLACE.spacing_m,
     places: Annotated[int, typer.Option(help="Where photos are taken.")] = _SAME_PLACE.places,
     photos: Annotated[int, typer.Option(help="Photos of each place.")] = _SAME_PLACE.photos,
-    folder: Annotated[
-        Path | None, typer.Option(help="Where the store is kept and found again.")
-    ] = None,
-    json_file: JsonFile = None,
-    seed: Seed = _SAME_PLACE.seed,
-    quick: Quick = False,
-    crs: Crs = None,
+    folder: options.Folder = None,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = _SAME_PLACE.seed,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Photos of one place: how often one of them finds it, and how often all together.
 
     Once more, the last photo of each place is exchanged for a stranger: one of another place.
     """
-    config = SamePlaceConfig(
-        parse_bounds(bounds) if bounds is not None else None, spacing, places, photos, seed
-    )
-    check_outputs(json_file, None)
+    config = SamePlaceConfig(options.bounds_of(bounds), spacing, places, photos, seed)
+    options.check_outputs(json_file)
     terrain = read_dem(dem, DemOptions(crs=crs))
-    with store_folder(folder) as place, progress_bar("matching") as progress:
+    with options.store_folder(folder) as place, progress_bar("matching") as progress:
         rows = measure(terrain, config.quick() if quick else config, place, progress)
-    print_rows(rows, _COLUMNS)
-    keep_record(json_file, "same-place", rows)
+    options.tell(json_file, "same-place", rows, _COLUMNS)

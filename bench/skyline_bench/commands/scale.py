@@ -5,20 +5,9 @@ from typing import Annotated
 
 import typer
 
-from skyline.console import parse_bounds, progress_bar
+from skyline.console import progress_bar
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline_bench.commands.options import (
-    Crs,
-    Dems,
-    JsonFile,
-    PlotFile,
-    Quick,
-    Seed,
-    check_outputs,
-    keep_record,
-    print_rows,
-    store_folder,
-)
+from skyline_bench.commands import options
 from skyline_bench.figures.scale import save_scale
 from skyline_bench.runs.scale import ScaleConfig, measure
 
@@ -29,10 +18,10 @@ _COST = {
     "km2": "km2",
     "build_s": "build s",
     "build_cpu_s": "cpu s",
-    "megabytes": "MB",
+    "bytes": "MB",
     "open_s": "open s",
-    "own_gigabytes": "own GB",
-    "peak_gigabytes": "peak GB",
+    "own_bytes": "own MB",
+    "peak_bytes": "peak MB",
 }
 _FOUND = {
     "search": "searched",
@@ -53,7 +42,7 @@ _FOUND = {
 
 
 def scale(
-    dem: Dems,
+    dem: options.Dems,
     spacing: Annotated[
         float | None,
         typer.Option(help="Of the store that is built, metres; by default places are planned."),
@@ -83,15 +72,12 @@ def scale(
     queries: Annotated[int, typer.Option(help="Each is looked for in every area.")] = (
         _SCALE.queries
     ),
-    folder: Annotated[
-        Path | None,
-        typer.Option(help="Where store and results are kept: a run that was stopped goes on."),
-    ] = None,
-    json_file: JsonFile = None,
-    plot: PlotFile = None,
-    seed: Seed = _SCALE.seed,
-    quick: Quick = False,
-    crs: Crs = None,
+    folder: options.Folder = None,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    seed: options.Seed = _SCALE.seed,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Size: a store of places built, and synthetic queries found in squares of it that grow.
 
@@ -102,24 +88,20 @@ def scale(
     config = ScaleConfig(
         spacing_m=spacing,
         loss=loss,
-        bounds_deg=parse_bounds(bounds) if bounds is not None else None,
+        bounds_deg=options.bounds_of(bounds),
         store=store,
         areas_km2=tuple(area or _SCALE.areas_km2),
         near_km=tuple(near or _SCALE.near_km),
         queries=queries,
         seed=seed,
     )
-    check_outputs(json_file, plot)
+    options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
     config = config.quick(terrain) if quick else config
-    with store_folder(folder) as place, progress_bar("building and matching") as progress:
+    with options.store_folder(folder) as place, progress_bar("building and matching") as progress:
         cost, rows = measure(terrain, config, place, progress)
-    gigabytes = {
-        f"{name}_gigabytes": None if cost[key] is None else float(str(cost[key])) / 1e9
-        for name, key in (("own", "own_bytes"), ("peak", "peak_bytes"))
-    }
-    print_rows([{**cost, **gigabytes, "megabytes": float(str(cost["bytes"])) / 1e6}], _COST)
-    print_rows(rows, _FOUND)
-    keep_record(json_file, "scale", rows, {"store": [cost]})
+    options.print_rows([cost], _COST)
+    options.print_rows(rows, _FOUND)
+    options.keep_record(json_file, "scale", rows, {"store": [cost]})
     if plot is not None:
         save_scale(rows, plot)

@@ -1,4 +1,4 @@
-"""Our search measured: what time buys, very many places, skylines of elsewhere, its confidence."""
+"""Our search measured: very many places, skylines of elsewhere, its confidence."""
 
 from pathlib import Path
 from typing import Annotated
@@ -7,86 +7,51 @@ import typer
 
 from skyline.console import progress_bar
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline_bench.commands.options import (
-    Dems,
-    JsonFile,
-    PlotFile,
-    Quick,
-    Seed,
-    StoreFile,
-    check_folder,
-    check_outputs,
-    keep_record,
-    print_rows,
-)
-from skyline_bench.figures.accuracy_time import save_accuracy_time
+from skyline_bench.commands import options
 from skyline_bench.figures.reliability import save_reliability
-from skyline_bench.runs import accuracy_time as accuracy_times
 from skyline_bench.runs import learning
 from skyline_bench.runs import retrieval_scale as retrieval
 from skyline_bench.runs import strangers as elsewhere
 from skyline_bench.runs.calibration import write_models
 
 
-def accuracy_time(
-    store: StoreFile,
-    dem: Dems,
-    queries: Annotated[int, typer.Option(help="Each is matched in every setting.")] = 60,
-    json_file: JsonFile = None,
-    plot: PlotFile = None,
-    seed: Seed = 0,
-    quick: Quick = False,
-) -> None:
-    """Accuracy against time: how long a short list, how deep a refinement."""
-    check_outputs(json_file, plot)
-    count = min(queries, 2) if quick else queries
-    with progress_bar("queries") as progress:
-        rows = accuracy_times.measure(store, dem, count, seed, progress)
-    print_rows(rows)
-    keep_record(json_file, "accuracy-time", rows)
-    if plot is not None:
-        save_accuracy_time(rows, plot)
-
-
 def retrieval_scale(
-    store: StoreFile,
-    dem: Dems,
+    store: options.StoreFile,
+    dem: options.Dems,
     places: Annotated[int, typer.Option(help="In all.")] = 1_000_000,
     queries: Annotated[int, typer.Option(help="Looked for among them.")] = 30,
-    json_file: JsonFile = None,
-    seed: Seed = 0,
-    quick: Quick = False,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = 0,
+    quick: options.Quick = False,
 ) -> None:
     """Retrieval among very many places: seconds, memory, and whether the right one comes first."""
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     if quick:
         places, queries = min(places, 50_000), min(queries, 5)
     with progress_bar("queries") as progress:
         rows = retrieval.measure(store, dem, places, queries, seed, progress)
-    print_rows(rows)
-    keep_record(json_file, "retrieval-scale", rows)
+    options.tell(json_file, "retrieval-scale", rows)
 
 
 def strangers(
-    store: StoreFile,
-    dem: Dems,
+    store: options.StoreFile,
+    dem: options.Dems,
     strange: Annotated[
         list[str], typer.Option(metavar="DEM", help="Of elsewhere; may be repeated.")
     ],
     queries: Annotated[int, typer.Option(help="From the middle of that DEM.")] = 100,
-    json_file: JsonFile = None,
-    seed: Seed = 0,
-    quick: Quick = False,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = 0,
+    quick: options.Quick = False,
 ) -> None:
     """Skylines of elsewhere: how many a store answers, and how sure it is of them."""
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     terrain = read_dem(strange, DemOptions(reproject=True))
     count = min(queries, 5) if quick else queries
     with progress_bar("strangers") as progress:
         found = elsewhere.measure(store, dem, terrain, count, seed, progress)
     rows = [{"strange": [Path(path).name for path in strange], **found}]
-    print_rows(rows)
-    keep_record(json_file, "strangers", rows)
+    options.tell(json_file, "strangers", rows)
 
 
 def calibrate(
@@ -102,15 +67,15 @@ def calibrate(
         Path | None,
         typer.Option(metavar="FILE", help="Kept here, and read where they are there."),
     ] = None,
-    json_file: JsonFile = None,
-    plot: PlotFile = None,
-    seed: Seed = 1000,
-    quick: Quick = False,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    seed: options.Seed = 1000,
+    quick: options.Quick = False,
 ) -> None:
     """The confidence learned on Sierra and Rofental, its reliability shown on Davos."""
-    check_outputs(json_file, plot)
-    check_folder("--model", model)
-    check_folder("--examples", examples)
+    options.check_outputs(json_file, plot)
+    options.check_folder("--model", model)
+    options.check_folder("--examples", examples)
     if examples is not None and examples.exists():
         told = learning.kept(examples)
     else:
@@ -119,8 +84,7 @@ def calibrate(
         if examples is not None:
             learning.keep(told, examples)
     found = learning.learned(told)
-    print_rows(found.rows)
-    keep_record(json_file, "confidence", found.rows)
+    options.tell(json_file, "confidence", found.rows)
     if model is not None:
         write_models(model, found.models, found.about)
     if plot is not None:

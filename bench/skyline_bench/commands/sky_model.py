@@ -8,15 +8,7 @@ import typer
 
 from skyline.console import progress_bar
 from skyline.errors import InputError
-from skyline_bench.commands.options import (
-    JsonFile,
-    Quick,
-    Seed,
-    check_folder,
-    check_outputs,
-    keep_record,
-    print_rows,
-)
+from skyline_bench.commands import options
 from skyline_bench.runs import sky_masks as masks
 from skyline_bench.training.photographs import draw_training_photos
 
@@ -26,15 +18,14 @@ def sky_masks(
         Path,
         typer.Argument(metavar="FOLDER", help="NAME.jpg and NAME.mask.png, white = mountain."),
     ],
-    json_file: JsonFile = None,
-    quick: Quick = False,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
 ) -> None:
     """Skylines extracted from real photographs, against masks drawn by people."""
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     with progress_bar("photographs") as progress:
         rows = masks.measure(folder, quick, progress)
-    print_rows(rows)
-    keep_record(json_file, "sky-masks", rows)
+    options.tell(json_file, "sky-masks", rows)
 
 
 def train_sky_model(
@@ -43,11 +34,11 @@ def train_sky_model(
     ],
     photos: Annotated[int, typer.Option(help="Photographs to draw.")] = 6000,
     steps: Annotated[int, typer.Option(help="Batches of 16 to train on.")] = 4500,
-    seed: Seed = 1,
-    quick: Quick = False,
+    seed: options.Seed = 1,
+    quick: options.Quick = False,
 ) -> None:
     """The network that finds skylines in photos, trained anew on drawn photographs."""
-    check_folder("--out", out)
+    options.check_folder("--out", out)
     try:
         training = import_module("skyline_bench.training.training")
     except ModuleNotFoundError as error:

@@ -11,18 +11,7 @@ from skyline.console import progress_bar
 from skyline.errors import SkylineError
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.cases import stability as hard_cases
-from skyline_bench.commands.options import (
-    Crs,
-    Dems,
-    JsonFile,
-    PlotFile,
-    Quick,
-    Seed,
-    check_outputs,
-    keep_record,
-    print_rows,
-    rows_but,
-)
+from skyline_bench.commands import options
 from skyline_bench.figures.speed_error import save_speed_error
 from skyline_bench.figures.stability import save_stability
 from skyline_bench.measuring.record import machine
@@ -38,22 +27,22 @@ _SPEED_ERROR = SpeedErrorConfig()
 
 
 def speed_error(
-    dem: Dems,
+    dem: options.Dems,
     viewpoints: Annotated[
         int, typer.Option(help="Viewpoints of a batch, on a 100 m grid in the DEM's middle.")
     ] = _SPEED_ERROR.viewpoints,
     width: Annotated[
         int, typer.Option(help="Columns of all but the depth path.")
     ] = _SPEED_ERROR.width,
-    json_file: JsonFile = None,
-    plot: PlotFile = None,
-    seed: Seed = _SPEED_ERROR.seed,
-    quick: Quick = False,
-    crs: Crs = None,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    seed: options.Seed = _SPEED_ERROR.seed,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Every way to a skyline: milliseconds a viewpoint against error from the oracle."""
     config = replace(_SPEED_ERROR, viewpoints=viewpoints, width=width, seed=seed)
-    check_outputs(json_file, plot)
+    options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
     with progress_bar("measuring") as progress:
         rows = measure(terrain, config.quick() if quick else config, progress)
@@ -67,19 +56,18 @@ def speed_error(
         "max_px": "max px",
         "missing": "lost",
     }
-    print_rows(rows, columns)
-    keep_record(json_file, "speed-error", rows)
+    options.tell(json_file, "speed-error", rows, columns)
     if plot is not None:
         save_speed_error(rows, machine(), plot)
 
 
 def stability(
-    json_file: JsonFile = None,
-    plot: PlotFile = None,
-    quick: Quick = False,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    quick: options.Quick = False,
 ) -> None:
     """Every hard case along every path that promises something there; exit code 1 if one fails."""
-    check_outputs(json_file, plot)
+    options.check_outputs(json_file, plot)
     rows: list[hard_cases.Row] = []
     asked = [
         (path, case)
@@ -91,7 +79,7 @@ def stability(
         for path, case in asked:
             progress(len(rows), len(asked))
             rows += hard_cases.measure(path, quick, [case])
-    print_rows(
+    options.print_rows(
         [{**row, "verdict": "holds" if row["ok"] else "FAILS"} for row in rows],
         {
             "case": "case",
@@ -101,7 +89,7 @@ def stability(
             "verdict": "verdict",
         },
     )
-    keep_record(json_file, "stability", rows)
+    options.keep_record(json_file, "stability", rows)
     if plot is not None:
         save_stability(rows, plot)
     failed = [f"{row['case']} ({row['path']})" for row in rows if not row["ok"]]
@@ -110,53 +98,51 @@ def stability(
 
 
 def place_speed(
-    dem: Dems,
+    dem: options.Dems,
     eyes: Annotated[int, typer.Option(help="Eyes, on an 80 m grid in the DEM's middle.")] = 2000,
-    json_file: JsonFile = None,
-    quick: Quick = False,
-    crs: Crs = None,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Skylines all the way round against four headings: milliseconds an eye, taken in turns."""
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     terrain = read_dem(dem, DemOptions(crs=crs))
     rows = ways_to_places.measure(terrain, min(eyes, 100) if quick else eyes)
-    print_rows(rows)
-    keep_record(json_file, "place-speed", rows)
+    options.tell(json_file, "place-speed", rows)
 
 
 def horizon(
-    dem: Dems,
-    json_file: JsonFile = None,
-    seed: Seed = 0,
-    quick: Quick = False,
-    crs: Crs = None,
+    dem: options.Dems,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = 0,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Horizons of 1,000 places every half degree: Skyline, Embree's rays and GRASS.
 
     Embree needs embreex (extra peers), GRASS `grass` on the path; what is not there is left out.
     """
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     config = horizon_tools.HorizonConfig(seed=seed)
     terrain = read_dem(dem, DemOptions(crs=crs))
     rows = horizon_tools.measure(terrain, config.quick() if quick else config)
-    print_rows(rows)
-    keep_record(json_file, "horizon", rows)
+    options.tell(json_file, "horizon", rows)
 
 
 def summits(
-    dem: Dems,
-    json_file: JsonFile = None,
-    quick: Quick = False,
-    crs: Crs = None,
+    dem: options.Dems,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
 ) -> None:
     """Summits of a DEM's file against those of the surface, how they are seen, and what it costs.
 
     A record that is there keeps the rows of other DEMs.
     """
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     config = summits_kept.SummitsConfig()
     rows = summits_kept.measure(dem, crs, config.quick() if quick else config)
-    print_rows(
+    options.print_rows(
         rows,
         {
             "surface": "surface",
@@ -173,29 +159,29 @@ def summits(
             "place_cpu_ms": "ms a place",
         },
     )
-    keep_record(json_file, "summits", rows_but(json_file, "dem", [str(rows[0]["dem"])]) + rows)
+    options.keep_record(
+        json_file, "summits", options.rows_but(json_file, "dem", [str(rows[0]["dem"])]) + rows
+    )
 
 
 def large_dem(
     samples: Annotated[int, typer.Option(help="Rows and columns of the made-up DEM.")] = 20_000,
     viewpoints: Annotated[int, typer.Option(help="About its middle.")] = 256,
-    json_file: JsonFile = None,
-    quick: Quick = False,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
 ) -> None:
     """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     samples, viewpoints = (
         (min(samples, 4000), min(viewpoints, 32)) if quick else (samples, viewpoints)
     )
     rows = [large_dems.measure(samples, viewpoints)]
-    print_rows(rows)
-    keep_record(json_file, "large-dem", rows)
+    options.tell(json_file, "large-dem", rows)
 
 
-def pipeline_speed(json_file: JsonFile = None, quick: Quick = False) -> None:
+def pipeline_speed(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
     """Every stage from DEM to match, on a small DEM that is always at hand."""
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     with tempfile.TemporaryDirectory() as folder:
         rows = pipeline_stages.measure(Path(folder), repeats=1 if quick else 3)
-    print_rows(rows)
-    keep_record(json_file, "pipeline-speed", rows)
+    options.tell(json_file, "pipeline-speed", rows)

@@ -11,16 +11,7 @@ import typer
 from skyline.console import progress_bar
 from skyline.errors import InputError
 from skyline.terrain.dem import read_dem
-from skyline_bench.commands.options import (
-    Dems,
-    JsonFile,
-    Quick,
-    Seed,
-    check_outputs,
-    keep_record,
-    print_rows,
-    rows_but,
-)
+from skyline_bench.commands import options
 from skyline_bench.measuring.record import Row
 from skyline_bench.runs import input_fuzz as damaged_input
 from skyline_bench.runs import sharded_build as shards
@@ -30,33 +21,33 @@ _DURABILITY = durability.DurabilityConfig(Path())
 
 
 def sharded_build(
-    dem: Dems,
+    dem: options.Dems,
     part: Annotated[
         list[str] | None,
         typer.Option(
             help=f"May be repeated; by default all: {', '.join(shards.PARTS)}; quick: killed."
         ),
     ] = None,
-    json_file: JsonFile = None,
-    quick: Quick = False,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
 ) -> None:
     """Sharded builds of the High Sierra: two workers against one, one killed, 3,000 km2.
 
     DEM are 3 arc-second tiles about 119.6 to 119.0 degrees west, 37.4 to 38.0 north. In a record
     that is there already, the parts that are not run keep their rows.
     """
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     parts = _known(part or (["killed"] if quick else None), shards.PARTS)
-    rows = rows_but(json_file, "case", parts)
+    rows = options.rows_but(json_file, "case", parts)
     terrain = read_dem(dem)
     with progress_bar("parts") as progress:
         for index, name in enumerate(parts):
             progress(index, len(parts))
             with tempfile.TemporaryDirectory() as folder:
                 rows += shards.PARTS[name](terrain, Path(folder), quick)
-            keep_record(json_file, "sharded-build", rows)
+            options.keep_record(json_file, "sharded-build", rows)
     for row in rows:
-        print_rows([row])
+        options.print_rows([row])
 
 
 def store_durability(
@@ -73,42 +64,41 @@ def store_durability(
     flips: Annotated[int, typer.Option(help="Bits, one at a time.")] = _DURABILITY.flips,
     cases: Annotated[int, typer.Option(help="Mutated files.")] = _DURABILITY.cases,
     seconds: Annotated[float, typer.Option(help="Of reading.")] = _DURABILITY.seconds,
-    json_file: JsonFile = None,
-    quick: Quick = False,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
 ) -> None:
     """Builds killed, bits flipped, files mutated, readers beside a writer; codings of rows.
 
     In a record that is there already, the tests that are not run keep their rows.
     """
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     tests = _known(test, durability.TESTS)
     config = durability.DurabilityConfig(dem, tuple(store or ()), kills, flips, cases, seconds)
     if quick:
         config = replace(config, kills=3, flips=5, cases=10, seconds=2.0, renderings=64)
-    rows = rows_but(json_file, "test", [name.replace("-", " ") for name in tests])
+    rows = options.rows_but(json_file, "test", [name.replace("-", " ") for name in tests])
     with tempfile.TemporaryDirectory() as folder:
         for row in durability.measure(config, tests, Path(folder)):
             rows.append(row)
-            print_rows([row])
+            options.print_rows([row])
     # At the end: a record names the renderer, and OpenGL does not outlive the forks of these tests.
-    keep_record(json_file, "store-durability", rows)
+    options.keep_record(json_file, "store-durability", rows)
 
 
 def input_fuzz(
     cases: Annotated[int, typer.Option(help="Of each kind of file.")] = 250,
-    json_file: JsonFile = None,
-    seed: Seed = 0,
-    quick: Quick = False,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = 0,
+    quick: options.Quick = False,
 ) -> None:
     """Damaged DEMs, viewpoint lists, traces and images: one line and exit 2, or an answer."""
-    check_outputs(json_file, None)
+    options.check_outputs(json_file)
     rows: list[Row] = []
     with progress_bar("kinds of files") as progress:
         for row in damaged_input.measure(min(cases, 10) if quick else cases, seed):
             rows.append(row)
             progress(len(rows), damaged_input.KINDS)
-    print_rows(rows)
-    keep_record(json_file, "input-fuzz", rows)
+    options.tell(json_file, "input-fuzz", rows)
 
 
 def _known(asked: list[str] | None, names: Mapping[str, object]) -> list[str]:

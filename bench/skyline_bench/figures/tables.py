@@ -8,7 +8,7 @@ from skyline_bench.trials.distance_groups import ALL
 STORES = {
     "store": "store",
     "renderings": "renderings",
-    "megabytes": "MB",
+    "bytes": "MB",
     "build_s": "build s",
     "matcher": "matcher",
     "close": "close m",
@@ -53,7 +53,7 @@ def store_lines(rows: Sequence[Row]) -> list[Row]:
         line = lines.setdefault((row["store"], row["matcher"]), {})
         line[str(row["group"])] = row["mean_m"]
         if row["group"] == ALL:
-            line |= {**row, "megabytes": float(str(row["bytes"])) / 1e6}
+            line |= row
     return list(lines.values())
 
 

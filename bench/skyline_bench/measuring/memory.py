@@ -1,9 +1,8 @@
-"""How much memory this process takes."""
+"""How much memory a process takes."""
 
 import re
 from pathlib import Path
 
-_PROCESS = Path("/proc/self/status")
 _RESET, _RESET_PEAK = Path("/proc/self/clear_refs"), "5"
 
 
@@ -23,14 +22,15 @@ def peak_bytes() -> int | None:
     return _kilobytes("VmHWM")
 
 
-def own_bytes() -> int | None:
-    """Return the resident memory that lies in no file; None where unknown."""
-    return _kilobytes("RssAnon")
+def own_bytes(process: int | str = "self") -> int | None:
+    """Return the resident memory of a process that lies in no file; None where unknown."""
+    return _kilobytes("RssAnon", process)
 
 
-def _kilobytes(name: str) -> int | None:
+def _kilobytes(name: str, process: int | str = "self") -> int | None:
     try:
-        found = re.search(rf"^{name}:\s*(\d+) kB$", _PROCESS.read_text(), re.MULTILINE)
+        status = Path(f"/proc/{process}/status").read_text(encoding="utf-8")
+        found = re.search(rf"^{name}:\s*(\d+) kB$", status, re.MULTILINE)
     except OSError:
         return None
     return 1024 * int(found[1]) if found else None

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from skyline.errors import BuildError, InputError
+from skyline_bench.measuring.memory import own_bytes
 
 _SERVE = "from skyline.cli import main; main()"
 _WINDOW = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
@@ -36,9 +37,7 @@ class ServedPage:
 
     def own_bytes(self) -> int:
         """Return the memory of the server that lies in no file."""
-        status = Path(f"/proc/{self.process}/status").read_text(encoding="utf-8")
-        found = re.search(r"^RssAnon:\s*(\d+) kB$", status, re.MULTILINE)
-        return 1024 * int(found[1]) if found else 0
+        return own_bytes(self.process) or 0
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Drawn mountain photos, hard ones, whose skyline is known: what the extractor is measured on.
+"""Drawn mountain photos, hard ones, whose skyline is known: an extractor learns from them.
 
 No terrain and no renderer: fractal ridges in front of one another, shaded rock, snow, haze, skies
 and clouds, what stands in front of them, and what the camera and the file did afterwards. A
@@ -15,7 +15,6 @@ from PIL import Image
 from scipy import ndimage
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
-from skyline.errors import InputError
 
 RIDGE_KNEE_SHARE = 0.43
 """Where the skylines lie on average, as a share of the rows from the top."""
@@ -130,14 +129,6 @@ class DrawnPhoto:
     row_px: Float64Array
     visible: BoolArray
     fov_deg: float
-
-
-def draw_photo(condition: str, seed: int) -> DrawnPhoto:
-    """Draw one photo of a condition in ``CONDITIONS``."""
-    if condition not in CONDITIONS:
-        raise InputError(f"condition is {condition!r}; expected one of {', '.join(CONDITIONS)}")
-    rng = np.random.default_rng([seed, list(CONDITIONS).index(condition)])
-    return draw_recipe(rng, CONDITIONS[condition])
 
 
 def draw_recipe(rng: np.random.Generator, recipe: Recipe) -> DrawnPhoto:

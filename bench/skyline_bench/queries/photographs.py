@@ -26,7 +26,6 @@ def photograph(
     index: int,
     camera: Camera,
     seed: int,
-    scenery: Scenery | None = None,
 ) -> NDArray[np.uint8]:
     """Return an RGB photograph (H, W, 3) taken from one viewpoint.
 
@@ -38,12 +37,12 @@ def photograph(
     distance = _distance(renderer.depth_images(viewpoints, index), rays)
     eye = float(viewpoints.easting_m[index]), float(viewpoints.northing_m[index])
     ground = np.isfinite(distance)
-    picture = _scene(renderer, eye, rays, distance, ground.astype(float), scenery, generator)
+    picture = _scene(renderer, eye, rays, distance, ground.astype(float), Scenery(), generator)
     return _exposed(picture, generator)
 
 
 def draw_photo(
-    renderer: DepthRenderer, query: SyntheticQuery, seed: int, scenery: Scenery | None = None
+    renderer: DepthRenderer, query: SyntheticQuery, seed: int, scenery: Scenery
 ) -> NDArray[np.uint8]:
     """Return the RGB photograph (H, W, 3) of a synthetic query, its occluders in front.
 
@@ -76,11 +75,10 @@ def _scene(
     rays: Float64Array,
     distance: Float64Array,
     ground_share: Float64Array,
-    scenery: Scenery | None,
+    scenery: Scenery,
     generator: np.random.Generator,
 ) -> Float64Array:
     """Return ground and sky (H, W, 3), mixed by the share of ground in each pixel."""
-    scenery = scenery or Scenery()
     shown = ground_share > 0.0
     distance = _carried_up(distance)
     ridge_row = np.where(shown.any(axis=0), np.argmax(shown, axis=0), len(shown) - 1)

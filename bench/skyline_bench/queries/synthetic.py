@@ -14,16 +14,16 @@ import numpy as np
 from scipy import ndimage
 
 from skyline.arrays import Float64Array
-from skyline.camera import check_width
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
+from skyline.horizons import Horizons, bin_azimuths_rad, check_bins
 from skyline.matching.query import QueryRays
 from skyline.photo.query import QuerySkyline
 from skyline.planning.uniform import MapBounds
+from skyline.render.panorama import PanoramaRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
 from skyline_bench.queries.occluders import Occluder, random_occluders, random_runs
-from skyline_bench.queries.panoramas import Panorama, panoramas
 from skyline_bench.queries.pinhole import Camera
 
 _MAX_DRAWS = 10_000
@@ -62,8 +62,8 @@ class QueryConfig:
         Eye above ground.
     width_px, height_px : int
         Image size; tall by default, so that what rises steeply near by stays in the image.
-    render_width : int
-        Columns of the views that the skyline is taken from.
+    azimuths : int
+        To a turn, of the exact horizon that the skyline is taken from.
     curvature : Curvature
     """
 
@@ -80,7 +80,7 @@ class QueryConfig:
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
     width_px: int = 640
     height_px: int = 960
-    render_width: int = 2560
+    azimuths: int = 10_240
     curvature: Curvature = field(default_factory=Curvature)
 
     @property
@@ -89,7 +89,7 @@ class QueryConfig:
         return self.fov_error / math.sqrt(3.0)
 
     def __post_init__(self) -> None:
-        check_width(self.render_width)
+        check_bins(self.azimuths)
         for name, (low, high), most in (
             ("fov_deg", self.fov_deg, 120.0),
             ("noise_deg", self.noise_deg, 10.0),
@@ -234,10 +234,11 @@ def _queries(
     held = [[_hold(terrain, bounds_m, each, config) for each in some] for some in entropies]
     easting_m, northing_m = np.array([some[0][0] for some in held]).T
     eyes = stand_on(terrain, easting_m, northing_m, config.eye_height_m)
-    rendered = panoramas(terrain, eyes, config.render_width, config.curvature)
-    for index, panorama in enumerate(rendered):
+    with PanoramaRenderer(terrain, config.azimuths, config.curvature, 0.0) as renderer:
+        rendered = renderer.render(eyes)
+    for index in range(len(held)):
         yield tuple(
-            _photographed(panorama, camera, _truth(eyes, index, camera), entropy, config)
+            _photographed(rendered, index, camera, _truth(eyes, index, camera), entropy, config)
             for (_, camera), entropy in zip(held[index], entropies[index], strict=True)
         )
 
@@ -279,13 +280,20 @@ def _truth(eyes: Viewpoints, index: int, camera: Camera) -> Truth:
 
 
 def _photographed(
-    panorama: Panorama, camera: Camera, truth: Truth, entropy: list[int], config: QueryConfig
+    horizons: Horizons,
+    index: int,
+    camera: Camera,
+    truth: Truth,
+    entropy: list[int],
+    config: QueryConfig,
 ) -> SyntheticQuery:
-    """Return what an extraction finds in a photo of a panorama."""
+    """Return what an extraction finds in a photo of one of the horizons."""
     masks = np.random.default_rng([*entropy, _MASKS])
     errors = np.random.default_rng([*entropy, _ERRORS])
     things = np.random.default_rng([*entropy, _OCCLUDERS])
-    row_px, sample = camera.skyline(panorama.azimuth_deg, panorama.elevation_tan)
+    azimuth_deg = np.degrees(bin_azimuths_rad(horizons.bins))
+    elevation_tan = horizons.elevation_tan[index].astype(np.float64)
+    row_px, sample = camera.skyline(azimuth_deg, elevation_tan)
     inside = (row_px > -0.5) & (row_px < camera.height_px - 0.5)
     row_px = np.where(inside, row_px, np.nan)
     occluders = random_occluders(things, row_px, things.uniform(*config.occluded_share))
@@ -310,7 +318,7 @@ def _photographed(
         config.fov_slack,
         truth,
         row_px,
-        float(np.median(panorama.distance_m[sample[inside]])) if inside.any() else np.nan,
+        float(np.median(horizons.distance_m[index, sample[inside]])) if inside.any() else np.nan,
         occluders,
     )
 

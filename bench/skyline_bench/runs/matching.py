@@ -1,30 +1,22 @@
-"""Matchers compared: how often, how far off and how fast they find synthetic queries in stores."""
+"""What a comparison of matchers is asked for: stores, queries and matchers."""
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
-import numpy as np
-
 from skyline.errors import InputError
-from skyline.pipeline import PlaceConfig, Progress, RenderConfig
+from skyline.paper.planning.plan import PlanConfig
 from skyline.planning.uniform import map_bounds
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.queries.other_dems import perturbed, resampled
-from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
-from skyline_bench.stores.reference import (
-    ReferenceStore,
-    check_spacing,
-    given_store,
-    place_store,
-    uniform_store,
-)
-from skyline_bench.trials.matchers import WHAT, check_matchers, open_matcher, searched_by
-from skyline_bench.trials.trials import Trial, run_trials, summarize
+from skyline_bench.queries.synthetic import QueryConfig
+from skyline_bench.trials.matchers import WHAT, check_matchers, searched_by
 
 BoundsDeg = tuple[float, float, float, float]
+Grid = tuple[str, float]
+"""What a uniform store holds, and its spacing in metres."""
 
 DEFAULT_AREA_M = (5_000.0, 10_000.0)
 """East by north, in the DEM's middle."""
@@ -40,8 +32,8 @@ KINDS: Mapping[str, str] = MappingProxyType(
 )
 """Kinds of queries. Those of one number have one place and pose in every kind."""
 
-_OTHER_SPACING, _OTHER_PHASE = 1.3, (0.37, 0.61)
-_HIDDEN_SHARE = 0.3
+_COARSE_M = 512.0
+_QUICK_M = 3000.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,17 +48,25 @@ class MatchingConfig:
         Of the uniform stores of renderings, built where a matcher searches such.
     place_spacings_m : tuple of float
         Of the uniform stores of places, likewise.
+    plans : tuple of PlanConfig
+        What the paper's planners are asked for: a store of the renderings of each, and one of
+        whole places at their eyes, likewise.
     stores : tuple of Path
-        Stores that are there already, measured after the uniform ones.
+        Stores that are there already, measured after the others.
     matchers : tuple of str
         Names of `skyline_bench.trials.matchers.WHAT`; each is run on the stores it can search.
     kinds : tuple of str
         Names of `KINDS`.
     queries : int
         Of each kind.
+    grouped : bool
+        Whether queries are told apart by how far their skyline is; takes three at least.
     seed : int
+        Of the queries and the intervals.
     top : int
         Candidates asked for; the first one counts.
+    workers : int, optional
+        Processes at work, each with one thread; by default this process with all of them.
     query : QueryConfig
         Plain queries.
     """
@@ -74,151 +74,67 @@ class MatchingConfig:
     bounds_deg: BoundsDeg | None = None
     spacings_m: tuple[float, ...] = (1024.0, 512.0, 256.0, 128.0)
     place_spacings_m: tuple[float, ...] = (160.0, 120.0, 80.0, 60.0, 40.0)
+    plans: tuple[PlanConfig, ...] = ()
     stores: tuple[Path, ...] = ()
     matchers: tuple[str, ...] = tuple(WHAT)
     kinds: tuple[str, ...] = tuple(KINDS)
     queries: int = 300
+    grouped: bool = False
     seed: int = 0
     top: int = 5
+    workers: int | None = None
     query: QueryConfig = field(default_factory=QueryConfig)
 
     def __post_init__(self) -> None:
-        if self.queries < 1:
-            raise InputError(f"the number of queries is {self.queries}; expected at least 1")
-        if self.seed < 0:
-            raise InputError(f"seed is {self.seed}; expected 0 or more")
+        for name, value, least in (
+            ("the number of queries", self.queries, 3 if self.grouped else 1),
+            ("seed", self.seed, 0),
+            ("workers", 1 if self.workers is None else self.workers, 1),
+        ):
+            if value < least:
+                raise InputError(f"{name} is {value}; expected {least} or more")
+        for name in ("spacings_m", "place_spacings_m", "plans", "matchers", "kinds"):
+            # Asked for twice is asked for once: two processes must not build the same store.
+            object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
         check_matchers(self.matchers)
-        if not self.grids() and not self.stores:
+        if not (self.grids() or self.plans or self.stores):
             raise InputError("there is no store to match; give a spacing or a store")
         for kind in self.kinds:
             if kind not in KINDS:
                 raise InputError(f"kind of queries is {kind!r}; expected one of {', '.join(KINDS)}")
 
-    def grids(self) -> list[tuple[str, float]]:
-        """Return what the uniform stores hold that a matcher searches, and their spacing."""
-        wanted = {searched_by(name) for name in self.matchers}
+    def searched(self) -> set[str]:
+        """Return what the matchers search: places, renderings or both."""
+        return {searched_by(name) for name in self.matchers}
+
+    def grids(self) -> list[Grid]:
+        """Return the uniform stores that a matcher searches."""
         grids = [(RENDERINGS, spacing_m) for spacing_m in self.spacings_m]
         grids += [(PLACES, spacing_m) for spacing_m in self.place_spacings_m]
-        return [grid for grid in grids if grid[0] in wanted]
+        return [grid for grid in grids if grid[0] in self.searched()]
 
-    def quick(self) -> "MatchingConfig":
-        """Return a version that takes a minute: few queries, coarse stores."""
-        coarse = tuple(spacing for spacing in self.spacings_m if spacing >= 512.0)
-        return replace(
-            self,
-            queries=min(self.queries, 20),
-            spacings_m=coarse or self.spacings_m[:1],
-            place_spacings_m=self.place_spacings_m[:1],
+    def quick(self, terrain: HeightField) -> "MatchingConfig":
+        """Return a version that takes a minute or two: few queries, no fine grids.
+
+        With planners, the area is its middle, and the budget the least one, by as much as the area
+        is smaller.
+        """
+        coarse, places = (
+            tuple(spacing for spacing in some if spacing >= _COARSE_M) or some[:1]
+            for some in (self.spacings_m, self.place_spacings_m)
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """One matcher's trials of one kind of queries on one store."""
-
-    store: ReferenceStore
-    matcher: str
-    kind: str
-    trials: tuple[Trial, ...]
-
-    def row(self, seed: int) -> dict[str, object]:
-        """Return the table's row: store, matcher, queries, figures of `summarize`, and costs."""
-        return {
-            "store": self.store.name,
-            "matcher": self.matcher,
-            "queries": self.kind,
-            **summarize(self.trials, seed),
-            "places": self.store.places,
-            "bytes": self.store.size_bytes,
-            "build_s": self.store.build_s,
-            "build_cpu_s": self.store.build_cpu_s,
-        }
-
-
-def measure(
-    terrain: HeightField,
-    config: MatchingConfig,
-    folder: Path,
-    progress: Progress | None = None,
-) -> list[Comparison]:
-    """Match the same queries to every store with every matcher that can search it.
-
-    Parameters
-    ----------
-    terrain : HeightField
-        What the uniform stores are rendered from.
-    config : MatchingConfig
-    folder : Path
-        Where these stores are, or will be: they are used again.
-    progress : callable, optional
-
-    Returns
-    -------
-    list of Comparison
-        By store, then matcher, then kind. Position errors are those of the best candidate,
-        whether or not the matcher stands by it; a query without any counts as wrong by half of
-        the area's diagonal. Heading errors are those of the right answers.
-
-    Raises
-    ------
-    InputError
-        Bounds outside the DEM, an area too small for a spacing, or a store for no matcher.
-    StoreMismatchError
-        The folder has a store of another DEM, area or configuration.
-    """
-    bounds_deg = config.bounds_deg or middle_deg(terrain)
-    for _, spacing_m in config.grids():
-        check_spacing(terrain, spacing_m, bounds_deg)
-    searched = {searched_by(name) for name in config.matchers}
-    given = [given_store(terrain, path) for path in config.stores]
-    for store in given:
-        if store.holds not in searched:
-            raise InputError(
-                f"{store.path} holds {store.holds}, which none of {', '.join(config.matchers)} "
-                "searches; name another matcher"
-            )
-    pairs = [
-        (store, name)
-        for store in (*_stores(terrain, config, bounds_deg, folder), *given)
-        for name in config.matchers
-        if searched_by(name) == store.holds
-    ]
-    queries = {kind: _queries(terrain, config, bounds_deg, kind) for kind in config.kinds}
-    west, south, east, north = map_bounds(terrain, bounds_deg)
-    miss_m = float(np.hypot(east - west, north - south)) / 2.0
-    compared: list[Comparison] = []
-    for store, name in pairs:
-        with open_matcher(name, store.path, terrain) as matcher:
-            for kind, made in queries.items():
-                if progress:
-                    progress(len(compared), len(pairs) * len(queries))
-                trials = tuple(run_trials(matcher, made, miss_m, config.top))
-                compared.append(Comparison(store, name, kind, trials))
-    return compared
-
-
-def _stores(
-    terrain: HeightField, config: MatchingConfig, bounds_deg: BoundsDeg, folder: Path
-) -> Iterator[ReferenceStore]:
-    for holds, spacing_m in config.grids():
-        if holds == PLACES:
-            yield place_store(terrain, folder, spacing_m, bounds_deg, PlaceConfig())
-        else:
-            yield uniform_store(terrain, folder, spacing_m, bounds_deg, RenderConfig())
-
-
-def _queries(
-    terrain: HeightField, config: MatchingConfig, bounds_deg: BoundsDeg, kind: str
-) -> Sequence[SyntheticQuery]:
-    seen, query = terrain, config.query
-    if kind == OTHER_DEM:
-        other = resampled(terrain, _OTHER_SPACING * terrain.spacing_m, _OTHER_PHASE)
-        seen = perturbed(other, seed=config.seed)
-    elif kind == WHITE:
-        query = replace(query, smooth_share=0.0)
-    elif kind == OCCLUDED:
-        query = replace(query, occluded_share=(_HIDDEN_SHARE, _HIDDEN_SHARE))
-    return make_queries(seen, map_bounds(terrain, bounds_deg), config.queries, config.seed, query)
+        queries = min(self.queries, 12 if self.plans else 20)
+        small = replace(self, queries=queries, spacings_m=coarse, place_spacings_m=places)
+        if not self.plans:
+            return small
+        bounds_deg = self.bounds_deg or middle_deg(terrain)
+        west, south, east, north = map_bounds(terrain, bounds_deg)
+        size_m = min(east - west, _QUICK_M), min(north - south, _QUICK_M)
+        share = size_m[0] * size_m[1] / ((east - west) * (north - south))
+        budgets = [plan.budget for plan in self.plans if plan.budget is not None]
+        budget = math.ceil(share * min(budgets)) if budgets else None
+        plans = tuple(replace(plan, budget=budget) for plan in self.plans)
+        return replace(small, bounds_deg=middle_deg(terrain, size_m, bounds_deg), plans=plans)
 
 
 def middle_deg(

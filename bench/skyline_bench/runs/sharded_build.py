@@ -79,7 +79,7 @@ def _build(terrain: HeightField, path: Path, plan: ShardPlan, workers: int, cloc
         ended = time.perf_counter()
     return {
         "workers": workers,
-        "renderings": done.renderings,
+        "renderings": done.rows,
         "start_s": ready - started,
         "first_tile_s": clock.first_tile - ready,
         "build_s": clock.last_tile - ready,

@@ -45,7 +45,7 @@ def draw_view(seed: tuple[int, ...], terrain_seed: int, size_px: tuple[int, int]
         width_px=width,
         height_px=height,
         eye_height_m=float(np.exp(rng.uniform(np.log(2.0), np.log(300.0)))),
-        render_width=4 * width,
+        azimuths=16 * width,
     )
     west, south, east, north = terrain.bounds_m
     margin = 0.5 * (1.0 - _PLACES_SHARE)

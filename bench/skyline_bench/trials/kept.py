@@ -26,8 +26,7 @@ MEASURED_CODE: Mapping[ModuleType, Sequence[str]] = {
         "pipeline", "places", "planning/uniform.py", "render", "store", "terrain",
     ),
     skyline_bench: (
-        "queries/synthetic.py", "queries/occluders.py", "queries/panoramas.py",
-        "queries/pinhole.py",
+        "queries/synthetic.py", "queries/occluders.py", "queries/pinhole.py",
         "trials/matchers.py", "trials/traced.py", "trials/trials.py",
     ),
 }  # fmt: skip

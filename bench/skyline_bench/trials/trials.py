@@ -1,10 +1,8 @@
 """Trials: one matcher's answers to synthetic queries, how wrong they are, and their summary."""
 
-import csv
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -14,7 +12,6 @@ from skyline.matching import Candidate
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.photo import QuerySkyline
 from skyline.pipeline import MatchResult
-from skyline_bench.measuring.record import write_record
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 
 _RESAMPLES = 2000
@@ -145,42 +142,3 @@ def summarize(trials: Sequence[Trial], seed: int) -> dict[str, object]:
         "precision": float((error_m <= within_m)[answered].mean()) if answered.any() else None,
         "query_ms": 1e3 * float(np.median([trial.seconds for trial in trials])),
     }
-
-
-def candidate_rows(trial: Trial) -> list[dict[str, object]]:
-    """Return one row for each candidate of a trial, with all that the matcher said of it.
-
-    A trial without candidates has one row, of rank None.
-    """
-    truth = asdict(trial.truth)
-    truth["grid_heading_deg"] = truth.pop("heading_deg")
-    about: dict[str, object] = {
-        "query": trial.query,
-        **{f"true_{name}": value for name, value in truth.items()},
-        "distance_m": trial.distance_m,
-        "answered_within_m": trial.answered_within_m,
-        "seconds": trial.seconds,
-    }
-    if not trial.candidates:
-        return [{**about, "rank": None, "error_m": trial.error_m}]
-    rows = []
-    for rank, candidate in enumerate(trial.candidates, start=1):
-        error_m, turn_deg = errors(candidate, trial.truth)
-        figures = {"rank": rank, "error_m": error_m, "heading_error_deg": turn_deg}
-        grid = {"grid_heading_deg": candidate.grid_heading_deg}
-        rows.append({**about, **figures, **asdict(candidate), **grid})
-    return rows
-
-
-def write_rows(path: Path, bench: str, rows: Sequence[dict[str, object]]) -> None:
-    """Write rows as CSV where the path ends so, else as a record with the machine (JSON)."""
-    if path.suffix.lower() != ".csv":
-        write_record(path, bench, rows)
-        return
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    partial = path.with_name(path.name + ".partial")
-    with partial.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, names)
-        writer.writeheader()
-        writer.writerows(rows)
-    partial.replace(path)

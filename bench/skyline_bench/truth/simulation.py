@@ -114,16 +114,15 @@ class Simulation:
     Parameters
     ----------
     row : Row
-    mountain : Mountain, optional
 
     Attributes
     ----------
     grid : CandidateGrid
     """
 
-    def __init__(self, row: Row, mountain: Mountain | None = None) -> None:
+    def __init__(self, row: Row) -> None:
         self.row = row
-        self.mountain = mountain or Mountain()
+        self.mountain = Mountain()
         size = self.mountain.size
         self.grid = CandidateGrid(np.ones((size, size), dtype=bool), self.mountain.reach)
         stride = DEFAULT_WIDTH / self.mountain.columns

@@ -62,9 +62,8 @@ function said(result) {
   const claim = result.claim ? [element("p", { class: "claim" }, result.claim)] : [];
   if (result.answered) {
     const best = result.candidates[0];
-    const chance = result.within === 1000 ? best.roughly : best.confidence;
-    const near = result.within === 1000 ? " within 1 km" : "";
-    const sure = chance === null ? "" : `, ${Math.round(100 * chance)} % sure`;
+    const near = result.within === null ? "" : ` within ${result.within} m`;
+    const sure = result.chance === null ? "" : `, ${Math.round(100 * result.chance)} % sure`;
     return [element("span", { class: "yes" }, `Found${near}${sure}. `), degrees(best.lon, best.lat), ...claim];
   }
   return [element("span", { class: "no" }, "No answer: "), `${result.refusal}. `,

@@ -1,0 +1,63 @@
+"""`skyline match --same-place`: photos of one place."""
+
+import json
+
+import pytest
+from commands import assert_refused, off_m
+from PIL import Image
+
+from skyline import read_dem, stand_on
+from skyline.render.depth import DepthRenderer
+from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.pinhole import Camera
+
+
+@pytest.fixture(scope="module")
+def photos_of_one_place(dem, photo, tmp_path_factory):
+    """The photo, one more from its place, and one from another place."""
+    folder, terrain = tmp_path_factory.mktemp("photos"), read_dem([dem])
+    looks = {
+        "other_way.jpg": (601_800.0, 5_178_000.0, 30.0),
+        "stranger.jpg": (601_200.0, 5_178_600.0, 200.0),
+    }
+    with DepthRenderer(terrain, 1600) as renderer:
+        for name, (*place, heading_deg) in looks.items():
+            eye = stand_on(terrain, *place)
+            picture = photograph(renderer, eye, 0, Camera(heading_deg, fov_deg=60.0), seed=3)
+            Image.fromarray(picture).save(folder / name, quality=92)
+    return [photo, *(folder / name for name in looks)]
+
+
+def test_photos_of_one_place_are_matched_together(run, store, photos_of_one_place, tmp_path):
+    first, second, stranger = photos_of_one_place
+    points, broken = tmp_path / "points.geojson", tmp_path / "broken.jpg"
+    broken.write_bytes(b"no picture")
+    done = run(
+        *("match", store, first, second, stranger, broken, "--fov-deg", "60", "--same-place"),
+        *("--json", "--top", "1", "--export", points),
+    )
+    assert done.code == 2
+    assert str(broken) in done.err
+    record = json.loads(done.out)
+    assert record["answer_within_m"] in (200.0, 1000.0)
+    assert record["candidates"] == [record["answer"]]
+    assert off_m(record["answer"]) < min(10.0, 3.0 * record["answer"]["radius_m"])
+    assert [one["query"] for one in record["photos"]] == [str(one) for one in photos_of_one_place]
+    assert [one["agrees"] for one in record["photos"]] == [True, True, False]
+    assert abs(record["photos"][0]["heading_deg"] - 141.0) < 1.0
+    assert abs(record["photos"][1]["heading_deg"] - 31.0) < 1.0
+    assert "heading_deg" not in record["photos"][2]
+    features = json.loads(points.read_text())["features"]
+    at = [one["geometry"]["coordinates"] for one in features if one["geometry"]["type"] == "Point"]
+    assert len(at) == 2
+    assert at[0] == at[1]
+
+
+def test_what_does_not_go_with_one_place_is_refused_at_once(run, photo, tmp_path):
+    def refused(*arguments):
+        return run("match", tmp_path / "no_store.h5", photo, *arguments, "--same-place")
+
+    assert_refused(refused(), "needs two photos or more that can be read, and has 1")
+    assert_refused(refused(photo, "--results", tmp_path / "r.csv"), "leave --results out")
+    assert_refused(refused(photo, "--no-refine"), "leave --no-refine and --matcher out")
+    assert_refused(refused(photo, "--workers", 2), "leave --workers and --scheduler out")
