@@ -132,7 +132,7 @@ def test_a_surface_is_heeded_in_refinement(run, store, photo, tmp_path):
     done = run(*common, "--surface", canopy)
     assert done.code == 0, done.err
     found, plain = (json.loads(one.out)["candidates"][0] for one in (done, run(*common)))
-    assert math.hypot(*(found[axis] - plain[axis] for axis in ("easting", "northing"))) < 20.0
+    assert math.hypot(*(found[axis] - plain[axis] for axis in ("easting_m", "northing_m"))) < 20.0
     assert found["score"] != plain["score"]
     for options in (("--no-refine",), ("--matcher", "paper")):
         assert_refused(run(*common, "--surface", canopy, *options), "a surface acts in refinement")
