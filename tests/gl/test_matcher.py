@@ -113,25 +113,21 @@ def test_a_field_of_view_at_the_end_of_what_is_searched_is_no_answer(
     assert answered or "--fov-deg" in found.refusal
 
 
-def test_a_refusal_names_a_field_of_view_that_hardly_fits(store, terrain, queries):
-    query = queries[3]
-    wrong = query.skyline.with_fov(1.2 * query.truth.fov_deg)
-    with Matcher(store, terrain, config=MatchConfig(fov_slack=0.01)) as matcher:
-        found = matcher.match(wrong)
-    assert "1 km" in found.refusal
-    assert f"and {wrong.fov_deg:.1f} was given" in found.refusal
-
-
 def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
-    rays, sure_margin = [query.rays() for query in queries[:3]], 400.0
+    rays = [query.rays() for query in queries[:3]]
     with open_store(store) as opened:
         scene = RenderedScene.of_store(terrain, opened.header, BOLD)
         retriever = Retriever(opened.places(), terrain.height_at)
         retrieved = [retriever.shortlist(one, FullConfig().shortlist) for one in rays]
-    found = []
-    for margin in (0.0, sure_margin, np.inf):
-        matcher = FullMatcher(retriever, scene, FullConfig(sure_margin=margin))
-        found.append([matcher.refine(*one) for one in zip(retrieved, rays, strict=True)])
+
+    def refined(sure_margin):
+        matcher = FullMatcher(retriever, scene, FullConfig(sure_margin=sure_margin))
+        return [matcher.refine(*one) for one in zip(retrieved, rays, strict=True)]
+
+    always = refined(0.0)
+    # The median: one of three is sure.
+    sure_margin = float(np.median([quick.margin[0] for quick in always]))
+    found = always, refined(sure_margin), refined(np.inf)
     scene.release()
     for quick, chosen, thorough in zip(*found, strict=True):
         assert quick.renderings < thorough.renderings
