@@ -28,7 +28,7 @@ from skyline.terrain.heightfield import Ground
 _FITS_AT_ONCE = 256
 """Poses fitted together; keeps the arrays in the cache."""
 _LIKELY_DEVIATIONS = 2.5
-"""Fields of view that are screened; fits go on from there to all that are searched."""
+"""Fields of view farther from the one expected are not screened; fits do start from them."""
 _UNLIKELY = 0.25
 """What a score loses for a field of view by one deviation from the one expected, squared."""
 _SLOPE_BASE_M = 30.0
@@ -44,8 +44,8 @@ class RetrievalConfig:
 
     Attributes
     ----------
-    zoom_step : float
-        Fields of view that are screened differ by this share.
+    zoom_step, start_zoom_step : float
+        Fields of view that are screened, and that fits start from, differ by this share.
     screened_share : float
         Part of all places whose pose is fitted roughly.
     screened_least, screened_most : int
@@ -61,6 +61,7 @@ class RetrievalConfig:
     """
 
     zoom_step: float = 0.18
+    start_zoom_step: float = 0.065
     screened_share: float = 0.05
     screened_least: int = 16_384
     screened_most: int = 262_144
@@ -72,10 +73,11 @@ class RetrievalConfig:
     fit: FitConfig = field(default_factory=FitConfig)
 
     def __post_init__(self) -> None:
-        if min(self.screened_least, self.fitted) < 1 or not self.zoom_step > 0.0:
+        steps = self.zoom_step, self.start_zoom_step
+        if min(self.screened_least, self.fitted) < 1 or not min(steps) > 0.0:
             raise InputError(
                 f"{self.screened_least} screened and {self.fitted} fitted places, fields of view "
-                f"{self.zoom_step:g} apart; expected each above 0"
+                f"{steps[0]:g} and {steps[1]:g} apart; expected each above 0"
             )
 
     def screened(self, places: int) -> int:
@@ -151,7 +153,7 @@ class Retriever:
         alike = alike.best(self._screened)
         if not len(alike):
             raise InputError(_NOWHERE)
-        fitted = self._fitted(query, self._screen(query, narrowed), alike)
+        fitted = self._fitted(query, self._aim(query, narrowed), alike)
         if narrowed is not None:
             fitted = fitted[narrowed.holds(fitted)]
         if not len(fitted):
@@ -197,8 +199,8 @@ class Retriever:
             raise InputError(_NOWHERE)
         places = self.places.take(alike.row)
         starts = [
-            self._start(query, screen, places, screen.scores(places.phase))
-            for (query, _), screen in zip(asked, screens, strict=True)
+            self._start(query, self._aim(query, narrowed), places, screen.scores(places.phase))
+            for (query, narrowed), screen in zip(asked, screens, strict=True)
         ]
         found = self._fitted_together([query for query, _ in asked], starts)
         east, north = (
@@ -213,23 +215,46 @@ class Retriever:
         ]
 
     def _screen(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
+        """Prepare to find places: few fields of view, the likely ones."""
+        likely = _LIKELY_DEVIATIONS * query.log_scale_sd
+        low, high = np.clip(_zoom_bounds(query), -likely, likely)
+        zooms = _middles(float(low), float(high), self.config.zoom_step)
+        unlikely = _UNLIKELY * np.square(zooms / query.log_scale_sd)
+        return self._prepared(query, narrowed, zooms, unlikely)
+
+    def _aim(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
+        """Prepare to find headings and fields of view at places, all that are searched."""
+        zooms = _middles(*_zoom_bounds(query), self.config.start_zoom_step)
+        return self._prepared(query, narrowed, zooms, None)
+
+    def _prepared(
+        self,
+        query: QueryRays,
+        narrowed: Narrowed | None,
+        zooms: Float64Array,
+        unlikely: Float64Array | None,
+    ) -> Screen:
         if self._sample is None:
             self._sample = sample_of(self.places)
-        zooms = self._zooms(query)
-        unlikely = _UNLIKELY * np.square(zooms / query.log_scale_sd)
         turns = None if narrowed is None else narrowed.open_turns
         return Screen.of(query, _fov_deg(query, zooms), self._sample, turns, unlikely)
 
     def _start(
-        self, query: QueryRays, screen: Screen, places: Places, score: Float32Array
+        self, query: QueryRays, aim: Screen, places: Places, score: Float32Array
     ) -> "_Start":
-        heading_deg, fov = screen.best_turns(places.phase)
-        zoom = self._zooms(query)[fov]
-        return _Start(places, score, np.radians(heading_deg), zoom)
+        """Return where fits set out from: few places at a time, for each is seen at every turn."""
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            parts = range(0, max(len(places), 1), _FITS_AT_ONCE)
+            turns = pool.map(
+                lambda first: aim.best_turns(places.phase[first : first + _FITS_AT_ONCE]), parts
+            )
+            heading_deg, fov = (np.concatenate(part) for part in zip(*turns, strict=True))
+        zooms = _middles(*_zoom_bounds(query), self.config.start_zoom_step)
+        return _Start(places, score, np.radians(heading_deg), zooms[fov])
 
-    def _fitted(self, query: QueryRays, screen: Screen, alike: Alike) -> Hypotheses:
+    def _fitted(self, query: QueryRays, aim: Screen, alike: Alike) -> Hypotheses:
         """Return the fitted poses of the places most alike."""
-        start = self._start(query, screen, self.places.take(alike.row), alike.score)
+        start = self._start(query, aim, self.places.take(alike.row), alike.score)
         return self._fitted_together([query], [start])[0]
 
     def _fitted_together(
@@ -295,13 +320,6 @@ class Retriever:
         )
         return np.nan_to_num(rise / _SLOPE_BASE_M).astype(np.float32)
 
-    def _zooms(self, query: QueryRays) -> Float64Array:
-        """Return the middles of as few equal parts of what is likely as are narrow enough."""
-        likely = _LIKELY_DEVIATIONS * query.log_scale_sd
-        low, high = np.clip(_zoom_bounds(query), -likely, likely)
-        parts = max(1, int(np.ceil((high - low) / self.config.zoom_step)))
-        return np.asarray(low + (np.arange(parts) + 0.5) * ((high - low) / parts))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Start(Rows):
@@ -328,6 +346,12 @@ def _zoom_bounds(query: QueryRays) -> tuple[float, float]:
     low, high = np.log(np.tan(np.radians(query.fov_bounds_deg) / 2.0))
     own = np.log(np.tan(np.radians(query.fov_deg) / 2.0))
     return float(low - own), float(high - own)
+
+
+def _middles(low: float, high: float, step: float) -> Float64Array:
+    """Return the middles of as few equal parts of a range as are no wider than a step."""
+    parts = max(1, math.ceil((high - low) / step))
+    return np.asarray(low + (np.arange(parts) + 0.5) * ((high - low) / parts))
 
 
 def _fov_deg(query: QueryRays, zoom: Float64Array) -> Float64Array:

@@ -11,7 +11,7 @@ from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 
 from skyline.errors import InputError
 from skyline.matching import QueryRays
-from skyline.matching.retrieval import RetrievalConfig, Retriever, _zoom_bounds
+from skyline.matching.retrieval import RetrievalConfig, Retriever, _middles
 
 
 @pytest.fixture(scope="module")
@@ -177,24 +177,29 @@ def test_a_part_of_all_places_is_fitted(places, screened):
 
 
 @pytest.mark.parametrize(
-    ("given_deg", "sd_deg", "range_deg", "most"),
+    ("given_deg", "sd_deg", "range_deg", "screened", "started"),
     [
-        (60.0, math.inf, None, 1),
-        (60.0, 1.5, (54.0, 66.0), 1),
-        (55.0, 14.0, (25.0, 100.0), 10),
-        (55.0, math.inf, (25.0, 100.0), 10),
+        (60.0, math.inf, None, 1, 1),
+        (60.0, 1.5, (54.0, 66.0), 1, 4),
+        (55.0, 14.0, (25.0, 100.0), 9, 26),
+        (55.0, math.inf, (25.0, 100.0), 10, 26),
     ],
 )
-def test_fields_of_view_that_are_screened_leave_no_gap(places, given_deg, sd_deg, range_deg, most):
+def test_fields_of_view_are_as_many_as_the_lens_is_unknown(
+    places, given_deg, sd_deg, range_deg, screened, started
+):
     query = replace(rays(0, 0.0), fov_deg=given_deg, fov_range_deg=range_deg, fov_sd_deg=sd_deg)
     retriever = Retriever(places)
-    zooms = retriever._zooms(query)
-    likely = 2.5 * query.log_scale_sd
-    low, high = np.clip(_zoom_bounds(query), -likely, likely)
-    step = (high - low) / len(zooms)
-    assert len(zooms) <= most
-    assert step <= retriever.config.zoom_step
-    np.testing.assert_allclose(zooms, low + step * (np.arange(len(zooms)) + 0.5), atol=1e-12)
+    assert len(retriever._screen(query, None).mean) == screened
+    assert len(retriever._aim(query, None).mean) == started
+
+
+@given(st.floats(-2.0, 2.0), st.floats(0.0, 3.0), st.floats(0.01, 1.0))
+def test_middles_leave_no_gap(low, width, step):
+    middles = _middles(low, low + width, step)
+    apart = width / len(middles)
+    assert apart <= step * (1.0 + 1e-9)
+    np.testing.assert_allclose(middles, low + apart * (np.arange(len(middles)) + 0.5), atol=1e-9)
 
 
 def test_queries_of_one_place_find_it_together_where_few_do_alone(places):

@@ -110,12 +110,12 @@ class Traced:
         )
 
     def _screened(self, noted: "_Noting", truth: Truth) -> bool:
-        if noted.alike is None or noted.screen is None:
+        if noted.alike is None or noted.aim is None:
             return False
         places = noted.places.take(noted.alike.row)
         east_m, north_m = places.easting_m - truth.easting_m, places.northing_m - truth.northing_m
         near = places[np.hypot(east_m, north_m) <= self.spacing_m]
-        heading_deg, _ = noted.screen.best_turns(near.phase)
+        heading_deg, _ = noted.aim.best_turns(near.phase)
         return self._is_there(near.easting_m, near.northing_m, heading_deg, truth)
 
     def _held(self, poses: Hypotheses | None, truth: Truth) -> bool:
@@ -137,14 +137,14 @@ class Traced:
 class _Noting(Retriever):
     """A retriever that notes what its last search came to after each stage."""
 
-    screen: Screen | None = None
+    aim: Screen | None = None
     alike: Alike | None = None
     fitted: Hypotheses | None = None
     retrieved: Hypotheses | None = None
 
     def forget(self) -> Self:
         """Forget the last search."""
-        self.screen = self.alike = self.fitted = self.retrieved = None
+        self.aim = self.alike = self.fitted = self.retrieved = None
         return self
 
     def shortlist(
@@ -157,7 +157,7 @@ class _Noting(Retriever):
         self.retrieved = super().shortlist(query, count, narrowed, screened)
         return self.retrieved
 
-    def _fitted(self, query: QueryRays, screen: Screen, alike: Alike) -> Hypotheses:
-        self.screen, self.alike = screen, alike
-        self.fitted = super()._fitted(query, screen, alike)
+    def _fitted(self, query: QueryRays, aim: Screen, alike: Alike) -> Hypotheses:
+        self.aim, self.alike = aim, alike
+        self.fitted = super()._fitted(query, aim, alike)
         return self.fitted
