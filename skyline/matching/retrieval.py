@@ -30,7 +30,7 @@ _FITS_AT_ONCE = 256
 _LIKELY_DEVIATIONS = 2.5
 """Fields of view farther from the one expected are not screened; fits do start from them."""
 _UNLIKELY = 0.25
-"""What a score loses for a field of view by one deviation from the one expected, squared."""
+"""Times the square of how many deviations a field of view is off: what its scores lose."""
 _SLOPE_BASE_M = 30.0
 _NOWHERE = (
     "there is no place within what the search is narrowed to; widen it, or build a store of that "
