@@ -224,8 +224,7 @@ class Retriever:
 
     def _aim(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         """Prepare to find headings and fields of view at places, all that are searched."""
-        zooms = _middles(*_zoom_bounds(query), self.config.start_zoom_step)
-        return self._prepared(query, narrowed, zooms, None)
+        return self._prepared(query, narrowed, self._start_zooms(query), None)
 
     def _prepared(
         self,
@@ -249,8 +248,10 @@ class Retriever:
                 lambda first: aim.best_turns(places.phase[first : first + _FITS_AT_ONCE]), parts
             )
             heading_deg, fov = (np.concatenate(part) for part in zip(*turns, strict=True))
-        zooms = _middles(*_zoom_bounds(query), self.config.start_zoom_step)
-        return _Start(places, score, np.radians(heading_deg), zooms[fov])
+        return _Start(places, score, np.radians(heading_deg), self._start_zooms(query)[fov])
+
+    def _start_zooms(self, query: QueryRays) -> Float64Array:
+        return _middles(*_zoom_bounds(query), self.config.start_zoom_step)
 
     def _fitted(self, query: QueryRays, aim: Screen, alike: Alike) -> Hypotheses:
         """Return the fitted poses of the places most alike."""
