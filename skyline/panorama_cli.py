@@ -7,9 +7,9 @@ import typer
 
 from skyline.console import Crs, Dems, Reproject, parse_bounds, parse_place
 from skyline.fetch import HttpOptions, fetch_peaks
-from skyline.pipeline import PanoramaConfig, save_panorama
+from skyline.pipeline.panorama import PanoramaConfig, save_panorama_of
 from skyline.report.peaks import read_peaks
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.dem import DemOptions, read_blocks
 
 _HTTP = HttpOptions()
 _DEFAULTS = PanoramaConfig()
@@ -42,9 +42,9 @@ def panorama(
     """Draw what is seen from a place, with the names of the peaks that are seen."""
     lon, lat = parse_place(at)
     config = PanoramaConfig(heading, fov_deg, eye_height)
-    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-    gazetteer = None if peaks is None else read_peaks(peaks, terrain.frame)
-    seen = save_panorama(terrain, lon, lat, output, gazetteer, config)
+    blocks = read_blocks(dem, DemOptions(crs=crs, reproject=reproject))
+    gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
+    seen = save_panorama_of(blocks, lon, lat, output, gazetteer, config)
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
     typer.echo(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
 

@@ -10,6 +10,7 @@ from skyline.files import write_whole
 from skyline.geodesy import Curvature
 from skyline.report.peaks import Peaks
 from skyline.report.sightings import visible_peaks
+from skyline.terrain.blocks import Blocks
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
 
@@ -80,25 +81,39 @@ def save_panorama(
     InputError
         Another suffix, or a file that cannot be written.
     """
-    config = config or PanoramaConfig()
+    return save_panorama_of(Blocks.of(terrain), lon, lat, path, peaks, config or PanoramaConfig())
+
+
+def save_panorama_of(
+    blocks: Blocks,
+    lon: float,
+    lat: float,
+    path: str | Path,
+    peaks: Peaks | None,
+    config: PanoramaConfig,
+) -> int:
+    """Draw what is seen of blocks, of which the others are not made; see `save_panorama`."""
     path = Path(path)
     if path.suffix.lower() not in PANORAMA_SUFFIXES:
         raise InputError(f"{path} is no picture; expected {', '.join(PANORAMA_SUFFIXES)}")
-    eye = stand_on(terrain, *terrain.frame.from_lonlat(lon, lat), config.eye_height_m)
-    view = panorama_view(terrain, eye, peaks, config)
+    easting_m, northing_m = (float(at) for at in blocks.frame.from_lonlat(lon, lat))
+    near = blocks.field(report.near_blocks(blocks, easting_m, northing_m))
+    eye = stand_on(near, easting_m, northing_m, config.eye_height_m)
+    view = panorama_view(blocks, eye, peaks, config)
     write_whole(path, report.encode_panorama(report.draw_panorama(view), path.suffix[1:].lower()))
     return len(view.sightings)
 
 
 def panorama_view(
-    terrain: HeightField, eye: Viewpoints, peaks: Peaks | None, config: PanoramaConfig
+    blocks: Blocks, eye: Viewpoints, peaks: Peaks | None, config: PanoramaConfig
 ) -> "report.PanoramaView":
     """Look at what one eye sees and find its peaks; see `save_panorama`."""
     start_deg, fov_deg = config.start_deg, config.fov_deg
-    landscape = report.Landscape.of(terrain, eye, report.picture_azimuths_deg(start_deg, fov_deg))
+    landscape = report.Landscape.of(blocks, eye, report.picture_azimuths_deg(start_deg, fov_deg))
+    terrain = landscape.terrain
     seen = [] if peaks is None else visible_peaks(terrain, eye, peaks, Curvature())
     convergence_deg = float(terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0]))
     inside = [
         one for one in seen if (one.azimuth_deg + convergence_deg - start_deg) % 360.0 < fov_deg
     ]
-    return report.PanoramaView(terrain, eye, landscape, inside, start_deg, fov_deg)
+    return report.PanoramaView(eye, landscape, inside, start_deg, fov_deg)

@@ -46,7 +46,6 @@ class PanoramaView:
 
     Attributes
     ----------
-    terrain : HeightField
     eye : Viewpoints
         One.
     landscape : Landscape
@@ -57,7 +56,6 @@ class PanoramaView:
         The azimuth from true north at the left border, and how far the picture goes on.
     """
 
-    terrain: HeightField
     eye: Viewpoints
     landscape: Landscape
     sightings: Sequence[Sighting]
@@ -68,7 +66,9 @@ class PanoramaView:
     def convergence_deg(self) -> float:
         """Azimuth from true north minus grid azimuth."""
         eye = self.eye
-        return float(self.terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0]))
+        return float(
+            self.landscape.terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0])
+        )
 
     def span_deg(self, columns: slice) -> tuple[float, float]:
         """Return the lowest and highest elevation angle to show of columns of the landscape."""
@@ -208,7 +208,7 @@ def _shaded(
     view: PanoramaView, azimuth_deg: Float64Array, distance_m: Float64Array, reach_m: float
 ) -> UInt8Array:
     """Return the picture (R, P, 4) of what is seen at distances (R, P); the sky is transparent."""
-    terrain, eye = view.terrain, view.eye
+    terrain, eye = view.landscape.terrain, view.eye
     grid = np.radians(azimuth_deg - view.convergence_deg)
     ground = np.isfinite(distance_m)
     away, column = distance_m[ground], np.nonzero(ground)[1]
@@ -312,8 +312,10 @@ def _extent_in(figure: Figure, text: str) -> tuple[float, float]:
 
 def _title(view: PanoramaView) -> str:
     eye = view.eye
-    lon, lat = (float(at[0]) for at in view.terrain.frame.to_lonlat(eye.easting_m, eye.northing_m))
-    ground_m = float(view.terrain.height_at(eye.easting_m, eye.northing_m)[0])
+    lon, lat = (
+        float(at[0]) for at in view.landscape.terrain.frame.to_lonlat(eye.easting_m, eye.northing_m)
+    )
+    ground_m = float(view.landscape.terrain.height_at(eye.easting_m, eye.northing_m)[0])
     return (
         f"{abs(lat):.5f}° {'N' if lat >= 0 else 'S'}, {abs(lon):.5f}° {'E' if lon >= 0 else 'W'}, "
         f"{ground_m:.0f} m, seen from {eye.eye_elevation_m[0] - ground_m:.1f} m above ground; "

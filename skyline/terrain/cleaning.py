@@ -212,7 +212,10 @@ def runs_of(
     """
     parts = []
     for rows in strips(heights_m):
-        edge = np.diff(chosen(heights_m[rows]).astype(np.int8), axis=1, prepend=0, append=0)
+        some = chosen(heights_m[rows])
+        if not some.any():
+            some = some[:0]
+        edge = np.diff(some.astype(np.int8), axis=1, prepend=0, append=0)
         row, start = np.nonzero(edge == 1)
         stop = np.nonzero(edge == -1)[1]
         parts.append((row + rows.start, start, stop))

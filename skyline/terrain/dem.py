@@ -12,10 +12,11 @@ import rasterio
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from skyline.arrays import Float32Array
+from skyline.arrays import BoolArray, Float32Array
 from skyline.errors import InputError
 from skyline.files import is_file
 from skyline.geodesy import Frame, is_metric
+from skyline.terrain.blocks import Blocks
 from skyline.terrain.cleaning import (
     STEEPEST,
     count_voids,
@@ -35,7 +36,7 @@ from skyline.terrain.tiles import (
     read_mosaic,
     tile_of,
 )
-from skyline.terrain.warp import ground_spacing_m, local_frame, square_spacing_m, warp
+from skyline.terrain.warp import Warp, ground_spacing_m, local_frame, square_spacing_m
 
 CONFORMAL_DEG = 0.01
 """A metric CRS that bends no angle by more than this is used without a word."""
@@ -121,7 +122,7 @@ def read_dem(
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS keeps that
     grid. One in degrees (or feet) is warped once to the transverse Mercator frame centred on it,
-    with every summit as high as it was (`skyline.terrain.warp.warp`); samples of the box around it
+    with every summit as high as it was (`skyline.terrain.warp.Warp`); samples of the box around it
     that lie outside the DEM are NaN and counted nowhere.
 
     Parameters
@@ -148,6 +149,32 @@ def read_dem(
     FetchError
         A server that does not have it, or does not answer.
     """
+    return _height_field(*_read(paths, options), options)
+
+
+def read_blocks(
+    paths: str | Path | Sequence[str | Path], options: DemOptions = DemOptions()
+) -> Blocks:
+    """Read a DEM as blocks of the field of `read_dem`; one that is warped is so where it is wanted.
+
+    All samples are those of `read_dem`, to the bit. Parameters and errors are its too.
+    """
+    heights, raster = _read(paths, options)
+    if _is_kept(raster, options):
+        return Blocks.of(_height_field(heights, raster, options))
+    warp, frame, provenance = _warp(heights, raster, options)
+    grid = warp.target
+
+    def field(wanted: BoolArray) -> HeightField:
+        return _field(warp.heights_m(wanted), grid, frame, provenance)
+
+    steps = grid.step_east, grid.step_north
+    return Blocks(frame, grid.west, grid.north, *steps, warp.highest_m(), field)
+
+
+def _read(
+    paths: str | Path | Sequence[str | Path], options: DemOptions
+) -> tuple[Float32Array, "_Raster"]:
     if isinstance(paths, str | Path):
         paths = [paths]
     if not paths:
@@ -158,7 +185,7 @@ def read_dem(
     grid, offsets = mosaic_grid(tiles)
     files = tuple(tile.source for tile in tiles)
     raster = _Raster(", ".join(files), tiles[0].crs, grid, files)
-    return _height_field(read_mosaic(tiles, grid, offsets), raster, options)
+    return read_mosaic(tiles, grid, offsets), raster
 
 
 def dem_of_dataset(dataset: Any, options: DemOptions) -> HeightField:
@@ -204,26 +231,38 @@ class _Raster:
     files: tuple[str, ...]
 
 
+def _is_kept(raster: _Raster, options: DemOptions) -> bool:
+    """Whether the heights stay on their raster's own grid."""
+    return is_metric(raster.crs) and not options.reproject
+
+
 def _height_field(heights: Float32Array, raster: _Raster, options: DemOptions) -> HeightField:
     """Clean heights on their raster's own grid, and warp them if they need a metric frame."""
-    crs, grid = raster.crs, raster.grid
-    if is_metric(crs) and not options.reproject:
-        frame = Frame.from_crs(crs)
+    if _is_kept(raster, options):
+        grid, frame = raster.grid, Frame.from_crs(raster.crs)
         _warn_of_distortion(grid, frame)
         counts = clean(heights, raster.source, max(grid.step_east, grid.step_north), options)
         provenance = Provenance(raster.files, "none", *counts, options.to_json())
         return _field(heights, grid, frame, provenance)
+    warp, frame, provenance = _warp(heights, raster, options)
+    return _field(warp.heights_m(), warp.target, frame, provenance)
+
+
+def _warp(
+    heights: Float32Array, raster: _Raster, options: DemOptions
+) -> tuple[Warp, Frame, Provenance]:
+    """Clean heights on their raster's own grid, to be warped to the frame centred on it."""
+    crs, grid = raster.crs, raster.grid
     frame = local_frame(grid, crs)
     ground_spacing = ground_spacing_m(grid, crs, frame)
     counts = clean(heights, raster.source, max(ground_spacing), options)
     spacing_m = square_spacing_m(ground_spacing)
-    heights, warped_grid = warp(heights, grid, crs, frame, spacing_m)
     resampling = (
         f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "
         f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal frame"
     )
     provenance = Provenance(raster.files, resampling, *counts, options.to_json())
-    return _field(heights, warped_grid, frame, provenance)
+    return Warp(heights, grid, crs, frame, spacing_m), frame, provenance
 
 
 def _parse_crs(text: str | None) -> CRS | None:

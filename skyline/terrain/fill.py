@@ -66,7 +66,10 @@ def _walled_values(heights_m: Float32Array, threshold_m: float) -> list[float]:
     counts: dict[float, int] = {}
     for view in (heights_m, heights_m.T):
         for rows in strips(view):
-            for line in (view[rows], view[rows][:, ::-1]):
+            with np.errstate(invalid="ignore"):
+                steep = (np.abs(np.diff(view[rows], axis=1)) > threshold_m).any(axis=1)
+            walled = view[rows][steep]
+            for line in (walled, walled[:, ::-1]):
                 before = _before_walls(line, threshold_m)
                 values, each = np.unique(
                     line[:, 1 : 1 + before.shape[1]][before], return_counts=True

@@ -7,6 +7,8 @@ from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.terrain.cleaning import strips
 from skyline.terrain.tiles import Grid
 
+_AROUND = [(down, right) for down in range(3) for right in range(3) if (down, right) != (1, 1)]
+
 
 def local_maxima(heights_m: Float32Array) -> tuple[Int64Array, Int64Array]:
     """Return row and column of the samples that none of their eight neighbours overtops.
@@ -24,19 +26,21 @@ def local_maxima(heights_m: Float32Array) -> tuple[Int64Array, Int64Array]:
     row, col : (n,) int64
         In the order of the samples.
     """
-    rows, cols = [], []
+    found = []
     for strip in strips(heights_m):
         top = max(strip.start - 1, 0)
         block = heights_m[top : strip.stop + 1]
-        above, below = strip.start - top, strip.stop - top
-        block = np.pad(np.where(np.isnan(block), np.inf, block), 1, constant_values=np.inf)
-        own = block[1 + above : 1 + below, 1:-1]
-        around = block[above : below + 2]
-        highest, lowest = (_of_nine(around, extreme) for extreme in (np.maximum, np.minimum))
-        row, col = np.nonzero((own == highest) & (own > lowest) & (own < np.inf))
-        rows.append(row + strip.start)
-        cols.append(col)
-    return np.concatenate(rows), np.concatenate(cols)
+        own = block[1:-1, 1:-1]
+        # Most fall out by the four beside them; only what is left is compared with all eight.
+        likely = (own >= block[:-2, 1:-1]) & (own >= block[2:, 1:-1])
+        likely &= (own >= block[1:-1, :-2]) & (own >= block[1:-1, 2:])
+        row, col = np.nonzero(likely)
+        height = own[row, col]
+        around = np.stack([block[row + down, col + right] for down, right in _AROUND])
+        summit = (around <= height).all(axis=0) & (around < height).any(axis=0)
+        found.append((row[summit] + top + 1, col[summit] + 1))
+    row, col = (np.concatenate(part) for part in zip(*found, strict=True))
+    return row, col
 
 
 def keep_summits(
@@ -73,12 +77,6 @@ def keep_summits(
         (easting - target.west) / target.step_east,
     )
     np.maximum.at(warped_m.reshape(-1), nearest[nearest >= 0], heights_m[row, col][nearest >= 0])
-
-
-def _of_nine(block: Float32Array, extreme: np.ufunc) -> Float32Array:
-    """Return the extreme of each sample and its eight neighbours, without the outermost."""
-    by_rows = extreme(extreme(block[:-2], block[1:-1]), block[2:])
-    return np.asarray(extreme(extreme(by_rows[:, :-2], by_rows[:, 1:-1]), by_rows[:, 2:]))
 
 
 def _nearest_known(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Int64Array:

@@ -89,6 +89,16 @@ class Grid:
         """Abscissa and ordinate of the middle of the grid."""
         return 0.5 * (self.west + self.east), 0.5 * (self.north + self.south)
 
+    def part(self, rows: slice, cols: slice) -> "Grid":
+        """Return the grid of some of the rows and columns."""
+        return replace(
+            self,
+            west=self.west + cols.start * self.step_east,
+            north=self.north - rows.start * self.step_north,
+            rows=rows.stop - rows.start,
+            cols=cols.stop - cols.start,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Tile:

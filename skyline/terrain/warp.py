@@ -6,16 +6,18 @@ to `POSITION_TOLERANCE` samples, and holes and the antimeridian are treated in p
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.terrain.blocks import BLOCK, block_edges
+from skyline.terrain.cubic import cubic
 from skyline.terrain.summits import keep_summits
 from skyline.terrain.tiles import MAX_SAMPLES, Grid, full_turn
 
@@ -24,12 +26,10 @@ POSITION_TOLERANCE = 1e-3
 
 _NODE_STEP = 32
 _EDGE_POINTS = 129
-_BLOCK_SAMPLES = 1 << 16
+_BLOCKS_AT_ONCE = 16
 _THREADS = 4
-_AROUND = (1, 2)
-"""Of the four rows and columns of a cubic, those next to the position."""
-# Target samples this near the outermost source samples are on them, but for rounding.
-_SLACK = 1e-6
+_BENT = 3
+"""Source samples by which the edge of a block may bend out of the box round its corners."""
 
 Positions = Callable[[Float64Array, Float64Array], tuple[Float64Array, Float64Array]]
 """From rows (n,) and columns (m,) of the target to rows and columns (n, m) in the source."""
@@ -70,10 +70,8 @@ def square_spacing_m(ground_spacing: tuple[float, float]) -> float:
     return round(math.floor(1.01 * finer / step) * step, 12)
 
 
-def warp(
-    heights_m: Float32Array, grid: Grid, crs: CRS, frame: Frame, spacing_m: float
-) -> tuple[Float32Array, Grid]:
-    """Resample heights to a frame by cubic convolution (Keys 1981, a = -1/2), and keep all summits.
+class Warp:
+    """Resamples heights to a frame by cubic convolution (Keys 1981, a = -1/2), with all summits.
 
     No sample of the target is above or below the four samples of the source around it: a cubic
     overshoots between two samples that are as high as each other. Then the sample nearest to each
@@ -95,32 +93,102 @@ def warp(
         The target's.
     spacing_m : float
 
-    Returns
-    -------
-    heights_m : (rows, cols) float32
-    grid : Grid
-        In metres of ``frame``.
+    Attributes
+    ----------
+    target : Grid
+        In metres of the frame.
 
     Raises
     ------
     InputError
         A source CRS that cannot be transformed, or a target too large.
     """
-    to_frame = _transformer(crs, frame.crs)
-    target = _target_grid(grid, to_frame, spacing_m)
-    positions = _positions(grid, target, crs, frame)
-    warped = np.empty((target.rows, target.cols), dtype=np.float32)
-    cols = np.arange(target.cols, dtype=np.float64)
-    step = max(_BLOCK_SAMPLES // target.cols, 1)
 
-    def fill(top: int) -> None:
-        rows = np.arange(top, min(top + step, target.rows), dtype=np.float64)
-        warped[top : top + rows.size] = _cubic(heights_m, *positions(rows, cols))
+    def __init__(
+        self, heights_m: Float32Array, grid: Grid, crs: CRS, frame: Frame, spacing_m: float
+    ) -> None:
+        self._source_m, self._grid = heights_m, grid
+        self._to_frame = _transformer(crs, frame.crs)
+        self.target = _target_grid(grid, self._to_frame, spacing_m)
+        self._positions, self._smooth = _positions(grid, self.target, crs, frame)
 
-    with ThreadPoolExecutor(_THREADS) as pool:
-        list(pool.map(fill, range(0, target.rows, step)))
-    keep_summits(warped, target, heights_m, grid, to_frame)
-    return warped, target
+    def highest_m(self) -> Float32Array:
+        """Return a height that no sample exceeds for each block of the target, (R, C)."""
+        edges = [block_edges(count) for count in (self.target.rows, self.target.cols)]
+        highest = np.full([len(edge) - 1 for edge in edges], np.inf, np.float32)
+        if self._smooth:
+            nodes = self._positions(*(edge.astype(np.float64) for edge in edges))
+            corners = [
+                np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]]) for at in nodes
+            ]
+            for block in np.ndindex(highest.shape):
+                row, col = (at[(slice(None), *block)] for at in corners)
+                part = self._source_part(row, col, _BENT)
+                highest[block] = np.fmax.reduce(self._source_m[part], axis=None, initial=-np.inf)
+        return highest
+
+    def heights_m(self, wanted: BoolArray | None = None) -> Float32Array:
+        """Return the target's samples (rows, cols); NaN where blocks (R, C) are not wanted."""
+        target = self.target
+        if wanted is None:
+            warped = np.empty((target.rows, target.cols), dtype=np.float32)
+            wanted = np.ones([len(block_edges(count)) - 1 for count in warped.shape], np.bool_)
+        else:
+            warped = np.full((target.rows, target.cols), np.nan, dtype=np.float32)
+
+        def fill(inner: tuple[slice, slice]) -> None:
+            warped[inner] = self._part(inner)
+
+        with ThreadPoolExecutor(_THREADS) as pool:
+            list(pool.map(fill, _windows(wanted)))
+        return warped
+
+    def _part(self, inner: tuple[slice, slice]) -> Float32Array:
+        """Return a part of the target."""
+        # The sample nearest to a summit may lie across the border: so one more is known there.
+        begin = [max(span.start - 1, 0) for span in inner]
+        end = min(inner[0].stop + 1, self.target.rows), min(inner[1].stop + 1, self.target.cols)
+        outer = tuple(map(slice, begin, end))
+        row, col = self._positions(
+            *(np.arange(span.start, span.stop, dtype=np.float64) for span in outer)
+        )
+        warped = cubic(self._source_m, row, col)
+        if not np.isnan(warped).all():
+            source = self._source_part(row, col, 2)
+            keep_summits(
+                warped,
+                self.target.part(*outer),
+                self._source_m[source],
+                self._grid.part(*source),
+                self._to_frame,
+            )
+        rows, cols = (
+            slice(s.start - o.start, s.stop - o.start) for s, o in zip(inner, outer, strict=True)
+        )
+        return warped[rows, cols]
+
+    def _source_part(self, row: Float64Array, col: Float64Array, margin: int) -> tuple[slice, ...]:
+        """Return the rows and columns of the source round some positions; they may be none."""
+        return tuple(
+            slice(
+                int(np.clip(at.min() - margin, 0, count)),
+                int(np.clip(at.max() + margin + 2, 0, count)),
+            )
+            for at, count in zip((row, col), self._source_m.shape, strict=True)
+        )
+
+
+def _windows(wanted: BoolArray) -> Iterator[tuple[slice, slice]]:
+    """Yield rows and columns of samples of all blocks that are wanted, many blocks at once."""
+    for row, line in enumerate(wanted):
+        ends = np.flatnonzero(np.diff(line, prepend=False, append=False)).tolist()
+        for start, stop in zip(ends[::2], ends[1::2], strict=True):
+            for left in range(start, stop, _BLOCKS_AT_ONCE):
+                right = min(left + _BLOCKS_AT_ONCE, stop)
+                yield (
+                    slice(row * BLOCK, (row + 1) * BLOCK + 1),
+                    slice(left * BLOCK, right * BLOCK + 1),
+                )
 
 
 def _transformer(source: CRS, target: CRS) -> Transformer:
@@ -159,8 +227,8 @@ def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
     return Grid(left * spacing_m, top * spacing_m, spacing_m, spacing_m, rows, cols)
 
 
-def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> Positions:
-    """Return positions in the source, interpolated between nodes where that is good enough."""
+def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> tuple[Positions, bool]:
+    """Return positions in the source, and whether nodes they are interpolated between suffice."""
     from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  (a fifth of a second, seldom needed)
 
     to_source = _transformer(frame.crs, crs)
@@ -186,70 +254,9 @@ def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> Positions:
     between = 0.5 * (node_rows[1:] + node_rows[:-1]), 0.5 * (node_cols[1:] + node_cols[:-1])
     error = np.subtract(interpolated(*between), exact(*between))
     # At a pole longitude jumps, and no spline follows.
-    return interpolated if np.abs(error).max() < POSITION_TOLERANCE else exact
+    smooth = bool(np.abs(error).max() < POSITION_TOLERANCE)
+    return (interpolated if smooth else exact), smooth
 
 
 def _nodes(count: int) -> Float64Array:
     return np.linspace(-1.0, count, max(4, count // _NODE_STEP + 2))
-
-
-def _cubic(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Float32Array:
-    """Return heights at fractional rows and columns, NaN outside and on holes."""
-    rows, cols = heights_m.shape
-    # A source of a single row has no inside; its samples stand for their pixels.
-    row_margin, col_margin = (0.5 if n == 1 else _SLACK for n in (rows, cols))
-    inside = (row >= -row_margin) & (row <= rows - 1 + row_margin)
-    inside &= (col >= -col_margin) & (col <= cols - 1 + col_margin)
-    row = np.clip(np.where(inside, row, 0.0), 0.0, rows - 1)
-    col = np.clip(np.where(inside, col, 0.0), 0.0, cols - 1)
-    top, left = row.astype(np.int64), col.astype(np.int64)
-    row_weights, col_weights = _keys_weights(row - top), _keys_weights(col - left)
-    flat = heights_m.reshape(-1)
-    warped = np.zeros(row.shape, dtype=np.float32)
-    lowest, highest = np.full_like(warped, np.inf), np.full_like(warped, -np.inf)
-    beside = [np.clip(left + (j - 1), 0, cols - 1) for j in range(4)]
-    for i in range(4):
-        line = np.clip(top + (i - 1), 0, rows - 1) * cols
-        along = np.zeros(row.shape, dtype=np.float32)
-        for j in range(4):
-            sample = flat.take(line + beside[j])
-            along += col_weights[j] * sample
-            if i in _AROUND and j in _AROUND:
-                np.minimum(lowest, sample, out=lowest)
-                np.maximum(highest, sample, out=highest)
-        warped += row_weights[i] * along
-    np.clip(warped, lowest, highest, out=warped)
-    partial = (top < 1) | (top > rows - 3) | (left < 1) | (left > cols - 3) | np.isnan(warped)
-    partial &= inside
-    warped[partial] = _bilinear(heights_m, row[partial], col[partial])
-    warped[~inside] = np.nan
-    return warped
-
-
-def _keys_weights(t: Float64Array) -> list[Float32Array]:
-    """Return the weights of the samples at -1, 0, 1 and 2 for a position t in [0, 1)."""
-    return [
-        (((2.0 - t) * t - 1.0) * t * 0.5).astype(np.float32),
-        (((3.0 * t - 5.0) * t * t + 2.0) * 0.5).astype(np.float32),
-        (((4.0 - 3.0 * t) * t + 1.0) * t * 0.5).astype(np.float32),
-        ((t - 1.0) * t * t * 0.5).astype(np.float32),
-    ]
-
-
-def _bilinear(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Float64Array:
-    rows, cols = heights_m.shape
-    top, left = row.astype(np.int64), col.astype(np.int64)
-    south, east = row - top, col - left
-    total = np.zeros(row.shape)
-    known_weight = np.zeros(row.shape)
-    for below, row_weight in ((0, 1.0 - south), (1, south)):
-        for right, col_weight in ((0, 1.0 - east), (1, east)):
-            sample = heights_m[
-                np.minimum(top + below, rows - 1), np.minimum(left + right, cols - 1)
-            ]
-            weight = np.where(np.isnan(sample), 0.0, row_weight * col_weight)
-            total += weight * np.nan_to_num(sample)
-            known_weight += weight
-    nearest = heights_m[np.rint(row).astype(np.int64), np.rint(col).astype(np.int64)]
-    known = ~np.isnan(nearest)
-    return np.where(known, total / np.where(known, known_weight, 1.0), np.nan)

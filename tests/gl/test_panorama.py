@@ -11,6 +11,7 @@ from skyline.geodesy import Curvature
 from skyline.pipeline.panorama import panorama_view
 from skyline.report.landscape import Landscape
 from skyline.report.panorama import SUMMIT, draw_panorama
+from skyline.terrain.blocks import Blocks
 
 AZIMUTH_DEG = 10.0 + np.arange(2000) * 0.05
 
@@ -25,7 +26,7 @@ def two_walls():
         ),
         701, 10.0,
     )  # fmt: skip
-    return Landscape.of(field, stand_on(field, 0.0, 0.0, 2.0), AZIMUTH_DEG)
+    return Landscape.of(Blocks.of(field), stand_on(field, 0.0, 0.0, 2.0), AZIMUTH_DEG)
 
 
 def test_the_nearer_wall_hides_the_plain_and_the_farther_one_stands_over_it(two_walls):
@@ -62,7 +63,7 @@ def test_the_skyline_is_the_renderers(mountains):
     eye = stand_on(field, *field.to_map(100.0, 180.0), 20.0)
     lon, lat = (float(at[0]) for at in field.frame.to_lonlat(eye.easting_m, eye.northing_m))
     exact = horizon(field, lon, lat, 20.0, 0.1)
-    seen = Landscape.of(field, eye, exact.azimuth_deg[0])
+    seen = Landscape.of(Blocks.of(field), eye, exact.azimuth_deg[0])
     short_deg = exact.elevation_deg[0] - seen.skyline_deg
     # Steps are 42 m or a tenth of a degree apart, so that the highest edge may lie between two.
     assert short_deg.min() > -1e-3
@@ -87,7 +88,7 @@ PLACES = [(0.5, 0.5), (0.3, 0.6), (0.7, 0.2), (0.55, 0.8), (0.2, 0.35)]
 def test_no_name_overlaps_another_or_leaves_the_picture(mountains, share):
     field, peaks = mountains
     eye = stand_on(field, *field.to_map(300.0 * share[0], 300.0 * share[1]), 500.0)
-    view = panorama_view(field, eye, peaks, PanoramaConfig())
+    view = panorama_view(Blocks.of(field), eye, peaks, PanoramaConfig())
     figure = draw_panorama(view)
     figure.canvas.draw()
     names = figure.findobj(lambda one: one.get_gid() == SUMMIT)
@@ -105,7 +106,7 @@ def test_no_name_overlaps_another_or_leaves_the_picture(mountains, share):
 def test_only_peaks_that_are_seen_are_named_and_they_stand_on_the_landscape(mountains):
     field, peaks = mountains
     eye = stand_on(field, *field.to_map(150.0, 150.0), 500.0)
-    view = panorama_view(field, eye, peaks, PanoramaConfig())
+    view = panorama_view(Blocks.of(field), eye, peaks, PanoramaConfig())
     assert 8 < len(view.sightings) < len(peaks) / 2
     named = {one.label for one in view.sightings}
     landscape, hidden, free = view.landscape, 0, 0
@@ -137,7 +138,7 @@ def test_a_peak_below_the_picture_has_no_name(mountains):
     eye = stand_on(field, *field.to_map(150.0, 150.0), 500.0)
     east, north = float(eye.easting_m[0]) + 400.0, float(eye.northing_m[0])
     below = Peaks(("Below",), np.array([east]), np.array([north]), np.array([np.nan]))
-    view = panorama_view(field, eye, below, PanoramaConfig())
+    view = panorama_view(Blocks.of(field), eye, below, PanoramaConfig())
     assert len(view.sightings) == 1
     assert not draw_panorama(view).findobj(lambda one: one.get_gid() == SUMMIT)
 
@@ -145,8 +146,8 @@ def test_a_peak_below_the_picture_has_no_name(mountains):
 def test_a_part_of_the_round_has_its_peaks_alone(mountains):
     field, peaks = mountains
     eye = stand_on(field, *field.to_map(150.0, 150.0), 500.0)
-    whole = panorama_view(field, eye, peaks, PanoramaConfig())
-    part = panorama_view(field, eye, peaks, PanoramaConfig(heading_deg=350.0, fov_deg=60.0))
+    whole = panorama_view(Blocks.of(field), eye, peaks, PanoramaConfig())
+    part = panorama_view(Blocks.of(field), eye, peaks, PanoramaConfig(heading_deg=350.0, fov_deg=60.0))
     assert 0 < len(part.sightings) < len(whole.sightings)
     off = [(one.azimuth_deg + part.convergence_deg - 350.0 + 180.0) % 360.0 - 180.0
            for one in part.sightings]  # fmt: skip

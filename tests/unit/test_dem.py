@@ -19,7 +19,7 @@ from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import local_maxima
 from skyline.terrain.tiles import Grid
-from skyline.terrain.warp import square_spacing_m, warp
+from skyline.terrain.warp import Warp, square_spacing_m
 
 
 @pytest.mark.parametrize("step_east", [30.0, -30.0])
@@ -196,7 +196,8 @@ def test_warp_is_keys_cubic_convolution_between_the_samples_around() -> None:
     step = 1.0 / 1200.0
     grid = Grid(9.0, 47.0, step, step, 50, 60)
     frame = Frame.local(9.0 + 29.5 * step, 47.0 - 24.5 * step)
-    warped, target = warp(heights, grid, CRS.from_epsg(4326), frame, 70.0)
+    warp = Warp(heights, grid, CRS.from_epsg(4326), frame, 70.0)
+    warped, target = warp.heights_m(), warp.target
     row, col = np.mgrid[5 : target.rows - 5, 5 : target.cols - 5]
     lon, lat = frame.to_lonlat(target.west + 70.0 * col, target.north - 70.0 * row)
 

@@ -24,7 +24,7 @@ from skyline.render.panorama import PanoramaRenderer
 from skyline.terrain.dem import DemOptions, clean, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.tiles import Grid, mosaic_grid, open_tile, read_mosaic
-from skyline.terrain.warp import ground_spacing_m, local_frame, warp
+from skyline.terrain.warp import Warp, ground_spacing_m, local_frame
 from skyline_bench.measuring.record import Row
 from skyline_bench.runs.speed_error import central_viewpoints
 
@@ -186,8 +186,9 @@ def measure(
 
 def _warped(file: _File, field: HeightField, spacing_m: float) -> HeightField:
     """Return the file as a field has it, but on another spacing."""
-    heights, grid = warp(file.heights_m, file.grid, file.crs, field.frame, spacing_m)
-    return HeightField(heights, grid.west, grid.north, spacing_m, spacing_m, field.frame)
+    warp = Warp(file.heights_m, file.grid, file.crs, field.frame, spacing_m)
+    grid = warp.target
+    return HeightField(warp.heights_m(), grid.west, grid.north, spacing_m, spacing_m, field.frame)
 
 
 def _bilinear(file: _File, field: HeightField) -> HeightField:
