@@ -66,8 +66,7 @@ def write_dem(path, heights, crs="EPSG:32632", **options):
         count=len(heights),
         dtype=heights.dtype,
         crs=crs,
-        transform=Affine(SPACING_M, 0.0, WEST_M, 0.0, -SPACING_M, NORTH_M),
-        **options,
+        **({"transform": Affine(SPACING_M, 0.0, WEST_M, 0.0, -SPACING_M, NORTH_M)} | options),
     ) as raster:
         raster.write(heights)
     return path

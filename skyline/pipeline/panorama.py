@@ -12,7 +12,7 @@ from skyline.report.peaks import Peaks
 from skyline.report.sightings import visible_peaks
 from skyline.terrain.blocks import Blocks
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
 _LEAST_FOV_DEG = 5.0
@@ -96,24 +96,27 @@ def save_panorama_of(
     path = Path(path)
     if path.suffix.lower() not in PANORAMA_SUFFIXES:
         raise InputError(f"{path} is no picture; expected {', '.join(PANORAMA_SUFFIXES)}")
-    easting_m, northing_m = (float(at) for at in blocks.frame.from_lonlat(lon, lat))
-    near = blocks.field(report.near_blocks(blocks, easting_m, northing_m))
-    eye = stand_on(near, easting_m, northing_m, config.eye_height_m)
-    view = panorama_view(blocks, eye, peaks, config)
+    view = panorama_view(blocks, lon, lat, peaks, config)
     write_whole(path, report.encode_panorama(report.draw_panorama(view), path.suffix[1:].lower()))
     return len(view.sightings)
 
 
 def panorama_view(
-    blocks: Blocks, eye: Viewpoints, peaks: Peaks | None, config: PanoramaConfig
+    blocks: Blocks, lon: float, lat: float, peaks: Peaks | None, config: PanoramaConfig
 ) -> "report.PanoramaView":
     """Look at what one eye sees and find its peaks; see `save_panorama`."""
     start_deg, fov_deg = config.start_deg, config.fov_deg
-    landscape = report.Landscape.of(blocks, eye, report.picture_azimuths_deg(start_deg, fov_deg))
-    terrain = landscape.terrain
+    easting_m, northing_m = (float(at) for at in blocks.frame.from_lonlat(lon, lat))
+    landscape = report.Landscape.of(
+        blocks,
+        (easting_m, northing_m),
+        config.eye_height_m,
+        report.picture_azimuths_deg(start_deg, fov_deg),
+    )
+    terrain, eye = landscape.terrain, landscape.eye
     seen = [] if peaks is None else visible_peaks(terrain, eye, peaks, Curvature())
-    convergence_deg = float(terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0]))
+    convergence_deg = float(blocks.frame.convergence_deg(easting_m, northing_m))
     inside = [
         one for one in seen if (one.azimuth_deg + convergence_deg - start_deg) % 360.0 < fov_deg
     ]
-    return report.PanoramaView(eye, landscape, inside, start_deg, fov_deg)
+    return report.PanoramaView(landscape, inside, start_deg, fov_deg)

@@ -1,6 +1,6 @@
 from .coverage_map import save_coverage_map
 from .html import Page, Picture, Section, Table, Text
-from .landscape import Landscape, near_blocks
+from .landscape import Landscape
 from .matched import Matched
 from .matches import write_match_report
 from .panorama import PanoramaView, draw_panorama, encode_panorama, picture_azimuths_deg
@@ -22,7 +22,6 @@ __all__ = [
     "Text",
     "draw_panorama",
     "encode_panorama",
-    "near_blocks",
     "picture_azimuths_deg",
     "read_peaks",
     "save_coverage_map",

@@ -4,6 +4,7 @@ Columns of azimuth are followed outwards in steps no wider than a pixel of the p
 is what stands higher than all that is nearer. Terrain that nearer terrain hides is not made.
 """
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Self
@@ -12,16 +13,17 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.geodesy import Curvature
+from skyline.report.sightings import HIDDEN_DEG, UNDERFOOT_SAMPLES
 from skyline.terrain.blocks import Blocks
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.terrain.viewpoints import Viewpoints, stand_on
 
 _COLUMNS_AT_ONCE, _STEPS_AT_ONCE = 128, 256
-_SAMPLES_A_STEP = 0.7
-_NEAR_SAMPLES = 300
-"""Within so many samples all is looked at; it hides most of what lies beyond."""
-_HIDDEN_DEG = 0.25
-"""Terrain so far below what is nearer is hidden: farther than a peak that is named may be."""
+_SAMPLES_A_STEP = 1.0
+_RINGS_SAMPLES = (300.0, 1000.0, math.inf)
+"""Outer radii of rings round the eye; what is seen of one hides terrain of the next."""
+_HIDDEN_DEG = HIDDEN_DEG + 0.05
+"""Terrain so far below what is nearer is hidden, and so are peaks on it between two columns."""
 _RIDGE_JUMP, _RIDGE_SAMPLES = 1.04, 4.0
 """How much farther what is behind a ridge must be: times as far, and samples beyond that."""
 _RANGES_A_DOUBLING = 10
@@ -30,37 +32,40 @@ _NOTHING_DEG = -90.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """What one eye sees in C columns, S steps outwards.
+    """What one eye sees in C columns: P points, by column and outwards in each.
 
     Attributes
     ----------
     terrain : HeightField
         What is hidden from the eye may be missing.
+    eye : Viewpoints
+        One.
     azimuth_deg : (C,) float64
         From true north, increasing.
-    distance_m : (S,) float64
-        Of the steps, horizontal, increasing.
-    top_deg : (C, S) float32
-        Highest elevation angle of the terrain up to each step; -90 before any.
-    ridge_m : (R,) float64
-        Distances at which ranges begin, increasing.
-    ridge_deg : (R, C) float32
-        Elevation angle of the highest ridge of each range, NaN where it has none. Behind a ridge
-        the terrain drops out of sight.
+    begins : (C + 1,) int64
+        The points of column c are ``begins[c]`` to ``begins[c + 1]``.
+    distance_m : (P,) float64
+        Horizontal, increasing in each column.
+    elevation_deg : (P,) float32
+        Elevation angle, increasing in each column.
+    is_ridge : (P,) bool
+        Whether the terrain behind a point drops out of sight.
     """
 
     terrain: HeightField
+    eye: Viewpoints
     azimuth_deg: Float64Array
+    begins: Int64Array
     distance_m: Float64Array
-    top_deg: Float32Array
-    ridge_m: Float64Array
-    ridge_deg: Float32Array
+    elevation_deg: Float32Array
+    is_ridge: BoolArray
 
     @classmethod
     def of(
         cls,
         blocks: Blocks,
-        eye: Viewpoints,
+        place_m: tuple[float, float],
+        eye_height_m: float,
         azimuth_deg: Float64Array,
         curvature: Curvature | None = None,
     ) -> Self:
@@ -69,52 +74,83 @@ class Landscape:
         Parameters
         ----------
         blocks : Blocks
-        eye : Viewpoints
-            One.
+        place_m : (float, float)
+            Easting and northing.
+        eye_height_m : float
+            Above ground.
         azimuth_deg : (C,) float64
             From true north, in equal steps, at least two.
         curvature : Curvature, optional
             Defaults to the Earth's with k = 0.13.
+
+        Raises
+        ------
+        OffMapError
+            The place is off the map or on a hole.
         """
-        look = _Look(blocks, eye, azimuth_deg, curvature or Curvature())
-        terrain = blocks.field(near_blocks(blocks, eye.easting_m[0], eye.northing_m[0]))
-        near = int(np.searchsorted(look.distance_m, _NEAR_SAMPLES * terrain.spacing_m))
-        look.walk(terrain, slice(0, near), np.full(len(azimuth_deg), np.inf))
-        wanted, until_m = look.may_be_seen(near)
+        near_m, *farther_m = (samples * blocks.spacing_m for samples in _RINGS_SAMPLES)
+        from_m = np.hypot(*blocks.around_m(*place_m)) - blocks.radius_m
+        wanted = from_m <= near_m
         terrain = blocks.field(wanted)
-        look.walk(terrain, slice(near, len(look.distance_m)), until_m)
-        ridge_m, ridge_deg = look.ridges(terrain)
-        return cls(terrain, azimuth_deg, look.distance_m, look.top_deg, ridge_m, ridge_deg)
+        eye = stand_on(terrain, *place_m, eye_height_m)
+        look = _Look(blocks, eye, azimuth_deg, curvature or Curvature())
+        look.walk(terrain, 0.0, near_m, np.full(len(azimuth_deg), np.inf))
+        for ring_m in itertools.pairwise((near_m, *farther_m)):
+            seen, until_m = look.may_be_seen(ring_m[0])
+            wanted = np.where(from_m <= ring_m[0], wanted, seen)
+            terrain = blocks.field(wanted & (from_m <= ring_m[1]))
+            look.walk(terrain, *ring_m, until_m)
+        return cls(terrain, eye, azimuth_deg, *look.points(terrain))
 
     @property
     def skyline_deg(self) -> Float32Array:
-        """The highest elevation angle in each column, (C,)."""
-        return np.asarray(self.top_deg[:, -1])
+        """The highest elevation angle in each column, (C,); -90 where nothing is seen."""
+        highest = self.elevation_deg[np.maximum(self.begins[1:], 1) - 1]
+        return np.where(np.diff(self.begins) > 0, highest, np.float32(_NOTHING_DEG))
 
     @property
     def reach_m(self) -> float:
         """How far away the farthest terrain seen is."""
-        farthest = (self.top_deg < self.skyline_deg[:, np.newaxis]).sum(axis=1).max()
-        return float(self.distance_m[min(int(farthest), len(self.distance_m) - 1)])
+        return float(self.distance_m.max())
 
-    def seen_m(self, columns: slice, elevation_deg: Float64Array) -> Float64Array:
-        """Return how far away what is seen in P columns is, (E, P); inf for the sky.
+    @property
+    def column(self) -> Int64Array:
+        """The column of each point, (P,)."""
+        return np.repeat(np.arange(len(self.azimuth_deg)), np.diff(self.begins))
+
+    def seen(self, columns: slice, elevation_deg: Float64Array) -> Int64Array:
+        """Return which point is seen in K columns, (E, K); the number of points for the sky.
 
         Parameters
         ----------
         columns : slice
         elevation_deg : (E,) float64
         """
-        away = np.append(self.distance_m, np.inf)
-        steps = [np.searchsorted(top, elevation_deg) for top in self.top_deg[columns]]
-        return away[np.stack(steps, axis=1)]
+        begins = self.begins[columns.start : columns.stop + 1]
+        seen = np.full((len(begins) - 1, len(elevation_deg)), len(self.distance_m))
+        for row, (begin, end) in zip(seen, itertools.pairwise(begins), strict=True):
+            point = begin + np.searchsorted(self.elevation_deg[begin:end], elevation_deg)
+            np.copyto(row, point, where=point < end)
+        return seen.T
 
+    def ridges(self) -> tuple[Float64Array, Float32Array]:
+        """Return the ridges of R ranges of distance.
 
-def near_blocks(blocks: Blocks, easting_m: float, northing_m: float) -> BoolArray:
-    """Return which blocks are looked at in any case, (R, C)."""
-    spacing_m = min(blocks.spacing_east_m, blocks.spacing_north_m)
-    away_m = np.hypot(*blocks.around_m(easting_m, northing_m))
-    return np.asarray(away_m <= _NEAR_SAMPLES * spacing_m + blocks.radius_m)
+        Returns
+        -------
+        ridge_m : (R,) float64
+            Distances at which ranges begin, increasing.
+        ridge_deg : (R, C) float32
+            Elevation angle of the highest ridge of each range, NaN where it has none.
+        """
+        first_m = float(self.distance_m.min(initial=np.inf))
+        distance_m = self.distance_m[self.is_ridge]
+        ranges = (np.log2(distance_m / first_m) * _RANGES_A_DOUBLING).astype(np.intp)
+        shape = ranges.max(initial=0) + 1, len(self.azimuth_deg)
+        ridge_deg = np.full(shape, np.nan, np.float32)
+        # Later ones stand higher.
+        ridge_deg[ranges, self.column[self.is_ridge]] = self.elevation_deg[self.is_ridge]
+        return first_m * 2.0 ** (np.arange(len(ridge_deg)) / _RANGES_A_DOUBLING), ridge_deg
 
 
 class _Look:
@@ -129,24 +165,69 @@ class _Look:
         turn_deg = float(blocks.frame.convergence_deg(*self._place))
         self._grid_rad = np.radians(azimuth_deg - turn_deg)
         self._column_rad = math.radians(azimuth_deg[1] - azimuth_deg[0])
-        self.distance_m = _steps_m(blocks, self._place, self._column_rad)
-        self.top_deg = np.full(
-            (len(azimuth_deg), len(self.distance_m)), _NOTHING_DEG, dtype=np.float32
-        )
-        self._so_far_deg = self.top_deg[:, 0].copy()
+        self._distance_m = _steps_m(blocks, self._place, self._column_rad)
+        self._so_far_deg = np.full(len(azimuth_deg), _NOTHING_DEG, dtype=np.float32)
+        self._seen: list[tuple[Int64Array, Int64Array, Float32Array]] = []
 
-    def walk(self, terrain: HeightField, steps: slice, until_m: Float64Array) -> None:
-        """Go some steps on in every column, no farther than a distance (C,)."""
+    def walk(self, terrain: HeightField, from_m: float, to_m: float, until_m: Float64Array) -> None:
+        """Go on from one distance to another, in each column no farther than a third, (C,)."""
+        begin, end = np.searchsorted(self._distance_m, [from_m, to_m]).tolist()
         for start in range(0, len(until_m), _COLUMNS_AT_ONCE):
-            for first in range(steps.start, steps.stop, _STEPS_AT_ONCE):
-                part = slice(first, min(first + _STEPS_AT_ONCE, steps.stop))
-                open_ = until_m[start : start + _COLUMNS_AT_ONCE] > self.distance_m[first]
+            for first in range(begin, end, _STEPS_AT_ONCE):
+                part = slice(first, min(first + _STEPS_AT_ONCE, end))
+                open_ = until_m[start : start + _COLUMNS_AT_ONCE] > self._distance_m[first]
                 columns = start + np.flatnonzero(open_)
-                up_deg = self._up_deg(terrain, columns, self.distance_m[part])
-                np.maximum(up_deg[:, 0], self._so_far_deg[columns], out=up_deg[:, 0])
-                up_deg = np.maximum.accumulate(up_deg, axis=1)
-                self.top_deg[columns, part] = up_deg
+                up_deg = self._up_deg(terrain, columns, self._distance_m[part])
+                up_deg = np.concatenate([self._so_far_deg[columns, np.newaxis], up_deg], axis=1)
+                np.maximum.accumulate(up_deg, axis=1, out=up_deg)
                 self._so_far_deg[columns] = up_deg[:, -1]
+                column, step = np.nonzero(up_deg[:, 1:] > up_deg[:, :-1])
+                self._seen.append((columns[column], first + step, up_deg[column, step + 1]))
+
+    def points(
+        self, terrain: HeightField
+    ) -> tuple[Int64Array, Float64Array, Float32Array, BoolArray]:
+        """Return what was seen, as `Landscape` has it, ridges as high as the surface is there."""
+        column, step, up_deg = (np.concatenate(part) for part in zip(*self._seen, strict=True))
+        order = np.argsort(column, kind="stable")  # Steps are in order already.
+        column, step, up_deg = column[order], step[order], up_deg[order]
+        distance_m = self._distance_m[step]
+        behind_m = np.append(distance_m[1:], np.inf)
+        behind_m[np.append(np.diff(column) > 0, True)] = np.inf
+        samples_m = _RIDGE_SAMPLES * terrain.spacing_m
+        is_ridge = behind_m > _RIDGE_JUMP * distance_m + samples_m
+        crest_deg = self._crest_deg(terrain, column[is_ridge], step[is_ridge])
+        up_deg[is_ridge] = np.maximum(up_deg[is_ridge], crest_deg)
+        # Such a ridge hides some of what was seen behind it.
+        highest_deg = np.maximum.accumulate(up_deg + 360.0 * column)
+        seen = np.diff(highest_deg, prepend=-np.inf) > 0.0
+        begins = np.searchsorted(column[seen], np.arange(len(self._so_far_deg) + 1))
+        return begins, distance_m[seen], up_deg[seen], is_ridge[seen]
+
+    def _crest_deg(
+        self, terrain: HeightField, column: Int64Array, step: Int64Array
+    ) -> Float32Array:
+        """Return the highest elevation angle between the steps before and after each of some.
+
+        It is where the ray crosses an edge of the surface, since between two edges that is a plane.
+        """
+        last = len(self._distance_m) - 1
+        ends_m = self._distance_m[np.stack([np.maximum(step - 1, 0), np.minimum(step + 1, last)])]
+        row, col = terrain.to_grid(*self._place)
+        down = -np.cos(self._grid_rad[column]) / terrain.spacing_north_m
+        right = np.sin(self._grid_rad[column]) / terrain.spacing_east_m
+        crossings_m = []
+        for start, a_metre in ((row, down), (col, right), (col - row, right - down)):
+            ends = start + a_metre * ends_m
+            first, count = np.ceil(ends.min(axis=0)), int(np.ceil(np.ptp(ends, axis=0).max())) + 1
+            edge = first[:, np.newaxis] + np.arange(count)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                crossings_m.append((edge - start) / a_metre[:, np.newaxis])
+        # Crossings beyond the steps, or of parallel edges, become the first step.
+        away_m = np.concatenate(crossings_m, axis=1)
+        near_m, far_m = ends_m[..., np.newaxis]
+        away_m = np.where((away_m >= near_m) & (away_m <= far_m), away_m, near_m)
+        return np.asarray(self._up_deg(terrain, column, away_m).max(axis=1))
 
     def _up_deg(
         self, terrain: HeightField, columns: Int64Array, distance_m: Float64Array
@@ -160,12 +241,12 @@ class _Look:
         up_deg = np.degrees(np.arctan((ground_m - drop_m) / distance_m))
         return np.nan_to_num(up_deg, nan=_NOTHING_DEG).astype(np.float32)
 
-    def may_be_seen(self, step: int) -> tuple[BoolArray, Float64Array]:
-        """Return the blocks (R, C) that what was seen up to a step does not hide.
+    def may_be_seen(self, near_m: float) -> tuple[BoolArray, Float64Array]:
+        """Return the blocks (R, C) beyond a distance that what was seen up to it does not hide.
 
         And how far away the farthest of them is in each column, (C,).
         """
-        blocks, near_m = self._blocks, self.distance_m[step - 1]
+        blocks = self._blocks
         east_m, north_m = blocks.around_m(*self._place)
         away_m, radius_m = np.hypot(east_m, north_m), blocks.radius_m
         from_m, to_m = np.maximum(away_m - radius_m, near_m), away_m + radius_m
@@ -183,47 +264,19 @@ class _Look:
         spans = np.stack([left, right], axis=1)
         least_deg = np.minimum.reduceat(np.append(hidden_deg, np.inf), spans.ravel())[::2]
         seen = up_deg.flat[far] > least_deg
-        wanted = away_m - radius_m <= near_m
-        wanted.flat[far[seen]] = True
+        unhidden = np.zeros(away_m.shape, np.bool_)
+        unhidden.flat[far[seen]] = True
         until_m = np.zeros(2 * turn)
         for (first, last), far_m in zip(spans[seen], to_m.flat[far[seen]], strict=True):
             until_m[first:last] = np.maximum(until_m[first:last], far_m)
-        return wanted, until_m.reshape(2, turn).max(axis=0)[:columns]
-
-    def ridges(self, terrain: HeightField) -> tuple[Float64Array, Float32Array]:
-        """Return `Landscape.ridge_m` and `Landscape.ridge_deg`, and close the columns."""
-        np.maximum.accumulate(self.top_deg, axis=1, out=self.top_deg)
-        distance_m = self.distance_m
-        ranges = (np.log2(distance_m / distance_m[0]) * _RANGES_A_DOUBLING).astype(np.intp)
-        ridge_deg = np.full((ranges[-1] + 1, len(self.top_deg)), np.nan, np.float32)
-        for start in range(0, len(self.top_deg), _COLUMNS_AT_ONCE):
-            top_deg = self.top_deg[start : start + _COLUMNS_AT_ONCE]
-            column, step = _ridges(top_deg, distance_m, terrain.spacing_m)
-            # Later ones stand higher.
-            ridge_deg[ranges[step], start + column] = top_deg[column, step]
-        begins_m = distance_m[0] * 2.0 ** (np.arange(len(ridge_deg)) / _RANGES_A_DOUBLING)
-        return begins_m, ridge_deg
+        return unhidden, until_m.reshape(2, turn).max(axis=0)[:columns]
 
 
 def _steps_m(blocks: Blocks, place: tuple[float, float], pixel_rad: float) -> Float64Array:
     """Return distances from underfoot to the farthest corner of the terrain."""
     reach_m = float(np.hypot(*blocks.around_m(*place)).max()) + blocks.radius_m
-    step_m = _SAMPLES_A_STEP * min(blocks.spacing_east_m, blocks.spacing_north_m)
+    step_m = _SAMPLES_A_STEP * blocks.spacing_m
     turn_m = min(max(step_m / pixel_rad, step_m), reach_m)
-    near = np.arange(0.5 * step_m, turn_m, step_m)
+    near = np.arange(UNDERFOOT_SAMPLES * blocks.spacing_m, turn_m, step_m)
     wider = math.ceil(math.log(reach_m / turn_m) / pixel_rad) + 1
     return np.concatenate([near, np.geomspace(turn_m, max(reach_m, 1.01 * turn_m), wider + 1)])
-
-
-def _ridges(
-    top_deg: Float32Array, distance_m: Float64Array, spacing_m: float
-) -> tuple[np.ndarray[tuple[int], np.dtype[np.intp]], np.ndarray[tuple[int], np.dtype[np.intp]]]:
-    """Return columns and steps behind which the next that is seen is much farther, or the sky."""
-    seen = np.empty(top_deg.shape, dtype=bool)
-    seen[:, 0] = top_deg[:, 0] > _NOTHING_DEG
-    seen[:, 1:] = top_deg[:, 1:] > top_deg[:, :-1]
-    column, step = np.nonzero(seen)
-    behind = np.append(distance_m[step[1:]], np.inf)
-    behind[np.append(np.diff(column) > 0, True)] = np.inf
-    ridge = behind > _RIDGE_JUMP * distance_m[step] + _RIDGE_SAMPLES * spacing_m
-    return column[ridge], step[ridge]

@@ -19,7 +19,6 @@ from skyline.report.labels import place_labels
 from skyline.report.landscape import Landscape
 from skyline.report.sightings import Sighting
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints
 
 ROW_DEG = 120.0
 """The widest row; a wider panorama has several rows, of one width."""
@@ -46,8 +45,6 @@ class PanoramaView:
 
     Attributes
     ----------
-    eye : Viewpoints
-        One.
     landscape : Landscape
         Its columns are the picture's, `picture_azimuths_deg`.
     sightings : sequence of Sighting
@@ -56,7 +53,6 @@ class PanoramaView:
         The azimuth from true north at the left border, and how far the picture goes on.
     """
 
-    eye: Viewpoints
     landscape: Landscape
     sightings: Sequence[Sighting]
     start_deg: float
@@ -65,7 +61,7 @@ class PanoramaView:
     @property
     def convergence_deg(self) -> float:
         """Azimuth from true north minus grid azimuth."""
-        eye = self.eye
+        eye = self.landscape.eye
         return float(
             self.landscape.terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0])
         )
@@ -104,11 +100,11 @@ def draw_panorama(view: PanoramaView) -> Figure:
     total_in = _TITLE_IN + sum(row.total_in for row in rows)
     figure.set_size_inches(_WIDTH_IN, total_in)
     left, wide = _MARGIN_IN / _WIDTH_IN, 1.0 - 2.0 * _MARGIN_IN / _WIDTH_IN
-    top_in = total_in - _TITLE_IN
+    top_in, colours = total_in - _TITLE_IN, _colours(view)
     for row in rows:
         bottom_in = top_in - row.names_in - row.high_in
         axis = figure.add_axes((left, bottom_in / total_in, wide, row.high_in / total_in))
-        _draw_row(axis, view, row)
+        _draw_row(axis, view, row, colours)
         _draw_names(axis, row)
         top_in -= row.total_in
     figure.text(left, 1.0 - 0.3 / total_in, _title(view), fontsize=11, va="baseline")
@@ -176,57 +172,54 @@ def encode_panorama(figure: Figure, kind: str) -> bytes:
     return picture.getvalue()
 
 
-def _draw_row(axis: Axes, view: PanoramaView, row: _Row) -> None:
+def _draw_row(axis: Axes, view: PanoramaView, row: _Row, colours: UInt8Array) -> None:
     """Draw the landscape of a row, and its scales."""
     (begin, end), (low, high) = row.ends_deg, row.span_deg
     pixel_deg = (end - begin) / _COLUMNS
     azimuth = view.landscape.azimuth_deg[row.columns]
     elevation = np.arange(low + 0.5 * pixel_deg, high, pixel_deg)
-    distance_m = view.landscape.seen_m(row.columns, elevation)
-    reach_m = view.landscape.reach_m
+    seen = view.landscape.seen(row.columns, elevation)
     axis.imshow(
-        _shaded(view, azimuth, distance_m, reach_m),
+        colours[seen],
         extent=(begin, end, low, high),
         origin="lower",
         aspect="auto",
         interpolation="nearest",
     )
-    haze = _haze(view.landscape.ridge_m, reach_m)[::-1, np.newaxis]
-    lines = view.landscape.ridge_deg[::-1, row.columns]
+    ridge_m, ridge_deg = view.landscape.ridges()
+    haze = _haze(ridge_m, view.landscape.reach_m)[::-1, np.newaxis]
+    lines = ridge_deg[::-1, row.columns]
     axis.add_collection(
         LineCollection(
             [np.stack([azimuth, line], axis=1) for line in lines],
             colors=(1.0 - haze) * 0.35 * _ROCK + haze * 0.72 * _HAZE,
             linewidths=0.7,
+            capstyle="round",
         )
     )
     axis.set(xlim=(begin, end), ylim=(low, high), facecolor=_SKY)
     _draw_compass(axis, (begin, end))
 
 
-def _shaded(
-    view: PanoramaView, azimuth_deg: Float64Array, distance_m: Float64Array, reach_m: float
-) -> UInt8Array:
-    """Return the picture (R, P, 4) of what is seen at distances (R, P); the sky is transparent."""
-    terrain, eye = view.landscape.terrain, view.eye
-    grid = np.radians(azimuth_deg - view.convergence_deg)
-    ground = np.isfinite(distance_m)
-    away, column = distance_m[ground], np.nonzero(ground)[1]
+def _colours(view: PanoramaView) -> UInt8Array:
+    """Return the colours (P + 1, 4) of the landscape's points, and of the sky: transparent."""
+    landscape, terrain, eye = view.landscape, view.landscape.terrain, view.landscape.eye
+    away_m = landscape.distance_m
+    grid = np.radians(landscape.azimuth_deg - view.convergence_deg)[landscape.column]
     place = terrain.to_grid(
-        eye.easting_m[0] + away * np.sin(grid)[column],
-        eye.northing_m[0] + away * np.cos(grid)[column],
+        eye.easting_m[0] + away_m * np.sin(grid), eye.northing_m[0] + away_m * np.cos(grid)
     )
     north, east = _slopes(terrain, *place)
     towards = grid + np.pi - _LIGHT_ASIDE
-    facing = east * np.sin(towards)[column] + north * np.cos(towards)[column]
+    facing = east * np.sin(towards) + north * np.cos(towards)
     lit = np.sin(_LIGHT_UP) - np.cos(_LIGHT_UP) * facing
     light = np.nan_to_num(np.clip(lit / np.sqrt(1.0 + east**2 + north**2), 0.0, 1.0), nan=0.5)
-    haze = _haze(away, reach_m)[..., np.newaxis]
-    lighted = _ROCK * (0.25 + 1.25 * light[..., np.newaxis])
-    picture = np.zeros((*ground.shape, 4), np.uint8)
-    picture[ground, :3] = np.clip((1.0 - haze) * lighted + haze * _HAZE, 0.0, 1.0) * 255.0 + 0.5
-    picture[ground, 3] = 255
-    return picture
+    haze = _haze(away_m, landscape.reach_m)[:, np.newaxis]
+    lighted = _ROCK * (0.25 + 1.25 * light[:, np.newaxis])
+    colours = np.zeros((len(away_m) + 1, 4), np.uint8)
+    colours[:-1, :3] = np.clip((1.0 - haze) * lighted + haze * _HAZE, 0.0, 1.0) * 255.0 + 0.5
+    colours[:-1, 3] = 255
+    return colours
 
 
 def _slopes(
@@ -311,7 +304,7 @@ def _extent_in(figure: Figure, text: str) -> tuple[float, float]:
 
 
 def _title(view: PanoramaView) -> str:
-    eye = view.eye
+    eye = view.landscape.eye
     lon, lat = (
         float(at[0]) for at in view.landscape.terrain.frame.to_lonlat(eye.easting_m, eye.northing_m)
     )

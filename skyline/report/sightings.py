@@ -19,6 +19,8 @@ from skyline.terrain.viewpoints import Viewpoints
 
 SUMMIT_RADIUS_M = 150.0
 """How far from the place named a summit is looked for; terrain this near to it does not hide it."""
+UNDERFOOT_SAMPLES = 0.35
+"""Ground nearer than so many samples hides nothing: a model does not know it so well."""
 HIDDEN_DEG = 0.1
 """How far terrain before a peak may stand above it while the peak still counts as seen."""
 
@@ -123,7 +125,8 @@ def _is_hidden(
     """Whether terrain on the line to a peak stands above it by more than the tolerance."""
     share = _crossings(terrain, eye, sighting)
     distance = share * sighting.distance_m
-    distance = distance[(distance > 0.0) & (distance < sighting.distance_m - SUMMIT_RADIUS_M)]
+    near_m, far_m = UNDERFOOT_SAMPLES * terrain.spacing_m, sighting.distance_m - SUMMIT_RADIUS_M
+    distance = distance[(distance > near_m) & (distance < far_m)]
     turn = math.radians(sighting.azimuth_deg)
     ground = terrain.height_at(
         eye.easting_m[0] + distance * math.sin(turn), eye.northing_m[0] + distance * math.cos(turn)

@@ -30,7 +30,7 @@ class Blocks:
     highest_m : (R, C) float32
         No height of a block is above it; -inf where there is none.
     field : callable
-        From which blocks are wanted (R, C) to the field; samples in other blocks may be NaN.
+        From which blocks are wanted (R, C) to a field of these; others may be missing or NaN.
     """
 
     frame: Frame
@@ -59,6 +59,11 @@ class Blocks:
         east_m = self.west_m + cols * BLOCK * self.spacing_east_m - easting_m
         north_m = self.north_m - rows * BLOCK * self.spacing_north_m - northing_m
         return tuple(np.meshgrid(east_m, north_m))
+
+    @property
+    def spacing_m(self) -> float:
+        """The finer of the two sample spacings."""
+        return min(self.spacing_east_m, self.spacing_north_m)
 
     @property
     def radius_m(self) -> float:

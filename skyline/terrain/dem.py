@@ -166,7 +166,7 @@ def read_blocks(
     grid = warp.target
 
     def field(wanted: BoolArray) -> HeightField:
-        return _field(warp.heights_m(wanted), grid, frame, provenance)
+        return _field(*warp.blocks_m(wanted), frame, provenance)
 
     steps = grid.step_east, grid.step_north
     return Blocks(frame, grid.west, grid.north, *steps, warp.highest_m(), field)

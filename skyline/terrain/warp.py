@@ -10,10 +10,11 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.terrain.blocks import BLOCK, block_edges
@@ -118,30 +119,48 @@ class Warp:
         highest = np.full([len(edge) - 1 for edge in edges], np.inf, np.float32)
         if self._smooth:
             nodes = self._positions(*(edge.astype(np.float64) for edge in edges))
-            corners = [
-                np.stack([at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]]) for at in nodes
-            ]
+            rows, cols = (
+                _spans(
+                    np.minimum.reduce(_corners(at)), np.maximum.reduce(_corners(at)), _BENT, count
+                )
+                for at, count in zip(nodes, self._source_m.shape, strict=True)
+            )
             for block in np.ndindex(highest.shape):
-                row, col = (at[(slice(None), *block)] for at in corners)
-                part = self._source_part(row, col, _BENT)
-                highest[block] = np.fmax.reduce(self._source_m[part], axis=None, initial=-np.inf)
+                part = self._source_m[slice(*rows[:, *block]), slice(*cols[:, *block])]
+                highest[block] = np.fmax.reduce(part, axis=None, initial=-np.inf)
         return highest
 
-    def heights_m(self, wanted: BoolArray | None = None) -> Float32Array:
-        """Return the target's samples (rows, cols); NaN where blocks (R, C) are not wanted."""
-        target = self.target
-        if wanted is None:
-            warped = np.empty((target.rows, target.cols), dtype=np.float32)
-            wanted = np.ones([len(block_edges(count)) - 1 for count in warped.shape], np.bool_)
-        else:
-            warped = np.full((target.rows, target.cols), np.nan, dtype=np.float32)
+    def heights_m(self) -> Float32Array:
+        """Return the target's samples (rows, cols)."""
+        blocks = [len(block_edges(count)) - 1 for count in (self.target.rows, self.target.cols)]
+        return self.blocks_m(np.ones(blocks, np.bool_))[0]
 
-        def fill(inner: tuple[slice, slice]) -> None:
-            warped[inner] = self._part(inner)
+    def blocks_m(self, wanted: BoolArray) -> tuple[Float32Array, Grid]:
+        """Return the least part of the target with all blocks (R, C) wanted; the rest is NaN."""
+        target = self.target
+        spans = [np.flatnonzero(wanted.any(axis)) for axis in (1, 0)]
+        rows, cols = (
+            slice(int(span[0]) * BLOCK, min((int(span[-1]) + 1) * BLOCK + 1, count))
+            if span.size
+            else slice(0, count)
+            for span, count in zip(spans, (target.rows, target.cols), strict=True)
+        )
+        part = target.part(rows, cols)
+        warped = np.empty((part.rows, part.cols), dtype=np.float32)
+        if not wanted.all():
+            warped.fill(np.nan)
+
+        def fill(window: tuple[slice, slice]) -> None:
+            row, col = window
+            here = (
+                slice(row.start - rows.start, row.stop - rows.start),
+                slice(col.start - cols.start, col.stop - cols.start),
+            )
+            warped[here] = self._part(window)
 
         with ThreadPoolExecutor(_THREADS) as pool:
             list(pool.map(fill, _windows(wanted)))
-        return warped
+        return warped, part
 
     def _part(self, inner: tuple[slice, slice]) -> Float32Array:
         """Return a part of the target."""
@@ -154,11 +173,14 @@ class Warp:
         )
         warped = cubic(self._source_m, row, col)
         if not np.isnan(warped).all():
-            source = self._source_part(row, col, 2)
+            source = [
+                slice(*_spans(at.min(), at.max(), 2, count).tolist())
+                for at, count in zip((row, col), self._source_m.shape, strict=True)
+            ]
             keep_summits(
                 warped,
                 self.target.part(*outer),
-                self._source_m[source],
+                self._source_m[*source],
                 self._grid.part(*source),
                 self._to_frame,
             )
@@ -167,15 +189,16 @@ class Warp:
         )
         return warped[rows, cols]
 
-    def _source_part(self, row: Float64Array, col: Float64Array, margin: int) -> tuple[slice, ...]:
-        """Return the rows and columns of the source round some positions; they may be none."""
-        return tuple(
-            slice(
-                int(np.clip(at.min() - margin, 0, count)),
-                int(np.clip(at.max() + margin + 2, 0, count)),
-            )
-            for at, count in zip((row, col), self._source_m.shape, strict=True)
-        )
+
+def _corners(at: Float64Array) -> list[Float64Array]:
+    """Return what nodes have at the four corners of each cell between them."""
+    return [at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]]
+
+
+def _spans(lowest: ArrayLike, highest: ArrayLike, margin: int, count: int) -> Int64Array:
+    """Return the first sample and the one past the last, (2, ...), of spans of positions."""
+    ends = np.stack([np.subtract(lowest, margin), np.add(highest, margin + 2)])
+    return np.asarray(np.clip(ends, 0, count).astype(np.int64))
 
 
 def _windows(wanted: BoolArray) -> Iterator[tuple[slice, slice]]:

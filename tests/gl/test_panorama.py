@@ -1,17 +1,21 @@
 """What an eye sees of a wall before a higher wall, and which names stand where in a panorama."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from scenes import FRAME, HeightField, field_from, fractal
+from rasterio.transform import Affine
+from scenes import FRAME, HeightField, field_from, fractal, write_dem
 from scipy.ndimage import maximum_filter
 
-from skyline import PanoramaConfig, Peaks, horizon, save_panorama, stand_on
+from skyline import PanoramaConfig, Peaks, horizon, read_dem, save_panorama
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.pipeline.panorama import panorama_view
 from skyline.report.landscape import Landscape
 from skyline.report.panorama import SUMMIT, draw_panorama
 from skyline.terrain.blocks import Blocks
+from skyline.terrain.dem import read_blocks
 
 AZIMUTH_DEG = 10.0 + np.arange(2000) * 0.05
 
@@ -26,7 +30,7 @@ def two_walls():
         ),
         701, 10.0,
     )  # fmt: skip
-    return Landscape.of(Blocks.of(field), stand_on(field, 0.0, 0.0, 2.0), AZIMUTH_DEG)
+    return Landscape.of(Blocks.of(field), (0.0, 0.0), 2.0, AZIMUTH_DEG)
 
 
 def test_the_nearer_wall_hides_the_plain_and_the_farther_one_stands_over_it(two_walls):
@@ -36,7 +40,8 @@ def test_the_nearer_wall_hides_the_plain_and_the_farther_one_stands_over_it(two_
     elevation = np.array(
         [-60.0, -1.0, near_deg - 0.3, near_deg + 0.3, far_deg - 0.1, far_deg + 0.1]
     )
-    seen_m = two_walls.seen_m(slice(100, 140), elevation)
+    seen = two_walls.seen(slice(100, 140), elevation)
+    seen_m = np.append(two_walls.distance_m, np.inf)[seen]
     assert seen_m.shape == (6, 40)
     np.testing.assert_allclose(seen_m[0], 2.0 / np.tan(np.radians(60.0)), atol=10.0)
     np.testing.assert_allclose(seen_m[1], 2.0 / np.tan(np.radians(1.0)), atol=10.0)
@@ -46,28 +51,54 @@ def test_the_nearer_wall_hides_the_plain_and_the_farther_one_stands_over_it(two_
 
 
 def test_ridges_are_where_the_terrain_drops_out_of_sight(two_walls):
-    there = np.isfinite(two_walls.ridge_deg)
+    ridge_m, ridge_deg = two_walls.ridges()
+    there = np.isfinite(ridge_deg)
     assert there.any(axis=0).all()
     for low_m, high_m, tan in ((550.0, 650.0, 48.0 / 600.0), (2900.0, 3100.0, 528.0 / 3000.0)):
-        lines = two_walls.ridge_deg[
-            (two_walls.ridge_m > low_m / 1.08) & (two_walls.ridge_m < high_m)
-        ]
+        lines = ridge_deg[(ridge_m > low_m / 1.08) & (ridge_m < high_m)]
         highest = np.nanmax(lines, axis=0)
         np.testing.assert_allclose(highest, np.degrees(np.arctan(tan)), atol=0.25)
-    between = (two_walls.ridge_m > 700.0) & (two_walls.ridge_m < 2700.0)
+    between = (ridge_m > 700.0) & (ridge_m < 2700.0)
     assert not there[between].any()
 
 
-def test_the_skyline_is_the_renderers(mountains):
+@pytest.mark.parametrize("share", [(0.33, 0.6), (0.5, 0.5), (0.7, 0.2)])
+def test_the_skyline_is_the_exact_horizon_within_half_a_step(mountains, share):
     field, _ = mountains
-    eye = stand_on(field, *field.to_map(100.0, 180.0), 20.0)
-    lon, lat = (float(at[0]) for at in field.frame.to_lonlat(eye.easting_m, eye.northing_m))
-    exact = horizon(field, lon, lat, 20.0, 0.1)
-    seen = Landscape.of(Blocks.of(field), eye, exact.azimuth_deg[0])
+    place = tuple(float(at) for at in field.to_map(300.0 * share[0], 300.0 * share[1]))
+    exact = horizon(field, *field.frame.to_lonlat(*place), 20.0, 0.1)
+    seen = Landscape.of(Blocks.of(field), place, 20.0, exact.azimuth_deg[0])
+    distance_m, resolved = exact.distance_m[0], exact.distance_m[0] > 0.35 * field.spacing_m
     short_deg = exact.elevation_deg[0] - seen.skyline_deg
-    # Steps are 42 m or a tenth of a degree apart, so that the highest edge may lie between two.
+    # What stands highest is found to where it crosses an edge, unless it is hidden at both steps
+    # beside it: then it rises no more than the steepest ground does in half a step.
+    step_m = np.maximum(field.spacing_m, np.radians(0.1) * distance_m)
+    slope = np.abs(np.diff(field.heights_m)).max() / field.spacing_m * np.sqrt(2.0)
+    bound_deg = np.degrees(0.5 * step_m * slope / distance_m)
     assert short_deg.min() > -1e-3
-    assert np.percentile(short_deg, [50, 95]).max() < 0.25
+    assert (short_deg <= bound_deg)[resolved].all()
+    assert np.percentile(short_deg[resolved], 95) < 1e-3
+
+
+def test_terrain_that_is_hidden_is_not_made_and_changes_nothing(tmp_path):
+    heights = 1500.0 + fractal(700, 700, 1500.0, seed=9)
+    transform = Affine(1 / 1200, 0.0, 9.0, 0.0, -1 / 1200, 47.0)
+    path = write_dem(tmp_path / "dem.tif", heights, "EPSG:4326", transform=transform)
+    whole, blocks = read_dem(path), read_blocks(path)
+    place = tuple(float(at) for at in whole.to_map(200.0, 150.0))
+    azimuth_deg = np.arange(0.0, 360.0, 0.1)
+    expected = Landscape.of(Blocks.of(whole), place, 30.0, azimuth_deg)
+    seen = Landscape.of(blocks, place, 30.0, azimuth_deg)
+    made = np.isfinite(seen.terrain.heights_m).sum()
+    assert 0.05 < made / np.isfinite(whole.heights_m).sum() < 0.9
+    np.testing.assert_array_equal(seen.begins, expected.begins)
+    np.testing.assert_array_equal(seen.is_ridge, expected.is_ridge)
+    np.testing.assert_allclose(seen.elevation_deg, expected.elevation_deg, atol=1e-5)
+    # As does looking at all of it, to the last corner.
+    everywhere = replace(Blocks.of(whole), highest_m=np.full_like(blocks.highest_m, np.inf))
+    plain = Landscape.of(everywhere, place, 30.0, azimuth_deg)
+    np.testing.assert_array_equal(plain.begins, expected.begins)
+    np.testing.assert_array_equal(plain.elevation_deg, expected.elevation_deg)
 
 
 @pytest.fixture(scope="module")
@@ -81,14 +112,20 @@ def mountains():
     return field, Peaks(names, easting, northing, field.heights_m[row, col].astype(np.float64))
 
 
+def view_from(field, row, col, peaks, **config):
+    """Return what is seen 500 m above a sample."""
+    lon, lat = (float(at) for at in field.frame.to_lonlat(*field.to_map(row, col)))
+    config = PanoramaConfig(eye_height_m=500.0, **config)
+    return panorama_view(Blocks.of(field), lon, lat, peaks, config)
+
+
 PLACES = [(0.5, 0.5), (0.3, 0.6), (0.7, 0.2), (0.55, 0.8), (0.2, 0.35)]
 
 
 @pytest.mark.parametrize("share", PLACES)
 def test_no_name_overlaps_another_or_leaves_the_picture(mountains, share):
     field, peaks = mountains
-    eye = stand_on(field, *field.to_map(300.0 * share[0], 300.0 * share[1]), 500.0)
-    view = panorama_view(Blocks.of(field), eye, peaks, PanoramaConfig())
+    view = view_from(field, 300.0 * share[0], 300.0 * share[1], peaks)
     figure = draw_panorama(view)
     figure.canvas.draw()
     names = figure.findobj(lambda one: one.get_gid() == SUMMIT)
@@ -105,8 +142,8 @@ def test_no_name_overlaps_another_or_leaves_the_picture(mountains, share):
 
 def test_only_peaks_that_are_seen_are_named_and_they_stand_on_the_landscape(mountains):
     field, peaks = mountains
-    eye = stand_on(field, *field.to_map(150.0, 150.0), 500.0)
-    view = panorama_view(Blocks.of(field), eye, peaks, PanoramaConfig())
+    view = view_from(field, 150.0, 150.0, peaks)
+    eye = view.landscape.eye
     assert 8 < len(view.sightings) < len(peaks) / 2
     named = {one.label for one in view.sightings}
     landscape, hidden, free = view.landscape, 0, 0
@@ -120,7 +157,9 @@ def test_only_peaks_that_are_seen_are_named_and_they_stand_on_the_landscape(moun
         column = np.argmin(np.abs(landscape.azimuth_deg - azimuth))
         up = peaks.height_m[index] - eye.eye_elevation_m[0] - Curvature().drop_m(away_m)
         summit_deg = np.degrees(np.arctan(up / away_m))
-        before = landscape.top_deg[column, landscape.distance_m < away_m - 150.0][-1]
+        points = slice(*landscape.begins[column : column + 2])
+        nearer = landscape.distance_m[points] < away_m - 150.0
+        before = landscape.elevation_deg[points][nearer][-1]
         seen = f"{name} {peaks.height_m[index]:.0f} m" in named
         # The landscape's steps may pass over the highest edge.
         if before > summit_deg + 0.3:
@@ -135,19 +174,17 @@ def test_only_peaks_that_are_seen_are_named_and_they_stand_on_the_landscape(moun
 
 def test_a_peak_below_the_picture_has_no_name(mountains):
     field, _ = mountains
-    eye = stand_on(field, *field.to_map(150.0, 150.0), 500.0)
-    east, north = float(eye.easting_m[0]) + 400.0, float(eye.northing_m[0])
-    below = Peaks(("Below",), np.array([east]), np.array([north]), np.array([np.nan]))
-    view = panorama_view(Blocks.of(field), eye, below, PanoramaConfig())
+    east, north = field.to_map(150.0, 150.0)
+    below = Peaks(("Below",), np.array([east + 400.0]), np.array([north]), np.array([np.nan]))
+    view = view_from(field, 150.0, 150.0, below)
     assert len(view.sightings) == 1
     assert not draw_panorama(view).findobj(lambda one: one.get_gid() == SUMMIT)
 
 
 def test_a_part_of_the_round_has_its_peaks_alone(mountains):
     field, peaks = mountains
-    eye = stand_on(field, *field.to_map(150.0, 150.0), 500.0)
-    whole = panorama_view(Blocks.of(field), eye, peaks, PanoramaConfig())
-    part = panorama_view(Blocks.of(field), eye, peaks, PanoramaConfig(heading_deg=350.0, fov_deg=60.0))
+    whole = view_from(field, 150.0, 150.0, peaks)
+    part = view_from(field, 150.0, 150.0, peaks, heading_deg=350.0, fov_deg=60.0)
     assert 0 < len(part.sightings) < len(whole.sightings)
     off = [(one.azimuth_deg + part.convergence_deg - 350.0 + 180.0) % 360.0 - 180.0
            for one in part.sightings]  # fmt: skip
