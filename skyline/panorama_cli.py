@@ -5,11 +5,13 @@ from typing import Annotated
 
 import typer
 
-from skyline.console import Crs, Dems, Reproject, parse_bounds, parse_place
+from skyline.console import Crs, Dems, Reproject, Surfaces, parse_bounds, parse_place
 from skyline.fetch import HttpOptions, fetch_peaks
 from skyline.pipeline.panorama import PanoramaConfig, save_panorama_of
 from skyline.report.peaks import read_peaks
-from skyline.terrain.dem import DemOptions, read_blocks
+from skyline.terrain.blocks import Blocks
+from skyline.terrain.dem import DemOptions, read_blocks, read_dem
+from skyline.terrain.surface import read_surface
 
 _HTTP = HttpOptions()
 _DEFAULTS = PanoramaConfig()
@@ -36,15 +38,21 @@ def panorama(
     eye_height: Annotated[
         float, typer.Option("--eye-height", metavar="M", help="Metres above ground.")
     ] = _DEFAULTS.eye_height_m,
+    surface: Surfaces = None,
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
     """Draw what is seen from a place, with the names of the peaks that are seen."""
-    lon, lat = parse_place(at)
+    lonlat = parse_place(at)
     config = PanoramaConfig(heading, fov_deg, eye_height)
-    blocks = read_blocks(dem, DemOptions(crs=crs, reproject=reproject))
+    options = DemOptions(crs=crs, reproject=reproject)
+    if surface:
+        terrain = read_dem(dem, options)
+        blocks, over = Blocks.of(terrain), read_surface(surface, terrain)
+    else:
+        blocks, over = read_blocks(dem, options), None
     gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
-    seen = save_panorama_of(blocks, lon, lat, output, gazetteer, config)
+    seen = save_panorama_of(blocks, lonlat, output, gazetteer, config, over)
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
     typer.echo(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
 

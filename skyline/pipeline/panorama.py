@@ -4,18 +4,24 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from skyline import report
 from skyline.errors import InputError
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
+from skyline.pipeline.local_horizons import horizons_of
+from skyline.pipeline.opened import Dem
 from skyline.report.peaks import Peaks
 from skyline.report.sightings import visible_peaks
 from skyline.terrain.blocks import Blocks
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.surface import read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
 _LEAST_FOV_DEG = 5.0
+_SURFACE_STEP_DEG = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +60,7 @@ def save_panorama(
     path: str | Path,
     peaks: Peaks | None = None,
     config: PanoramaConfig | None = None,
+    surface: Dem | None = None,
 ) -> int:
     """Draw what is seen from a place, with the names of the peaks that are seen.
 
@@ -67,6 +74,8 @@ def save_panorama(
     peaks : Peaks, optional
         `skyline.read_peaks`.
     config : PanoramaConfig, optional
+    surface : path, paths or HeightField, optional
+        A surface or canopy model: how far trees and houses may rise is drawn as a green line.
 
     Returns
     -------
@@ -79,34 +88,45 @@ def save_panorama(
     OffMapError
         The place is off the map or on a hole.
     InputError
-        Another suffix, or a file that cannot be written.
+        Another suffix, a file that cannot be written, or a surface that is not over the DEM.
+    ContextError
+        No OpenGL context can be made, which a surface needs.
     """
-    return save_panorama_of(Blocks.of(terrain), lon, lat, path, peaks, config or PanoramaConfig())
+    over = None if surface is None else read_surface(surface, terrain)
+    config = config or PanoramaConfig()
+    return save_panorama_of(Blocks.of(terrain), (lon, lat), path, peaks, config, over)
 
 
 def save_panorama_of(
     blocks: Blocks,
-    lon: float,
-    lat: float,
+    lonlat: tuple[float, float],
     path: str | Path,
     peaks: Peaks | None,
     config: PanoramaConfig,
+    surface: HeightField | None = None,
 ) -> int:
-    """Draw what is seen of blocks, of which the others are not made; see `save_panorama`."""
+    """Draw what is seen of blocks; without a surface, hidden ones are not made.
+
+    As `save_panorama` otherwise; the surface is one that is read.
+    """
     path = Path(path)
     if path.suffix.lower() not in PANORAMA_SUFFIXES:
         raise InputError(f"{path} is no picture; expected {', '.join(PANORAMA_SUFFIXES)}")
-    view = panorama_view(blocks, lon, lat, peaks, config)
+    view = panorama_view(blocks, lonlat, peaks, config, surface)
     write_whole(path, report.encode_panorama(report.draw_panorama(view), path.suffix[1:].lower()))
     return len(view.sightings)
 
 
 def panorama_view(
-    blocks: Blocks, lon: float, lat: float, peaks: Peaks | None, config: PanoramaConfig
+    blocks: Blocks,
+    lonlat: tuple[float, float],
+    peaks: Peaks | None,
+    config: PanoramaConfig,
+    surface: HeightField | None = None,
 ) -> "report.PanoramaView":
-    """Look at what one eye sees and find its peaks; see `save_panorama`."""
+    """Look at what one eye sees and find its peaks; see `save_panorama_of`."""
     start_deg, fov_deg = config.start_deg, config.fov_deg
-    easting_m, northing_m = (float(at) for at in blocks.frame.from_lonlat(lon, lat))
+    easting_m, northing_m = (float(at) for at in blocks.frame.from_lonlat(*lonlat))
     landscape = report.Landscape.of(
         blocks,
         (easting_m, northing_m),
@@ -119,4 +139,10 @@ def panorama_view(
     inside = [
         one for one in seen if (one.azimuth_deg + convergence_deg - start_deg) % 360.0 < fov_deg
     ]
-    return report.PanoramaView(landscape, inside, start_deg, fov_deg)
+    surface_deg = None
+    if surface is not None:
+        both = horizons_of(terrain, eye, _SURFACE_STEP_DEG, surface=surface)
+        surface_deg = np.interp(
+            landscape.azimuth_deg, both.azimuth_deg[0], both.surface_deg[0], period=360.0
+        )
+    return report.PanoramaView(landscape, inside, start_deg, fov_deg, surface_deg)

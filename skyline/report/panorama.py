@@ -35,7 +35,7 @@ _FONT_PT = 8.0
 _LIGHT_ASIDE, _LIGHT_UP = np.radians(60.0), np.radians(40.0)
 """Light falls over the onlooker's left shoulder, wherever the onlooker looks."""
 _ROCK, _HAZE = np.array([0.46, 0.47, 0.38]), np.array([0.80, 0.87, 0.93])
-_SKY = "#f4f8fb"
+_SKY, _TREES = "#f4f8fb", "#2e8b57"
 _POINTS = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 315: "NW"}
 
 
@@ -51,12 +51,15 @@ class PanoramaView:
         Summits that the eye sees, the most important first.
     start_deg, fov_deg : float
         The azimuth from true north at the left border, and how far the picture goes on.
+    surface_deg : (C,) float64, optional
+        How far trees and houses may rise in each column of the landscape.
     """
 
     landscape: Landscape
     sightings: Sequence[Sighting]
     start_deg: float
     fov_deg: float
+    surface_deg: Float64Array | None = None
 
     @property
     def convergence_deg(self) -> float:
@@ -69,7 +72,8 @@ class PanoramaView:
     def span_deg(self, columns: slice) -> tuple[float, float]:
         """Return the lowest and highest elevation angle to show of columns of the landscape."""
         skyline = self.landscape.skyline_deg[columns]
-        high = float(skyline.max()) + 1.0
+        highest = skyline if self.surface_deg is None else self.surface_deg[columns]
+        high = float(highest.max()) + 1.0
         low = max(float(skyline.min()) - _BELOW_DEG, -89.0)
         return min(low, high - _LEAST_DEG), high
 
@@ -197,6 +201,8 @@ def _draw_row(axis: Axes, view: PanoramaView, row: _Row, colours: UInt8Array) ->
             capstyle="round",
         )
     )
+    if view.surface_deg is not None:
+        axis.plot(azimuth, view.surface_deg[row.columns], color=_TREES, linewidth=0.7)
     axis.set(xlim=(begin, end), ylim=(low, high), facecolor=_SKY)
     _draw_compass(axis, (begin, end))
 
@@ -313,4 +319,5 @@ def _title(view: PanoramaView) -> str:
         f"{abs(lat):.5f}° {'N' if lat >= 0 else 'S'}, {abs(lon):.5f}° {'E' if lon >= 0 else 'W'}, "
         f"{ground_m:.0f} m, seen from {eye.eye_elevation_m[0] - ground_m:.1f} m above ground; "
         "azimuths from true north"
+        + ("; green: how far trees and houses may rise" if view.surface_deg is not None else "")
     )

@@ -64,7 +64,7 @@ SMALLER = {
 
 LEFT = {
     "queries.md": ("report/index.html", "candidates.geojson", "candidates.kml"),
-    "surfaces.md": ("both.png",),
+    "surfaces.md": ("both.png", "trees.png"),
     "scripts.md": ("pictures/0000.png", "python.h5"),
 }
 """Page -> files that its commands leave."""

@@ -116,7 +116,7 @@ def view_from(field, row, col, peaks, **config):
     """Return what is seen 500 m above a sample."""
     lon, lat = (float(at) for at in field.frame.to_lonlat(*field.to_map(row, col)))
     config = PanoramaConfig(eye_height_m=500.0, **config)
-    return panorama_view(Blocks.of(field), lon, lat, peaks, config)
+    return panorama_view(Blocks.of(field), (lon, lat), peaks, config)
 
 
 PLACES = [(0.5, 0.5), (0.3, 0.6), (0.7, 0.2), (0.55, 0.8), (0.2, 0.35)]
@@ -196,6 +196,24 @@ def test_a_part_of_the_round_has_its_peaks_alone(mountains):
         azimuth % 360.0, whole.landscape.azimuth_deg, whole.landscape.skyline_deg, period=360.0
     )
     assert np.abs(part.landscape.skyline_deg - there).mean() < 0.05
+
+
+def test_a_surface_is_a_line_over_the_skyline(mountains, tmp_path):
+    field, _ = mountains
+    lonlat = tuple(float(at) for at in field.frame.to_lonlat(*field.to_map(150.0, 150.0)))
+    trees = replace(field, heights_m=field.heights_m + np.float32(25.0))
+    config = PanoramaConfig(90.0, 120.0, 100.0)
+    view = panorama_view(Blocks.of(field), lonlat, None, config, trees)
+    landscape = view.landscape
+    # Of the line between tenths of a degree, notches of the skyline are cut off.
+    assert np.percentile(view.surface_deg - landscape.skyline_deg, [1, 50]).min() > 0.0
+    over = Landscape.of(Blocks.of(trees), field.to_map(150.0, 150.0), 75.0, landscape.azimuth_deg)
+    assert np.abs(view.surface_deg - over.skyline_deg).mean() < 0.01
+    line = draw_panorama(view).axes[0].lines[0]
+    np.testing.assert_array_equal(line.get_ydata(), view.surface_deg)
+    path = tmp_path / "both.svg"
+    save_panorama(field, *lonlat, path, config=config, surface=trees)
+    assert "how far trees and houses may rise" in path.read_text("utf-8")
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
