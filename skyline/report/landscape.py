@@ -92,6 +92,8 @@ class Landscape:
         from_m = np.hypot(*blocks.around_m(*place_m)) - blocks.radius_m
         wanted = from_m <= near_m
         terrain = blocks.field(wanted)
+        if np.isnan(terrain.height_at(*place_m)):
+            terrain = blocks.field(np.zeros_like(wanted))  # For an error that names all of the map.
         eye = stand_on(terrain, *place_m, eye_height_m)
         look = _Look(blocks, eye, azimuth_deg, curvature or Curvature())
         look.walk(terrain, 0.0, near_m, np.full(len(azimuth_deg), np.inf))

@@ -136,7 +136,10 @@ class Warp:
         return self.blocks_m(np.ones(blocks, np.bool_))[0]
 
     def blocks_m(self, wanted: BoolArray) -> tuple[Float32Array, Grid]:
-        """Return the least part of the target with all blocks (R, C) wanted; the rest is NaN."""
+        """Return the least part of the target with all blocks (R, C) wanted; the rest is NaN.
+
+        If none are wanted it is all of the target.
+        """
         target = self.target
         spans = [np.flatnonzero(wanted.any(axis)) for axis in (1, 0)]
         rows, cols = (
