@@ -157,10 +157,15 @@ def run_app(app: typer.Typer, stopped: str) -> None:
 def progress_bar(what: str) -> Iterator[Progress]:
     """Show a bar on the terminal's error stream, from the first step reported on.
 
-    Nothing is shown where there is no terminal, but for JSON lines where those are asked for.
+    Where there is no terminal, one line says what takes more than five seconds; or there are JSON
+    lines, where those are asked for.
     """
     if as_json():
         yield told(what)
+        return
+    if not sys.stderr.isatty():
+        with patience(what.partition(",")[0]):
+            yield lambda done, total: None
         return
     bar = ProgressBar(
         TextColumn(what),
@@ -168,7 +173,6 @@ def progress_bar(what: str) -> Iterator[Progress]:
         MofNCompleteColumn(),
         TimeRemainingColumn(),
         console=Console(stderr=True),
-        disable=not sys.stderr.isatty(),
     )
     with bar:
         task = bar.add_task(what, total=None, visible=False)

@@ -73,15 +73,14 @@ def horizon(
         raise InputError(
             f"--output is {output}; expected a name that ends in {', '.join(SUFFIXES)}"
         )
-    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-    if points is not None:
-        eyes = read_viewpoints(points, terrain, eye_height)
-    else:
-        eyes = _eyes(terrain, at or [], eye_height)
-    over = read_surface(surface, terrain) if surface else None
-    curvature = _curvature(k, no_curvature)
     with progress_bar("rendering") as progress:
-        found = horizons_of(terrain, eyes, step_deg, curvature, progress, over)
+        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+        if points is not None:
+            eyes = read_viewpoints(points, terrain, eye_height)
+        else:
+            eyes = _eyes(terrain, at or [], eye_height)
+        over = read_surface(surface, terrain) if surface else None
+        found = horizons_of(terrain, eyes, step_deg, _curvature(k, no_curvature), progress, over)
     if output is None:
         typer.echo(horizon_csv(found), nl=False)
     else:
@@ -102,8 +101,9 @@ def sun(
         asked = date.fromisoformat(day)
     except ValueError as error:
         raise InputError(f"--date is `{day}`; expected a day such as 2026-12-21") from error
-    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-    found = horizons_of(terrain, _eyes(terrain, at or [], eye_height))
+    with progress_bar("rendering") as progress:
+        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+        found = horizons_of(terrain, _eyes(terrain, at or [], eye_height), progress=progress)
     typer.echo("lon,lat,from_utc,to_utc")
     for place in range(len(found)):
         for begin, end in found.sun_above(asked, place):

@@ -5,7 +5,15 @@ from typing import Annotated
 
 import typer
 
-from skyline.console import Crs, Dems, Reproject, Surfaces, parse_bounds, parse_place
+from skyline.console import (
+    Crs,
+    Dems,
+    Reproject,
+    Surfaces,
+    parse_bounds,
+    parse_place,
+    patience,
+)
 from skyline.fetch import HttpOptions, fetch_peaks
 from skyline.pipeline.panorama import PanoramaConfig, save_panorama_of
 from skyline.report.peaks import read_peaks
@@ -46,13 +54,14 @@ def panorama(
     lonlat = parse_place(at)
     config = PanoramaConfig(heading, fov_deg, eye_height)
     options = DemOptions(crs=crs, reproject=reproject)
-    if surface:
-        terrain = read_dem(dem, options)
-        blocks, over = Blocks.of(terrain), read_surface(surface, terrain)
-    else:
-        blocks, over = read_blocks(dem, options), None
-    gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
-    seen = save_panorama_of(blocks, lonlat, output, gazetteer, config, over)
+    with patience(f"drawing {output}"):
+        if surface:
+            terrain = read_dem(dem, options)
+            blocks, over = Blocks.of(terrain), read_surface(surface, terrain)
+        else:
+            blocks, over = read_blocks(dem, options), None
+        gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
+        seen = save_panorama_of(blocks, lonlat, output, gazetteer, config, over)
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
     typer.echo(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
 

@@ -9,7 +9,7 @@ import pytest
 from commands import assert_refused, csv_of
 from scenes import fractal, write_dem
 
-from skyline import horizon, read_dem
+from skyline import console, horizon, read_dem
 
 AT = "10.3224,46.7484"
 
@@ -50,6 +50,17 @@ def test_csv_is_printed_and_is_what_python_gives(run, dem, places):
         told = [float(row[name]) for row in rows]
         np.testing.assert_allclose(told, values.ravel(), rtol=1e-5, atol=0.05)
     assert rows[720]["lon"] == places[1].split(",")[0]
+
+
+def test_what_takes_long_says_so(run, dem, places, tmp_path, monkeypatch):
+    monkeypatch.setattr(console, "_PATIENCE_S", 0.0)
+    target = tmp_path / "panorama.png"
+    assert run("panorama", dem, "--at", places[0], "-o", target).err == (
+        f"drawing {target} takes a while ...\n"
+    )
+    for command in (("horizon",), ("sun", "--date", "2026-06-21")):
+        done = run(*command, dem, "--at", places[0])
+        assert done.err.startswith("rendering takes a while ...\n")
 
 
 def test_a_surface_is_shown_beside_the_bare_horizon(run, dem, places, tmp_path):
