@@ -16,8 +16,9 @@ from pyproj.exceptions import ProjError
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.terrain.mosaic import MAX_SAMPLES
 from skyline.terrain.summits import keep_summits
-from skyline.terrain.tiles import MAX_SAMPLES, Grid, full_turn
+from skyline.terrain.tiles import Grid, full_turn
 
 POSITION_TOLERANCE = 1e-3
 """Greatest error of a position in the source, in samples."""

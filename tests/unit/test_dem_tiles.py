@@ -10,7 +10,8 @@ from rasterio.transform import Affine, from_origin
 
 from skyline.errors import InputError
 from skyline.terrain.dem import read_dem
-from skyline.terrain.tiles import mosaic_grid, open_tile, read_mosaic
+from skyline.terrain.mosaic import mosaic_grid, read_mosaic
+from skyline.terrain.tiles import open_tile
 
 
 def tile_at(folder: Path, heights: AnyArray, row: int, col: int) -> Path:

@@ -24,7 +24,9 @@ from skyline.pipeline import (
     build_uniform,
 )
 from skyline.pipeline.build import render_missing
-from skyline.pipeline.places import DEFAULT_LOSS, place_rows
+from skyline.pipeline.config import store_header
+from skyline.pipeline.layout import DEFAULT_LOSS
+from skyline.pipeline.places import PlaceRows, place_renderer
 from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
 from skyline.store import open_store
 from skyline.store.header import PLACES
@@ -209,8 +211,11 @@ def _render_places(
     def tolerance(some: Viewpoints) -> Float32Array:
         return np.array([of_eye[eye] for eye in _eyes(some)], dtype=np.float32)
 
-    with place_rows(terrain, PlaceConfig(), 0.0, {"planner": "viewpoints"}) as rows:
-        return render_missing(path, replace(rows, tolerance_m=tolerance), viewpoints)
+    config = PlaceConfig()
+    renderer = place_renderer(terrain, config)
+    header = store_header(terrain, renderer.description, config, {"planner": "viewpoints"})
+    with PlaceRows(renderer, header, tolerance) as rows:
+        return render_missing(path, rows, viewpoints)
 
 
 def _eyes(viewpoints: Viewpoints) -> list[complex]:
