@@ -117,7 +117,7 @@ def some_eyes(store: Store) -> Viewpoints:
         some = places.take(rows)
         height_m = some.eye_elevation_m.astype(np.float64)
         return Viewpoints(some.easting_m, some.northing_m, height_m)
-    there = store.locations()
+    there = store.eyes()
     eyes = np.stack([there.easting_m, there.northing_m, there.eye_elevation_m])
     return Viewpoints(*np.ascontiguousarray(np.unique(eyes, axis=1)))
 

@@ -40,24 +40,16 @@ RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Locations:
-    """Where the eyes of N views are and which way they look.
+class Locations(Viewpoints):
+    """Where the eyes of N views are, in the store's frame, and which way they look.
 
     Attributes
     ----------
-    easting_m, northing_m, eye_elevation_m : (N,) float64
-        In the store's frame, above the DEM's datum.
     heading : (N,) uint8
         0, 1, 2, 3 = grid north, east, south, west.
     """
 
-    easting_m: NDArray[np.float64]
-    northing_m: NDArray[np.float64]
-    eye_elevation_m: NDArray[np.float64]
     heading: NDArray[np.uint8]
-
-    def __len__(self) -> int:
-        return len(self.heading)
 
 
 class Store:
@@ -169,11 +161,10 @@ class Store:
     def locations(self) -> Locations:
         """Read where all views are and look, without their skylines; raises as `views`."""
         check_holds(self._path, self._header, RENDERINGS)
-        rows = self._rows(slice(None))
-        names = (*EYE, "heading")
-        locations = Locations(*(self._held.read(VIEW_SPECS[name][0], rows) for name in names))
-        self._check_headings(locations.heading)
-        return locations
+        eyes = self.eyes()
+        heading = self._held.read(VIEW_SPECS["heading"][0], self._rows(slice(None)))
+        self._check_headings(heading)
+        return Locations(eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m, heading)
 
     def eyes(self) -> Viewpoints:
         """Read where the eye of every row is, whatever the store holds; raises as `stored`."""
