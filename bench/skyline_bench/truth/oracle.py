@@ -8,9 +8,8 @@ front of the eye is looked at; nothing is culled.
 """
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,15 +91,27 @@ def skyline_at(
     Views
         4 N views; the four headings of a viewpoint follow one another.
     """
-    tan, depth, flags = _each(_Scene.skyline, field, viewpoints, u, curvature)
+    width = len(u)
+    triangles = Triangles.of(field.heights_m)
+    shape = (len(viewpoints), len(HEADINGS), width)
+    tan, depth = np.full(shape, -np.inf), np.full(shape, np.nan)
+    flags = np.zeros(shape, dtype=np.uint8)
+    for index in range(len(viewpoints)):
+        scene = _Scene(field, triangles, viewpoints, index, curvature)
+        for heading in HEADINGS:
+            directions = directions_at(heading, u)
+            tan[index, heading], depth[index, heading], flags[index, heading] = scene.skyline(
+                directions
+            )
+    rows = (-1, width)
     return Views(
         np.repeat(viewpoints.easting_m, 4),
         np.repeat(viewpoints.northing_m, 4),
         np.repeat(viewpoints.eye_elevation_m, 4),
         np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints)),
-        tan,
-        depth,
-        flags,
+        tan.reshape(rows),
+        depth.reshape(rows),
+        flags.reshape(rows),
     )
 
 
@@ -135,23 +146,17 @@ def rivals(
         Abscissas of the columns, increasing, of magnitude at most 1.
     curvature : Curvature
     """
-    return Rivals(*_each(_Scene.rivals, field, viewpoints, u, curvature))
-
-
-def _each(
-    found: Callable[["_Scene", Float64Array], tuple[NDArray[Any], ...]],
-    field: HeightField,
-    viewpoints: Viewpoints,
-    u: Float64Array,
-    curvature: Curvature,
-) -> list[NDArray[Any]]:
-    """Return what is found in every view, arrays (4 N, W)."""
     triangles = Triangles.of(field.heights_m)
-    scenes = (
-        _Scene(field, triangles, viewpoints, index, curvature) for index in range(len(viewpoints))
-    )
-    views = [found(scene, directions_at(h, u)) for scene in scenes for h in HEADINGS]
-    return [np.stack(rows) for rows in zip(*views, strict=True)]
+    shape = (len(viewpoints), len(HEADINGS), len(u))
+    inner, border, hole = np.empty(shape), np.empty(shape), np.empty(shape, dtype=bool)
+    for index in range(len(viewpoints)):
+        scene = _Scene(field, triangles, viewpoints, index, curvature)
+        for heading in HEADINGS:
+            inner[index, heading], border[index, heading], hole[index, heading] = scene.rivals(
+                directions_at(heading, u)
+            )
+    rows = (-1, len(u))
+    return Rivals(inner.reshape(rows), border.reshape(rows), hole.reshape(rows))
 
 
 class _Scene:
