@@ -45,8 +45,8 @@ class SceneNeeds:
     ----------
     data_reach_m : float
         Distance of the farthest sample.
-    curvature_m, curvature_px : float
-        Drop of the farthest sample, and what leaving curvature out can cost at most.
+    curvature_px : float
+        What leaving curvature out can cost at most.
     sight_m : float
         Distance beyond which not even the highest sample rises over the dip horizon.
     beyond_sight : float
@@ -55,7 +55,6 @@ class SceneNeeds:
     """
 
     data_reach_m: float
-    curvature_m: float
     curvature_px: float
     sight_m: float
     beyond_sight: float
@@ -97,7 +96,6 @@ def scene_needs(
     steps = COARSER_STEPS if min(field.rows, field.cols) > BLOCK_CELLS else ()
     return SceneNeeds(
         data_reach_m=reach_m,
-        curvature_m=drop_per_m2 * reach_m**2,
         # v changes by drop d^2 / z, and d is at most the root of 2 times z.
         curvature_px=float(np.sqrt(2.0)) * drop_per_m2 * reach_m / pixel_size(width),
         sight_m=sight_m,
