@@ -127,11 +127,7 @@ class Landscape:
 
 def _steps_m(terrain: HeightField, eye: Viewpoints, pixel_rad: float) -> Float64Array:
     """Return distances from underfoot to the farthest corner of the terrain."""
-    west, south, east, north = terrain.bounds_m
-    reach_m = math.hypot(
-        max(float(eye.easting_m[0]) - west, east - float(eye.easting_m[0])),
-        max(float(eye.northing_m[0]) - south, north - float(eye.northing_m[0])),
-    )
+    reach_m = terrain.reach_m(float(eye.easting_m[0]), float(eye.northing_m[0]))
     step_m = _SAMPLES_A_STEP * terrain.spacing_m
     turn_m = min(max(step_m / pixel_rad, step_m), reach_m)
     near = np.arange(0.5 * step_m, turn_m, step_m)

@@ -90,7 +90,7 @@ def scene_needs(
         raise InputError(f"{len(eye)} viewpoints given; expected one")
     curvature = curvature or Curvature()
     drop_per_m2 = curvature.drop_per_m2
-    reach_m = _reach_m(field, eye)
+    reach_m = field.reach_m(float(eye.easting_m[0]), float(eye.northing_m[0]))
     sight_m = sight_range_m(field, float(eye.eye_elevation_m[0]), drop_per_m2)
     tolerance = tolerance_px * pixel_size(width)
     steps = COARSER_STEPS if min(field.rows, field.cols) > BLOCK_CELLS else ()
@@ -165,14 +165,6 @@ def _coarser_step(field: HeightField, eye: Viewpoints, step: int, tolerance: flo
     depth_m = np.hypot(gaps[0][:, np.newaxis], gaps[1]) / np.sqrt(2.0)
     fine = deviation_m <= tolerance * depth_m
     return CoarserStep(step, float(np.median(deviation_m)), float(fine.mean()))
-
-
-def _reach_m(field: HeightField, eye: Viewpoints) -> float:
-    west, south, east, north = field.bounds_m
-    easting, northing = float(eye.easting_m[0]), float(eye.northing_m[0])
-    return float(
-        np.hypot(max(easting - west, east - easting), max(northing - south, north - northing))
-    )
 
 
 def _share_beyond(field: HeightField, eye: Viewpoints, distance_m: float) -> float:
