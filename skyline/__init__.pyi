@@ -30,12 +30,12 @@ from .photo import (
     read_trace,
     write_trace,
 )
-from .pipeline.build import BuildResult, build_uniform, render_to_store, render_views
-from .pipeline.config import RenderConfig
+from .pipeline.build import BuildResult, render_to_store, render_views
+from .pipeline.config import PlaceConfig, RenderConfig
 from .pipeline.local_horizons import horizon
 from .pipeline.match import Matcher
 from .pipeline.panorama import PanoramaConfig, save_panorama
-from .pipeline.places import PlaceConfig, build_places
+from .pipeline.places import build_places, build_uniform
 from .pipeline.reports import report_matches
 from .pipeline.results import JointResult, MatchResult
 from .pipeline.tables import to_geodataframe

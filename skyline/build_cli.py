@@ -1,6 +1,6 @@
 """The commands that make stores: ``skyline render`` and ``skyline build``."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -28,20 +28,18 @@ from skyline.paper.planning.plan import PlanConfig, PlanProgress
 from skyline.paper.planning.strategies import STRATEGIES
 from skyline.pipeline import (
     BuildResult,
+    Layout,
     PlaceConfig,
     PlannedResult,
     RenderConfig,
-    ShardPlan,
-    build_places,
     build_planned,
     build_sharded,
-    build_uniform,
+    build_store,
     render_to_store,
     save_depth_pictures,
 )
 from skyline.pipeline.config import ROWS
-from skyline.pipeline.places import DEFAULT_LOSS
-from skyline.pipeline.shards import DEFAULT_TILE_M
+from skyline.pipeline.layout import DEFAULT_LOSS, DEFAULT_TILE_M
 from skyline.places import Places
 from skyline.planning.uniform import uniform_grid
 from skyline.store import open_store
@@ -57,6 +55,8 @@ Bounds = Annotated[
     str | None, typer.Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
 ]
 _RENDERINGS = "Renderings, for the paper's matcher"
+_OF_PLANNERS = ("candidate_spacing", "threshold_px", "coverage", "budget", "seed")
+"""What only the paper's planners are told."""
 
 ShardKm = Annotated[
     float | None,
@@ -107,6 +107,7 @@ def render(
 
 
 def build(
+    ctx: typer.Context,
     dem: Dems,
     output: Output,
     spacing: Annotated[
@@ -118,14 +119,13 @@ def build(
         ),
     ] = None,
     loss: Annotated[
-        float | None,
+        float,
         typer.Option(
             metavar="SHARE",
             help="Share of the photos that may be missed because places lie apart. Places are "
             "planned for it: dense where skylines are near, sparse where they are far.",
-            show_default=f"{DEFAULT_LOSS:g}",
         ),
-    ] = None,
+    ] = DEFAULT_LOSS,
     bounds: Bounds = None,
     drawn: Annotated[
         Path | None,
@@ -152,30 +152,21 @@ def build(
         ),
     ] = None,
     candidate_spacing: Annotated[
-        float | None,
-        typer.Option(
-            help="Metres between candidates.",
-            show_default=f"{_PLANNED.spacing.candidate_m:g}",
-            rich_help_panel=_RENDERINGS,
-        ),
-    ] = None,
+        float,
+        typer.Option(help="Metres between candidates.", rich_help_panel=_RENDERINGS),
+    ] = _PLANNED.spacing.candidate_m,
     threshold_px: Annotated[
-        float | None,
+        float,
         typer.Option(
             "--threshold-px",
             help="Pixels by which the skyline of a covered location may differ.",
-            show_default=f"{_PLANNED.threshold_px:g}",
             rich_help_panel=_RENDERINGS,
         ),
-    ] = None,
+    ] = _PLANNED.threshold_px,
     coverage: Annotated[
-        float | None,
-        typer.Option(
-            help="Share of the candidates to cover.",
-            show_default=f"{_PLANNED.coverage:g}",
-            rich_help_panel=_RENDERINGS,
-        ),
-    ] = None,
+        float,
+        typer.Option(help="Share of the candidates to cover.", rich_help_panel=_RENDERINGS),
+    ] = _PLANNED.coverage,
     budget: Annotated[
         int | None,
         typer.Option(
@@ -185,90 +176,60 @@ def build(
         ),
     ] = None,
     seed: Annotated[
-        int | None,
-        typer.Option(
-            help="Seed of its random choices.",
-            show_default=f"{_PLANNED.seed}",
-            rich_help_panel=_RENDERINGS,
-        ),
-    ] = None,
+        int, typer.Option(help="Seed of its random choices.", rich_help_panel=_RENDERINGS)
+    ] = _PLANNED.seed,
     width: Annotated[
-        int | None,
-        typer.Option(
-            help="Columns of a 90 degree view.",
-            show_default=f"{_DEFAULTS.width}",
-            rich_help_panel=_RENDERINGS,
-        ),
-    ] = None,
+        int, typer.Option(help="Columns of a 90 degree view.", rich_help_panel=_RENDERINGS)
+    ] = _DEFAULTS.width,
     tolerance_px: Annotated[
-        float | None,
+        float,
         typer.Option(
             "--tolerance-px",
             help="Pixels by which a skyline may lie too low.",
-            show_default=f"{_DEFAULTS.tolerance_px:g}",
             rich_help_panel=_RENDERINGS,
         ),
-    ] = None,
+    ] = _DEFAULTS.tolerance_px,
     rows: Annotated[
-        str | None,
+        str,
         typer.Option(
             help=f"How the store holds renderings, {' or '.join(ROWS)}.",
-            show_default=_DEFAULTS.rows,
             rich_help_panel=_RENDERINGS,
         ),
-    ] = None,
+    ] = _DEFAULTS.rows,
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""
     corners = parse_bounds(bounds) if bounds is not None else None
     job = _Job(dem, DemOptions(crs=crs, reproject=reproject), output, shard_km, workers, scheduler)
-    curvature = Curvature(refraction_k=k, enabled=not no_curvature)
-    only_planned: dict[str, object] = {
-        "--candidate-spacing": candidate_spacing,
-        "--threshold-px": threshold_px,
-        "--coverage": coverage,
-        "--budget": budget,
-        "--seed": seed,
-    }
-    only_rendered: dict[str, object] = {
-        "--width": width,
-        "--tolerance-px": tolerance_px,
-        "--rows": rows,
-    }
+    config = replace(render_config(width, tolerance_px, k, no_curvature), rows=rows)
     if planner is None:
-        _refuse_given(only_planned | only_rendered, "a store of renderings; give --planner too")
+        why = "a store of renderings; give --planner too"
+        _refuse_given(ctx, [*_OF_PLANNERS, "width", "tolerance_px", "rows"], why)
         if spacing is not None:
-            _refuse_given({"--loss": loss}, f"planned places, --spacing {spacing:g} for a grid")
-        plan = ShardPlan(spacing, job.tile_m, corners, DEFAULT_LOSS if loss is None else loss)
-        terrain = job.build(plan, PlaceConfig(curvature=curvature))
+            _refuse_given(ctx, ["loss"], f"planned places, --spacing {spacing:g} for a grid")
+        layout = Layout(spacing, job.tile_m, corners, loss)
+        terrain = job.build(layout, PlaceConfig(curvature=config.curvature))
         if drawn is not None:
             _draw_places(terrain, output, drawn)
         return
-    _refuse_given({"--loss": loss}, f"places; leave out --planner {planner}")
+    _refuse_given(ctx, ["loss"], f"places; leave out --planner {planner}")
     if planner != "uniform" and planner not in STRATEGIES:
         raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
-    config = RenderConfig(
-        width=_DEFAULTS.width if width is None else width,
-        tolerance_px=_DEFAULTS.tolerance_px if tolerance_px is None else tolerance_px,
-        curvature=curvature,
-        rows=_DEFAULTS.rows if rows is None else rows,
-    )
     coarse_m = _PLANNED.spacing.coarse_m if spacing is None else spacing
     if planner == "uniform":
-        only_planned["--map"] = drawn
-        _refuse_given(only_planned, "a planner that chooses viewpoints; uniform does not choose")
-        job.build(ShardPlan(coarse_m, job.tile_m, corners), config)
+        why = "a planner that chooses viewpoints; uniform does not choose"
+        _refuse_given(ctx, [*_OF_PLANNERS, "drawn"], why)
+        job.build(Layout(coarse_m, job.tile_m, corners), config)
         return
     if job.tiled:
         raise InputError(
             f"planner {planner} plans one area as a whole; tiles and workers are for uniform grids"
         )
-    candidate_m = _PLANNED.spacing.candidate_m if candidate_spacing is None else candidate_spacing
     planned = PlanConfig(
         planner,
-        replace(_PLANNED.spacing, coarse_m=coarse_m, candidate_m=candidate_m),
-        _PLANNED.threshold_px if threshold_px is None else threshold_px,
-        _PLANNED.coverage if coverage is None else coverage,
-        seed=_PLANNED.seed if seed is None else seed,
+        replace(_PLANNED.spacing, coarse_m=coarse_m, candidate_m=candidate_spacing),
+        threshold_px,
+        coverage,
+        seed=seed,
         budget=budget,
     )
     done = job.build_planned(planned, corners, config)
@@ -295,23 +256,16 @@ class _Job:
     def tile_m(self) -> float:
         return DEFAULT_TILE_M if self.shard_km is None else 1000.0 * self.shard_km
 
-    def build(self, plan: ShardPlan, config: PlaceConfig | RenderConfig) -> HeightField:
+    def build(self, layout: Layout, config: PlaceConfig | RenderConfig) -> HeightField:
         """Build places or a uniform grid of renderings; return the terrain."""
+        what = "places" if isinstance(config, PlaceConfig) else "renderings"
         with runner_of(self.workers, self.scheduler) as runner, progress_bar("rendering") as bar:
-            terrain, spacing_m, bounds_deg = self.read(), plan.spacing_m, plan.bounds_deg
+            terrain = self.read()
             if self.tiled:
-                result = build_sharded(terrain, self.output, plan, config, runner, bar)
-            elif isinstance(config, PlaceConfig):
-                result = build_places(
-                    terrain, self.output, spacing_m, bounds_deg, config, bar, loss=plan.loss
-                )
+                result = build_sharded(terrain, self.output, layout, config, runner, bar)
             else:
-                result = build_uniform(
-                    terrain, self.output, spacing_m or 0.0, bounds_deg, config, bar
-                )
-        _say_built(
-            result, self.output, "places" if isinstance(config, PlaceConfig) else "renderings"
-        )
+                result = build_store(terrain, self.output, layout, config, bar)
+        _say_built(result, self.output, what)
         return terrain
 
     def build_planned(
@@ -346,11 +300,13 @@ def _draw_places(terrain: HeightField, store: Path, path: Path) -> None:
     report.save_place_map(terrain, places, path)
 
 
-def _refuse_given(options: Mapping[str, object], why: str) -> None:
-    """Raise `InputError` where one of some options was given."""
-    for name, value in options.items():
-        if value is not None:
-            raise InputError(f"{name} {value} is for {why}")
+def _refuse_given(ctx: typer.Context, names: Sequence[str], why: str) -> None:
+    """Raise `InputError` where one of some parameters was given on the command line."""
+    options = {option.name: option.opts[0] for option in ctx.command.params}
+    for name in names:
+        source = ctx.get_parameter_source(name)
+        if source is not None and source.name != "DEFAULT":
+            raise InputError(f"{options[name]} {ctx.params[name]} is for {why}")
 
 
 def render_config(width: int, tolerance_px: float, k: float, no_curvature: bool) -> RenderConfig:

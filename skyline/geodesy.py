@@ -163,19 +163,10 @@ class Frame:
             Bounds that are not numbers in order.
         """
         west, south, east, north = check_bounds(bounds_deg)
-        width = (east - west) % 360.0
-        share = np.linspace(0.0, 1.0, 33)
-        lon = west + width * np.concatenate([share, share, 0.0 * share, 0.0 * share + 1.0])
-        lat = south + (north - south) * np.concatenate(
-            [0.0 * share, 0.0 * share + 1.0, share, share]
+        rectangle: Rectangle = self._to_lonlat.transform_bounds(
+            west, south, west + (east - west) % 360.0, north, densify_pts=31, direction="INVERSE"
         )
-        easting, northing = self.from_lonlat(lon, lat)
-        return (
-            float(easting.min()),
-            float(northing.min()),
-            float(easting.max()),
-            float(northing.max()),
-        )
+        return rectangle
 
     def convergence_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return grid convergence: true azimuth = grid azimuth + convergence, degrees."""

@@ -1,17 +1,15 @@
 """``skyline match extract``: photos in, places and skylines out."""
 
-import hashlib
-import json
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from skyline.answers import Answers, refused_at_once, search_of, write_files
 from skyline.console import (
     Scheduler,
     Surfaces,
@@ -19,31 +17,16 @@ from skyline.console import (
     complain,
     parse_bounds,
     patience,
-    remark,
     runner_of,
-    told,
 )
-from skyline.describe import describe_match, describe_together, match_in_words, together_in_words
 from skyline.errors import InputError, SkylineError
 from skyline.matching import Narrowing
 from skyline.matching.match_config import MatchConfig
 from skyline.photo import Projection, QuerySkyline, extract_photo, write_overlay, write_trace
-from skyline.pipeline import (
-    FULL,
-    MATCHERS,
-    Matcher,
-    MatchResult,
-    Query,
-    listed,
-    match_many,
-    matched,
-    report_matches,
-)
-from skyline.pipeline.opened import terrain_at_hand
-from skyline.report.exports import EXPORTS, check_export, export_matches
-from skyline.report.peaks import Peaks, read_peaks
-from skyline.report.records import FailureRecord
-from skyline.report.results import RESULTS, Results, open_results, row_of
+from skyline.pipeline import FULL, MATCHERS, Matcher, MatchResult, Query, listed, match_many
+from skyline.report.exports import EXPORTS, check_export
+from skyline.report.peaks import read_peaks
+from skyline.report.results import RESULTS
 from skyline.terrain.tiles import absolute_name
 
 _DEFAULTS = MatchConfig()
@@ -211,96 +194,40 @@ def match(
     if same_place:
         _check_together(no_refine, matcher, results, workers, scheduler)
     surfaces = tuple(absolute_name(one) for one in surface or ())
-    search = _search(store, matcher, config, common, *surfaces)
-    kept = _Kept(results, search, as_json, top)
-    queries = kept.left(queries)
-    refused = _refused(queries)
+    search = search_of(store, matcher, config, common, *surfaces)
+    answers = Answers(results, search, as_json, top)
+    queries = answers.left(queries)
+    refused = refused_at_once(queries)
     usable = [one for one in queries if one not in refused]
     skylines = _read_together(usable) if same_place else []
     if not usable:
-        kept.tell_all(queries, refused, iter(()))
-        raise typer.Exit(kept.exit_code)
+        answers.tell_all(queries, refused, iter(()))
+        raise typer.Exit(answers.exit_code)
     # Workers may have another working directory.
     tiles = tuple(absolute_name(one) for one in dem or ())
     asked = (str(store), tiles or None, matcher, config, None, surfaces or None)
     opened = time.perf_counter()
     with patience(f"opening {store} and its elevation model"):
         matching = Matcher(*asked)
-    kept.loading_s = time.perf_counter() - opened
+    answers.loading_s = time.perf_counter() - opened
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
     if same_place:
-        matches = _tell_together(matching, skylines, top, as_json, kept.loading_s)
+        matches = answers.tell_together(matching, skylines)
         failed = len(matches) < len(queries)
-        kept.exit_code = InputError.exit_code if failed else 0
+        answers.exit_code = InputError.exit_code if failed else 0
     else:
         with runner_of(workers, scheduler) as runner:
             if runner is None:
                 found = _matched_here(matching, usable, top)
             else:
                 found = match_many(runner, asked, usable, top)
-            matches = kept.tell_all(queries, refused, found)
+            matches = answers.tell_all(queries, refused, found)
     done = [f"{matching.rows} {matching.holds} of the store were searched."]
     if same_place:
         done.append(f"{len(skylines)} photos of one place were matched together.")
-    _write(matching, matches, done, exports, report, gazetteer)
-    if kept.exit_code:
-        raise typer.Exit(kept.exit_code)
-
-
-class _Kept:
-    """Prints what is found of each query, and keeps it in a file where one is asked for."""
-
-    def __init__(self, results: Path | None, search: str, as_json: bool, top: int) -> None:
-        self.loading_s, self.exit_code = 0.0, 0
-        self._path, self._search, self._as_json, self._top = results, search, as_json, top
-        self._file: Results | None = None
-        self._had: set[str] = set()
-        if results is not None:
-            self._file, self._had = open_results(results, search)
-
-    def left(self, queries: list[Query]) -> list[Query]:
-        """Return the queries that the file does not have, and say how many those are not."""
-        left = [one for one in queries if one.path not in self._had]
-        if len(left) < len(queries):
-            done = len(queries) - len(left)
-            remark(f"{self._path}: {done} of {len(queries)} are there already")
-        return left
-
-    def tell_all(
-        self,
-        queries: Sequence[Query],
-        refused: Mapping[Query, SkylineError],
-        found: Iterator[MatchResult | SkylineError],
-    ) -> list[tuple[Path, MatchResult]]:
-        """Tell of all queries in order, as they come; return those that could be matched."""
-        matches: list[tuple[Path, MatchResult]] = []
-        progress = told("matching")
-        for done, one in enumerate(queries):
-            progress(done, len(queries))
-            with nullcontext() if matches else patience(f"matching {one.path}"):
-                result = refused.get(one) or next(found)
-            if isinstance(result, SkylineError):
-                self._tell_failed(one, result, is_said=one in refused)
-                continue
-            matches.append((Path(one.path), result))
-            record = describe_match(one.path, result, self.loading_s)
-            said = match_in_words(record, self._top)
-            typer.echo(json.dumps(record) if self._as_json else "\n".join(said))
-            if self._file is not None:
-                self._file.add(row_of(record, self._search))
-        progress(len(queries), len(queries))
-        return matches
-
-    def _tell_failed(self, one: Query, error: SkylineError, is_said: bool) -> None:
-        """Tell of a query that cannot be matched; one that was not tried is tried again."""
-        self.exit_code = error.exit_code
-        record = FailureRecord(query=one.path, error=str(error))
-        if not is_said:
-            complain(str(error))
-        if self._as_json:
-            typer.echo(json.dumps(record))
-        if self._file is not None and not is_said:
-            self._file.add(row_of(record, self._search))
+    write_files(matching, matches, done, exports, report, gazetteer)
+    if answers.exit_code:
+        raise typer.Exit(answers.exit_code)
 
 
 def _check_together(
@@ -337,43 +264,6 @@ def _read_together(queries: Sequence[Query]) -> list[tuple[Query, QuerySkyline]]
             "more, or leave --same-place out"
         )
     return read
-
-
-def _tell_together(
-    matching: Matcher,
-    asked: Sequence[tuple[Query, QuerySkyline]],
-    top: int,
-    as_json: bool,
-    loading_s: float,
-) -> list[tuple[Path, MatchResult]]:
-    """Tell what was found for photos of one place; return it photo by photo."""
-    with patience(f"matching {len(asked)} photos together"):
-        found = matching.match_together(
-            [skyline for _, skyline in asked], None, top, [one.narrowing for one, _ in asked]
-        )
-    names = [one.path for one, _ in asked]
-    record, said = describe_together(names, found, loading_s), together_in_words(names, found)
-    typer.echo(json.dumps(record) if as_json else "\n".join(said))
-    return [(Path(one.path), result) for (one, _), result in zip(asked, found.results, strict=True)]
-
-
-def _write(
-    matching: Matcher,
-    matches: Sequence[tuple[Path, MatchResult]],
-    done: Sequence[str],
-    exports: Sequence[Path],
-    report: Path | None,
-    gazetteer: Peaks | None,
-) -> None:
-    """Write what was found, where anything was, to the files asked for."""
-    for path in exports if matches else ():
-        packed = path.suffix.lower() == ".kmz"
-        told_of = [matched(one, result, with_photo=packed) for one, result in matches]
-        export_matches(path, told_of, matching.frame)
-    if report is not None and matches:
-        told = (matched(path, result, done) for path, result in matches)
-        terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
-        report_matches(report, matching, told, terrain, gazetteer)
 
 
 def extract(
@@ -430,28 +320,6 @@ def _numbers(name: str, text: str | None, wanted: str, count: int) -> tuple[floa
     if len(values) != count:
         raise InputError(f"--{name} is `{text}`; expected {count} numbers {wanted}")
     return values
-
-
-def _search(store: Path, matcher: str, config: MatchConfig, common: Query, *surfaces: str) -> str:
-    """Return what tells this search from others: a store, how it is searched, what is known."""
-    written = store.stat().st_mtime_ns if store.exists() else 0
-    settings = repr((store.name, written, matcher, config, common, *surfaces))
-    return hashlib.sha256(settings.encode()).hexdigest()[:12]
-
-
-def _refused(queries: Sequence[Query]) -> dict[Query, SkylineError]:
-    """Return what cannot be matched and why, said at once.
-
-    A store is opened for minutes, and a DEM read: nobody should wait for a wrong name.
-    """
-    refused: dict[Query, SkylineError] = {}
-    for one in queries:
-        try:
-            one.check()
-        except SkylineError as error:
-            refused[one] = error
-            complain(str(error))
-    return refused
 
 
 def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from PIL import Image
 from scenes import fractal, write_dem
 
@@ -14,6 +15,10 @@ from skyline.render.context import acquire_context
 from skyline.render.depth import DepthRenderer
 from skyline_bench.queries.photographs import photograph
 from skyline_bench.queries.pinhole import Camera
+
+# How long an example takes says how busy the machine is, not what is wrong.
+settings.register_profile("skyline", deadline=None)
+settings.load_profile("skyline")
 
 
 @dataclass(frozen=True)

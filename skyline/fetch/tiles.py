@@ -13,14 +13,14 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import RasterioError
-from rasterio.transform import Affine
 from rasterio.windows import Window
+from rasterio.windows import transform as transform_of
 
 from skyline.errors import FetchError, InputError
 from skyline.fetch.remote import AbsentError, HttpOptions, shown, with_remote
 from skyline.fetch.sources import TileSource
 from skyline.geodesy import Bounds
-from skyline.terrain.tiles import GRID_TOLERANCE
+from skyline.terrain.mosaic import GRID_TOLERANCE
 
 MAX_BYTES = 4 << 30
 """The most that is fetched at a time, unpacked."""
@@ -289,7 +289,7 @@ def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
             count=1,
             dtype=samples.dtype,
             crs=origin.crs,
-            transform=_moved(origin.transform, cut.window),
+            transform=transform_of(cut.window, origin.transform),
             nodata=origin.nodata,
             compress="deflate",
             predictor=predictor,
@@ -299,13 +299,6 @@ def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
             file.scales, file.offsets, file.units = origin.scales, origin.offsets, origin.units
             file.update_tags(**{_TAG: cut.tag}, **_registration(origin))
         return bytes(memory.getbuffer())
-
-
-def _moved(transform: Affine, window: Window) -> Affine:
-    """Return the transform of a window of a north-up raster."""
-    west = transform.c + window.col_off * transform.a
-    north = transform.f + window.row_off * transform.e
-    return Affine(transform.a, 0.0, west, 0.0, transform.e, north)
 
 
 def _registration(origin: Any) -> dict[str, str]:

@@ -113,7 +113,8 @@ class Extraction:
 
     def query(self, row_px: Float64Array, confidence: Float64Array) -> QuerySkyline:
         """Return rows of the photo's columns as a query of the image, doubtful ones masked."""
-        return _within(row_px, confidence, self.content, self.shape)
+        trusted_px = np.where(confidence >= TRUST_THRESHOLD, row_px, np.nan)
+        return self.content.skyline(trusted_px, confidence, self.shape)
 
 
 def path_confidence(evidence: Evidence, path: IntArray) -> Float64Array:
@@ -158,19 +159,6 @@ def refine_rows(photo: UInt8Array, row: Float64Array, scale: float) -> Float64Ar
     peaked = bend < 0.0
     shift = np.where(peaked, 0.5 * (before - after) / np.where(peaked, bend, 1.0), 0.0)
     return np.asarray(centre - reach + inner - 0.5 + np.clip(shift, -0.5, 0.5), dtype=np.float64)
-
-
-def _within(
-    row_px: Float64Array, confidence: Float64Array, content: Content, shape: tuple[int, ...]
-) -> QuerySkyline:
-    """Return the query of the whole image, doubtful columns and borders masked."""
-    height, width = shape[:2]
-    trusted = confidence >= TRUST_THRESHOLD
-    whole_row, whole_confidence = np.full(width, np.nan), np.zeros(width)
-    inside = slice(content.left, content.right)
-    whole_row[inside] = np.where(trusted, row_px + content.top, np.nan)
-    whole_confidence[inside] = np.where(trusted, confidence, 0.0)
-    return QuerySkyline(whole_row, whole_confidence, width, height)
 
 
 def _require_skyline(query: QuerySkyline, content: Content) -> None:

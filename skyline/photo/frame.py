@@ -5,8 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import UInt8Array
+from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError
+from skyline.photo.query import QuerySkyline
 
 MIN_CONTENT_PX = 32
 """Smallest width and height in which a skyline is looked for."""
@@ -40,6 +41,20 @@ class Content:
     def crop(self, image: UInt8Array) -> UInt8Array:
         """Return the photo inside its borders, a view."""
         return image[self.top : self.bottom, self.left : self.right]
+
+    def skyline(
+        self, row_px: Float64Array, confidence: Float64Array, shape: tuple[int, ...]
+    ) -> QuerySkyline:
+        """Return the skyline of an image of a shape (H, W, ...) from that of its photo, (w,) each.
+
+        Columns without a row (NaN) are masked, and so is all beside the photo.
+        """
+        height, width = shape[:2]
+        rows, confidences = np.full(width, np.nan), np.zeros(width)
+        inside = slice(self.left, self.right)
+        rows[inside] = row_px + self.top
+        confidences[inside] = np.where(np.isfinite(row_px), confidence, 0.0)
+        return QuerySkyline(rows, confidences, width, height)
 
 
 def content_of(image: UInt8Array) -> Content:

@@ -144,7 +144,6 @@ def _on_photo(
     row_px: Float64Array, confidence: Float64Array, content: Content, shape: tuple[int, ...]
 ) -> QuerySkyline:
     """Return the query of a whole photo from rows and confidences at the model's columns, (w,)."""
-    height, width = shape[:2]
     across = content.right - content.left
     at = (np.arange(across) + 0.5) * len(row_px) / across - 0.5
     at = np.clip(at, 0.0, len(row_px) - 1.0)
@@ -153,12 +152,7 @@ def _on_photo(
     # Beside a masked column there is nothing to interpolate to: NaN passes on.
     share = at - left
     row = np.where(share > 0.0, (1.0 - share) * row_px[left] + share * row_px[right], row_px[left])
-    whole_row, whole_confidence = np.full(width, np.nan), np.zeros(width)
-    inside = slice(content.left, content.right)
-    whole_row[inside] = row + content.top
-    sure = np.minimum(confidence[left], confidence[right])
-    whole_confidence[inside] = np.where(np.isfinite(row), sure, 0.0)
-    return QuerySkyline(whole_row, whole_confidence, width, height)
+    return content.skyline(row, np.minimum(confidence[left], confidence[right]), shape)
 
 
 def _line(error: Exception) -> str:

@@ -4,24 +4,24 @@ from skyline.pipeline.batch import match_many
 from skyline.pipeline.build import (
     BuildResult,
     Progress,
-    build_uniform,
     explain_scene,
     render_to_store,
     render_views,
     save_depth_pictures,
 )
 from skyline.pipeline.cluster import local_runner, remote_runner
-from skyline.pipeline.config import RenderConfig
+from skyline.pipeline.config import PlaceConfig, RenderConfig
+from skyline.pipeline.layout import Layout
 from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizon, horizons_of
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.pipeline.panorama import PanoramaConfig, save_panorama
-from skyline.pipeline.places import PlaceConfig, build_places
+from skyline.pipeline.places import build_places, build_store, build_uniform
 from skyline.pipeline.planned import PlannedResult, build_planned
 from skyline.pipeline.queries import Query, listed
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.results import JointResult, MatchResult
-from skyline.pipeline.shards import ShardPlan, build_sharded
+from skyline.pipeline.shards import build_sharded
 
 __all__ = [
     "DEFAULT_STEP_DEG",
@@ -29,6 +29,7 @@ __all__ = [
     "MATCHERS",
     "BuildResult",
     "JointResult",
+    "Layout",
     "MatchResult",
     "Matcher",
     "PanoramaConfig",
@@ -37,10 +38,10 @@ __all__ = [
     "Progress",
     "Query",
     "RenderConfig",
-    "ShardPlan",
     "build_places",
     "build_planned",
     "build_sharded",
+    "build_store",
     "build_uniform",
     "explain_scene",
     "horizon",

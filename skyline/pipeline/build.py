@@ -9,17 +9,16 @@ from typing import ClassVar, Generic, Protocol, Self, TypeVar
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skyline import report
 from skyline.camera import HEADINGS
 from skyline.features import polyline_keypoints
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
 from skyline.planning.adaptive import Blocks
-from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import StoreHeader, StoreWriter, create_store, open_for_append, open_store
+from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.scene import SceneNeeds, scene_needs
 from skyline.terrain.viewpoints import Viewpoints
@@ -77,10 +76,6 @@ class RowRenderer(ABC, Generic[Work]):
     def render_into(self, writer: StoreWriter, work: Work) -> None:
         """Append the rows of some work to a store."""
 
-    @abstractmethod
-    def missing(self, path: Path, work: Work) -> Work:
-        """Return the work of which a store lacks rows."""
-
     def __enter__(self) -> Self:
         return self
 
@@ -102,10 +97,6 @@ class ViewRows(RowRenderer[Viewpoints]):
         """See `RowRenderer.render_into`."""
         views = self.renderer.render(work)
         writer.append(views, polyline_keypoints(views, self.config.keypoint_tolerance_px))
-
-    def missing(self, path: Path, work: Viewpoints) -> Viewpoints:
-        """See `RowRenderer.missing`."""
-        return work[~held_whole(path, work, len(HEADINGS))]
 
 
 def view_rows(terrain: HeightField, config: RenderConfig, plan: dict[str, object]) -> ViewRows:
@@ -138,35 +129,6 @@ def explain_scene(
     return needs, Views.concatenate([exact, given])
 
 
-def build_uniform(
-    terrain: HeightField,
-    path: str | Path,
-    spacing_m: float,
-    bounds_deg: tuple[float, float, float, float] | None = None,
-    config: RenderConfig | None = None,
-    progress: Progress | None = None,
-) -> BuildResult:
-    """Render a uniform grid into a store; an interrupted build goes on where it stopped.
-
-    Raises
-    ------
-    StoreMismatchError
-        The store at ``path`` was built from another DEM or with another configuration.
-    """
-    config = config or RenderConfig()
-    area = map_bounds(terrain, bounds_deg)
-    viewpoints = uniform_grid(terrain, spacing_m, area, config.eye_height_m)
-    with view_rows(terrain, config, uniform_plan(spacing_m, bounds_deg)) as rows:
-        return render_missing(path, rows, viewpoints, progress)
-
-
-def uniform_plan(
-    spacing_m: float, bounds_deg: tuple[float, float, float, float] | None
-) -> dict[str, object]:
-    """Return what the config of a uniform store says of its viewpoints."""
-    return {"planner": "uniform", "spacing_m": spacing_m, "bounds_deg": bounds_deg}
-
-
 def render_missing(
     path: str | Path, rows: RowRenderer[Work], work: Work, progress: Progress | None = None
 ) -> BuildResult:
@@ -181,7 +143,7 @@ def render_missing(
         with create_store(path, rows.header) as writer:
             return _render_into(writer, rows, work, len(work), progress)
     with open_for_append(path, rows.header) as writer:
-        left = rows.missing(Path(path), work)
+        left = missing(path, work)
         return _render_into(writer, rows, left, len(work), progress)
 
 
@@ -244,10 +206,19 @@ def _render_into(
     return BuildResult(len(writer), len(writer) - held, time.perf_counter() - started)
 
 
-def held_whole(path: str | Path, viewpoints: Viewpoints, rows_each: int) -> NDArray[np.bool_]:
-    """Return which viewpoints the store holds in all their rows, shape (N,)."""
+def missing(path: str | Path, work: Work) -> Work:
+    """Return the work of which a store lacks rows."""
     with open_store(path) as store:
-        there = store.eyes()
+        there, wanted = store.eyes(), rows_each(store.header)
+    if isinstance(work, Blocks):
+        # A block is stored whole, after those before it.
+        done = np.flatnonzero(work.holding(there.easting_m, there.northing_m))
+        return work[done[-1] + 1 :] if len(done) else work
     stored, count = np.unique(there.easting_m + 1j * there.northing_m, return_counts=True)
-    whole = stored[count >= rows_each]
-    return np.isin(viewpoints.easting_m + 1j * viewpoints.northing_m, whole)
+    whole = stored[count >= wanted]
+    return work[~np.isin(work.easting_m + 1j * work.northing_m, whole)]
+
+
+def rows_each(header: StoreHeader) -> int:
+    """Return how many rows a viewpoint has in a store: a place, or a rendering a heading."""
+    return 1 if header.holds == PLACES else len(HEADINGS)

@@ -11,7 +11,9 @@ from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
 from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.render.horizon import HorizonRenderer
+from skyline.render.panorama import DEFAULT_TOLERANCE_DEG
 from skyline.store import RowCoding, StoreHeader
+from skyline.store.header import PLACES
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
@@ -58,40 +60,51 @@ class RenderConfig:
             raise InputError(f"rows is {self.rows!r}; expected one of {', '.join(ROWS)}")
 
 
+@dataclass(frozen=True, slots=True)
+class PlaceConfig:
+    """How places are rendered.
+
+    Attributes
+    ----------
+    eye_height_m : float
+        Eye above ground.
+    tolerance_deg : float
+        How far a skyline may fall short of the exact one, degrees of elevation; 0 is exact but
+        for float32.
+    curvature : Curvature
+    """
+
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    tolerance_deg: float = DEFAULT_TOLERANCE_DEG
+    curvature: Curvature = field(default_factory=Curvature)
+
+
+BuildConfig = RenderConfig | PlaceConfig
+"""How the rows of a store are rendered, and with that which rows: renderings or places."""
+
+
 def make_renderer(terrain: HeightField, config: RenderConfig) -> HorizonRenderer:
     """Return the renderer a configuration asks for."""
     return HorizonRenderer(terrain, config.width, config.curvature, config.tolerance_px)
 
 
 def store_header(
-    terrain: HeightField, renderer: str, config: RenderConfig, plan: dict[str, object]
+    terrain: HeightField, renderer: str, config: BuildConfig, plan: dict[str, object]
 ) -> StoreHeader:
     """Return the header of a store that a renderer, given by its description, fills by a plan."""
-    settings = asdict(config)
-    coding = RowCoding.within(config.width) if settings.pop("rows") == "compact" else None
-    return header_of(
-        terrain,
-        renderer,
-        {**plan, "rasterizer": "horizon", **settings},
-        width=config.width,
-        coding=coding,
-    )
-
-
-def header_of(
-    terrain: HeightField, renderer: str, config: dict[str, object], **layout: Any
-) -> StoreHeader:
-    """Return the header of a store over a terrain, made by a configuration.
-
-    ``layout`` is what `StoreHeader` says of rows.
-    """
+    settings: dict[str, Any] = {"rasterizer": "panorama"} | asdict(config)
+    rows: dict[str, Any] = {"holds": PLACES}
+    if isinstance(config, RenderConfig):
+        settings["rasterizer"] = "horizon"
+        coding = RowCoding.within(config.width) if settings.pop("rows") == "compact" else None
+        rows = {"width": config.width, "coding": coding}
     return StoreHeader(
         frame_wkt=terrain.frame.wkt,
         dem_digest=terrain.digest,
         dem_files=terrain.provenance.files,
-        config={**config, "dem_options": dict(terrain.provenance.options)},
+        config={**plan, **settings, "dem_options": dict(terrain.provenance.options)},
         renderer=renderer,
-        **layout,
+        **rows,
     )
 
 

@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Self
 
@@ -18,7 +19,7 @@ from skyline.matching.screening import Alike
 from skyline.photo import Lens, Projection, QuerySkyline, read_query
 from skyline.pipeline.claims import claim_of
 from skyline.pipeline.matchers import FULL, MATCHERS, check_narrows
-from skyline.pipeline.opened import Dem, OpenedSource, given_terrain, some_eyes
+from skyline.pipeline.opened import Dem, OpenedSource, given_terrain
 from skyline.pipeline.refusals import (
     DISAGREES,
     at_bound,
@@ -30,6 +31,7 @@ from skyline.pipeline.refusals import (
 from skyline.pipeline.results import JointResult, MatchResult
 from skyline.render.thread import RenderThread
 from skyline.store import open_store
+from skyline.terrain.viewpoints import Viewpoints
 
 _log = logging.getLogger(__name__)
 
@@ -82,15 +84,20 @@ class Matcher:
         with open_store(store) as opened:
             self.header = opened.header
             self.rows, self.holds = len(opened), opened.header.holds
-            self.viewpoints = some_eyes(opened)
             terrain = given_terrain(self.header, dem)
             source = OpenedSource(store, opened, terrain, self._config, render_thread, surface)
             self._ranker = kind.open(source)
+            self._eyes = source.eyes()
         self.terrain, self._scene = source.terrain, source.rendered
         if surface is not None and self._scene is None:
             raise InputError("a surface needs the store's DEM, which is not at hand; give it")
         self.render_thread = render_thread
         self.frame = Frame(self.header.frame_wkt)
+
+    @cached_property
+    def viewpoints(self) -> Viewpoints:
+        """Where the store's eyes stand, evenly chosen ones of very many."""
+        return self._eyes()
 
     def release(self) -> None:
         """Free what the matcher holds on the GPU; it cannot refine after that."""

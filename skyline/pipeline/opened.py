@@ -1,7 +1,8 @@
 """An open store and its terrain, as matchers want them."""
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -46,10 +47,21 @@ class OpenedSource:
 
     def places(self) -> PlaceSource:
         """Return the places of the store."""
-        places = self._store.places()
-        if not len(places):
+        if not len(self._places):
             raise InputError(f"store {self._path} holds no places; build it first")
-        return places
+        return self._places
+
+    def eyes(self) -> Callable[[], Viewpoints]:
+        """Return what tells where the store's eyes stand, evenly chosen ones of very many.
+
+        Places are read when it is called; the store may be closed by then.
+        """
+        if self._store.header.holds == PLACES:
+            return partial(_spaced, self._places)
+        there = self._store.locations()
+        eyes = np.stack([there.easting_m, there.northing_m, there.eye_elevation_m])
+        eyes = np.ascontiguousarray(np.unique(eyes, axis=1))
+        return lambda: Viewpoints(*eyes)
 
     def profiles(self) -> Profiles:
         """Return the renderings of the store, joined."""
@@ -68,6 +80,10 @@ class OpenedSource:
             over = None if surface is None else read_surface(surface, terrain)
             self.rendered = RenderedScene.of_store(terrain, header, self.config, self._thread, over)
         return self.rendered
+
+    @cached_property
+    def _places(self) -> PlaceSource:
+        return self._store.places()
 
     def _found_terrain(self) -> HeightField | None:
         if self.terrain is None and not self._sought:
@@ -109,17 +125,15 @@ def given_terrain(header: StoreHeader, dem: Dem | None) -> HeightField | None:
 _SHOWN_EYES = 20_000
 
 
-def some_eyes(store: Store) -> Viewpoints:
-    """Return where the eyes of a store stand, evenly chosen ones of very many."""
-    if store.header.holds == PLACES:
-        places = store.places()
-        rows = np.arange(0, len(places), max(1, len(places) // _SHOWN_EYES))
-        some = places.take(rows)
-        height_m = some.eye_elevation_m.astype(np.float64)
-        return Viewpoints(some.easting_m, some.northing_m, height_m)
-    there = store.locations()
-    eyes = np.stack([there.easting_m, there.northing_m, there.eye_elevation_m])
-    return Viewpoints(*np.ascontiguousarray(np.unique(eyes, axis=1)))
+def _spaced(places: PlaceSource) -> Viewpoints:
+    """Return the eyes of every n-th place; no skyline is read."""
+    step = max(1, len(places) // _SHOWN_EYES)
+    some, first = [np.empty((3, 0))], 0
+    for block in places.blocks():
+        eyes = (block.easting_m, block.northing_m, block.eye_elevation_m)
+        some.append(np.stack([column[-first % step :: step] for column in eyes]).astype(np.float64))
+        first += len(block)
+    return Viewpoints(*np.concatenate(some, axis=1))
 
 
 def _chunks(store: Store) -> Iterable[tuple[Views, NDArray[np.uint16]]]:

@@ -1,59 +1,25 @@
-"""Building a store of places: eyes, planned or on a grid, each with its skyline all round."""
+"""Building stores: of places, planned or on a grid, each with its skyline all round.
+
+A store of renderings, for the paper's matcher, is built on a grid too, or as `planned.py` says.
+"""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-
-import numpy as np
+from typing import Any
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
-from skyline.geodesy import Curvature
-from skyline.pipeline.build import (
-    BuildResult,
-    Progress,
-    RowRenderer,
-    held_whole,
-    render_missing,
-    uniform_plan,
-)
-from skyline.pipeline.config import header_of
+from skyline.pipeline.build import BuildResult, Progress, RowRenderer, render_missing, view_rows
+from skyline.pipeline.config import BuildConfig, PlaceConfig, RenderConfig, store_header
+from skyline.pipeline.layout import DEFAULT_LOSS, Layout
 from skyline.places import BINS, Places
-from skyline.planning.adaptive import (
-    AdaptivePlanner,
-    Blocks,
-    blocks_of,
-    price_of,
-    spread_over,
-)
-from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
-from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
-from skyline.store import StoreHeader, StoreWriter, open_store
-from skyline.store.header import PLACES
+from skyline.planning.adaptive import AdaptivePlanner, Blocks, price_of, spread_over
+from skyline.planning.uniform import MapBounds, map_bounds
+from skyline.render.panorama import PanoramaRenderer
+from skyline.store import StoreWriter
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
-
-DEFAULT_LOSS = 0.2
-"""Of views, for places lying apart; docs/accuracy.md has what others cost and find."""
-
-
-@dataclass(frozen=True, slots=True)
-class PlaceConfig:
-    """How places are rendered.
-
-    Attributes
-    ----------
-    eye_height_m : float
-        Eye above ground.
-    tolerance_deg : float
-        How far a skyline may fall short of the exact one, degrees of elevation; 0 is exact but
-        for float32.
-    curvature : Curvature
-    """
-
-    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
-    tolerance_deg: float = DEFAULT_TOLERANCE_DEG
-    curvature: Curvature = field(default_factory=Curvature)
+from skyline.terrain.viewpoints import Viewpoints
 
 
 @dataclass(frozen=True)
@@ -76,10 +42,6 @@ class PlaceRows(RowRenderer[Viewpoints]):
         rendered = self.renderer.render(work)
         writer.append_places(Places.of(rendered, self.tolerance_m(work)))
 
-    def missing(self, path: Path, work: Viewpoints) -> Viewpoints:
-        """See `RowRenderer.missing`."""
-        return work[~held_whole(path, work, 1)]
-
 
 @dataclass(frozen=True)
 class PlannedRows(RowRenderer[Blocks]):
@@ -96,62 +58,54 @@ class PlannedRows(RowRenderer[Blocks]):
         if places is not None:
             writer.append_places(places, all_or_none=True)
 
-    def missing(self, path: Path, work: Blocks) -> Blocks:
-        """See `RowRenderer.missing`."""
-        with open_store(path) as store:
-            eyes = store.eyes()
-        done = np.flatnonzero(work.holding(eyes.easting_m, eyes.northing_m))
-        return work[done[-1] + 1 :] if len(done) else work
+
+def place_renderer(terrain: HeightField, config: PlaceConfig) -> PanoramaRenderer:
+    """Return the renderer a configuration asks for."""
+    return PanoramaRenderer(terrain, BINS, config.curvature, config.tolerance_deg)
 
 
-def place_header(
-    terrain: HeightField, renderer: str, config: PlaceConfig, plan: dict[str, object]
-) -> StoreHeader:
-    """Return the header of a store of places that a renderer, given by its description, fills."""
-    settings = {**plan, "rasterizer": "panorama", **asdict(config)}
-    return header_of(terrain, renderer, settings, holds=PLACES)
+def rows_of(terrain: HeightField, config: BuildConfig, layout: Layout) -> RowRenderer[Any]:
+    """Return what renders the rows of a store, and plans them where no spacing is given.
 
-
-def adaptive_plan(
-    loss: float, bounds_deg: tuple[float, float, float, float] | None
-) -> dict[str, object]:
-    """Return what the config of an adaptive store says of its places."""
-    return {"planner": "adaptive", "loss": loss, "bounds_deg": bounds_deg}
-
-
-def place_rows(
-    terrain: HeightField, config: PlaceConfig, spacing_m: float, plan: dict[str, object]
-) -> PlaceRows:
-    """Return what renders the places of a grid; each stands for half the spacing around it."""
-    renderer = _renderer(terrain, config)
-    header = place_header(terrain, renderer.description, config, plan)
-    return PlaceRows(renderer, header, lambda _: spacing_m / 2.0)
-
-
-def planned_rows(
-    terrain: HeightField,
-    config: PlaceConfig,
-    loss: float,
-    bounds_deg: tuple[float, float, float, float] | None,
-) -> PlannedRows:
-    """Return what plans and renders places that lose no more than a share of the views.
+    A place of a grid stands for half the spacing around it; places that are planned lose no more
+    than a share of the views.
 
     Raises
     ------
     InputError
-        A loss outside (0, 1), or less than the densest places would lose, or an area of holes.
+        A loss outside (0, 1), or less than the densest places would lose, or an area of holes;
+        renderings without a spacing.
     """
-    area = map_bounds(terrain, bounds_deg)
+    spacing_m = layout.spacing_m
+    if isinstance(config, RenderConfig):
+        if spacing_m is None:
+            raise InputError("a store of renderings needs a spacing; expected metres, e.g. 500")
+        return view_rows(terrain, config, layout.record)
+    if spacing_m is not None:
+        renderer = place_renderer(terrain, config)
+        header = store_header(terrain, renderer.description, config, layout.record)
+        return PlaceRows(renderer, header, lambda _: spacing_m / 2.0)
+    area = map_bounds(terrain, layout.bounds_deg)
     spread = spread_over(terrain, area, config.eye_height_m)
-    renderer = _renderer(terrain, config)
-    price = price_of(loss, renderer.render(spread))
+    renderer = place_renderer(terrain, config)
+    header = store_header(terrain, renderer.description, config, layout.record)
+    price = price_of(layout.loss, renderer.render(spread))
     planner = AdaptivePlanner(terrain, renderer.render, area, price, config.eye_height_m)
-    plan = adaptive_plan(loss, bounds_deg)
-    return PlannedRows(renderer, place_header(terrain, renderer.description, config, plan), planner)
+    return PlannedRows(renderer, header, planner)
 
 
-def _renderer(terrain: HeightField, config: PlaceConfig) -> PanoramaRenderer:
-    return PanoramaRenderer(terrain, BINS, config.curvature, config.tolerance_deg)
+def build_store(
+    terrain: HeightField,
+    path: str | Path,
+    layout: Layout,
+    config: BuildConfig,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Render what a store lacks of a layout, in this process; raises as `build_places`."""
+    work = layout.work(terrain, config.eye_height_m)
+    with rows_of(terrain, config, layout) as rows:
+        built = render_missing(path, rows, work, progress)
+    return refuse_empty(built, Path(path), map_bounds(terrain, layout.bounds_deg))
 
 
 def refuse_empty(built: BuildResult, path: Path, area: MapBounds) -> BuildResult:
@@ -204,12 +158,24 @@ def build_places(
         The store at ``path`` holds renderings, or was built from another DEM or with another
         configuration.
     """
-    config = config or PlaceConfig()
-    area = map_bounds(terrain, bounds_deg)
-    if spacing_m is None:
-        with planned_rows(terrain, config, loss, bounds_deg) as planned:
-            built = render_missing(path, planned, blocks_of(area), progress)
-        return refuse_empty(built, Path(path), area)
-    viewpoints = uniform_grid(terrain, spacing_m, area, config.eye_height_m)
-    with place_rows(terrain, config, spacing_m, uniform_plan(spacing_m, bounds_deg)) as rows:
-        return render_missing(path, rows, viewpoints, progress)
+    layout = Layout(spacing_m, bounds_deg=bounds_deg, loss=loss)
+    return build_store(terrain, path, layout, config or PlaceConfig(), progress)
+
+
+def build_uniform(
+    terrain: HeightField,
+    path: str | Path,
+    spacing_m: float,
+    bounds_deg: tuple[float, float, float, float] | None = None,
+    config: RenderConfig | None = None,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Render a uniform grid into a store; an interrupted build goes on where it stopped.
+
+    Raises
+    ------
+    StoreMismatchError
+        The store at ``path`` was built from another DEM or with another configuration.
+    """
+    layout = Layout(spacing_m, bounds_deg=bounds_deg)
+    return build_store(terrain, path, layout, config or RenderConfig(), progress)

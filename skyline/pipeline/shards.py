@@ -16,44 +16,28 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
-from skyline.camera import HEADINGS
 from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.pipeline.build import (
     BuildResult,
     Progress,
-    RowRenderer,
-    held_whole,
+    missing,
     render_missing,
-    uniform_plan,
-    view_rows,
+    rows_each,
 )
-from skyline.pipeline.config import RenderConfig, store_header
+from skyline.pipeline.config import BuildConfig, RenderConfig, store_header
 from skyline.pipeline.jobs import Runner, collect, run_here
-from skyline.pipeline.places import (
-    DEFAULT_LOSS,
-    PlaceConfig,
-    adaptive_plan,
-    place_header,
-    place_rows,
-    planned_rows,
-    refuse_empty,
-)
-from skyline.planning.adaptive import Blocks, blocks_of
-from skyline.planning.uniform import map_bounds, uniform_grid
-from skyline.store import StoreHeader, merge_stores, open_for_append
+from skyline.pipeline.layout import Layout
+from skyline.pipeline.places import refuse_empty, rows_of
+from skyline.planning.adaptive import Blocks
+from skyline.planning.uniform import map_bounds
+from skyline.store import merge_stores, open_for_append
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-
-DEFAULT_TILE_M = 10_000.0
-"""400 viewpoints at 500 m: seconds to minutes of work, little of it lost with a worker."""
-
-BuildConfig = RenderConfig | PlaceConfig
-"""How the rows of a store are rendered, and with that which rows: renderings or places."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,42 +58,6 @@ class Shard:
 
 
 @dataclass(frozen=True, slots=True)
-class ShardPlan:
-    """Where viewpoints are, and how the area is cut.
-
-    Attributes
-    ----------
-    spacing_m : float or None
-        Between viewpoints of a uniform grid; None for places that are planned.
-    tile_m : float
-        Side of the square tiles, which lie at whole multiples of it.
-    bounds_deg : tuple, optional
-        W, S, E, N in degrees; by default all of the terrain.
-    loss : float
-        Of places that are planned; see `build_places`.
-    """
-
-    spacing_m: float | None = None
-    tile_m: float = DEFAULT_TILE_M
-    bounds_deg: tuple[float, float, float, float] | None = None
-    loss: float = DEFAULT_LOSS
-
-    @property
-    def record(self) -> dict[str, object]:
-        """What the store's config says: nothing of tiles, for they leave no trace."""
-        if self.spacing_m is None:
-            return adaptive_plan(self.loss, self.bounds_deg)
-        return uniform_plan(self.spacing_m, self.bounds_deg)
-
-    def work(self, terrain: HeightField, eye_height_m: float) -> Viewpoints | Blocks:
-        """Return what there is to render."""
-        area = map_bounds(terrain, self.bounds_deg)
-        if self.spacing_m is None:
-            return blocks_of(area)
-        return uniform_grid(terrain, self.spacing_m, area, eye_height_m)
-
-
-@dataclass(frozen=True, slots=True)
 class ShardSettings:
     """What all jobs of a build share; a few hundred bytes that are sent with each.
 
@@ -119,7 +67,7 @@ class ShardSettings:
         Absolute paths, the same wherever a job runs.
     dem_digest : str
     dem_options : DemOptions
-    plan : ShardPlan
+    layout : Layout
     config : RenderConfig or PlaceConfig
     folder : str
         Absolute path of the shards.
@@ -128,7 +76,7 @@ class ShardSettings:
     dem_files: tuple[str, ...]
     dem_digest: str
     dem_options: DemOptions
-    plan: ShardPlan
+    layout: Layout
     config: BuildConfig
     folder: str
 
@@ -151,7 +99,7 @@ class Workplace:
         """Read the terrain unless it is given; raises as `ShardSettings.read_terrain`."""
         self._settings = settings
         terrain = terrain or settings.read_terrain()
-        self._rows = _row_renderer(terrain, settings.config, settings.plan)
+        self._rows = rows_of(terrain, settings.config, settings.layout)
 
     def __enter__(self) -> Self:
         return self
@@ -173,35 +121,13 @@ class Workplace:
         Path(self._settings.folder).mkdir(parents=True, exist_ok=True)
         done = render_missing(path, self._rows, shard.work)
         if isinstance(shard.work, Viewpoints):
-            due = _rows_each(self._settings.config) * len(shard.work)
+            due = rows_each(self._rows.header) * len(shard.work)
             if done.rows != due:
                 raise StoreError(
                     f"shard {path} holds {done.rows} {self._rows.header.holds} of what should be "
                     f"{due}; remove it and give the same command"
                 )
         return done
-
-
-def _row_renderer(terrain: HeightField, config: BuildConfig, plan: ShardPlan) -> RowRenderer[Any]:
-    if plan.spacing_m is None:
-        if not isinstance(config, PlaceConfig):
-            raise InputError("a store of renderings needs a spacing; expected metres, e.g. 500")
-        return planned_rows(terrain, config, plan.loss, plan.bounds_deg)
-    if isinstance(config, PlaceConfig):
-        return place_rows(terrain, config, plan.spacing_m, plan.record)
-    return view_rows(terrain, config, plan.record)
-
-
-def _header(terrain: HeightField, config: BuildConfig, plan: ShardPlan) -> StoreHeader:
-    """Return the header of the store that a build makes, the renderer left out."""
-    if isinstance(config, PlaceConfig):
-        return place_header(terrain, "", config, plan.record)
-    return store_header(terrain, "", config, plan.record)
-
-
-def _rows_each(config: BuildConfig) -> int:
-    """Return how many rows a viewpoint has."""
-    return 1 if isinstance(config, PlaceConfig) else len(HEADINGS)
 
 
 _here: dict[ShardSettings, Workplace] = {}
@@ -244,7 +170,7 @@ def cut_into_shards(work: Viewpoints | Blocks, tile_m: float) -> list[Shard]:
 def build_sharded(
     terrain: HeightField,
     path: str | Path,
-    plan: ShardPlan,
+    layout: Layout,
     config: BuildConfig | None = None,
     runner: Runner | None = None,
     progress: Progress | None = None,
@@ -260,7 +186,7 @@ def build_sharded(
     terrain : HeightField
         Read from files, unless ``runner`` works in this process.
     path : str or Path
-    plan : ShardPlan
+    layout : Layout
     config : RenderConfig or PlaceConfig, optional
         What is rendered and how; by default renderings.
     runner : Runner, optional
@@ -279,18 +205,18 @@ def build_sharded(
     """
     started = time.perf_counter()
     path, config = Path(path).resolve(), config or RenderConfig()
-    work = plan.work(terrain, config.eye_height_m)
-    shards = cut_into_shards(work, plan.tile_m)
+    work = layout.work(terrain, config.eye_height_m)
+    shards = cut_into_shards(work, layout.tile_m)
     folder = path.with_name(f"{path.name}.shards")
     if path.exists():
-        held = _held_already(terrain, path, plan, config, work)
+        held = _held_already(terrain, path, layout, config, work)
         _remove(folder, shards)
         return held
     settings = ShardSettings(
         terrain.provenance.files,
         terrain.digest,
         DemOptions.from_json(terrain.provenance.options),
-        plan,
+        layout,
         config,
         str(folder),
     )
@@ -299,7 +225,7 @@ def build_sharded(
     _remove(folder, shards)
     rendered = sum(result.rendered for result in done)
     built = BuildResult(merged.rows, rendered, time.perf_counter() - started)
-    return refuse_empty(built, path, map_bounds(terrain, plan.bounds_deg))
+    return refuse_empty(built, path, map_bounds(terrain, layout.bounds_deg))
 
 
 def _run_all(
@@ -332,19 +258,19 @@ def _run_all(
 def _held_already(
     terrain: HeightField,
     path: Path,
-    plan: ShardPlan,
+    layout: Layout,
     config: BuildConfig,
     work: Viewpoints | Blocks,
 ) -> BuildResult:
     """Return what a store has that was there before; it must be whole and of this build."""
     if isinstance(work, Blocks):
         # Which places it should have shows only as they are planned: what is left is done here.
-        with _row_renderer(terrain, config, plan) as rows:
+        with rows_of(terrain, config, layout) as rows:
             return render_missing(path, rows, work)
     started = time.perf_counter()
-    with open_for_append(path, _header(terrain, config, plan)) as writer:
+    with open_for_append(path, store_header(terrain, "", config, layout.record)) as writer:
         held = len(writer)
-    if not held_whole(path, work, _rows_each(config)).all():
+    if len(missing(path, work)):
         raise StoreError(
             f"store {path} is there and lacks some of {len(work)} viewpoints; finish it "
             "without tiles, remove it, or choose another name"

@@ -198,16 +198,12 @@ class DepthRenderer:
         row, col = self.field.to_grid(easting, northing)
         cell_row, cell_col = int(np.floor(row)), int(np.floor(col))
         high = float(np.float32(elevation))
-        west, south, east, north = self.field.bounds_m
-        reach = np.hypot(
-            max(easting - west, east - easting), max(northing - south, north - northing)
-        )
         return _Eye(
             (cell_col, cell_row),
             (float(col) - cell_col, float(row) - cell_row),
             (high, float(elevation) - high),
             _near_m(self.field, viewpoints, index),
-            1.1 * float(reach) + self.field.spacing_m,
+            1.1 * self.field.reach_m(easting, northing) + self.field.spacing_m,
         )
 
     def _draw(self, eye: _Eye, heading: int) -> None:

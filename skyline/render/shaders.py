@@ -31,22 +31,11 @@ _Program = TypeVar("_Program")
 
 
 @dataclass(frozen=True, slots=True)
-class _Source:
+class Source:
     """GLSL text, and the names of the files that its ``#line`` directives number."""
 
     text: str
     files: tuple[str, ...]
-
-
-def load_shader(name: str) -> str:
-    """Return the GLSL text of a shader file, what it includes put in place.
-
-    Raises
-    ------
-    MissingFileError
-        No such shader, or one that it includes.
-    """
-    return _read(name).text
 
 
 def compile_program(
@@ -72,7 +61,7 @@ def compile_program(
     MissingFileError
         No such shader.
     """
-    first, second = _read(vertex, defines), _read(fragment, defines)
+    first, second = load_shader(vertex, defines), load_shader(fragment, defines)
     return _build(
         partial(ctx.program, vertex_shader=first.text, fragment_shader=second.text),
         {"vertex_shader": first, "fragment_shader": second},
@@ -83,18 +72,18 @@ def compile_compute(
     ctx: moderngl.Context, name: str, defines: Mapping[str, str] | None = None
 ) -> moderngl.ComputeShader:
     """Compile a compute shader file (OpenGL 4.3); as `compile_program` otherwise."""
-    source = _read(name, defines)
+    source = load_shader(name, defines)
     return _build(partial(ctx.compute_shader, source.text), {"compute_shader": source})
 
 
-def _build(make: Callable[[], _Program], stages: Mapping[str, _Source]) -> _Program:
+def _build(make: Callable[[], _Program], stages: Mapping[str, Source]) -> _Program:
     try:
         return make()
     except moderngl.Error as error:
         raise ContextError(_explain(str(error), stages)) from error
 
 
-def _explain(log: str, stages: Mapping[str, _Source]) -> str:
+def _explain(log: str, stages: Mapping[str, Source]) -> str:
     """Return one line: the driver's message with file names for numbers."""
     names = " + ".join(source.files[0] for source in stages.values())
     found = _STAGE.search(log)
@@ -116,7 +105,8 @@ def _one_line(log: str) -> str:
     return "; ".join(line.strip() for line in log.splitlines() if line.strip())
 
 
-def _read(name: str, defines: Mapping[str, str] | None = None) -> _Source:
+def load_shader(name: str, defines: Mapping[str, str] | None = None) -> Source:
+    """Return a shader file with what it includes put in place; raises `MissingFileError`."""
     text, files = _find(name).read_text(encoding="utf-8"), [name]
 
     def insert(include: re.Match[str]) -> str:
@@ -126,7 +116,7 @@ def _read(name: str, defines: Mapping[str, str] | None = None) -> _Source:
         next_line = text.count("\n", 0, include.end()) + 2
         return f"#line 1 {len(files) - 1}\n{body}\n#line {next_line} 0"
 
-    return _Source(_define(_INCLUDE.sub(insert, text), defines or {}), tuple(files))
+    return Source(_define(_INCLUDE.sub(insert, text), defines or {}), tuple(files))
 
 
 def _define(text: str, defines: Mapping[str, str]) -> str:

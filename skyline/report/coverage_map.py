@@ -13,10 +13,9 @@ from skyline.camera import HEADINGS
 from skyline.paper.planning.candidates import CandidateMap
 from skyline.paper.planning.coverage import Coverage
 from skyline.paper.planning.plan import Plan
-from skyline.report.pictures import save_figure
+from skyline.report.pictures import HEADING_NAMES, save_figure
 from skyline.report.relief import Area, draw_bearings, draw_relief
 
-_HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
 _PANEL_SQUARE_IN = 14.0
 
 _OPACITY = 0.55
@@ -64,7 +63,7 @@ def save_coverage_map(plan: Plan, path: Path) -> None:
         _draw_viewpoints(axis, candidates, coverage)
         draw_bearings(axis, candidates.field.frame, area)
         axis.set_title(
-            f"heading {heading}, {_HEADING_NAMES[heading]}\n{len(coverage.viewpoints)} renderings "
+            f"heading {heading}, {HEADING_NAMES[heading]}\n{len(coverage.viewpoints)} renderings "
             f"cover {coverage.fraction():.1%}",
             fontsize=9,
         )

@@ -12,7 +12,7 @@ from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
 from skyline.views import Views
 
-_HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
+HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
 DPI = 110
 _JPEG = {"quality": 88, "subsampling": 0}
 """Full colour resolution, or thin coloured lines fade."""
@@ -43,7 +43,7 @@ def save_depth_images(images: NDArray[np.float32], views: Views, path: Path) -> 
         rows = (1.0 - views.elevation_tan[heading]) * size / 2.0 - 0.5
         axis.plot(np.arange(size), rows, color="crimson", linewidth=1.0)
         axis.set(xlim=(-0.5, size - 0.5), ylim=(size - 0.5, -0.5), xticks=[], yticks=[])
-        axis.set_title(f"heading {heading}: {_HEADING_NAMES[heading]}")
+        axis.set_title(f"heading {heading}: {HEADING_NAMES[heading]}")
     bar = figure.colorbar(shown, ax=axes, shrink=0.9, pad=0.01)
     ticks = np.array([10, 30, 100, 300, 1e3, 3e3, 1e4, 3e4, 1e5])
     ticks = ticks[(np.log10(ticks) >= low) & (np.log10(ticks) <= high)]

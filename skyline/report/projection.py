@@ -14,14 +14,7 @@ from skyline.views import Views
 
 @dataclass(frozen=True, slots=True)
 class PosedPicture:
-    """A picture of known size, taken as a candidate says.
-
-    Attributes
-    ----------
-    width_px, height_px : int
-    candidate : Candidate
-    projection : Projection
-    """
+    """A picture of known size, taken as a candidate says."""
 
     width_px: int
     height_px: int

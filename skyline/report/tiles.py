@@ -28,12 +28,7 @@ _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
 
 
 class ReliefTiles:
-    """Draws tiles of one elevation model; any thread may ask.
-
-    Parameters
-    ----------
-    terrain : HeightField
-    """
+    """Draws tiles of one elevation model; any thread may ask."""
 
     def __init__(self, terrain: HeightField) -> None:
         self._terrain = terrain

@@ -1,30 +1,24 @@
-"""The committed rows of a store, read while a writer may be at work."""
+"""A store as it is read: its header, and what its committed rows stand for."""
 
 import os
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS
-from skyline.errors import (
-    InputError,
-    SkylineError,
-    StoreError,
-)
+from skyline.errors import InputError, SkylineError
 from skyline.features import NO_KEYPOINT
 from skyline.geodesy import Frame
 from skyline.shown import facts_html
-from skyline.store.checks import checked_dataset, read_committed, read_header
+from skyline.store.committed import CommittedRows, patiently
 from skyline.store.dataset import dataset_of_places, dataset_of_views, table_of_places
-from skyline.store.digest import row_checksums
-from skyline.store.explain import REBUILD, UNREADABLE, explained
+from skyline.store.explain import UNREADABLE
 from skyline.store.header import (
     EYE,
     KEYPOINTS,
@@ -36,39 +30,26 @@ from skyline.store.header import (
     StoreHeader,
     check_holds,
 )
-from skyline.store.place_map import Offsets, PlaceMap
-from skyline.store.rows import Columns, stored_places, views_of
+from skyline.store.place_map import PlaceMap
+from skyline.store.rows import Columns, views_of
 from skyline.store.superblock import WholeFile
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
 RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]
 
-_T = TypeVar("_T")
-
-_READ_AGAIN = 5
-_READ_AGAIN_PAUSE_S = 0.02
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Locations:
-    """Where the eyes of N views are and which way they look.
+class Locations(Viewpoints):
+    """Where the eyes of N views are, in the store's frame, and which way they look.
 
     Attributes
     ----------
-    easting_m, northing_m, eye_elevation_m : (N,) float64
-        In the store's frame, above the DEM's datum.
     heading : (N,) uint8
         0, 1, 2, 3 = grid north, east, south, west.
     """
 
-    easting_m: NDArray[np.float64]
-    northing_m: NDArray[np.float64]
-    eye_elevation_m: NDArray[np.float64]
     heading: NDArray[np.uint8]
-
-    def __len__(self) -> int:
-        return len(self.heading)
 
 
 class Store:
@@ -80,15 +61,8 @@ class Store:
     def __init__(self, path: Path, raw: WholeFile) -> None:
         """Check and open the store in an open file, which the store closes."""
         self._path = path
-        self._raw = raw
-        with explained(path, "it cannot be opened"), ExitStack() as resources:
-            self._file = resources.enter_context(h5py.File(raw, "r"))
-            self._header = read_header(path, self._file)
-            # Counted before the datasets are opened: a writer at work may lengthen them.
-            self._committed = read_committed(path, self._file)
-            self._datasets = self._open_datasets()
-            self._check_committed()
-            resources.pop_all()
+        self._held = CommittedRows(path, raw)
+        self._header = self._held.header
 
     def __enter__(self) -> Self:
         return self
@@ -97,17 +71,17 @@ class Store:
         self.close()
 
     def __len__(self) -> int:
-        return self._committed
+        return self._held.count
 
     def __repr__(self) -> str:
-        return f"Store({self._path.name}: {self._committed} {self._header.holds})"
+        return f"Store({self._path.name}: {self._held.count} {self._header.holds})"
 
     def _repr_html_(self) -> str:
         header = self._header
         settings = header.config.items()
         facts = {
             "store": str(self._path),
-            header.holds: f"{self._committed:,}",
+            header.holds: f"{self._held.count:,}",
             "frame": Frame(header.frame_wkt).name,
             "DEM": ", ".join(header.dem_files) or "no file",
             **{name: str(value) for name, value in settings if not isinstance(value, Mapping)},
@@ -128,22 +102,21 @@ class Store:
     @property
     def committed(self) -> int:
         """Number of complete rows when the store was opened."""
-        return self._committed
+        return self._held.count
 
     @property
     def longest(self) -> int:
         """Rows of the longest dataset: more than are committed while a writer is at work."""
-        return max(len(dataset) for dataset in self._datasets.values())
+        return self._held.longest
 
     @property
     def in_use(self) -> bool:
         """Whether a writer had the store open when it was opened, or was killed at work."""
-        return self._raw.superblock.in_use
+        return self._held.in_use
 
     def close(self) -> None:
         """Let go of the file; closing twice is fine."""
-        self._file.close()
-        self._raw.close()
+        self._held.close()
 
     def views(self, index: RowIndex = slice(None)) -> Views:
         """Read views.
@@ -168,37 +141,38 @@ class Store:
     def stored(self, index: RowIndex = slice(None)) -> Columns:
         """Read rows of every dataset as they are stored, by the datasets' names; as `views`."""
         rows = self._rows(index)
-        return {name: self._read(name, rows) for name in self._datasets}
+        return {name: self._held.read(name, rows) for name in self._header.specs}
 
     def iter_views(self, chunk_rows: int = 1024) -> Iterator[Views]:
         """Yield all views in order, ``chunk_rows`` at a time (the last time fewer)."""
         if chunk_rows < 1:
             raise InputError(f"chunk_rows is {chunk_rows}; expected at least 1")
-        for start in range(0, self._committed, chunk_rows):
+        for start in range(0, self._held.count, chunk_rows):
             yield self.views(slice(start, start + chunk_rows))
 
     def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
         """Read keypoints, (N, K) uint16, padded with `NO_KEYPOINT`; as `views` otherwise."""
         check_holds(self._path, self._header, RENDERINGS)
-        columns = self._read(KEYPOINTS, self._rows(index))
+        columns = self._held.read(KEYPOINTS, self._rows(index))
         if ((columns >= self._header.width) & (columns != NO_KEYPOINT)).any():
-            raise self._damaged(f"{KEYPOINTS} names columns beyond {self._header.width - 1}")
+            raise self._held.damaged(f"{KEYPOINTS} names columns beyond {self._header.width - 1}")
         return columns
 
     def locations(self) -> Locations:
         """Read where all views are and look, without their skylines; raises as `views`."""
         check_holds(self._path, self._header, RENDERINGS)
-        rows = self._rows(slice(None))
-        names = (*EYE, "heading")
-        locations = Locations(*(self._read(VIEW_SPECS[name][0], rows) for name in names))
-        self._check_headings(locations.heading)
-        return locations
+        eyes = self.eyes()
+        heading = self._held.read(VIEW_SPECS["heading"][0], self._rows(slice(None)))
+        self._check_headings(heading)
+        return Locations(eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m, heading)
 
     def eyes(self) -> Viewpoints:
         """Read where the eye of every row is, whatever the store holds; raises as `stored`."""
         specs = PLACE_SPECS if self._header.holds == PLACES else VIEW_SPECS
         rows = self._rows(slice(None))
-        read = (self._read(specs[name][0], rows).astype(np.float64, copy=False) for name in EYE)
+        read = (
+            self._held.read(specs[name][0], rows).astype(np.float64, copy=False) for name in EYE
+        )
         return Viewpoints(*read)
 
     def places(self) -> PlaceMap:
@@ -212,9 +186,7 @@ class Store:
             Damaged data.
         """
         check_holds(self._path, self._header, PLACES)
-        offsets = self._reading(self._chunk_offsets)
-        with explained(self._path, "it cannot be mapped"):
-            return PlaceMap(self._path, self._raw.fileno(), self._header, self._committed, offsets)
+        return self._held.map_places()
 
     def to_xarray(self, index: RowIndex = slice(None)) -> Any:
         """Return rows as an `xarray.Dataset` (extra ``geo``), in memory.
@@ -273,91 +245,15 @@ class Store:
 
     def _rows(self, index: RowIndex) -> NDArray[np.intp]:
         try:
-            return np.atleast_1d(np.arange(self._committed)[index])
+            return np.atleast_1d(np.arange(self._held.count)[index])
         except IndexError as error:
             raise InputError(
-                f"{error}: store {self._path} has {self._committed} committed rows"
+                f"{error}: store {self._path} has {self._held.count} committed rows"
             ) from error
-
-    def _read(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
-        try:
-            return self._reading(lambda: self._read_once(name, rows))
-        except StoreError:
-            if not (self._header.holds == PLACES and self.in_use):
-                raise
-        # Places are appended to a last chunk where it lies. A kill that tears this leaves HDF5's
-        # checksum of the chunk wrong, but committed rows as they were, which their own show.
-        columns = stored_places(self._header, self.places().take(rows))
-        return columns[name] if name in columns else row_checksums(columns)
-
-    def _reading(self, read: Callable[[], _T]) -> _T:
-        """Return ``read()``, on a file opened anew where a writer has changed it meanwhile."""
-        if self._raw.closed:
-            raise StoreError(f"store {self._path} is closed; open it again to read it")
-        try:
-            return read()
-        except StoreError:
-            if not self._raw.refresh():
-                raise
-
-        def read_anew() -> _T:
-            with explained(self._path, "it cannot be opened again"):
-                self._file.close()
-                self._file = h5py.File(self._raw, "r")
-                self._datasets = self._open_datasets()
-            return read()
-
-        return _patiently(self._raw, read_anew)
-
-    def _read_once(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
-        with explained(self._path, f"{name} cannot be read"):
-            dataset = self._datasets[name]
-            if len(rows) == 0:
-                return np.zeros((0, *dataset.shape[1:]), dataset.dtype)
-            if (np.diff(rows) == 1).all():
-                return np.asarray(dataset[rows[0] : rows[-1] + 1])
-            # HDF5 wants rows ascending and once each.
-            ascending, position = np.unique(rows, return_inverse=True)
-            return np.asarray(dataset[ascending])[position]
-
-    def _chunk_offsets(self) -> Offsets:
-        """Return where the chunks of committed rows begin, of every dataset."""
-        size = self._header.chunk_rows
-        found = {}
-        for name, dataset in self._datasets.items():
-            with explained(self._path, f"the chunks of {name} cannot be read"):
-                at = np.zeros(-(-self._committed // size), dtype=np.int64)
-                for chunk, offset in _chunks(dataset, len(at)):
-                    at[chunk] = offset
-            # HDF5's own structures come first in a file.
-            if not (at > 0).all():
-                lost = int(np.flatnonzero(at <= 0)[0]) * size
-                raise self._damaged(f"{name} holds no row {lost}, which is committed")
-            found[name] = at
-        return found
-
-    def _open_datasets(self) -> dict[str, h5py.Dataset]:
-        return {
-            name: checked_dataset(self._path, self._file, name, spec, self._header)
-            for name, spec in self._header.specs.items()
-        }
-
-    def _check_committed(self) -> None:
-        # Not by what HDF5 says the datasets take: it visits every chunk that a damaged index names.
-        rows = min(len(dataset) for dataset in self._datasets.values())
-        if self._committed > min(rows, self._raw.size):
-            raise self._damaged(f"it says {self._committed} rows are committed and holds {rows}")
-        for name, dataset in self._datasets.items():
-            place = (max(self._committed - 1, 0),) + (0,) * (dataset.ndim - 1)
-            if self._committed and dataset.id.get_chunk_info_by_coord(place).byte_offset is None:
-                raise self._damaged(f"{name} holds no row {place[0]}, which is committed")
 
     def _check_headings(self, heading: NDArray[np.uint8]) -> None:
         if (heading > HEADINGS[-1]).any():
-            raise self._damaged(f"it has heading {heading.max()}, beyond {HEADINGS[-1]}")
-
-    def _damaged(self, what: str) -> StoreError:
-        return StoreError(f"store {self._path} is damaged: {what}; {REBUILD}")
+            raise self._held.damaged(f"it has heading {heading.max()}, beyond {HEADINGS[-1]}")
 
 
 def open_store(path: str | os.PathLike[str]) -> Store:
@@ -373,7 +269,7 @@ def open_store(path: str | os.PathLike[str]) -> Store:
     path = Path(path).resolve()
     with ExitStack() as resources:
         raw = resources.enter_context(WholeFile(path))
-        store = _patiently(raw, lambda: Store(path, raw))
+        store = patiently(raw, lambda: Store(path, raw))
         resources.pop_all()
     return store
 
@@ -386,36 +282,3 @@ def is_store(path: str | os.PathLike[str]) -> bool:
             return "schema" in file.attrs
     except (SkylineError, *UNREADABLE):
         return path.suffix == ".h5" and path.is_file()
-
-
-def _patiently(raw: WholeFile, read: Callable[[], _T]) -> _T:
-    """Return ``read()``, tried again where a writer at work may have changed what it read."""
-    for _ in range(_READ_AGAIN):
-        try:
-            return read()
-        except StoreError:
-            if not raw.refresh():
-                raise
-            time.sleep(_READ_AGAIN_PAUSE_S)
-    return read()
-
-
-def _chunks(dataset: h5py.Dataset, count: int) -> list[tuple[int, int]]:
-    """Return number and offset of the first ``count`` chunks of rows, those that are there."""
-    rows, found = dataset.chunks[0], []
-    if not hasattr(dataset.id, "chunk_iter"):
-        for chunk in range(count):
-            place = (chunk * rows,) + (0,) * (dataset.ndim - 1)
-            found.append((chunk, dataset.id.get_chunk_info_by_coord(place).byte_offset or 0))
-        return found
-
-    def visit(info: Any) -> bool | None:
-        chunk = info.chunk_offset[0] // rows
-        if chunk >= count:
-            return True  # and no further: an index may name chunks that were never committed
-        found.append((chunk, info.byte_offset or 0))
-        return None
-
-    if count:
-        dataset.id.chunk_iter(visit)
-    return found

@@ -27,15 +27,8 @@ from skyline.terrain.cleaning import (
 from skyline.terrain.fill import void_undeclared
 from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
-from skyline.terrain.tiles import (
-    Grid,
-    Tile,
-    mosaic_grid,
-    open_tile,
-    read_into,
-    read_mosaic,
-    tile_of,
-)
+from skyline.terrain.mosaic import mosaic_grid, read_mosaic
+from skyline.terrain.tiles import Grid, Tile, open_tile, read_into, tile_of
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame, square_spacing_m
 
 CONFORMAL_DEG = 0.01
@@ -294,7 +287,7 @@ def clean(
     Parameters
     ----------
     heights : (rows, cols) float32
-        As `skyline.terrain.tiles.read_mosaic` returns them; after this NaN marks every hole.
+        As `skyline.terrain.mosaic.read_mosaic` returns them; after this NaN marks every hole.
     source : str
         What errors and warnings call it.
     spacing_m : float

@@ -219,6 +219,13 @@ class HeightField:
             self.north_m,
         )
 
+    def reach_m(self, easting_m: float, northing_m: float) -> float:
+        """Return the distance of the farthest corner from a place, metres."""
+        west, south, east, north = self.bounds_m
+        return math.hypot(
+            max(easting_m - west, east - easting_m), max(northing_m - south, north - northing_m)
+        )
+
     @cached_property
     def has_holes(self) -> bool:
         """Whether any sample is a hole."""

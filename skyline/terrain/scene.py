@@ -45,8 +45,8 @@ class SceneNeeds:
     ----------
     data_reach_m : float
         Distance of the farthest sample.
-    curvature_m, curvature_px : float
-        Drop of the farthest sample, and what leaving curvature out can cost at most.
+    curvature_px : float
+        What leaving curvature out can cost at most.
     sight_m : float
         Distance beyond which not even the highest sample rises over the dip horizon.
     beyond_sight : float
@@ -55,7 +55,6 @@ class SceneNeeds:
     """
 
     data_reach_m: float
-    curvature_m: float
     curvature_px: float
     sight_m: float
     beyond_sight: float
@@ -91,13 +90,12 @@ def scene_needs(
         raise InputError(f"{len(eye)} viewpoints given; expected one")
     curvature = curvature or Curvature()
     drop_per_m2 = curvature.drop_per_m2
-    reach_m = _reach_m(field, eye)
+    reach_m = field.reach_m(float(eye.easting_m[0]), float(eye.northing_m[0]))
     sight_m = sight_range_m(field, float(eye.eye_elevation_m[0]), drop_per_m2)
     tolerance = tolerance_px * pixel_size(width)
     steps = COARSER_STEPS if min(field.rows, field.cols) > BLOCK_CELLS else ()
     return SceneNeeds(
         data_reach_m=reach_m,
-        curvature_m=drop_per_m2 * reach_m**2,
         # v changes by drop d^2 / z, and d is at most the root of 2 times z.
         curvature_px=float(np.sqrt(2.0)) * drop_per_m2 * reach_m / pixel_size(width),
         sight_m=sight_m,
@@ -167,14 +165,6 @@ def _coarser_step(field: HeightField, eye: Viewpoints, step: int, tolerance: flo
     depth_m = np.hypot(gaps[0][:, np.newaxis], gaps[1]) / np.sqrt(2.0)
     fine = deviation_m <= tolerance * depth_m
     return CoarserStep(step, float(np.median(deviation_m)), float(fine.mean()))
-
-
-def _reach_m(field: HeightField, eye: Viewpoints) -> float:
-    west, south, east, north = field.bounds_m
-    easting, northing = float(eye.easting_m[0]), float(eye.northing_m[0])
-    return float(
-        np.hypot(max(easting - west, east - easting), max(northing - south, north - northing))
-    )
 
 
 def _share_beyond(field: HeightField, eye: Viewpoints, distance_m: float) -> float:

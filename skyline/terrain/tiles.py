@@ -1,4 +1,4 @@
-"""Raster files as tiles of one north-up grid: opening, checking, mosaicking."""
+"""Raster files, each a tile of a north-up grid: opening, checking, reading."""
 
 import gzip
 import logging
@@ -6,8 +6,8 @@ import math
 import re
 import warnings
 import zlib
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,20 +26,11 @@ from skyline.errors import FetchError, InputError, MissingFileError
 from skyline.files import is_file
 from skyline.terrain.cleaning import strips
 
-MAX_SAMPLES = 1 << 31
-"""The largest mosaic: 8 GiB of float32."""
-
 MAX_UNPACKED_BYTES = 1 << 28
 """The largest file behind a .gz; the largest .hgt, of half an arc-second, has 99 MiB."""
 
-GRID_TOLERANCE = 0.01
-"""How far a tile's samples may lie off the grid of the first, in samples."""
-
 UNDECLARED_VOIDS = (-32768.0, -9999.0)
 """Values that mark a void in DEMs that do not declare them as nodata."""
-
-AGREEMENT_M = 1.0
-"""Neighbouring tiles may differ by this much where they overlap, from rounding to whole metres."""
 
 # Enough to decode a row of tiles; GDAL's own default is a twentieth of the machine's memory.
 _GDAL_CACHE_BYTES = 64 << 20
@@ -134,7 +125,7 @@ class Said:
 def open_tile(path: str | Path, default_crs: CRS | None) -> Tile:
     """Look at a file; `InputError` or `MissingFileError` where it is not a usable DEM."""
     source = absolute_name(path)
-    with _opened(source) as dataset:
+    with opened(source) as dataset:
         return tile_of(source, dataset, default_crs)
 
 
@@ -150,72 +141,6 @@ def full_turn(crs: CRS) -> float | None:
     if not crs.is_geographic:
         return None
     return round(2.0 * math.pi / crs.axis_info[0].unit_conversion_factor, 9)
-
-
-def mosaic_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
-    """Return the common grid of tiles and the row and column each one's first sample has on it.
-
-    Raises
-    ------
-    InputError
-        Tiles of different CRS or spacing, off the first one's grid, or too far apart.
-    """
-    first = tiles[0]
-    offsets = []
-    for tile in tiles:
-        grid = _nearest_turn(tile, first)
-        _check_fits(tile, grid, first)
-        row = (first.grid.north - grid.north) / first.grid.step_north
-        col = (grid.west - first.grid.west) / first.grid.step_east
-        if max(abs(row - round(row)), abs(col - round(col))) > GRID_TOLERANCE:
-            raise InputError(
-                f"{tile.source} lies {abs(row - round(row)):.2f} rows and "
-                f"{abs(col - round(col)):.2f} columns off the grid of {first.source}; tiles must "
-                "share one grid: merge them beforehand (gdalwarp) or give them one at a time"
-            )
-        offsets.append((round(row), round(col)))
-    top, left = (min(values) for values in zip(*offsets, strict=True))
-    offsets = [(row - top, col - left) for row, col in offsets]
-    grid = replace(
-        first.grid,
-        west=first.grid.west + left * first.grid.step_east,
-        north=first.grid.north - top * first.grid.step_north,
-        rows=max(row + tile.grid.rows for (row, _), tile in zip(offsets, tiles, strict=True)),
-        cols=max(col + tile.grid.cols for (_, col), tile in zip(offsets, tiles, strict=True)),
-    )
-    if grid.rows * grid.cols > MAX_SAMPLES:
-        raise InputError(
-            f"the DEM spans {grid.rows} x {grid.cols} samples, more than {MAX_SAMPLES}; give "
-            "fewer or adjacent tiles, or a coarser DEM"
-        )
-    return grid, offsets
-
-
-def read_mosaic(
-    tiles: Sequence[Tile], grid: Grid, offsets: Sequence[tuple[int, int]]
-) -> Float32Array:
-    """Read tiles onto their common grid.
-
-    Where tiles overlap, the first that has a height gives it; a warning says by how much they
-    disagree if that is more than `AGREEMENT_M`.
-
-    Returns
-    -------
-    (rows, cols) float32
-        Metres; NaN marks voids, -inf undeclared ones, +inf samples that no tile covers.
-    """
-    heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
-    for tile, (row, col) in zip(tiles, offsets, strict=True):
-        place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols]
-        with _opened(tile.source) as dataset:
-            disagreement_m = read_into(dataset, tile, place)
-        if disagreement_m > AGREEMENT_M:
-            _log.warning(
-                "%s differs by up to %.2f m from tiles named before it, whose heights are kept",
-                tile.source,
-                disagreement_m,
-            )
-    return heights
 
 
 def absolute_name(path: str | Path) -> str:
@@ -242,7 +167,7 @@ def absolute_name(path: str | Path) -> str:
 
 
 @contextmanager
-def _opened(source: str) -> Iterator[Any]:
+def opened(source: str) -> Iterator[Any]:
     """Open a raster; what goes wrong while it is open is told as one error."""
     settings = _ON_NETWORKS | (_NO_NEIGHBOURS if "://" in source else {})
     try:
@@ -266,22 +191,18 @@ def _opened(source: str) -> Iterator[Any]:
 
 @contextmanager
 def _dataset(source: str) -> Iterator[Any]:
-    with warnings.catch_warnings():
-        # Told as an error of our own, by `grid_of`.
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        if not (source.lower().endswith(".gz") and is_file(source)):
-            dataset = rasterio.open(source)
-            memory = None
-        else:
-            # The .hgt driver reads the corner from the file's name and opens no .gz.
-            memory = rasterio.MemoryFile(_unpacked(source), filename=Path(source).stem)
-            dataset = memory.open()
-    try:
+    with ExitStack() as held:
+        with warnings.catch_warnings():
+            # Told as an error of our own, by `grid_of`.
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+            if source.lower().endswith(".gz") and is_file(source):
+                # The .hgt driver reads the corner from the file's name and opens no .gz.
+                name = Path(source).stem
+                memory = held.enter_context(rasterio.MemoryFile(_unpacked(source), filename=name))
+                dataset = held.enter_context(memory.open())
+            else:
+                dataset = held.enter_context(rasterio.open(source))
         yield dataset
-    finally:
-        dataset.close()
-        if memory is not None:
-            memory.close()
 
 
 def _unpacked(source: str) -> bytes:
@@ -370,31 +291,6 @@ def grid_of(source: str, transform: Affine, shape: tuple[int, int]) -> tuple[Gri
         west += (cols - 1) * transform.a
     grid = Grid(west, north, abs(transform.a), abs(transform.e), rows, cols)
     return grid, flip_rows, flip_cols
-
-
-def _nearest_turn(tile: Tile, first: Tile) -> Grid:
-    """Return the tile's grid moved by whole turns next to the first's: W180 is east of E179."""
-    turn = full_turn(tile.crs)
-    if turn is None:
-        return tile.grid
-    turns = round((first.grid.centre[0] - tile.grid.centre[0]) / turn)
-    return replace(tile.grid, west=tile.grid.west + turns * turn)
-
-
-def _check_fits(tile: Tile, grid: Grid, first: Tile) -> None:
-    if not tile.crs.equals(first.crs, ignore_axis_order=True):
-        raise InputError(
-            f"{tile.source} is in {tile.crs.name} and {first.source} in {first.crs.name}; tiles "
-            "must share one coordinate reference system: warp them beforehand (gdalwarp)"
-        )
-    drift_east = abs(grid.step_east / first.grid.step_east - 1.0) * grid.cols
-    drift_north = abs(grid.step_north / first.grid.step_north - 1.0) * grid.rows
-    if max(drift_east, drift_north) > GRID_TOLERANCE:
-        raise InputError(
-            f"{tile.source} has a sample spacing of {grid.step_east:.9g} x {grid.step_north:.9g} "
-            f"and {first.source} of {first.grid.step_east:.9g} x {first.grid.step_north:.9g}; "
-            "tiles must share one grid: resample them beforehand (gdalwarp -tr)"
-        )
 
 
 def read_into(dataset: Any, tile: Tile, place: Float32Array) -> float:

@@ -19,8 +19,9 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.terrain.blocks import BLOCK, block_edges
 from skyline.terrain.cubic import cubic
+from skyline.terrain.mosaic import MAX_SAMPLES
 from skyline.terrain.summits import keep_summits
-from skyline.terrain.tiles import MAX_SAMPLES, Grid, full_turn
+from skyline.terrain.tiles import Grid, full_turn
 
 POSITION_TOLERANCE = 1e-3
 """Greatest error of a position in the source, in samples."""

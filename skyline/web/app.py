@@ -249,7 +249,7 @@ class _Pages:
             candidates = (candidates[chosen], *candidates[:chosen], *candidates[chosen + 1 :])
         saving = Saving(self._engine, self._sessions.opened, photo, candidates)
         content = await self._engine.work("files", saving.write, kind, session.folder)
-        return Response(content, media_type=KINDS[kind][1])
+        return Response(content, media_type=KINDS[kind].media_type)
 
     def _session(self, request: Request) -> Session:
         return self._sessions.of(request.path_params["session"])

@@ -49,10 +49,6 @@ class Given:
 class Engine:
     """A store, opened for many people at a time.
 
-    Parameters
-    ----------
-    given : Given
-
     Raises
     ------
     SkylineError

@@ -28,14 +28,7 @@ _GAPS = 240
 
 
 class LiveChannel:
-    """One open page.
-
-    Parameters
-    ----------
-    socket : WebSocket
-    engine : Engine
-    session : Session
-    """
+    """One open page."""
 
     def __init__(self, socket: WebSocket, engine: Engine, session: Session) -> None:
         self._socket, self._engine, self._session = socket, engine, session

@@ -18,14 +18,7 @@ class _CancelledError(Exception):
 
 
 class Match:
-    """One match of one photo.
-
-    Parameters
-    ----------
-    photo : PagePhoto
-    query : QuerySkyline
-    narrowing : Narrowing
-    """
+    """One match of one photo."""
 
     def __init__(self, photo: PagePhoto, query: QuerySkyline, narrowing: Narrowing) -> None:
         self.photo = photo

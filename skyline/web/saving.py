@@ -4,6 +4,7 @@ import secrets
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
+from typing import NamedTuple
 
 from skyline import (
     Candidate,
@@ -19,16 +20,7 @@ from skyline.web.photos import Opened, PagePhoto
 
 
 class Saving:
-    """One photo's files.
-
-    Parameters
-    ----------
-    engine : Engine
-    opened : Opened
-    photo : PagePhoto
-    candidates : tuple of Candidate
-        Best first.
-    """
+    """One photo's files; its candidates are given best first."""
 
     def __init__(
         self,
@@ -50,9 +42,9 @@ class Saving:
         """
         if kind != "trace" and not self._candidates:
             raise InputError("there is no place to save yet; find one, or place the camera by hand")
-        path = folder / f"{secrets.token_hex(8)}.{KINDS[kind][0]}"
+        path = folder / f"{secrets.token_hex(8)}.{KINDS[kind].suffix}"
         try:
-            _WRITERS[kind](self, path)
+            KINDS[kind].write(self, path)
             return path.read_bytes()
         finally:
             path.unlink(missing_ok=True)
@@ -99,27 +91,23 @@ class Saving:
         )
 
 
-KINDS: Mapping[str, tuple[str, str]] = MappingProxyType(
-    {
-        "geojson": ("geojson", "application/geo+json"),
-        "kml": ("kml", "application/vnd.google-earth.kml+xml"),
-        "kmz": ("kmz", "application/vnd.google-earth.kmz"),
-        "gpx": ("gpx", "application/gpx+xml"),
-        "trace": ("csv", "text/csv"),
-        "report": ("html", "application/octet-stream"),
-        "photo": ("jpg", "image/jpeg"),
-    }
-)
-"""What can be saved: the suffix and the type of each file."""
+class Kind(NamedTuple):
+    """A kind of file: its suffix, its media type, and what writes it."""
 
-_WRITERS: Mapping[str, Callable[[Saving, Path], None]] = MappingProxyType(
+    suffix: str
+    media_type: str
+    write: Callable[[Saving, Path], None]
+
+
+KINDS: Mapping[str, Kind] = MappingProxyType(
     {
-        "geojson": Saving.exported,
-        "kml": Saving.exported,
-        "kmz": Saving.exported,
-        "gpx": Saving.exported,
-        "trace": Saving.trace,
-        "report": Saving.report,
-        "photo": Saving.located,
+        "geojson": Kind("geojson", "application/geo+json", Saving.exported),
+        "kml": Kind("kml", "application/vnd.google-earth.kml+xml", Saving.exported),
+        "kmz": Kind("kmz", "application/vnd.google-earth.kmz", Saving.exported),
+        "gpx": Kind("gpx", "application/gpx+xml", Saving.exported),
+        "trace": Kind("csv", "text/csv", Saving.trace),
+        "report": Kind("html", "application/octet-stream", Saving.report),
+        "photo": Kind("jpg", "image/jpeg", Saving.located),
     }
 )
+"""What can be saved."""

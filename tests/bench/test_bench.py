@@ -4,6 +4,7 @@ import json
 
 import cv2
 import pytest
+from commands import assert_refused
 
 from skyline_bench.cases import stability
 from skyline_bench.commands import skylines
@@ -129,12 +130,7 @@ def test_bad_options_are_one_line_and_write_nothing(run_bench, dem, tmp_path):
         ([dem, "--json", tmp_path / "no" / "record.json"], "no folder"),
         ([], "DEM"),
     ]:
-        done = run_bench("speed-error", "--quick", "--json", record, *arguments)
-        assert done.code == 2, done
-        assert message in done.err
-        assert done.err.startswith("error: ")
-        assert done.err.count("\n") == 1
-        assert done.out == ""
+        assert_refused(run_bench("speed-error", "--quick", "--json", record, *arguments), message)
     assert not list(tmp_path.iterdir())
 
 

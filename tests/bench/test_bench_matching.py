@@ -4,6 +4,7 @@ import json
 
 import cv2
 import pytest
+from commands import assert_refused
 
 from skyline import build_uniform, read_dem
 
@@ -113,10 +114,5 @@ def test_bad_options_are_one_line_and_write_nothing(run_bench, dem, renderings, 
         (["--store", tmp_path / "no.h5"], "does not exist"),
         (["--store", dem], "dem.tif"),
     ]:
-        done = run_bench("matching", dem, "--quick", "--json", record, *arguments)
-        assert done.code == 2, done
-        assert message in done.err
-        assert done.err.startswith("error: ")
-        assert done.err.count("\n") == 1
-        assert done.out == ""
+        assert_refused(run_bench("matching", dem, "--quick", "--json", record, *arguments), message)
     assert not list(tmp_path.iterdir())

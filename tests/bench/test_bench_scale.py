@@ -4,6 +4,7 @@ import json
 
 import cv2
 import pytest
+from commands import assert_refused
 
 
 @pytest.mark.slow
@@ -46,10 +47,5 @@ def test_bad_options_are_one_line_and_write_nothing(run_bench, dem, tmp_path):
         (["--plot", tmp_path / "plot.doc"], ".doc"),
         ([tmp_path / "none.tif"], "none.tif"),
     ]:
-        done = run_bench("scale", dem, "--json", record, *arguments)
-        assert done.code == 2, done
-        assert message in done.err
-        assert done.err.startswith("error: ")
-        assert done.err.count("\n") == 1
-        assert done.out == ""
+        assert_refused(run_bench("scale", dem, "--json", record, *arguments), message)
     assert not list(tmp_path.iterdir())

@@ -164,7 +164,7 @@ def skyline_by_edges(field, viewpoints, index, heading, width):
     return best
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     st.integers(2, 9),
     st.integers(2, 9),

@@ -13,8 +13,8 @@ import pytest
 from commands import assert_refused, csv_of
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
-from skyline import build_cli, build_places, build_uniform, read_dem, stand_on
-from skyline.pipeline import places
+from skyline import build_cli, build_uniform, read_dem, stand_on
+from skyline.pipeline import build_store, places
 from skyline.store import open_store
 from skyline_bench.truth import oracle
 
@@ -215,8 +215,8 @@ def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(run, dem, tmp
         patch.setattr(places.PlaceRows, "at_a_time", 512)
         patch.setattr(
             build_cli,
-            "build_places",
-            lambda *given, loss: build_places(*given[:-1], stop, loss=loss),
+            "build_store",
+            lambda *given: build_store(*given[:-1], stop),
         )
         done = run(*build, out)
     assert done.code == 130

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from commands import assert_refused
 
 
 @pytest.fixture
@@ -43,11 +44,7 @@ def test_tiles_and_workers_make_the_same_store(run, tiles, tmp_path, options, ho
     ],
 )
 def test_options_that_do_not_fit(run, tiles, options, said, tmp_path):
-    done = run(*tiles, *options)
-    assert done.code == 2
-    assert done.err.startswith("error: ")
-    assert said in done.err
-    assert done.err.count("\n") == 1
+    assert_refused(run(*tiles, *options), said)
     assert not list(tmp_path.iterdir())
 
 

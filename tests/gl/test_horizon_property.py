@@ -88,7 +88,7 @@ def scene_of(recipe):
 
 
 @pytest.mark.slow
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(recipes)
 def test_horizon_equals_the_oracle(recipe):
     scene = scene_of(recipe)

@@ -10,8 +10,8 @@ from scenes import fractal, write_dem
 from skyline import RenderConfig, build_uniform, read_dem, stand_on
 from skyline.errors import InputError, StoreMismatchError
 from skyline.pipeline import (
+    Layout,
     PlaceConfig,
-    ShardPlan,
     build_places,
     build_sharded,
     places,
@@ -74,7 +74,7 @@ def test_an_interrupted_build_goes_on(terrain, built, tmp_path, monkeypatch):
 
 def test_tiles_leave_no_trace(terrain, built, tmp_path):
     compact_store(built[0], tmp_path / "whole.h5")
-    path, plan = tmp_path / "tiles.h5", ShardPlan(SPACING_M, 900.0)
+    path, plan = tmp_path / "tiles.h5", Layout(SPACING_M, 900.0)
     done = build_sharded(terrain, path, plan, PlaceConfig())
     assert done.rows == done.rendered == built[1].rows
     assert path.read_bytes() == (tmp_path / "whole.h5").read_bytes()
@@ -86,9 +86,7 @@ def test_tiles_leave_no_trace(terrain, built, tmp_path):
 def test_workers_make_the_same_bytes(terrain, built, dask_cluster, tmp_path):
     compact_store(built[0], tmp_path / "whole.h5")
     with remote_runner(dask_cluster.scheduler_address) as runner:
-        build_sharded(
-            terrain, tmp_path / "s.h5", ShardPlan(SPACING_M, 900.0), PlaceConfig(), runner
-        )
+        build_sharded(terrain, tmp_path / "s.h5", Layout(SPACING_M, 900.0), PlaceConfig(), runner)
     assert (tmp_path / "s.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
 
 
@@ -148,7 +146,7 @@ def test_an_interrupted_plan_goes_on(wide, whole, tmp_path):
 
 @pytest.mark.parametrize("tile_m", [3000.0, 8000.0])
 def test_tiles_of_a_plan_leave_no_trace(wide, whole, tmp_path, tile_m):
-    path, plan = tmp_path / "s.h5", ShardPlan(tile_m=tile_m, loss=LOSS)
+    path, plan = tmp_path / "s.h5", Layout(tile_m=tile_m, loss=LOSS)
     build_sharded(wide, path, plan, PlaceConfig())
     assert path.read_bytes() == whole[2]
     assert build_sharded(wide, path, plan, PlaceConfig()).rendered == 0
@@ -163,7 +161,7 @@ def test_a_store_that_was_begun_is_finished_with_tiles(wide, whole, tmp_path):
 
     with pytest.raises(KeyboardInterrupt):
         build_places(wide, path, loss=LOSS, progress=stop)
-    done = build_sharded(wide, path, ShardPlan(loss=LOSS), PlaceConfig())
+    done = build_sharded(wide, path, Layout(loss=LOSS), PlaceConfig())
     assert 0 < done.rendered < done.rows == whole[0].rows
 
 
@@ -171,7 +169,7 @@ def test_other_plans_are_refused(wide, whole, tmp_path):
     with pytest.raises(StoreMismatchError, match=r"config loss is 0\.3 there, 0\.4 here"):
         build_places(wide, whole[1], loss=0.4)
     with pytest.raises(InputError, match="a store of renderings needs a spacing"):
-        build_sharded(wide, tmp_path / "s.h5", ShardPlan(), RenderConfig(width=80))
+        build_sharded(wide, tmp_path / "s.h5", Layout(), RenderConfig(width=80))
 
 
 @pytest.mark.parametrize("tiled", [False, True])
@@ -185,7 +183,7 @@ def test_an_area_without_a_place_leaves_no_store(wide, tmp_path, tiled):
     bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
     build = partial(build_places, wide, path, None, bounds_deg, loss=loss)
     if tiled:
-        plan = ShardPlan(None, 5000.0, bounds_deg, loss)
+        plan = Layout(None, 5000.0, bounds_deg, loss)
         build = partial(build_sharded, wide, path, plan, PlaceConfig())
     with pytest.raises(InputError, match="no planned place falls on the surface in it; choose a"):
         build()

@@ -13,7 +13,7 @@ from scenes import fractal, write_dem
 from skyline import RenderConfig, build_uniform, read_dem
 from skyline.camera import HEADINGS
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
-from skyline.pipeline import ShardPlan, build, build_sharded, cluster, remote_runner
+from skyline.pipeline import Layout, build, build_sharded, cluster, layout, remote_runner
 from skyline.pipeline.jobs import run_here
 from skyline.pipeline.shards import cut_into_shards
 from skyline.planning.uniform import map_bounds, uniform_grid
@@ -21,7 +21,7 @@ from skyline.store import StoreWriter, compact_store
 from skyline.terrain.viewpoints import Viewpoints
 
 CONFIG = RenderConfig(width=80)
-PLAN = ShardPlan(spacing_m=250.0, tile_m=1500.0)
+PLAN = Layout(spacing_m=250.0, tile_m=1500.0)
 
 
 @pytest.fixture(scope="module")
@@ -72,12 +72,12 @@ def test_tiles_leave_no_trace(terrain, unbroken, tmp_path):
     build_uniform(terrain, tmp_path / "whole.h5", PLAN.spacing_m, config=CONFIG)
     compact_store(tmp_path / "whole.h5", tmp_path / "compact.h5")
     assert (tmp_path / "compact.h5").read_bytes() == unbroken
-    build_sharded(terrain, tmp_path / "other.h5", ShardPlan(PLAN.spacing_m, 2345.0), CONFIG)
+    build_sharded(terrain, tmp_path / "other.h5", Layout(PLAN.spacing_m, 2345.0), CONFIG)
     assert (tmp_path / "other.h5").read_bytes() == unbroken
 
 
 def test_more_tiles_than_files_that_may_be_open(terrain, unbroken, tmp_path):
-    plan = ShardPlan(PLAN.spacing_m, 500.0)
+    plan = Layout(PLAN.spacing_m, 500.0)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     open_now = len(list(Path("/proc/self/fd").iterdir()))
     resource.setrlimit(resource.RLIMIT_NOFILE, (open_now + 20, hard))
@@ -123,7 +123,7 @@ def test_a_store_that_is_whole_is_left_alone(terrain, unbroken, tmp_path):
 
 def test_a_store_that_is_not_whole_is_refused(terrain, tmp_path):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(build, "uniform_grid", lambda *given: uniform_grid(*given)[:3])
+        patch.setattr(layout, "uniform_grid", lambda *given: uniform_grid(*given)[:3])
         build_uniform(terrain, tmp_path / "s.h5", PLAN.spacing_m, config=CONFIG)
     with pytest.raises(StoreError, match="lacks some of"):
         build_sharded(terrain, tmp_path / "s.h5", PLAN, CONFIG)
@@ -219,7 +219,7 @@ def test_a_tile_that_kills_every_worker_is_named(
     terrain, dask_cluster, two_workers, monkeypatch, tmp_path
 ):
     monkeypatch.setattr(dask_cluster.scheduler, "allowed_failures", 0)
-    one_tile = ShardPlan(PLAN.spacing_m, 1e6)
+    one_tile = Layout(PLAN.spacing_m, 1e6)
     with pytest.raises(BuildError, match="its worker died"):
         build_sharded(
             terrain, tmp_path / "s.h5", one_tile, CONFIG,
@@ -232,7 +232,7 @@ def test_workers_need_the_same_dem(terrain, two_workers, tmp_path):
     mine = read_dem([path])
     write_dem(path, fractal(60, 60, 250.0, seed=2))
     with pytest.raises(BuildError, match=r"workers need the same files"):
-        build_sharded(mine, tmp_path / "s.h5", ShardPlan(200.0, 500.0), CONFIG, two_workers)
+        build_sharded(mine, tmp_path / "s.h5", Layout(200.0, 500.0), CONFIG, two_workers)
 
 
 def test_nobody_schedules(monkeypatch):

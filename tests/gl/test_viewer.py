@@ -140,6 +140,9 @@ def test_a_match_tells_how_far_it_is_and_ends_when_told(matcher, query):
         "screening", "fitting", "refining",
     ]  # fmt: skip
     assert all(0.0 <= share <= 1.0 for _, share in told)
+    refining = [share for step, share in told if step == "refining"]
+    assert refining == sorted(refining)
+    assert refining[0] == 0.0 < refining[len(refining) // 2] < 1.0
 
     for wanted in ("screening", "fitting", "refining"):
 

@@ -53,6 +53,16 @@ def test_clumps_of_spikes_are_removed(clump: list[tuple[int, int]], even: bool) 
     assert [tuple(p) for p in np.argwhere(np.isnan(despiked(heights)))] == places
 
 
+def test_what_stands_out_no_more_than_its_surroundings_is_ground() -> None:
+    """A pinnacle in a ring of ledges, each 50 m above the one before, high above the sea."""
+    heights = np.full((9, 9), 3000.0, dtype=np.float32)
+    ring = [(3, 3), (3, 4), (3, 5), (4, 5), (5, 5), (5, 4), (5, 3), (4, 3)]
+    for number, place in enumerate(ring):
+        heights[place] += 50.0 * number
+    heights[4, 4] += 500.0
+    np.testing.assert_array_equal(despiked(heights), heights)
+
+
 def test_a_block_of_absurd_heights_is_removed() -> None:
     heights = rugged()
     heights[5:15, 5:15] = 32767.0

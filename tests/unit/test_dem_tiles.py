@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from dem_files import CALIFORNIA, UTM, AnyArray, write
+from pyproj import CRS
 from rasterio.transform import Affine, from_origin
 
 from skyline.errors import InputError
 from skyline.terrain.dem import read_dem
-from skyline.terrain.tiles import mosaic_grid, open_tile, read_mosaic
+from skyline.terrain.mosaic import mosaic_grid, read_mosaic
+from skyline.terrain.tiles import crs_of, open_tile
 
 
 def tile_at(folder: Path, heights: AnyArray, row: int, col: int) -> Path:
@@ -34,6 +36,16 @@ def test_metric_tiles_become_one_grid_with_gaps_as_holes(tmp_path: Path) -> None
     counts = field.provenance
     assert (counts.filled, counts.hollow, counts.resampling) == (0, 0, "none")
     assert counts.files == tuple(str(path) for path in paths)
+
+
+def test_a_crs_is_for_files_without_one_and_the_same_one_is_no_contradiction(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    said = CRS.from_epsg(4326)
+    assert crs_of("t.tif", said.to_wkt(), CRS.from_user_input("OGC:CRS84")).equals(said)
+    assert not caplog.records
+    assert crs_of("t.tif", said.to_wkt(), CRS.from_epsg(32632)).equals(said)
+    assert "--crs WGS 84 / UTM zone 32N is for files that do not say" in caplog.text
 
 
 def test_a_void_on_a_border_is_read_from_the_neighbour(tmp_path: Path) -> None:

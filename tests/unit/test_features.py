@@ -21,7 +21,7 @@ def runs_of(curve):
     return np.split(finite, np.flatnonzero(np.diff(finite) > 1) + 1) if finite.size else []
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.floats(0.05, 5.0), st.booleans())
 def test_polyline_stays_within_its_tolerance(seed, tolerance, gaps):
     curves = curves_of(seed, gaps=gaps)

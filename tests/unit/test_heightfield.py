@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from skyline.errors import InputError
+from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Frame
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import stand_on
 
 FRAME = Frame.local(9.9, 46.8)
 WEST_M, NORTH_M, EAST_STEP_M, NORTH_STEP_M = 1000.0, 2000.0, 25.0, 30.0
@@ -75,6 +76,17 @@ def test_off_the_map_there_is_no_height() -> None:
     field = field_of(np.zeros((3, 3)))
     for row, col in ((-0.01, 1.0), (2.01, 1.0), (1.0, -0.01), (1.0, 2.01)):
         assert np.isnan(field.height_at(*field.to_map(row, col)))
+
+
+@pytest.mark.parametrize(
+    ("east_m", "south_m", "said"),
+    [(60.0, 60.0, "on a hole of the DEM"), (60.0, -60.0, "off the map"), (-60.0, 60.0, "off the")],
+)
+def test_an_eye_without_ground_is_told_why(east_m: float, south_m: float, said: str) -> None:
+    heights = np.zeros((6, 6))
+    heights[2, 2] = np.nan
+    with pytest.raises(OffMapError, match=said):
+        stand_on(field_of(heights), WEST_M + east_m, NORTH_M - south_m)
 
 
 def test_a_hole_takes_its_triangles_and_no_more() -> None:

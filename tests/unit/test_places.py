@@ -32,7 +32,7 @@ def horizons(y, distance_m=1000.0):
     arrays.arrays(np.float32, (4, BINS), elements=st.floats(-0.25, 0.25, width=32)),
     st.floats(-1.0, 2.0),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_a_tangent_is_within_half_a_step_of_its_rise(noise, level):
     y = (noise * np.float32(0.5) + np.float32(level)).astype(np.float32)
     first, rise = encode_rises(y)

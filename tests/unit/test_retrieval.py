@@ -29,7 +29,7 @@ def turned(heading_deg, other_deg):
     pitch=st.floats(-5.0, 5.0),
     roll=st.floats(-5.0, 5.0),
 )
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_a_pose_is_found_back_whatever_the_heading(places, seed, heading, pitch, roll):
     found = Retriever(places).shortlist(rays(seed, heading, pitch_deg=pitch, roll_deg=roll), 3)
     assert abs(found.easting_m[0] - 100.0 * seed) < 50.0

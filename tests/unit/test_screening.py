@@ -54,7 +54,7 @@ def wide(seed, heading):
 
 
 @given(seed=st.integers(0, 1000), heading=st.floats(0.0, 360.0))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_a_score_is_the_plain_sum_of_the_kernel(seed, heading):
     generator = np.random.default_rng(seed)
     y = np.stack([curve(seed + k, AZIMUTH_DEG) for k in range(3)])

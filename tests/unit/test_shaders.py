@@ -36,15 +36,15 @@ def test_every_shader_of_the_repository_loads() -> None:
     names = [path.name for path in shaders.SHADER_FOLDERS[1].iterdir()]
     assert names
     for name in names:
-        assert shaders.load_shader(name).strip()
+        assert shaders.load_shader(name).text.strip()
 
 
 def test_the_wheel_is_looked_at_before_the_repository(folder: Path) -> None:
     (folder / "second").mkdir()
     (folder / "second" / "point.vert").write_text("second")
     (folder / "second" / "only.vert").write_text("only")
-    assert shaders.load_shader("point.vert") == VERTEX
-    assert shaders.load_shader("only.vert") == "only"
+    assert shaders.load_shader("point.vert").text == VERTEX
+    assert shaders.load_shader("only.vert").text == "only"
 
 
 def test_a_missing_shader_names_both_folders(folder: Path) -> None:
@@ -65,7 +65,7 @@ def test_an_include_stands_in_place_with_lines_counted(folder: Path) -> None:
     (folder / "one.glsl").write_text("one\n")
     (folder / "two.glsl").write_text("two")
     (folder / "a.frag").write_text('top\n#include "one.glsl"\n  # include "two.glsl"\nend\n')
-    assert shaders.load_shader("a.frag").splitlines() == [
+    assert shaders.load_shader("a.frag").text.splitlines() == [
         "top",
         *("#line 1 1", "one", "#line 3 0"),
         *("#line 1 2", "two", "#line 4 0"),

@@ -37,7 +37,7 @@ ordinates = arrays.arrays(
 
 
 class TestCoding:
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60)
     @given(ordinates)
     def test_ordinates(self, tan: np.ndarray) -> None:
         codes = CODING.tan_codes(tan)
@@ -48,7 +48,7 @@ class TestCoding:
             CODING.elevation_tan(CODING.tan_codes(read)), read, "rounded twice is rounded once"
         )
 
-    @settings(max_examples=60, deadline=None)
+    @settings(max_examples=60)
     @given(ordinates)
     def test_depths(self, depth_m: np.ndarray) -> None:
         depth_m = np.abs(depth_m) + np.float32(0.01)

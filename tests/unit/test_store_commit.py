@@ -215,7 +215,7 @@ class TestKill:
         assert [file.name for file in path.parent.iterdir()] == [path.name]
 
 
-@settings(max_examples=12, stateful_step_count=10, deadline=None)
+@settings(max_examples=12, stateful_step_count=10)
 class StoreMachine(RuleBasedStateMachine):
     """A store is a list of rows, whatever order it is written, closed, killed and read in."""
 

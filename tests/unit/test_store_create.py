@@ -68,6 +68,11 @@ class TestHeader:
         with pytest.raises(InputError, match="JSON"):
             replace(HEADER, config=config)
 
+    def test_the_digest_of_a_header_is_for_ever(self) -> None:
+        """It is written into stores; one that changes makes all that exist look damaged."""
+        header = replace(HEADER, frame_wkt="a frame", package_version="0.1")
+        assert header.digest == "4ef0b9bab547bc168ecb4b832590e8bf333bb9488db125e3b93124acd228eb9b"
+
     @pytest.mark.parametrize("change", [{"width": 1}, {"max_keypoints": 1}])
     def test_sizes_out_of_range(self, change: dict[str, int]) -> None:
         with pytest.raises(InputError, match="is 1"):
@@ -124,6 +129,12 @@ class TestCreate:
             writer.append(*rows(0, 3))
         with open_for_append(path, HEADER) as writer:
             assert writer.committed == 3
+
+    def test_a_writer_lets_go_of_all_its_files(self, tmp_path: Path) -> None:
+        path, open_files = build(tmp_path / "s.h5", 3), Path("/proc/self/fd")
+        held = sorted(file.name for file in open_files.iterdir())
+        open_for_append(path, HEADER).close()
+        assert sorted(file.name for file in open_files.iterdir()) == held
 
     def test_through_a_symbolic_link(self, tmp_path: Path) -> None:
         path = killed_copy(tmp_path / "s.h5", CHUNK)

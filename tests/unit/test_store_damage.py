@@ -19,6 +19,7 @@ from skyline.store import (
     open_store,
 )
 from skyline.store.superblock import Superblock, WholeFile, lookup3
+from skyline_bench.measuring.workers import outcome_of
 
 
 class TestDamage:
@@ -96,6 +97,8 @@ class TestDamage:
             ("dem_files", "[1]", "not a JSON list"),
             ("frame", 7, "not text"),
             ("frame", ["a", "b"], "no single attribute"),
+            ("rows", '{"rows": "delta"}', "'delta'.*, which skyline does not read"),
+            ("rows", '{"rows": "compact"}', "'compact'.*, which skyline does not read"),
         ],
     )
     def test_bad_attributes(self, tmp_path: Path, name: str, value: object, said: str) -> None:
@@ -103,6 +106,21 @@ class TestDamage:
         with edited(path) as file:
             file.attrs[name] = value
         self.assert_refused(path, said)
+
+    def test_a_heap_of_texts_that_has_no_end(self, tmp_path: Path) -> None:
+        """HDF5 walks one of zeros for ever, and guards none with a checksum."""
+        path = build(tmp_path / "s.h5", 3)
+        data = bytearray(path.read_bytes())
+        first = data.index(b"GCOL") + 16
+        data[first : first + 64] = bytes(64)
+        path.write_bytes(data)
+
+        def opened() -> str:
+            with pytest.raises(StoreError) as caught:
+                open_store(path)
+            return str(caught.value)
+
+        assert "heap of texts" in outcome_of(opened, patience_s=30)
 
     @pytest.mark.parametrize("name", ["frame", "config", "dem_digest", "renderer"])
     def test_missing_attributes(self, tmp_path: Path, name: str) -> None:

@@ -105,6 +105,17 @@ class TestCheck:
         (damage,) = examine(path).damage
         assert (damage.first_row, damage.rows) == (CHUNK, CHUNK)
 
+    def test_damage_of_neighbouring_chunks_is_told_as_one(self, tmp_path: Path) -> None:
+        path = build(tmp_path / "s.h5", (0, 5 * CHUNK))
+        with h5py.File(path) as file:
+            chunks = [file["views/northing"].id.get_chunk_info(number) for number in (1, 2, 4)]
+        data = bytearray(path.read_bytes())
+        for chunk in chunks:
+            data[chunk.byte_offset + chunk.size // 2] ^= 16
+        path.write_bytes(data)
+        told = [(damage.first_row, damage.rows) for damage in examine(path).damage]
+        assert told == [(CHUNK, 2 * CHUNK), (4 * CHUNK, CHUNK)]
+
     def test_a_store_that_its_writer_left(self, tmp_path: Path) -> None:
         with create_store(tmp_path / "live.h5", HEADER) as writer:
             writer.append(*rows(0, 100))

@@ -1,11 +1,11 @@
 """A server in a process of its own, and a browser whose network ends at this machine."""
 
-import shutil
-
 import pytest
 from pages import serving
 from selenium import webdriver
-from selenium.webdriver.chrome.service import Service
+
+from skyline.errors import InputError
+from skyline_bench.measuring.served import headless
 
 
 @pytest.fixture(scope="session")
@@ -26,21 +26,11 @@ def downloads(tmp_path_factory):
 @pytest.fixture(scope="session")
 def chromium(downloads):
     """Debian's Chromium without a screen; skips where it is not installed."""
-    browser, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if not (browser and driver):
+    try:
+        options, service = headless()
+    except InputError:
         pytest.skip("chromium and chromium-driver are not installed (.ci/system_packages.py)")
-    options = webdriver.ChromeOptions()
-    options.binary_location = browser
-    for flag in (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--disable-dev-shm-usage",
-        "--disable-background-networking",
-        "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
-    ):
-        options.add_argument(flag)
     options.add_experimental_option("prefs", {"download.default_directory": str(downloads)})
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    with webdriver.Chrome(options=options, service=Service(driver)) as running:
+    with webdriver.Chrome(options=options, service=service) as running:
         yield running

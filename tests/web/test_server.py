@@ -253,7 +253,6 @@ def test_the_skyline_follows_a_pose_and_the_latest_alone(served, photo):
 
 def test_three_people_match_at_once_and_look_meanwhile(served, photo):
     people = [ready(served, photo) for _ in range(3)]
-    _, alone = served.ask("POST", f"{people[0][1]}/match", TINY)
     results, slowest_s = {}, []
 
     def match(of_photo):
@@ -262,6 +261,7 @@ def test_three_people_match_at_once_and_look_meanwhile(served, photo):
     threads = [threading.Thread(target=match, args=(of_photo,)) for _, of_photo in people]
     with ExitStack() as pages:
         socket, *_ = [pages.enter_context(live(served, session)) for session, _ in people]
+        _, alone = served.ask("POST", f"{people[0][1]}/match", TINY)
         for thread in threads:
             thread.start()
         while any(thread.is_alive() for thread in threads):

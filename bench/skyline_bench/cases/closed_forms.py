@@ -96,12 +96,17 @@ def _posed(case: SceneCase, quick: bool) -> tuple[Scene, Truth]:
 
 def rough_heights(rows: int, cols: int, relief_m: float = 800.0, seed: int = 0) -> Float64Array:
     """Return rough heights with a power-law spectrum, slopes of 45 degrees and more at 32 m."""
+    return 1500.0 + relief_m * fractal(rows, cols, seed, 1.8)
+
+
+def fractal(rows: int, cols: int, seed: int, exponent: float) -> Float64Array:
+    """Return noise (rows, cols) from -1 to 1 with a power-law spectrum."""
     generator = np.random.default_rng(seed)
     frequency = np.hypot(np.fft.fftfreq(rows)[:, np.newaxis], np.fft.rfftfreq(cols))
     frequency[0, 0] = np.inf
     spectrum = generator.normal(size=frequency.shape) + 1j * generator.normal(size=frequency.shape)
-    heights = np.fft.irfft2(spectrum * frequency**-1.8, s=(rows, cols))
-    return np.asarray(1500.0 + heights / np.abs(heights).max() * relief_m, dtype=np.float64)
+    noise = np.fft.irfft2(spectrum * frequency**-exponent, s=(rows, cols))
+    return np.asarray(noise / np.abs(noise).max(), dtype=np.float64)
 
 
 def field_of(

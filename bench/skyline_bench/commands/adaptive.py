@@ -93,7 +93,6 @@ def uniform_adaptive(
         top=1,
         workers=workers,
     )
-    options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
     config = config.quick(terrain) if quick else config
     check(terrain, config)

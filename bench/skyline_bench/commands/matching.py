@@ -68,7 +68,6 @@ def matching(
         queries=queries,
         seed=seed,
     )
-    options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
     config = config.quick(terrain) if quick else config
     check(terrain, config)

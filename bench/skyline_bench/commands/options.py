@@ -22,14 +22,34 @@ _PIPED_WIDTH = 200
 Columns = Mapping[str, str]
 """Keys of rows, and the headings that a table gives them."""
 
+
+def in_a_folder(param: typer.CallbackParam, path: Path | None) -> Path | None:
+    """Refuse a file that could not be written, before the measurement and not after it."""
+    if path is not None and not path.absolute().parent.is_dir():
+        raise InputError(f"{param.opts[0]} {path}: there is no folder {path.parent}; make it first")
+    return path
+
+
+def _drawable(param: typer.CallbackParam, path: Path | None) -> Path | None:
+    if path is not None and path.suffix.lower() not in _PLOT_SUFFIXES:
+        raise InputError(
+            f"--plot {path}: cannot draw {path.suffix!r}; expected {', '.join(_PLOT_SUFFIXES)}"
+        )
+    return in_a_folder(param, path)
+
+
 Dems = Annotated[
     list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
 ]
 JsonFile = Annotated[
-    Path | None, typer.Option("--json", metavar="FILE", help="Write rows and machine as JSON.")
+    Path | None,
+    typer.Option(
+        "--json", metavar="FILE", help="Write rows and machine as JSON.", callback=in_a_folder
+    ),
 ]
 PlotFile = Annotated[
-    Path | None, typer.Option("--plot", metavar="FILE", help="Draw them: PNG, PDF or SVG.")
+    Path | None,
+    typer.Option("--plot", metavar="FILE", help="Draw them: PNG, PDF or SVG.", callback=_drawable),
 ]
 Seed = Annotated[int, typer.Option(help="Of whatever is drawn at random.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Two minutes at most: much smaller.")]
@@ -44,6 +64,11 @@ Bounds = Annotated[
         help="Degrees of longitude and latitude (WGS 84); by default 5 x 10 km in the middle.",
     ),
 ]
+BuiltBounds = Annotated[
+    str | None,
+    typer.Option("--bounds", metavar="W,S,E,N", help="Of what is built, degrees; by default all."),
+]
+Queries = Annotated[int, typer.Option(help="Each is looked for in every store and area.")]
 StoreFile = Annotated[
     Path, typer.Argument(metavar="STORE", help="A store of places that `skyline build` made.")
 ]
@@ -55,22 +80,6 @@ Crs = Annotated[
 def bounds_of(bounds: str | None) -> tuple[float, float, float, float] | None:
     """Return west, south, east, north of the option `Bounds`; raises as `parse_bounds`."""
     return None if bounds is None else parse_bounds(bounds)
-
-
-def check_outputs(json_file: Path | None, plot: Path | None = None) -> None:
-    """Refuse files that could not be written, before the measurement and not after it."""
-    for option, path in (("--json", json_file), ("--plot", plot)):
-        check_folder(option, path)
-    if plot is not None and plot.suffix.lower() not in _PLOT_SUFFIXES:
-        raise InputError(
-            f"--plot {plot}: cannot draw {plot.suffix!r}; expected {', '.join(_PLOT_SUFFIXES)}"
-        )
-
-
-def check_folder(option: str, path: Path | None) -> None:
-    """Refuse a file in a folder that is not there."""
-    if path is not None and not path.absolute().parent.is_dir():
-        raise InputError(f"{option} {path}: there is no folder {path.parent}; make it first")
 
 
 @contextmanager

@@ -17,7 +17,6 @@ def page(
     quick: options.Quick = False,
 ) -> None:
     """The page in a browser: ready, strokes on 12 megapixels, the live skyline, memory."""
-    options.check_outputs(json_file)
     with (
         tempfile.TemporaryDirectory(prefix="skyline-bench-") as folder,
         progress_bar("page") as bar,

@@ -53,7 +53,12 @@ def photos(
         bool, typer.Option("--use-gps", help="Let the photographs' own positions draw the search.")
     ] = False,
     page: Annotated[
-        Path | None, typer.Option(metavar="FILE.html", help="Draw each photograph's skylines.")
+        Path | None,
+        typer.Option(
+            metavar="FILE.html",
+            help="Draw each photograph's skylines.",
+            callback=options.in_a_folder,
+        ),
     ] = None,
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
@@ -67,8 +72,6 @@ def photos(
 
     --quick searches areas of 4 km, and three photographs of each kind.
     """
-    options.check_outputs(json_file)
-    options.check_folder("--page", page)
     wanted = read_manifest(manifest)
     config = PhotosConfig(1000.0 * side_km, spacing, use_gps)
     if quick:
@@ -108,9 +111,13 @@ def _told(page: PhotographsPage | None, progress: Progress, count: int) -> Shown
 
 
 def readme_picture(
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The JPEG to write.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="The JPEG to write.", callback=options.in_a_folder
+        ),
+    ],
     quick: options.Quick = False,
 ) -> None:
     """The README's picture: a photo made of the sample terrain, and where it was put."""
-    options.check_folder("--out", out)
     options.print_rows([save_match(out, width=512 if quick else 2048)])

@@ -42,12 +42,8 @@ def placing(
         list[float] | None,
         typer.Option(metavar="SHARE", help="Of planned places; may be repeated [0.35 0.27 0.2]."),
     ] = None,
-    bounds: Annotated[
-        str | None, typer.Option(metavar="W,S,E,N", help="Degrees; by default all.")
-    ] = None,
-    queries: Annotated[int, typer.Option(help="Each is looked for in every store.")] = (
-        _PLACING.queries
-    ),
+    bounds: options.BuiltBounds = None,
+    queries: options.Queries = _PLACING.queries,
     folder: options.Folder = None,
     json_file: options.JsonFile = None,
     plot: options.PlotFile = None,
@@ -68,7 +64,6 @@ def placing(
         queries,
         seed,
     )
-    options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
     config = config.quick(terrain) if quick else config
     with options.store_folder(folder) as place, progress_bar("building and matching") as progress:

@@ -20,7 +20,6 @@ def table1(
     quick: options.Quick = False,
 ) -> None:
     """Repeat the paper's simulation: viewpoints and overlap of each of its strategies."""
-    options.check_outputs(json_file, plot)
     rows = measure(seeds, quick)
     columns = {
         "row": "row",
@@ -60,7 +59,6 @@ def prediction_quality(
     crs: options.Crs = None,
 ) -> None:
     """Predictors against renderings: which displaced views look alike."""
-    options.check_outputs(json_file)
     setup = replace(_SETUP, viewpoints=min(viewpoints, 8) if quick else viewpoints, seed=seed)
     terrain = read_dem(dem, DemOptions(crs=crs))
     rows = [asdict(row) for row in qualities(terrain, setup)]

@@ -46,7 +46,6 @@ def same_place(
     Once more, the last photo of each place is exchanged for a stranger: one of another place.
     """
     config = SamePlaceConfig(options.bounds_of(bounds), spacing, places, photos, seed)
-    options.check_outputs(json_file)
     terrain = read_dem(dem, DemOptions(crs=crs))
     with options.store_folder(folder) as place, progress_bar("matching") as progress:
         rows = measure(terrain, config.quick() if quick else config, place, progress)

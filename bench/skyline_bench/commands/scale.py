@@ -50,10 +50,7 @@ def scale(
     loss: Annotated[
         float, typer.Option(help="Share of the views that planned places may lose.")
     ] = _SCALE.loss,
-    bounds: Annotated[
-        str | None,
-        typer.Option(metavar="W,S,E,N", help="Of what is built, degrees; by default all."),
-    ] = None,
+    bounds: options.BuiltBounds = None,
     store: Annotated[
         Path | None, typer.Option(help="A store of places that is there already, instead.")
     ] = None,
@@ -69,9 +66,7 @@ def scale(
         list[float] | None,
         typer.Option(metavar="KM", help="A circle's radius, likewise [30]."),
     ] = None,
-    queries: Annotated[int, typer.Option(help="Each is looked for in every area.")] = (
-        _SCALE.queries
-    ),
+    queries: options.Queries = _SCALE.queries,
     folder: options.Folder = None,
     json_file: options.JsonFile = None,
     plot: options.PlotFile = None,
@@ -95,7 +90,6 @@ def scale(
         queries=queries,
         seed=seed,
     )
-    options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
     config = config.quick(terrain) if quick else config
     with options.store_folder(folder) as place, progress_bar("building and matching") as progress:

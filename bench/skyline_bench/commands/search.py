@@ -25,7 +25,6 @@ def retrieval_scale(
     quick: options.Quick = False,
 ) -> None:
     """Retrieval among very many places: seconds, memory, and whether the right one comes first."""
-    options.check_outputs(json_file)
     if quick:
         places, queries = min(places, 50_000), min(queries, 5)
     with progress_bar("queries") as progress:
@@ -45,7 +44,6 @@ def strangers(
     quick: options.Quick = False,
 ) -> None:
     """Skylines of elsewhere: how many a store answers, and how sure it is of them."""
-    options.check_outputs(json_file)
     terrain = read_dem(strange, DemOptions(reproject=True))
     count = min(queries, 5) if quick else queries
     with progress_bar("strangers") as progress:
@@ -61,11 +59,19 @@ def calibrate(
     queries: Annotated[int, typer.Option(help="Of each of six kinds, on each terrain.")] = 20,
     model: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the models: what skyline/matching has learned."),
+        typer.Option(
+            metavar="FILE",
+            help="Write the models: what skyline/matching has learned.",
+            callback=options.in_a_folder,
+        ),
     ] = None,
     examples: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Kept here, and read where they are there."),
+        typer.Option(
+            metavar="FILE",
+            help="Kept here, and read where they are there.",
+            callback=options.in_a_folder,
+        ),
     ] = None,
     json_file: options.JsonFile = None,
     plot: options.PlotFile = None,
@@ -73,9 +79,6 @@ def calibrate(
     quick: options.Quick = False,
 ) -> None:
     """The confidence learned on Sierra and Rofental, its reliability shown on Davos."""
-    options.check_outputs(json_file, plot)
-    options.check_folder("--model", model)
-    options.check_folder("--examples", examples)
     if examples is not None and examples.exists():
         told = learning.kept(examples)
     else:

@@ -22,7 +22,6 @@ def sky_masks(
     quick: options.Quick = False,
 ) -> None:
     """Skylines extracted from real photographs, against masks drawn by people."""
-    options.check_outputs(json_file)
     with progress_bar("photographs") as progress:
         rows = masks.measure(folder, quick, progress)
     options.tell(json_file, "sky-masks", rows)
@@ -30,7 +29,14 @@ def sky_masks(
 
 def train_sky_model(
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FILE", help="The model, ONNX zipped.")
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="The model, ONNX zipped.",
+            callback=options.in_a_folder,
+        ),
     ],
     photos: Annotated[int, typer.Option(help="Photographs to draw.")] = 6000,
     steps: Annotated[int, typer.Option(help="Batches of 16 to train on.")] = 4500,
@@ -38,7 +44,6 @@ def train_sky_model(
     quick: options.Quick = False,
 ) -> None:
     """The network that finds skylines in photos, trained anew on drawn photographs."""
-    options.check_folder("--out", out)
     try:
         training = import_module("skyline_bench.training.training")
     except ModuleNotFoundError as error:

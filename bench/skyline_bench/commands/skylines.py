@@ -42,7 +42,6 @@ def speed_error(
 ) -> None:
     """Every way to a skyline: milliseconds a viewpoint against error from the oracle."""
     config = replace(_SPEED_ERROR, viewpoints=viewpoints, width=width, seed=seed)
-    options.check_outputs(json_file, plot)
     terrain = read_dem(dem, DemOptions(crs=crs))
     with progress_bar("measuring") as progress:
         rows = measure(terrain, config.quick() if quick else config, progress)
@@ -67,7 +66,6 @@ def stability(
     quick: options.Quick = False,
 ) -> None:
     """Every hard case along every path that promises something there; exit code 1 if one fails."""
-    options.check_outputs(json_file, plot)
     rows: list[hard_cases.Row] = []
     asked = [
         (path, case)
@@ -105,7 +103,6 @@ def place_speed(
     crs: options.Crs = None,
 ) -> None:
     """Skylines all the way round against four headings: milliseconds an eye, taken in turns."""
-    options.check_outputs(json_file)
     terrain = read_dem(dem, DemOptions(crs=crs))
     rows = ways_to_places.measure(terrain, min(eyes, 100) if quick else eyes)
     options.tell(json_file, "place-speed", rows)
@@ -122,7 +119,6 @@ def horizon(
 
     Embree needs embreex (extra peers), GRASS `grass` on the path; what is not there is left out.
     """
-    options.check_outputs(json_file)
     config = horizon_tools.HorizonConfig(seed=seed)
     terrain = read_dem(dem, DemOptions(crs=crs))
     rows = horizon_tools.measure(terrain, config.quick() if quick else config)
@@ -139,7 +135,6 @@ def summits(
 
     A record that is there keeps the rows of other DEMs.
     """
-    options.check_outputs(json_file)
     config = summits_kept.SummitsConfig()
     rows = summits_kept.measure(dem, crs, config.quick() if quick else config)
     options.print_rows(
@@ -171,7 +166,6 @@ def large_dem(
     quick: options.Quick = False,
 ) -> None:
     """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
-    options.check_outputs(json_file)
     samples, viewpoints = (
         (min(samples, 4000), min(viewpoints, 32)) if quick else (samples, viewpoints)
     )
@@ -181,7 +175,6 @@ def large_dem(
 
 def pipeline_speed(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
     """Every stage from DEM to match, on a small DEM that is always at hand."""
-    options.check_outputs(json_file)
     with tempfile.TemporaryDirectory() as folder:
         rows = pipeline_stages.measure(Path(folder), repeats=1 if quick else 3)
     options.tell(json_file, "pipeline-speed", rows)

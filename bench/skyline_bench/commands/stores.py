@@ -36,7 +36,6 @@ def sharded_build(
     DEM are 3 arc-second tiles about 119.6 to 119.0 degrees west, 37.4 to 38.0 north. In a record
     that is there already, the parts that are not run keep their rows.
     """
-    options.check_outputs(json_file)
     parts = _known(part or (["killed"] if quick else None), shards.PARTS)
     rows = options.rows_but(json_file, "case", parts)
     terrain = read_dem(dem)
@@ -71,7 +70,6 @@ def store_durability(
 
     In a record that is there already, the tests that are not run keep their rows.
     """
-    options.check_outputs(json_file)
     tests = _known(test, durability.TESTS)
     config = durability.DurabilityConfig(dem, tuple(store or ()), kills, flips, cases, seconds)
     if quick:
@@ -92,7 +90,6 @@ def input_fuzz(
     quick: options.Quick = False,
 ) -> None:
     """Damaged DEMs, viewpoint lists, traces and images: one line and exit 2, or an answer."""
-    options.check_outputs(json_file)
     rows: list[Row] = []
     with progress_bar("kinds of files") as progress:
         for row in damaged_input.measure(min(cases, 10) if quick else cases, seed):

@@ -11,14 +11,7 @@ from skyline_bench.runs.calibration import Reliability, calibration_error, relia
 
 
 def save_reliability(path: Path, told: Iterable[Reliability], title: str) -> None:
-    """Save the reliability diagram: how often answers are right against how sure they were.
-
-    Parameters
-    ----------
-    path : Path
-    told : iterable of Reliability
-    title : str
-    """
+    """Save the reliability diagram: how often answers are right against how sure they were."""
     figure = new_figure(5.6, 5.2)
     axis = figure.subplots()
     axis.plot([0, 1], [0, 1], color="black", linewidth=0.8, linestyle=":")

@@ -66,7 +66,17 @@ def _first_answer(address: str) -> None:
 
 @contextmanager
 def browser() -> Iterator[Any]:
-    """Start Chromium without a screen or a network beyond this machine.
+    """Start Chromium as `headless` has it; raises likewise."""
+    options, service = headless()
+    from selenium import webdriver  # noqa: PLC0415  (an extra)
+
+    with webdriver.Chrome(options=options, service=service) as running:
+        running.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", _WINDOW)
+        yield running
+
+
+def headless() -> tuple[Any, Any]:
+    """Return Chromium's options and driver, without a screen or a network beyond this machine.
 
     Raises
     ------
@@ -90,9 +100,8 @@ def browser() -> Iterator[Any]:
         "--no-sandbox",
         "--disable-gpu",
         "--disable-dev-shm-usage",
+        "--disable-background-networking",
         "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
     ):
         options.add_argument(flag)
-    with webdriver.Chrome(options=options, service=Service(driver)) as running:
-        running.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", _WINDOW)
-        yield running
+    return options, Service(driver)

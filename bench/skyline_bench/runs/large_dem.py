@@ -8,6 +8,7 @@ from skyline.geodesy import Frame
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on
+from skyline_bench.cases.closed_forms import fractal
 from skyline_bench.measuring.memory import peak_bytes
 
 SPACING_M = 30.0
@@ -16,12 +17,7 @@ PERIOD = 2000
 
 def _made(samples: int) -> HeightField:
     """Return rough terrain that repeats every 60 km, in one array and no copies."""
-    frequency = np.hypot(np.fft.fftfreq(PERIOD)[:, np.newaxis], np.fft.rfftfreq(PERIOD))
-    frequency[0, 0] = np.inf
-    random = np.random.default_rng(1)
-    spectrum = random.normal(size=frequency.shape) + 1j * random.normal(size=frequency.shape)
-    tile = np.fft.irfft2(spectrum * frequency**-2.1)
-    tile = (1500.0 + 1500.0 * tile / np.abs(tile).max()).astype(np.float32)
+    tile = (1500.0 + 1500.0 * fractal(PERIOD, PERIOD, 1, 2.1)).astype(np.float32)
     heights = np.empty((samples, samples), dtype=np.float32)
     for row in range(0, samples, PERIOD):
         for col in range(0, samples, PERIOD):

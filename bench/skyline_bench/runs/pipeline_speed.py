@@ -3,12 +3,10 @@
 Times on shared machines wander: compare stages of one run, not runs.
 """
 
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from PIL import Image
 
 from skyline.features import polyline_keypoints
@@ -18,6 +16,7 @@ from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.dem import read_dem
+from skyline_bench.measuring.timing import in_turns
 from skyline_bench.queries.photographs import photograph
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.sample import write_sample_dem
@@ -30,13 +29,7 @@ CAMERA = Camera(140.0, fov_deg=60.0)
 
 def timed(work: Callable[[], object], repeats: int) -> float:
     """Return the median seconds of some runs after one that warms up."""
-    work()
-    seconds = []
-    for _ in range(repeats):
-        started = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - started)
-    return float(np.median(seconds))
+    return in_turns([work], repeats)[0].seconds
 
 
 def measure(folder: Path, repeats: int) -> list[dict[str, object]]:

@@ -24,7 +24,7 @@ from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.pipeline import Matcher, PlaceConfig, Progress
 from skyline.pipeline.config import mapped_area_m
-from skyline.pipeline.places import DEFAULT_LOSS
+from skyline.pipeline.layout import DEFAULT_LOSS
 from skyline.pipeline.scene import RenderedScene
 from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.store import open_store

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.pipeline import Matcher, RenderConfig, ShardPlan, build_sharded, local_runner
+from skyline.pipeline import Layout, Matcher, RenderConfig, build_sharded, local_runner
 from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.digests import file_digest
@@ -69,7 +69,7 @@ def _children_cpu_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _build(terrain: HeightField, path: Path, plan: ShardPlan, workers: int, clock: _Clock) -> Row:
+def _build(terrain: HeightField, path: Path, plan: Layout, workers: int, clock: _Clock) -> Row:
     """Build with workers of this machine; return what it took."""
     cpu_s, load = _children_cpu_s(), os.getloadavg()[0]
     started = time.perf_counter()
@@ -94,7 +94,7 @@ def _build(terrain: HeightField, path: Path, plan: ShardPlan, workers: int, cloc
 
 def measure_workers(terrain: HeightField, folder: Path, quick: bool) -> list[Row]:
     """Two workers against one, in turn, since the machine may be busy with other things."""
-    plan = ShardPlan(_spacing_m(quick), 5000.0, PART)
+    plan = Layout(_spacing_m(quick), 5000.0, PART)
     rows: list[Row] = []
     cores = os.cpu_count() or 1
     for turn in range(1 if quick else ROUNDS):
@@ -125,7 +125,7 @@ def _ratios(rows: Sequence[Row], cores: int) -> Row:
 
 def measure_killed(terrain: HeightField, folder: Path, quick: bool) -> list[Row]:
     """Kill one of two workers when half of the renderings are there."""
-    plan = ShardPlan(_spacing_m(quick), 5000.0, PART)
+    plan = Layout(_spacing_m(quick), 5000.0, PART)
     unbroken = _build(terrain, folder / "unbroken.h5", plan, 2, _Clock())
     half = int(str(unbroken["renderings"])) // 2
     killed: list[int] = []
@@ -146,7 +146,7 @@ def measure_killed(terrain: HeightField, folder: Path, quick: bool) -> list[Row]
 def measure_area(terrain: HeightField, folder: Path, quick: bool) -> list[Row]:
     """3,000 km2 at 500 m, four headings: built, merged, matched."""
     west, south, east, north = map_bounds(terrain, YOSEMITE)
-    plan, path = ShardPlan(_spacing_m(quick), 10_000.0, YOSEMITE), folder / "area.h5"
+    plan, path = Layout(_spacing_m(quick), 10_000.0, YOSEMITE), folder / "area.h5"
     row: Row = {"case": "area", "area_km2": (east - west) * (north - south) / 1e6}
     row |= _build(terrain, path, plan, 2, _Clock())
     row["worker_peak_bytes"] = 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss

@@ -17,14 +17,16 @@ from skyline.errors import InputError, MissingFileError
 from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline import (
     BuildResult,
+    Layout,
     PlaceConfig,
     RenderConfig,
-    build_places,
     build_planned,
-    build_uniform,
+    build_store,
 )
 from skyline.pipeline.build import render_missing
-from skyline.pipeline.places import DEFAULT_LOSS, place_rows
+from skyline.pipeline.config import store_header
+from skyline.pipeline.layout import DEFAULT_LOSS
+from skyline.pipeline.places import PlaceRows, place_renderer
 from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
 from skyline.store import open_store
 from skyline.store.header import PLACES
@@ -108,11 +110,9 @@ def uniform_store(
     StoreMismatchError
         The folder has one of that name from another DEM, area or configuration.
     """
-    name = f"uniform-{spacing_m:g}"
+    name, layout = f"uniform-{spacing_m:g}", Layout(spacing_m, bounds_deg=bounds_deg)
     path = folder / f"{name}.h5"
-    return _built(
-        name, path, lambda: build_uniform(terrain, path, spacing_m, bounds_deg, config), {}
-    )
+    return _built(name, path, lambda: build_store(terrain, path, layout, config))
 
 
 def place_store(
@@ -126,13 +126,9 @@ def place_store(
 ) -> ReferenceStore:
     """Return a store of places in a folder, planned without a spacing; as `uniform_store`."""
     name = f"planned-{loss:g}" if spacing_m is None else f"places-{spacing_m:g}"
+    layout = Layout(spacing_m, bounds_deg=bounds_deg, loss=loss)
     path = folder / f"{name}.h5"
-    return _built(
-        name,
-        path,
-        lambda: build_places(terrain, path, spacing_m, bounds_deg, config, progress, loss=loss),
-        {},
-    )
+    return _built(name, path, lambda: build_store(terrain, path, layout, config, progress))
 
 
 def planned_store(
@@ -170,7 +166,7 @@ def planned_store(
         name,
         path,
         lambda: build_planned(terrain, path, planned, bounds_deg, config).built,
-        {"followed": asked},
+        followed=asked,
     )
 
 
@@ -187,10 +183,7 @@ def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) 
     path = folder / f"{planned.name}-places.h5"
     viewpoints = Viewpoints(*np.ascontiguousarray(eyes))
     built = _built(
-        planned.name,
-        path,
-        lambda: _render_places(terrain, viewpoints, apart_m / 2.0, path),
-        {},
+        planned.name, path, lambda: _render_places(terrain, viewpoints, apart_m / 2.0, path)
     )
     return replace(
         built,
@@ -209,8 +202,11 @@ def _render_places(
     def tolerance(some: Viewpoints) -> Float32Array:
         return np.array([of_eye[eye] for eye in _eyes(some)], dtype=np.float32)
 
-    with place_rows(terrain, PlaceConfig(), 0.0, {"planner": "viewpoints"}) as rows:
-        return render_missing(path, replace(rows, tolerance_m=tolerance), viewpoints)
+    config = PlaceConfig()
+    renderer = place_renderer(terrain, config)
+    header = store_header(terrain, renderer.description, config, {"planner": "viewpoints"})
+    with PlaceRows(renderer, header, tolerance) as rows:
+        return render_missing(path, rows, viewpoints)
 
 
 def _eyes(viewpoints: Viewpoints) -> list[complex]:
@@ -219,9 +215,9 @@ def _eyes(viewpoints: Viewpoints) -> list[complex]:
 
 
 def _built(
-    name: str, path: Path, build: Callable[[], BuildResult], about: dict[str, object]
+    name: str, path: Path, build: Callable[[], BuildResult], **about: object
 ) -> ReferenceStore:
-    """Build a store, note beside it what it took over all runs, and return it."""
+    """Build a store, note beside it what it took over all runs and what is given, and return it."""
     was_there, noted = path.exists(), _noted(path)
     cpu = time.process_time()
     built = build()

@@ -109,16 +109,7 @@ class Seen:
 
 
 class Simulation:
-    """Renders, measures and predicts for one row of Table 1.
-
-    Parameters
-    ----------
-    row : Row
-
-    Attributes
-    ----------
-    grid : CandidateGrid
-    """
+    """Renders, measures and predicts for one row of Table 1."""
 
     def __init__(self, row: Row) -> None:
         self.row = row

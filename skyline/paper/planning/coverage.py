@@ -94,10 +94,6 @@ class AreaModel(Protocol):
 class Coverage:
     """Which candidates are covered by the tolerance areas of rendered views.
 
-    Parameters
-    ----------
-    grid : CandidateGrid
-
     Attributes
     ----------
     viewpoints : (N,) int64
