@@ -63,7 +63,7 @@ class MatchConfig:
         A place is the answer that is this likely right within 1 km. It is said to be right within
         200 m where only half of the doubt is left: with the default, where that is 0.9 likely. Of
         answers to queries as hard as confidence was learned from, on terrain that it was not
-        learned from, 96 % are right; of easier ones more.
+        learned from, 93 % are right; of easier ones more.
     min_visible_deg : float
         Nor is there where a query shows less of a skyline. Screening compares rises over 2 degrees,
         and a pose has seven unknowns: below 14 degrees there are fewer rises than unknowns. How
