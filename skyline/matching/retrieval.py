@@ -62,7 +62,7 @@ class RetrievalConfig:
 
     zoom_step: float = 0.18
     start_zoom_step: float = 0.065
-    screened_share: float = 0.02
+    screened_share: float = 0.05
     screened_least: int = 16_384
     screened_most: int = 262_144
     fitted: int = 8192

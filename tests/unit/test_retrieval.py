@@ -170,7 +170,7 @@ def test_senseless_requests_are_refused(places):
 
 @pytest.mark.parametrize(
     ("places", "screened"),
-    [(1, 16_384), (819_200, 16_384), (1_000_000, 20_000), (100_000_000, 262_144)],
+    [(1, 16_384), (327_680, 16_384), (1_000_000, 50_000), (100_000_000, 262_144)],
 )
 def test_a_part_of_all_places_is_fitted(places, screened):
     assert RetrievalConfig().screened(places) == screened
