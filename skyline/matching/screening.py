@@ -5,11 +5,7 @@ the query's weighted phases w_q and a place's phases p_b, the score of a turn t 
 
 .. math::
 
-    s_t = \max_\rho \mathrm{Re}\; e^{i \rho} \sum_q w_q \overline{p_{q + t}}
-
-A camera that rolls adds nearly the same rise to every bin, which turns the sum by an angle rho, so
-the score is that of the best of some rolls. A level camera must not be taken for granted: the rises
-of a smooth skyline are smaller than those that a roll of 5 degrees adds.
+    s_t = \mathrm{Re} \sum_q w_q \overline{p_{q + t}}
 
 A photo sees a part of the turn, so twenty turns at once are the product of a strip of phases, a
 little wider than the photo, with a matrix that holds the query twenty times, each a bin farther.
@@ -44,12 +40,6 @@ _SAMPLE = 2048
 _SLACK = 4
 """So many times as many places as are wanted are kept before the worst are dropped."""
 _LEVEL = Attitudes((0.0,), (0.0,))
-_ROLL_TURNS = tuple(
-    np.float32(rise_to_turn() * np.tan(np.radians(roll_deg)) * 2.0 * np.pi / PHASE_BINS)
-    for roll_deg in (1.5, 4.5)
-)
-"""What rolls turn phases by. Photos are level to 3 degrees (deviation), and none of up to 6 degrees
-is more than 1.5 from one of these to either side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,8 +87,8 @@ class Screen:
         The bin, from half a turn left of straight ahead, where the query begins.
     span : int
         Bins it is wide.
-    matrix : (2, 2 (span + T - 1), F T) float32
-        The query at F fields of view and T turns: for real and for imaginary parts of sums.
+    matrix : (2 (span + T - 1), F T) float32
+        The query at F fields of view and T turns.
     open_turns : (B,) bool
         The turns that are looked at.
     mean, scale : (F,) float32
@@ -141,13 +131,12 @@ class Screen:
         seen = np.flatnonzero(np.abs(waves).any(axis=0))
         first, last = (int(seen[0]), int(seen[-1])) if len(seen) else (0, 0)
         span, turns = last - first + 1, _TURNS_AT_ONCE
-        part = waves[:, first : last + 1].T
-        query_at = np.zeros((2, span + turns - 1, 2, len(fovs_deg), turns), dtype=np.float32)
+        query_at = np.zeros((span + turns - 1, 2, len(fovs_deg), turns), dtype=np.float32)
         for turn in range(turns):
-            real, imaginary = query_at[:, turn : turn + span, :, :, turn]
-            real[:, 0], real[:, 1] = part.real, part.imag
-            imaginary[:, 0], imaginary[:, 1] = part.imag, -part.real
-        matrix = query_at.reshape(2, 2 * (span + turns - 1), -1)
+            part = waves[:, first : last + 1].T
+            query_at[turn : turn + span, 0, :, turn] = part.real
+            query_at[turn : turn + span, 1, :, turn] = part.imag
+        matrix = query_at.reshape(2 * (span + turns - 1), -1)
         every = np.ones(PHASE_BINS, dtype=bool)
         none = np.zeros(len(fovs_deg), dtype=np.float32)
         raw = cls(first, span, matrix, every if open_turns is None else open_turns, none, none + 1)
@@ -162,13 +151,14 @@ class Screen:
     def scores(self, phase: UInt8Array) -> Float32Array:
         """Return the score (N,) of the best turn and field of view of places' phases (N, B)."""
         shape = len(phase), len(self.mean), _TURNS_AT_ONCE
-        best = np.full((len(phase), self.matrix.shape[2]), -np.inf, dtype=np.float32)
+        best = np.full((len(phase), self.matrix.shape[1]), -np.inf, dtype=np.float32)
+        sums = np.empty_like(best)
         waves = self._strip(phase)
         for turn in range(0, PHASE_BINS, _TURNS_AT_ONCE):
             shut = ~self.open_turns[turn : turn + _TURNS_AT_ONCE]
             if shut.all():
                 continue
-            sums = self._sums(waves, turn)
+            self._sum(waves, turn, sums)
             if shut.any():
                 sums.reshape(shape)[:, :, shut] = -np.inf
             np.maximum(best, sums, out=best)
@@ -190,9 +180,11 @@ class Screen:
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
         """Return the sums (N, F, B) of places at every turn."""
         every = np.empty((len(phase), len(self.mean), PHASE_BINS), dtype=np.float32)
+        sums = np.empty((len(phase), self.matrix.shape[1]), dtype=np.float32)
         waves = self._strip(phase)
         for turn in range(0, PHASE_BINS, _TURNS_AT_ONCE):
-            part = self._sums(waves, turn).reshape(len(phase), len(self.mean), _TURNS_AT_ONCE)
+            self._sum(waves, turn, sums)
+            part = sums.reshape(len(phase), len(self.mean), _TURNS_AT_ONCE)
             every[:, :, turn : turn + _TURNS_AT_ONCE] = part
         return every
 
@@ -202,19 +194,9 @@ class Screen:
         strip = np.concatenate([phase[:, self.first :], phase, phase], axis=1)[:, :wanted]
         return decode_phases(strip).view(np.float32)
 
-    def _sums(self, waves: Float32Array, turn: int) -> Float32Array:
-        """Return the sums (N, F T), of the best roll each, at some turns from ``turn`` on."""
-        strip = waves[:, 2 * turn : 2 * turn + self.matrix.shape[1]]
-        return _of_best_roll(*np.matmul(strip, self.matrix))
-
-
-def _of_best_roll(real: Float32Array, imaginary: Float32Array) -> Float32Array:
-    """Return the greatest real parts that sums have at any of the rolls, to either side."""
-    off = np.abs(imaginary, out=imaginary)
-    best = np.full_like(real, -np.inf)
-    for turn in _ROLL_TURNS:
-        np.maximum(best, real * np.cos(turn) + off * np.sin(turn), out=best)
-    return best
+    def _sum(self, waves: Float32Array, turn: int, sums: Float32Array) -> None:
+        """Write the sums (N, F T) at some turns from ``turn`` on."""
+        np.matmul(waves[:, 2 * turn : 2 * turn + len(self.matrix)], self.matrix, out=sums)
 
 
 def _peaks(sums: Float32Array) -> Float32Array:
