@@ -1,7 +1,7 @@
 r"""Rises of a skyline as phases: two of them are alike by a bounded kernel.
 
-A skyline is reduced to the rises d between the means of neighbouring runs of bins, which no pitch
-changes and a roll hardly does. Two rises are alike by
+A skyline is reduced to the rises d between the means of neighbouring runs of bins. A pitch hardly
+changes them, and a roll adds nearly the same to each. Two rises are alike by
 
 .. math::
 
