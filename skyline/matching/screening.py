@@ -7,6 +7,9 @@ the query's weighted phases w_q and a place's phases p_b, the score of a turn t 
 
     s_t = \mathrm{Re} \sum_q w_q \overline{p_{q + t}}
 
+A roll adds to every rise: one of 5 degrees more than a smooth skyline itself rises over 2 degrees.
+So each query is compared twice, as if the camera had rolled to the left and to the right.
+
 A photo sees a part of the turn, so twenty turns at once are the product of a strip of phases, a
 little wider than the photo, with a matrix that holds the query twenty times, each a bin farther.
 Places come in blocks that may be mapped from a file, and only the best so far are kept: memory
@@ -20,6 +23,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
@@ -39,7 +43,10 @@ _SAMPLE = 2048
 """Places that say how the scores of a query are spread by chance."""
 _SLACK = 4
 """So many times as many places as are wanted are kept before the worst are dropped."""
-_LEVEL = Attitudes((0.0,), (0.0,))
+_BLOCKS_AT_ONCE = 16
+"""That a thread takes. With one at a time, two threads wait for the interpreter half the time."""
+_ROLLS_DEG = (-2.5, 2.5)
+"""Photos are level to 3 degrees (deviation); one of up to 5 is never more than 2.5 from these."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,11 +94,11 @@ class Screen:
         The bin, from half a turn left of straight ahead, where the query begins.
     span : int
         Bins it is wide.
-    matrix : (2 (span + T - 1), F T) float32
-        The query at F fields of view and T turns.
+    matrix : (2 (span + T - 1), V T) float32
+        The query's V views, each at a field of view and a roll, at T turns.
     open_turns : (B,) bool
         The turns that are looked at.
-    mean, scale : (F,) float32
+    mean, scale : (V,) float32
         What is taken off scores, and what the rest is multiplied by: then they are deviations
         above the mean of all turns, less what a field of view is unlikely.
     """
@@ -127,42 +134,36 @@ class Screen:
         unlikely : (F,) float64, optional
             Deviations that scores of each field of view lose; none by default.
         """
-        waves = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
+        waves = np.concatenate([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
         seen = np.flatnonzero(np.abs(waves).any(axis=0))
         first, last = (int(seen[0]), int(seen[-1])) if len(seen) else (0, 0)
         span, turns = last - first + 1, _TURNS_AT_ONCE
-        query_at = np.zeros((span + turns - 1, 2, len(fovs_deg), turns), dtype=np.float32)
+        query_at = np.zeros((span + turns - 1, 2, len(waves), turns), dtype=np.float32)
         for turn in range(turns):
             part = waves[:, first : last + 1].T
             query_at[turn : turn + span, 0, :, turn] = part.real
             query_at[turn : turn + span, 1, :, turn] = part.imag
         matrix = query_at.reshape(2 * (span + turns - 1), -1)
         every = np.ones(PHASE_BINS, dtype=bool)
-        none = np.zeros(len(fovs_deg), dtype=np.float32)
+        none = np.zeros(len(waves), dtype=np.float32)
         raw = cls(first, span, matrix, every if open_turns is None else open_turns, none, none + 1)
-        sums = raw._every_turn(sample.phase)
+        sums = raw._every_turn(sample.phase).reshape(len(sample), len(fovs_deg), -1)
         mean = sums.mean(axis=(0, 2), dtype=np.float64).astype(np.float32)
         deviation = sums.std(axis=(0, 2), dtype=np.float64).astype(np.float32)
         if unlikely is not None:
             mean += (unlikely * deviation).astype(np.float32)
         scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > 0.0)
+        mean, scale = (np.repeat(known, len(_ROLLS_DEG)) for known in (mean, scale))
         return cls(first, span, matrix, raw.open_turns, mean, scale)
 
     def scores(self, phase: UInt8Array) -> Float32Array:
         """Return the score (N,) of the best turn and field of view of places' phases (N, B)."""
-        shape = len(phase), len(self.mean), _TURNS_AT_ONCE
-        best = np.full((len(phase), self.matrix.shape[1]), -np.inf, dtype=np.float32)
-        sums = np.empty_like(best)
-        waves = self._strip(phase)
-        for turn in range(0, PHASE_BINS, _TURNS_AT_ONCE):
-            shut = ~self.open_turns[turn : turn + _TURNS_AT_ONCE]
-            if shut.all():
-                continue
-            self._sum(waves, turn, sums)
-            if shut.any():
-                sums.reshape(shape)[:, :, shut] = -np.inf
-            np.maximum(best, sums, out=best)
-        peak = _peaks(best.reshape(shape))
+        opened = self.open_turns.reshape(-1, _TURNS_AT_ONCE)
+        parts = np.flatnonzero(opened.any(axis=1))
+        sums = self._sums(phase, slice(None) if len(parts) == len(opened) else parts)
+        if not opened.all():
+            sums += np.where(opened[parts], np.float32(0.0), -np.inf)[:, np.newaxis, np.newaxis]
+        peak = _peaks(sums.max(axis=0, initial=-np.inf))
         return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
 
     def best_turns(self, phase: UInt8Array) -> tuple[Float64Array, IntArray]:
@@ -174,33 +175,26 @@ class Screen:
         sums[:, :, ~self.open_turns] = -np.inf
         score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
         flat = score.reshape(len(phase), len(self.mean) * PHASE_BINS)
-        fov, turn = np.divmod(flat.argmax(axis=1), PHASE_BINS)
-        return turn_heading_deg(turn), fov
+        view, turn = np.divmod(flat.argmax(axis=1), PHASE_BINS)
+        return turn_heading_deg(turn), view // len(_ROLLS_DEG)
 
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
-        """Return the sums (N, F, B) of places at every turn."""
-        every = np.empty((len(phase), len(self.mean), PHASE_BINS), dtype=np.float32)
-        sums = np.empty((len(phase), self.matrix.shape[1]), dtype=np.float32)
-        waves = self._strip(phase)
-        for turn in range(0, PHASE_BINS, _TURNS_AT_ONCE):
-            self._sum(waves, turn, sums)
-            part = sums.reshape(len(phase), len(self.mean), _TURNS_AT_ONCE)
-            every[:, :, turn : turn + _TURNS_AT_ONCE] = part
-        return every
+        """Return the sums (N, V, B) of places at every turn."""
+        sums = self._sums(phase, slice(None)).transpose(1, 2, 0, 3)
+        return sums.reshape(len(phase), len(self.mean), PHASE_BINS)
 
-    def _strip(self, phase: UInt8Array) -> Float32Array:
-        """Return the phases (N, 2 (B + span - 1)) that meet the query's first bin and so on."""
+    def _sums(self, phase: UInt8Array, parts: slice | IntArray) -> Float32Array:
+        """Return the sums (C, N, V, T) of places at some of the B / T runs of T turns."""
         wanted = PHASE_BINS + self.span - 1
         strip = np.concatenate([phase[:, self.first :], phase, phase], axis=1)[:, :wanted]
-        return decode_phases(strip).view(np.float32)
-
-    def _sum(self, waves: Float32Array, turn: int, sums: Float32Array) -> None:
-        """Write the sums (N, F T) at some turns from ``turn`` on."""
-        np.matmul(waves[:, 2 * turn : 2 * turn + len(self.matrix)], self.matrix, out=sums)
+        waves = decode_phases(strip).view(np.float32)
+        met = sliding_window_view(waves, len(self.matrix), axis=1)[:, :: 2 * _TURNS_AT_ONCE]
+        sums = np.matmul(met[:, parts].transpose(1, 0, 2), self.matrix)
+        return sums.reshape(len(sums), len(phase), len(self.mean), _TURNS_AT_ONCE)
 
 
 def _peaks(sums: Float32Array) -> Float32Array:
-    """Return the greatest along the last axis (N, F) of sums (N, F, T).
+    """Return the greatest along the last axis (N, V) of sums (N, V, T).
 
     The copy puts the axis first, where numpy finds the greatest ten times as fast.
     """
@@ -208,17 +202,16 @@ def _peaks(sums: Float32Array) -> Float32Array:
 
 
 def query_waves(query: QueryRays) -> NDArray[np.complex128]:
-    """Return weight * exp(i phase) (B,) of the query's rises, level; 0 where it is not seen.
+    """Return weight * exp(i phase) (2, B) of the query's rises, rolled to the left and right.
 
-    Bin B / 2 is straight ahead.
+    Bin B / 2 is straight ahead. 0 stands where the query is not seen.
     """
-    curve = QueryCurves.of(query, _LEVEL, PHASE_BINS)
-    y, weight = curve.y[0], curve.weight[0]
-    rise = np.roll(y, -1) - y
+    curve = QueryCurves.of(query, Attitudes((0.0,), _ROLLS_DEG), PHASE_BINS)
+    rise = np.roll(curve.y, -1, axis=1) - curve.y
     # The last bin's neighbour is the first one, behind the camera.
-    rise[-1] = np.nan
+    rise[:, -1] = np.nan
     known = np.isfinite(rise)
-    weight = np.minimum(weight, np.roll(weight, -1)) * known
+    weight = np.minimum(curve.weight, np.roll(curve.weight, -1, axis=1)) * known
     return np.asarray(weight * np.exp(1j * rise_to_turn() * np.where(known, rise, 0.0)))
 
 
@@ -262,24 +255,26 @@ def screen_places(
     """
     kept = Alike.joined([])
 
-    def scored(numbered: tuple[int, Places]) -> tuple[Alike, int]:
-        start, places = numbered
-        chosen = np.arange(len(places)) if within is None else np.flatnonzero(within(places))
-        if not len(chosen):
-            return Alike.joined([]), len(places)
-        phase = places.phase if len(chosen) == len(places) else places.phase[chosen]
-        return Alike(start + chosen, scores(phase)), len(places)
+    def scored(blocks: list[tuple[int, Places]]) -> tuple[Alike, int]:
+        parts = []
+        for start, places in blocks:
+            chosen = np.arange(len(places)) if within is None else np.flatnonzero(within(places))
+            if len(chosen):
+                phase = places.phase if len(chosen) == len(places) else places.phase[chosen]
+                parts.append(Alike(start + chosen, scores(phase)))
+        return Alike.joined(parts), sum(len(places) for _, places in blocks)
 
     waiting: list[Alike] = []
-    seen, last = 0, max(len(source), 1)
+    seen, held, last = 0, 0, max(len(source), 1)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for found, places in _a_few_ahead(pool, scored, _numbered(source, part)):
+        for found, places in _a_few_ahead(pool, scored, _batched(_numbered(source, part))):
             waiting.append(found)
             seen += places
+            held += len(found)
             tell("screening", seen / last)
-            if sum(map(len, waiting)) > _SLACK * count:
+            if held > _SLACK * count:
                 kept = Alike.joined([kept, *waiting]).best(count)
-                waiting = []
+                waiting, held = [], 0
     return Alike.joined([kept, *waiting]).best(count)
 
 
@@ -293,12 +288,18 @@ def _numbered(source: PlaceSource, part: slice) -> Iterator[tuple[int, Places]]:
         start += len(places)
 
 
+def _batched(blocks: Iterator[tuple[int, Places]]) -> Iterator[list[tuple[int, Places]]]:
+    """Yield as many blocks as a thread takes, in order."""
+    while batch := list(islice(blocks, _BLOCKS_AT_ONCE)):
+        yield batch
+
+
 def _a_few_ahead(
     pool: ThreadPoolExecutor,
-    work: Callable[[tuple[int, Places]], tuple[Alike, int]],
-    items: Iterator[tuple[int, Places]],
+    work: Callable[[list[tuple[int, Places]]], tuple[Alike, int]],
+    items: Iterator[list[tuple[int, Places]]],
 ) -> Iterator[tuple[Alike, int]]:
-    """Yield results in order, never with more than a few blocks on their way."""
+    """Yield results in order, never with more than a few batches on their way."""
     ahead = [pool.submit(work, item) for item in islice(items, 2 * (os.cpu_count() or 1))]
     while ahead:
         yield ahead.pop(0).result()
