@@ -204,14 +204,15 @@ def _peaks(sums: Float32Array) -> Float32Array:
 def query_waves(query: QueryRays) -> NDArray[np.complex128]:
     """Return weight * exp(i phase) (2, B) of the query's rises, rolled to the left and right.
 
-    Bin B / 2 is straight ahead. 0 stands where the query is not seen.
+    Bin B / 2 is straight ahead. 0 stands where the query is not seen at either roll: the one that
+    saw a bin more would win everywhere.
     """
     curve = QueryCurves.of(query, Attitudes((0.0,), _ROLLS_DEG), PHASE_BINS)
     rise = np.roll(curve.y, -1, axis=1) - curve.y
     # The last bin's neighbour is the first one, behind the camera.
     rise[:, -1] = np.nan
-    known = np.isfinite(rise)
-    weight = np.minimum(curve.weight, np.roll(curve.weight, -1, axis=1)) * known
+    known = np.isfinite(rise).all(axis=0)
+    weight = np.minimum(curve.weight, np.roll(curve.weight, -1, axis=1)).min(axis=0) * known
     return np.asarray(weight * np.exp(1j * rise_to_turn() * np.where(known, rise, 0.0)))
 
 
