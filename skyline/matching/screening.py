@@ -167,15 +167,23 @@ class Screen:
         return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
 
     def best_turns(self, phase: UInt8Array) -> tuple[Float64Array, IntArray]:
-        """Return heading_deg (N,) and index of the field of view (N,) of places' best turns.
+        """Return heading_deg (2, N) and index of the field of view (2, N) of places' best turns.
 
-        The heading is the grid azimuth of the query's optical axis.
+        Both are better than their neighbours, the first one best of all; a place that has but one
+        such turn has it twice. The heading is the grid azimuth of the query's optical axis.
         """
         sums = self._every_turn(phase)
         sums[:, :, ~self.open_turns] = -np.inf
-        score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
-        flat = score.reshape(len(phase), len(self.mean) * PHASE_BINS)
-        view, turn = np.divmod(flat.argmax(axis=1), PHASE_BINS)
+        sums -= self.mean[:, np.newaxis]
+        sums *= self.scale[:, np.newaxis]
+        score, place = sums.max(axis=1), np.arange(len(phase))
+        first = score.argmax(axis=1)
+        peak = (score >= np.roll(score, 1, axis=1)) & (score >= np.roll(score, -1, axis=1))
+        peak[place, first] = False
+        others = np.where(peak, score, -np.inf)
+        second = others.argmax(axis=1)
+        turn = np.stack([first, np.where(np.isneginf(others[place, second]), first, second)])
+        view = sums[place, :, turn].argmax(axis=2)
         return turn_heading_deg(turn), view // len(_ROLLS_DEG)
 
     def _every_turn(self, phase: UInt8Array) -> Float32Array:

@@ -206,7 +206,7 @@ def test_middles_leave_no_gap(low, width, step):
 def test_queries_of_one_place_find_it_together_where_half_do_alone(places):
     retriever, alone, together = Retriever(places), [], []
     for place in range(0, 40, 4):
-        queries = [rays(place, heading, fov_deg=16.0) for heading in (30.0, 120.0, 210.0, 300.0)]
+        queries = [rays(place, heading, fov_deg=15.0) for heading in (30.0, 120.0, 210.0, 300.0)]
         lone = [retriever.shortlist(query, 1).easting_m[0] for query in queries]
         alone.append(np.abs(np.array(lone) - 100.0 * place) < 50.0)
         found = retriever.shortlist_together([(query, None) for query in queries], 5)

@@ -111,9 +111,34 @@ def test_the_best_turn_looks_along_the_heading(places, heading):
     # Turns are 2 degrees apart, at odd degrees.
     screen = Screen.of(wide(7, heading), FOVS_DEG, places)
     heading_deg, fov = screen.best_turns(places.phase[7:8])
-    assert abs((heading_deg[0] - heading + 180.0) % 360.0 - 180.0) <= 1.0
-    assert FOVS_DEG[fov[0]] == 60.0
+    assert abs((heading_deg[0, 0] - heading + 180.0) % 360.0 - 180.0) <= 1.0
+    assert FOVS_DEG[fov[0, 0]] == 60.0
     assert screen.scores(places.phase).argmax() == 7
+
+
+def test_the_best_turns_are_the_two_highest_peaks(places):
+    screen = Screen.of(wide(7, 100.0), FOVS_DEG, places)
+    heading_deg, fov = screen.best_turns(places.phase)
+    every = (screen._every_turn(places.phase) - screen.mean[:, np.newaxis]) * screen.scale[
+        :, np.newaxis
+    ]
+    for place, scores in enumerate(every):
+        score = scores.max(axis=0)
+        peaks = [
+            turn
+            for turn in range(PHASE_BINS)
+            if score[turn] >= max(score[turn - 1], score[(turn + 1) % PHASE_BINS])
+        ]
+        peaks.sort(key=lambda turn: -score[turn])
+        np.testing.assert_array_equal(heading_deg[:, place], turn_heading_deg(np.array(peaks[:2])))
+        np.testing.assert_array_equal(fov[:, place], scores[:, peaks[:2]].argmax(axis=0) // 2)
+
+
+def test_a_place_with_one_open_turn_has_it_twice(places):
+    turns = np.arange(PHASE_BINS) == 50
+    screen = Screen.of(wide(7, 100.0), FOVS_DEG, places, turns)
+    heading_deg, _ = screen.best_turns(places.phase)
+    assert (heading_deg == turn_heading_deg(np.array(50))).all()
 
 
 def test_the_best_score_is_that_of_the_best_turn(places):
@@ -183,7 +208,7 @@ def test_no_places_have_no_scores(places):
     screen = Screen.of(wide(1, 0.0), FOVS_DEG, places)
     assert screen.scores(places.phase[:0]).shape == (0,)
     heading_deg, fov = screen.best_turns(places.phase[:0])
-    assert heading_deg.shape == fov.shape == (0,)
+    assert heading_deg.shape == fov.shape == (2, 0)
 
 
 def test_turns_cover_the_circle():
