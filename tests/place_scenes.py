@@ -1,5 +1,7 @@
 """Places with made skylines, and photos of them."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from skyline.horizons import Horizons, bin_azimuths_rad
@@ -50,3 +52,20 @@ def photo(skyline, heading_deg, fov_deg=60.0, pitch_deg=0.0, roll_deg=0.0, colum
 def rays(seed, heading_deg, fov_deg=60.0, **pose):
     u, v = photo(lambda azimuth: curve(seed, azimuth), heading_deg, fov_deg, **pose)
     return QueryRays.equally_trusted(u, v, fov_deg)
+
+
+class Blocks:
+    """Places in blocks of a size, as a store has them."""
+
+    def __init__(self, places: Places, size: int) -> None:
+        self._places, self._size = places, size
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def blocks(self) -> Iterator[Places]:
+        for start in range(0, len(self._places), self._size):
+            yield self._places[start : start + self._size]
+
+    def take(self, rows):
+        return self._places[rows]

@@ -198,7 +198,7 @@ class Screen:
         waves = decode_phases(strip).view(np.float32)
         met = sliding_window_view(waves, len(self.matrix), axis=1)[:, :: 2 * _TURNS_AT_ONCE]
         sums = np.matmul(met[:, parts].transpose(1, 0, 2), self.matrix)
-        return sums.reshape(len(sums), len(phase), len(self.mean), _TURNS_AT_ONCE)
+        return np.reshape(sums, (len(sums), len(phase), len(self.mean), _TURNS_AT_ONCE))
 
 
 def _peaks(sums: Float32Array) -> Float32Array:

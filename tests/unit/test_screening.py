@@ -1,13 +1,12 @@
 """Screening: the products of matrices against plain loops, in blocks and in parts."""
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
+from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 
 from skyline.geodesy import Frame
 from skyline.matching import QueryRays
@@ -26,23 +25,6 @@ from skyline.places import PHASE_BINS, Places
 from skyline.places.phases import PHASES, rise_to_turn
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
-
-
-class Blocks:
-    """Places in blocks of a size, as a store has them."""
-
-    def __init__(self, places: Places, size: int) -> None:
-        self._places, self._size = places, size
-
-    def __len__(self) -> int:
-        return len(self._places)
-
-    def blocks(self) -> Iterator[Places]:
-        for start in range(0, len(self._places), self._size):
-            yield self._places[start : start + self._size]
-
-    def take(self, rows):
-        return self._places[rows]
 
 
 @pytest.fixture(scope="module")
