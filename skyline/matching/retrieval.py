@@ -201,7 +201,7 @@ class Retriever:
             raise InputError(_NOWHERE)
         places = self.places.take(alike.row)
         starts = [
-            self._starts(query, self._aim(query, narrowed), places, screen.scores(places.phase))
+            self._start(query, self._aim(query, narrowed), places, screen.scores(places.phase))
             for (query, narrowed), screen in zip(asked, screens, strict=True)
         ]
         found = self._fitted_together([query for query, _ in asked], starts)
@@ -209,9 +209,7 @@ class Retriever:
             np.mean([getattr(one, name) for one in found], axis=0)
             for name in ("easting_m", "northing_m")
         )
-        joint = replace(
-            found[0], easting_m=east, northing_m=north, score=_total([one.score for one in found])
-        )
+        joint = replace(found[0], easting_m=east, northing_m=north, score=_total(found))
         chosen = joint.suppress_non_maxima(count, self.config.separation_m)
         return [
             replace(one, easting_m=east, northing_m=north, score=joint.score)[chosen]
@@ -242,50 +240,39 @@ class Retriever:
         turns = None if narrowed is None else narrowed.open_turns
         return Screen.of(query, _fov_deg(query, zooms), self._sample, turns, unlikely)
 
-    def _starts(
+    def _start(
         self, query: QueryRays, aim: Screen, places: Places, score: Float32Array
-    ) -> list["_Start"]:
-        """Return where fits set out from: two headings at each place, the best first."""
+    ) -> "_Start":
+        """Return where fits set out from: few places at a time, for each is seen at every turn."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             parts = range(0, max(len(places), 1), _SEEN_AT_ONCE)
             turns = pool.map(
                 lambda first: aim.best_turns(places.phase[first : first + _SEEN_AT_ONCE]), parts
             )
-            heading_deg, fov = (np.concatenate(part, axis=1) for part in zip(*turns, strict=True))
-        zoom = self._start_zooms(query)[fov]
-        return [
-            _Start(places, score, *one) for one in zip(np.radians(heading_deg), zoom, strict=True)
-        ]
+            heading_deg, fov = (np.concatenate(part) for part in zip(*turns, strict=True))
+        return _Start(places, score, np.radians(heading_deg), self._start_zooms(query)[fov])
 
     def _start_zooms(self, query: QueryRays) -> Float64Array:
         return _middles(*_zoom_bounds(query), self.config.start_zoom_step)
 
     def _fitted(self, query: QueryRays, aim: Screen, alike: Alike) -> Hypotheses:
         """Return the fitted poses of the places most alike."""
-        starts = self._starts(query, aim, self.places.take(alike.row), alike.score)
-        return self._fitted_together([query], [starts])[0]
+        start = self._start(query, aim, self.places.take(alike.row), alike.score)
+        return self._fitted_together([query], [start])[0]
 
     def _fitted_together(
-        self, queries: Sequence[QueryRays], starts: Sequence[list["_Start"]]
+        self, queries: Sequence[QueryRays], starts: Sequence["_Start"]
     ) -> list[Hypotheses]:
         """Return the poses of each query, fitted at the places that fit all of them best."""
-        rough = [self._roughly(query, some) for query, some in zip(queries, starts, strict=True)]
-        score = _total([score for _, score in rough])
-        best = np.sort(np.argsort(score, kind="stable")[: self.config.fitted])
+        rough = [
+            self._fits(query, start, self.config.rough)
+            for query, start in zip(queries, starts, strict=True)
+        ]
+        best = np.sort(np.argsort(_total(rough), kind="stable")[: self.config.fitted])
         return [
             self._fits(query, start[best], self.config.fit)
-            for query, (start, _) in zip(queries, rough, strict=True)
+            for query, start in zip(queries, starts, strict=True)
         ]
-
-    def _roughly(self, query: QueryRays, starts: list["_Start"]) -> tuple["_Start", Float64Array]:
-        """Return the start at each place whose rough fit is best, and the score (N,) of that."""
-        scores = np.stack([self._fits(query, start, self.config.rough).score for start in starts])
-        best, place = scores.argmin(axis=0), np.arange(scores.shape[1])
-        heading_rad, zoom = (
-            np.stack([getattr(start, name) for start in starts])[best, place]
-            for name in ("heading_rad", "zoom")
-        )
-        return replace(starts[0], heading_rad=heading_rad, zoom=zoom), scores[best, place]
 
     def _fits(self, query: QueryRays, start: "_Start", config: FitConfig) -> Hypotheses:
         """Return the poses of places fitted from where they start, in order."""
@@ -350,11 +337,11 @@ class _Start(Rows):
         return len(self.score)
 
 
-def _total(scores: Sequence[Float64Array]) -> Float64Array:
+def _total(found: Sequence[Hypotheses]) -> Float64Array:
     """Return the sum of queries' scores at the same places, none worse than its median."""
-    if len(scores) == 1:
-        return scores[0]
-    return np.asarray(sum(np.minimum(score, np.median(score)) for score in scores))
+    if len(found) == 1:
+        return found[0].score
+    return np.asarray(sum(np.minimum(one.score, np.median(one.score)) for one in found))
 
 
 def _zoom_bounds(query: QueryRays) -> tuple[float, float]:

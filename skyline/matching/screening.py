@@ -7,9 +7,6 @@ the query's weighted phases w_q and a place's phases p_b, the score of a turn t 
 
     s_t = \mathrm{Re} \sum_q w_q \overline{p_{q + t}}
 
-A roll adds to every rise: one of 5 degrees more than a smooth skyline itself rises over 2 degrees.
-So each query is compared twice, as if the camera had rolled to the left and to the right.
-
 A photo sees a part of the turn, so twenty turns at once are the product of a strip of phases, a
 little wider than the photo, with a matrix that holds the query twenty times, each a bin farther.
 Places come in blocks that may be mapped from a file, and only the best so far are kept: memory
@@ -45,8 +42,7 @@ _SLACK = 4
 """So many times as many places as are wanted are kept before the worst are dropped."""
 _BLOCKS_AT_ONCE = 16
 """That a thread takes. With one at a time, two threads wait for the interpreter half the time."""
-_ROLLS_DEG = (-2.5, 2.5)
-"""Photos are level to 3 degrees (deviation); one of up to 5 is never more than 2.5 from these."""
+_LEVEL = Attitudes((0.0,), (0.0,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,11 +90,11 @@ class Screen:
         The bin, from half a turn left of straight ahead, where the query begins.
     span : int
         Bins it is wide.
-    matrix : (2 (span + T - 1), V T) float32
-        The query's V views, each at a field of view and a roll, at T turns.
+    matrix : (2 (span + T - 1), F T) float32
+        The query at F fields of view and T turns.
     open_turns : (B,) bool
         The turns that are looked at.
-    mean, scale : (V,) float32
+    mean, scale : (F,) float32
         What is taken off scores, and what the rest is multiplied by: then they are deviations
         above the mean of all turns, less what a field of view is unlikely.
     """
@@ -134,26 +130,25 @@ class Screen:
         unlikely : (F,) float64, optional
             Deviations that scores of each field of view lose; none by default.
         """
-        waves = np.concatenate([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
+        waves = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
         seen = np.flatnonzero(np.abs(waves).any(axis=0))
         first, last = (int(seen[0]), int(seen[-1])) if len(seen) else (0, 0)
         span, turns = last - first + 1, _TURNS_AT_ONCE
-        query_at = np.zeros((span + turns - 1, 2, len(waves), turns), dtype=np.float32)
+        query_at = np.zeros((span + turns - 1, 2, len(fovs_deg), turns), dtype=np.float32)
         for turn in range(turns):
             part = waves[:, first : last + 1].T
             query_at[turn : turn + span, 0, :, turn] = part.real
             query_at[turn : turn + span, 1, :, turn] = part.imag
         matrix = query_at.reshape(2 * (span + turns - 1), -1)
         every = np.ones(PHASE_BINS, dtype=bool)
-        none = np.zeros(len(waves), dtype=np.float32)
+        none = np.zeros(len(fovs_deg), dtype=np.float32)
         raw = cls(first, span, matrix, every if open_turns is None else open_turns, none, none + 1)
-        sums = raw._every_turn(sample.phase).reshape(len(sample), len(fovs_deg), -1)
+        sums = raw._every_turn(sample.phase)
         mean = sums.mean(axis=(0, 2), dtype=np.float64).astype(np.float32)
         deviation = sums.std(axis=(0, 2), dtype=np.float64).astype(np.float32)
         if unlikely is not None:
             mean += (unlikely * deviation).astype(np.float32)
         scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > 0.0)
-        mean, scale = (np.repeat(known, len(_ROLLS_DEG)) for known in (mean, scale))
         return cls(first, span, matrix, raw.open_turns, mean, scale)
 
     def scores(self, phase: UInt8Array) -> Float32Array:
@@ -167,32 +162,24 @@ class Screen:
         return np.asarray(((peak - self.mean) * self.scale).max(axis=1), dtype=np.float32)
 
     def best_turns(self, phase: UInt8Array) -> tuple[Float64Array, IntArray]:
-        """Return heading_deg (2, N) and index of the field of view (2, N) of places' best turns.
+        """Return heading_deg (N,) and index of the field of view (N,) of places' best turns.
 
-        Both are better than their neighbours, the first one best of all; a place that has but one
-        such turn has it twice. The heading is the grid azimuth of the query's optical axis.
+        The heading is the grid azimuth of the query's optical axis.
         """
         sums = self._every_turn(phase)
         sums[:, :, ~self.open_turns] = -np.inf
-        sums -= self.mean[:, np.newaxis]
-        sums *= self.scale[:, np.newaxis]
-        score, place = sums.max(axis=1), np.arange(len(phase))
-        first = score.argmax(axis=1)
-        peak = (score >= np.roll(score, 1, axis=1)) & (score >= np.roll(score, -1, axis=1))
-        peak[place, first] = False
-        others = np.where(peak, score, -np.inf)
-        second = others.argmax(axis=1)
-        turn = np.stack([first, np.where(np.isneginf(others[place, second]), first, second)])
-        view = sums[place, :, turn].argmax(axis=2)
-        return turn_heading_deg(turn), view // len(_ROLLS_DEG)
+        score = (sums - self.mean[:, np.newaxis]) * self.scale[:, np.newaxis]
+        flat = score.reshape(len(phase), len(self.mean) * PHASE_BINS)
+        fov, turn = np.divmod(flat.argmax(axis=1), PHASE_BINS)
+        return turn_heading_deg(turn), fov
 
     def _every_turn(self, phase: UInt8Array) -> Float32Array:
-        """Return the sums (N, V, B) of places at every turn."""
+        """Return the sums (N, F, B) of places at every turn."""
         sums = self._sums(phase, slice(None)).transpose(1, 2, 0, 3)
         return sums.reshape(len(phase), len(self.mean), PHASE_BINS)
 
     def _sums(self, phase: UInt8Array, parts: slice | IntArray) -> Float32Array:
-        """Return the sums (C, N, V, T) of places at some of the B / T runs of T turns."""
+        """Return the sums (C, N, F, T) of places at some of the B / T runs of T turns."""
         wanted = PHASE_BINS + self.span - 1
         strip = np.concatenate([phase[:, self.first :], phase, phase], axis=1)[:, :wanted]
         waves = decode_phases(strip).view(np.float32)
@@ -202,7 +189,7 @@ class Screen:
 
 
 def _peaks(sums: Float32Array) -> Float32Array:
-    """Return the greatest along the last axis (N, V) of sums (N, V, T).
+    """Return the greatest along the last axis (N, F) of sums (N, F, T).
 
     The copy puts the axis first, where numpy finds the greatest ten times as fast.
     """
@@ -210,17 +197,17 @@ def _peaks(sums: Float32Array) -> Float32Array:
 
 
 def query_waves(query: QueryRays) -> NDArray[np.complex128]:
-    """Return weight * exp(i phase) (2, B) of the query's rises, rolled to the left and right.
+    """Return weight * exp(i phase) (B,) of the query's rises, level; 0 where it is not seen.
 
-    Bin B / 2 is straight ahead. 0 stands where the query is not seen at either roll: the one that
-    saw a bin more would win everywhere.
+    Bin B / 2 is straight ahead.
     """
-    curve = QueryCurves.of(query, Attitudes((0.0,), _ROLLS_DEG), PHASE_BINS)
-    rise = np.roll(curve.y, -1, axis=1) - curve.y
+    curve = QueryCurves.of(query, _LEVEL, PHASE_BINS)
+    y, weight = curve.y[0], curve.weight[0]
+    rise = np.roll(y, -1) - y
     # The last bin's neighbour is the first one, behind the camera.
-    rise[:, -1] = np.nan
-    known = np.isfinite(rise).all(axis=0)
-    weight = np.minimum(curve.weight, np.roll(curve.weight, -1, axis=1)).min(axis=0) * known
+    rise[-1] = np.nan
+    known = np.isfinite(rise)
+    weight = np.minimum(weight, np.roll(weight, -1)) * known
     return np.asarray(weight * np.exp(1j * rise_to_turn() * np.where(known, rise, 0.0)))
 
 

@@ -12,10 +12,11 @@ CELL_M = 40.0 * math.sqrt(2.0)
 """No place of a grid of 80 m is farther off than this."""
 
 
-def matched(run, store, photo, *options):
+def retrieved(run, store, photo, *options):
     """Return what was found for a photo taken at (601800, 5178000), looking 141 degrees."""
     found = run(
-        *("match", store, photo, "--fov-deg", "60", "--min-confidence", "0", "--json", *options)
+        *("match", store, photo, "--fov-deg", "60", "--no-refine", "--min-confidence", "0"),
+        *("--json", *options),
     )
     assert found.code == 0, found.err
     record = json.loads(found.out)
@@ -25,19 +26,18 @@ def matched(run, store, photo, *options):
 
 def test_match_near_a_place(run, store, dem, photo):
     lon, lat = lonlat_of(dem, 602_000.0, 5_178_100.0)
-    found = matched(run, store, photo, "--near", f"{lon},{lat},0.4")
+    found = retrieved(run, store, photo, "--near", f"{lon},{lat},0.4")
     assert off_m(found[0]) < CELL_M
     assert max(off_m(place, 602_000.0, 5_178_100.0) for place in found) < 401.0
     lon, lat = lonlat_of(dem, 601_000.0, 5_179_000.0)
-    found = matched(run, store, photo, "--no-refine", "--near", f"{lon},{lat},0.4")
+    found = retrieved(run, store, photo, "--near", f"{lon},{lat},0.4")
     assert max(off_m(place, 601_000.0, 5_179_000.0) for place in found) < 401.0
 
 
 def test_match_within_bounds(run, store, dem, photo):
     west, south = lonlat_of(dem, 600_800.0, 5_177_500.0)
     east, north = lonlat_of(dem, 601_500.0, 5_178_500.0)
-    bounds = f"{west},{south},{east},{north}"
-    for place in matched(run, store, photo, "--no-refine", "--bounds", bounds):
+    for place in retrieved(run, store, photo, "--bounds", f"{west},{south},{east},{north}"):
         # Meridians are not parallel to the map's north.
         assert 600_800.0 - 20.0 < place["easting_m"] < 601_500.0 + 20.0
         assert 5_177_500.0 - 20.0 < place["northing_m"] < 5_178_500.0 + 20.0
@@ -45,7 +45,7 @@ def test_match_within_bounds(run, store, dem, photo):
 
 @pytest.mark.parametrize("heading", [141.0, 300.0])
 def test_match_along_a_heading(run, store, photo, heading):
-    found = matched(run, store, photo, "--heading", f"{heading},8")
+    found = retrieved(run, store, photo, "--heading", f"{heading},8")
     for place in found:
         assert abs(place["heading_deg"] - heading) <= 8.0
     assert (off_m(found[0]) < CELL_M) == (heading == 141.0)
@@ -54,11 +54,10 @@ def test_match_along_a_heading(run, store, photo, heading):
 def test_match_between_elevations(run, store, dem, photo):
     ground_m = read_dem([dem]).height_at
     true_m = float(ground_m(601_800.0, 5_178_000.0))
-    found = matched(run, store, photo, "--elevation", f"{true_m - 20},{true_m + 20}")
+    found = retrieved(run, store, photo, "--elevation", f"{true_m - 20},{true_m + 20}")
     assert off_m(found[0]) < CELL_M
     # A retrieved eye stands where the slope of its place says that the ground is.
-    above = f"{true_m + 40},{true_m + 400}"
-    for place in matched(run, store, photo, "--no-refine", "--elevation", above):
+    for place in retrieved(run, store, photo, "--elevation", f"{true_m + 40},{true_m + 400}"):
         assert ground_m(place["easting_m"], place["northing_m"]) > true_m + 30.0
 
 

@@ -115,11 +115,8 @@ class Traced:
         places = noted.places.take(noted.alike.row)
         east_m, north_m = places.easting_m - truth.easting_m, places.northing_m - truth.northing_m
         near = places[np.hypot(east_m, north_m) <= self.spacing_m]
-        headings_deg, _ = noted.aim.best_turns(near.phase)
-        return any(
-            self._is_there(near.easting_m, near.northing_m, heading_deg, truth)
-            for heading_deg in headings_deg
-        )
+        heading_deg, _ = noted.aim.best_turns(near.phase)
+        return self._is_there(near.easting_m, near.northing_m, heading_deg, truth)
 
     def _held(self, poses: Hypotheses | None, truth: Truth) -> bool:
         return poses is not None and self._is_there(
