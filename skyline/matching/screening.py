@@ -42,6 +42,8 @@ _SLACK = 4
 """So many times as many places as are wanted are kept before the worst are dropped."""
 _BLOCKS_AT_ONCE = 16
 """That a thread takes. With one at a time, two threads wait for the interpreter half the time."""
+_PLACES_AT_ONCE = 1024
+"""Scored together: what is held does not grow with how many are asked for."""
 _LEVEL = Attitudes((0.0,), (0.0,))
 
 
@@ -153,6 +155,10 @@ class Screen:
 
     def scores(self, phase: UInt8Array) -> Float32Array:
         """Return the score (N,) of the best turn and field of view of places' phases (N, B)."""
+        parts = range(0, max(len(phase), 1), _PLACES_AT_ONCE)
+        return np.concatenate([self._scores(phase[k : k + _PLACES_AT_ONCE]) for k in parts])
+
+    def _scores(self, phase: UInt8Array) -> Float32Array:
         opened = self.open_turns.reshape(-1, _TURNS_AT_ONCE)
         parts = np.flatnonzero(opened.any(axis=1))
         sums = self._sums(phase, slice(None) if len(parts) == len(opened) else parts)

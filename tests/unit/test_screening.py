@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, Blocks, curve, places_of, rays
 
 from skyline.geodesy import Frame
+from skyline.matching import screening
 from skyline.matching.narrowing import Narrowing
 from skyline.matching.screening import (
     Alike,
@@ -79,6 +80,14 @@ def test_the_best_score_is_that_of_the_best_turn(places):
         :, np.newaxis
     ]
     np.testing.assert_array_equal(screen.scores(places.phase), every.max(axis=(1, 2)))
+
+
+@pytest.mark.parametrize("at_once", [1, 7, 63, 64])
+def test_places_scored_in_parts_score_the_same(places, monkeypatch, at_once):
+    screen = Screen.of(wide(3, 100.0), FOVS_DEG, places)
+    whole = screen.scores(places.phase)
+    monkeypatch.setattr(screening, "_PLACES_AT_ONCE", at_once)
+    np.testing.assert_allclose(screen.scores(places.phase), whole, rtol=1e-5)
 
 
 def test_an_unlikely_field_of_view_loses_what_it_is_unlikely(places):
