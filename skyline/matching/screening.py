@@ -5,7 +5,11 @@ the query's weighted phases w_q and a place's phases p_b, the score of a turn t 
 
 .. math::
 
-    s_t = \mathrm{Re} \sum_q w_q \overline{p_{q + t}}
+    s_t = \mathrm{Re} \sum_q w_q \overline{p_{q + t}} +
+    \frac{\left(\mathrm{Im} \sum_q r_q w_q \overline{p_{q + t}}\right)^2}{2 \sum_q r_q^2 |w_q|}
+
+where r_q is how fast a phase changes as the camera rolls: the second term is what the likeliest
+roll gains, to second order. A roll of 5 degrees adds to every rise as much as a smooth skyline has.
 
 A photo sees a part of the turn, so twenty turns at once are the product of a strip of phases, a
 little wider than the photo, with a matrix that holds the query twenty times, each a bin farther.
@@ -16,7 +20,7 @@ does not grow with the store.
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
@@ -92,8 +96,9 @@ class Screen:
         The bin, from half a turn left of straight ahead, where the query begins.
     span : int
         Bins it is wide.
-    matrix : (2 (span + T - 1), F T) float32
-        The query at F fields of view and T turns.
+    matrices : (2, 2 (span + T - 1), F T) float32
+        The query at F fields of view and T turns, and its change as the camera rolls: so far that
+        the square of the latter's sum is what the likeliest roll gains.
     open_turns : (B,) bool
         The turns that are looked at.
     mean, scale : (F,) float32
@@ -103,7 +108,7 @@ class Screen:
 
     first: int
     span: int
-    matrix: Float32Array
+    matrices: Float32Array
     open_turns: BoolArray
     mean: Float32Array
     scale: Float32Array
@@ -132,26 +137,30 @@ class Screen:
         unlikely : (F,) float64, optional
             Deviations that scores of each field of view lose; none by default.
         """
-        waves = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
-        seen = np.flatnonzero(np.abs(waves).any(axis=0))
+        level = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
+        stiff = np.abs(level) @ np.square(roll_to_turn())
+        gain = np.sqrt(np.divide(0.5, stiff, out=np.zeros_like(stiff), where=stiff > 0.0))
+        waves = np.stack([level, 1j * gain[:, np.newaxis] * roll_to_turn() * level])
+        seen = np.flatnonzero(np.abs(level).any(axis=0))
         first, last = (int(seen[0]), int(seen[-1])) if len(seen) else (0, 0)
         span, turns = last - first + 1, _TURNS_AT_ONCE
-        query_at = np.zeros((span + turns - 1, 2, len(fovs_deg), turns), dtype=np.float32)
+        query_at = np.zeros((2, span + turns - 1, 2, len(fovs_deg), turns), dtype=np.float32)
         for turn in range(turns):
-            part = waves[:, first : last + 1].T
-            query_at[turn : turn + span, 0, :, turn] = part.real
-            query_at[turn : turn + span, 1, :, turn] = part.imag
-        matrix = query_at.reshape(2 * (span + turns - 1), -1)
+            part = waves[:, :, first : last + 1].swapaxes(1, 2)
+            query_at[:, turn : turn + span, 0, :, turn] = part.real
+            query_at[:, turn : turn + span, 1, :, turn] = part.imag
+        matrices = query_at.reshape(2, 2 * (span + turns - 1), -1)
         every = np.ones(PHASE_BINS, dtype=bool)
         none = np.zeros(len(fovs_deg), dtype=np.float32)
-        raw = cls(first, span, matrix, every if open_turns is None else open_turns, none, none + 1)
+        opened = every if open_turns is None else open_turns
+        raw = cls(first, span, matrices, opened, none, none + 1)
         sums = raw._every_turn(sample.phase)
         mean = sums.mean(axis=(0, 2), dtype=np.float64).astype(np.float32)
         deviation = sums.std(axis=(0, 2), dtype=np.float64).astype(np.float32)
         if unlikely is not None:
             mean += (unlikely * deviation).astype(np.float32)
         scale = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=deviation > 0.0)
-        return cls(first, span, matrix, raw.open_turns, mean, scale)
+        return replace(raw, mean=mean, scale=scale)
 
     def scores(self, phase: UInt8Array) -> Float32Array:
         """Return the score (N,) of the best turn and field of view of places' phases (N, B)."""
@@ -189,9 +198,12 @@ class Screen:
         wanted = PHASE_BINS + self.span - 1
         strip = np.concatenate([phase[:, self.first :], phase, phase], axis=1)[:, :wanted]
         waves = decode_phases(strip).view(np.float32)
-        met = sliding_window_view(waves, len(self.matrix), axis=1)[:, :: 2 * _TURNS_AT_ONCE]
-        sums = np.matmul(met[:, parts].transpose(1, 0, 2), self.matrix)
-        return np.reshape(sums, (len(sums), len(phase), len(self.mean), _TURNS_AT_ONCE))
+        met = sliding_window_view(waves, self.matrices.shape[1], axis=1)[:, :: 2 * _TURNS_AT_ONCE]
+        # Two products: halves of one would lie apart, and squaring them takes as long again.
+        level, rolled = np.matmul(met[:, parts].transpose(1, 0, 2), self.matrices[:, np.newaxis])
+        np.square(rolled, out=rolled)
+        level += rolled
+        return np.reshape(level, (len(level), len(phase), len(self.mean), _TURNS_AT_ONCE))
 
 
 def _peaks(sums: Float32Array) -> Float32Array:
@@ -215,6 +227,12 @@ def query_waves(query: QueryRays) -> NDArray[np.complex128]:
     known = np.isfinite(rise)
     weight = np.minimum(weight, np.roll(weight, -1)) * known
     return np.asarray(weight * np.exp(1j * rise_to_turn() * np.where(known, rise, 0.0)))
+
+
+def roll_to_turn() -> Float64Array:
+    """Return how fast the phases (B,) of a query's rises grow as the camera rolls, a radian."""
+    azimuth = np.radians((np.arange(PHASE_BINS + 1) - PHASE_BINS // 2) * (360.0 / PHASE_BINS))
+    return np.asarray(rise_to_turn() * np.diff(np.sin(azimuth)))
 
 
 def turn_heading_deg(turn: IntArray) -> Float64Array:

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from place_scenes import AZIMUTH_DEG, Blocks, curve, places_of, rays
+from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 
 from skyline.geodesy import Frame
-from skyline.matching import screening
+from skyline.matching import QueryRays, screening
 from skyline.matching.narrowing import Narrowing
 from skyline.matching.screening import (
     Alike,
     Screen,
     query_waves,
+    roll_to_turn,
     sample_of,
     screen_places,
     turn_heading_deg,
@@ -47,21 +48,47 @@ def test_a_score_is_the_plain_sum_of_the_kernel(seed, heading):
     raw = Screen.of(query, np.array([60.0]), held)
     fast = raw._every_turn(held.phase)[:, 0]
     waves = query_waves(query)
-    weight, angle = np.abs(waves), np.angle(waves)
+    weight, angle, grows = np.abs(waves), np.angle(waves), roll_to_turn()
     tangent = held.elevation_tan().astype(np.float64)
     means = tangent.reshape(3, PHASE_BINS, -1).mean(axis=2)
     rise = np.roll(means, -1, axis=1) - means
-    plain = np.zeros_like(fast, dtype=np.float64)
+    level, rolled = np.zeros((2, *fast.shape))
     for place in range(3):
         for turn in range(PHASE_BINS):
             for bin_ in np.flatnonzero(weight):
                 there = rise[place, (bin_ + turn) % PHASE_BINS]
                 if np.isfinite(there):
                     difference = rise_to_turn() * there - angle[bin_]
-                    plain[place, turn] += weight[bin_] * np.cos(difference)
-    # A phase is within half a step of its code, and a cosine changes no faster than its angle.
-    bound = weight.sum() * (np.pi / PHASES + 1e-3)
-    assert np.abs(fast - plain).max() <= bound
+                    level[place, turn] += weight[bin_] * np.cos(difference)
+                    rolled[place, turn] += weight[bin_] * grows[bin_] * np.sin(difference)
+    stiff = weight @ grows**2
+    plain = level + rolled**2 / (2.0 * stiff)
+    # A phase is within half a step of its code, and no cosine or sine changes faster than that.
+    off = np.pi / PHASES + 1e-3
+    off_rolled = off * (weight @ np.abs(grows))
+    bound = off * weight.sum() + off_rolled * (2.0 * np.abs(rolled) + off_rolled) / (2.0 * stiff)
+    assert (np.abs(fast - plain) <= bound).all()
+
+
+def test_phases_grow_with_a_roll_as_they_are_said_to():
+    # About the horizon: a skyline high above it is moved aside as well.
+    waves = []
+    for roll_deg in (-0.5, 0.5):
+        u, v = photo(lambda azimuth: 0.1 * curve(3, azimuth) - 0.02, 100.0, roll_deg=roll_deg)
+        waves.append(query_waves(QueryRays.equally_trusted(u, v, 60.0)))
+    seen = np.abs(waves[0] * waves[1]) > 0.0
+    grown = np.angle(waves[1][seen] / waves[0][seen]) / np.radians(1.0)
+    assert seen.sum() > 25
+    np.testing.assert_allclose(grown[1:-1], roll_to_turn()[seen][1:-1], atol=0.3)
+
+
+@pytest.mark.parametrize("roll_deg", [-5.0, 0.0, 3.0])
+def test_a_smooth_skyline_is_found_whatever_the_roll(roll_deg):
+    smooth = places_of(np.stack([0.3 * curve(seed, AZIMUTH_DEG) for seed in range(64)]))
+    u, v = photo(lambda azimuth: 0.3 * curve(7, azimuth), 100.0, roll_deg=roll_deg)
+    query = QueryRays.equally_trusted(u, v, 60.0)
+    screen = Screen.of(query, np.array([60.0]), smooth)
+    assert screen.scores(smooth.phase).argmax() == 7
 
 
 @pytest.mark.parametrize("heading", [1.0, 44.9, 135.2, 271.0, 358.9])
