@@ -355,7 +355,7 @@ class Refinement:
         hypotheses = self.hypotheses(particles, solver)
         return Poses(
             hypotheses,
-            self._spread(hypotheses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
+            self.spread(hypotheses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
             np.degrees(np.sqrt(squares / shown)),
             shown / trust.sum(),
             judged.effective_columns,
@@ -365,7 +365,7 @@ class Refinement:
             self._renderings,
         )
 
-    def _spread(self, hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
+    def spread(self, hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
         """Return (M, 2, 2): mean squares about each pose, of all that are the same answer."""
         place = np.stack([hypotheses.easting_m, hypotheses.northing_m], axis=1)
         apart = place[:, np.newaxis] - place

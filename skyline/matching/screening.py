@@ -97,8 +97,8 @@ class Screen:
     span : int
         Bins it is wide.
     matrices : (2, 2 (span + T - 1), F T) float32
-        The query at F fields of view and T turns, and its change as the camera rolls: so far that
-        the square of the latter's sum is what the likeliest roll gains.
+        The query at F fields of view and T turns, and how it changes as the camera rolls: scaled
+        so that the square of what the second gives is what the likeliest roll gains.
     open_turns : (B,) bool
         The turns that are looked at.
     mean, scale : (F,) float32
@@ -138,22 +138,13 @@ class Screen:
             Deviations that scores of each field of view lose; none by default.
         """
         level = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
-        stiff = np.abs(level) @ np.square(roll_to_turn())
-        gain = np.sqrt(np.divide(0.5, stiff, out=np.zeros_like(stiff), where=stiff > 0.0))
-        waves = np.stack([level, 1j * gain[:, np.newaxis] * roll_to_turn() * level])
         seen = np.flatnonzero(np.abs(level).any(axis=0))
         first, last = (int(seen[0]), int(seen[-1])) if len(seen) else (0, 0)
-        span, turns = last - first + 1, _TURNS_AT_ONCE
-        query_at = np.zeros((2, span + turns - 1, 2, len(fovs_deg), turns), dtype=np.float32)
-        for turn in range(turns):
-            part = waves[:, :, first : last + 1].swapaxes(1, 2)
-            query_at[:, turn : turn + span, 0, :, turn] = part.real
-            query_at[:, turn : turn + span, 1, :, turn] = part.imag
-        matrices = query_at.reshape(2, 2 * (span + turns - 1), -1)
+        matrices = _at_turns(np.stack([level, _rolled(level)])[:, :, first : last + 1])
         every = np.ones(PHASE_BINS, dtype=bool)
         none = np.zeros(len(fovs_deg), dtype=np.float32)
         opened = every if open_turns is None else open_turns
-        raw = cls(first, span, matrices, opened, none, none + 1)
+        raw = cls(first, last - first + 1, matrices, opened, none, none + 1)
         sums = raw._every_turn(sample.phase)
         mean = sums.mean(axis=(0, 2), dtype=np.float64).astype(np.float32)
         deviation = sums.std(axis=(0, 2), dtype=np.float64).astype(np.float32)
@@ -204,6 +195,24 @@ class Screen:
         np.square(rolled, out=rolled)
         level += rolled
         return np.reshape(level, (len(level), len(phase), len(self.mean), _TURNS_AT_ONCE))
+
+
+def _rolled(level: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return how a query's waves (F, B) change as the camera rolls, scaled; see `Screen`."""
+    growth = roll_to_turn()
+    stiff = np.abs(level) @ np.square(growth)
+    scale = np.sqrt(np.divide(0.5, stiff, out=np.zeros_like(stiff), where=stiff > 0.0))
+    return np.asarray(1j * scale[:, np.newaxis] * growth * level)
+
+
+def _at_turns(waves: NDArray[np.complex128]) -> Float32Array:
+    """Return matrices (P, 2 (S + T - 1), F T) that hold waves (P, F, S) at T turns."""
+    kinds, fovs, span = waves.shape
+    held = np.zeros((kinds, span + _TURNS_AT_ONCE - 1, 2, fovs, _TURNS_AT_ONCE), dtype=np.float32)
+    for turn in range(_TURNS_AT_ONCE):
+        held[:, turn : turn + span, 0, :, turn] = waves.real.swapaxes(1, 2)
+        held[:, turn : turn + span, 1, :, turn] = waves.imag.swapaxes(1, 2)
+    return held.reshape(kinds, 2 * (span + _TURNS_AT_ONCE - 1), -1)
 
 
 def _peaks(sums: Float32Array) -> Float32Array:

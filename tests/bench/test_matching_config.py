@@ -28,7 +28,7 @@ def test_quick_is_the_middle_with_renderings_to_match():
     )
     quick = config.quick(PLAIN)
     assert side_m(quick.bounds_deg) == pytest.approx((3000.0, 3000.0), rel=0.02)
-    assert (quick.spacings_m, quick.place_spacings_m) == ((1024.0, 512.0), (160.0,))
+    assert (quick.spacings_m, quick.place_spacings_m) == ((1024.0, 512.0), (None,))
     assert quick.plans[0].budget == pytest.approx(200, abs=6)
     assert len(quick.plans) == 1
     assert quick.queries < 20

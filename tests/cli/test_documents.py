@@ -407,13 +407,16 @@ def test_the_method_names_its_places():
     assert sum(len(names) for _, names in named) > 50
 
 
-PLACES = {"Davos, 50 km2, places 80 m apart": ("full", "plain")}
-"""Row of the README's table -> matcher and kind of queries in the record."""
+PLACES = {
+    "Davos, 50 km2, places as planned by default": ("planned", "full", "plain"),
+    "the same, places 80 m apart": ("uniform", "full", "plain"),
+}
+"""Row of the README's table -> planner, matcher and kind of queries in the record."""
 
 
 def test_the_readmes_figures_are_the_records():
     record = json.loads((ROOT / "bench" / "results" / "matching.json").read_text())
-    measured = {(row["matcher"], row["queries"]): row for row in record["rows"]}
+    measured = {(row["planner"], row["matcher"], row["queries"]): row for row in record["rows"]}
     shown = {row["photos"].strip("*"): row for row in table_under(README, "photos")}
     assert shown.keys() == PLACES.keys()
     for name, key in PLACES.items():

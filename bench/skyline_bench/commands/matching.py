@@ -28,7 +28,8 @@ def matching(
     place_spacing: Annotated[
         list[float] | None,
         typer.Option(
-            help="Of a uniform store of places, metres; may be repeated [160 120 80 60 40]."
+            help="Of a uniform store of places, metres, or 0 for places as they are planned by "
+            "default; may be repeated [0 160 120 80 60 40]."
         ),
     ] = None,
     store: Annotated[
@@ -51,17 +52,18 @@ def matching(
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Matchers on uniform stores: how often, how far off and how fast synthetic queries are found.
+    """Matchers on stores of one area: how often, how far off and how fast queries are found.
 
     The paper's matcher and correlation search renderings, ours searches places; stores are built
     where a matcher searches them. Where a spacing or a store is given, no others are built. A
     query without any candidate counts as wrong by half of the area's diagonal.
     """
     given = spacing or place_spacing or store
+    places = tuple(metres or None for metres in place_spacing or ())
     config = MatchingConfig(
         bounds_deg=options.bounds_of(bounds),
         spacings_m=tuple(spacing or ()) if given else _MATCHING.spacings_m,
-        place_spacings_m=tuple(place_spacing or ()) if given else _MATCHING.place_spacings_m,
+        place_spacings_m=places if given else _MATCHING.place_spacings_m,
         stores=tuple(store or ()),
         matchers=tuple(matcher or WHAT),
         kinds=tuple(kind or KINDS),

@@ -15,7 +15,7 @@ from skyline_bench.queries.synthetic import QueryConfig
 from skyline_bench.trials.matchers import WHAT, check_matchers, searched_by
 
 BoundsDeg = tuple[float, float, float, float]
-Grid = tuple[str, float]
+Grid = tuple[str, float | None]
 """What a uniform store holds, and its spacing in metres."""
 
 DEFAULT_AREA_M = (5_000.0, 10_000.0)
@@ -46,8 +46,8 @@ class MatchingConfig:
         West, south, east, north of the area; by default 5 x 10 km in the DEM's middle.
     spacings_m : tuple of float
         Of the uniform stores of renderings, built where a matcher searches such.
-    place_spacings_m : tuple of float
-        Of the uniform stores of places, likewise.
+    place_spacings_m : tuple of float or None
+        Of the uniform stores of places, likewise; None for places as they are planned by default.
     plans : tuple of PlanConfig
         What the paper's planners are asked for: a store of the renderings of each, and one of
         whole places at their eyes, likewise.
@@ -73,7 +73,7 @@ class MatchingConfig:
 
     bounds_deg: BoundsDeg | None = None
     spacings_m: tuple[float, ...] = (1024.0, 512.0, 256.0, 128.0)
-    place_spacings_m: tuple[float, ...] = (160.0, 120.0, 80.0, 60.0, 40.0)
+    place_spacings_m: tuple[float | None, ...] = (None, 160.0, 120.0, 80.0, 60.0, 40.0)
     plans: tuple[PlanConfig, ...] = ()
     stores: tuple[Path, ...] = ()
     matchers: tuple[str, ...] = tuple(WHAT)
@@ -108,8 +108,8 @@ class MatchingConfig:
         return {searched_by(name) for name in self.matchers}
 
     def grids(self) -> list[Grid]:
-        """Return the uniform stores that a matcher searches."""
-        grids = [(RENDERINGS, spacing_m) for spacing_m in self.spacings_m]
+        """Return the stores of grids, and of planned places, that a matcher searches."""
+        grids: list[Grid] = [(RENDERINGS, spacing_m) for spacing_m in self.spacings_m]
         grids += [(PLACES, spacing_m) for spacing_m in self.place_spacings_m]
         return [grid for grid in grids if grid[0] in self.searched()]
 
@@ -119,10 +119,10 @@ class MatchingConfig:
         With planners, the area is its middle, and the budget the least one, by as much as the area
         is smaller.
         """
-        coarse, places = (
-            tuple(spacing for spacing in some if spacing >= _COARSE_M) or some[:1]
-            for some in (self.spacings_m, self.place_spacings_m)
-        )
+        coarse = tuple(one for one in self.spacings_m if one >= _COARSE_M)
+        coarse = coarse or self.spacings_m[:1]
+        places = tuple(one for one in self.place_spacings_m if one is None or one >= _COARSE_M)
+        places = places or self.place_spacings_m[:1]
         queries = min(self.queries, 12 if self.plans else 20)
         small = replace(self, queries=queries, spacings_m=coarse, place_spacings_m=places)
         if not self.plans:

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
@@ -50,6 +51,8 @@ from skyline_bench.trials.trials import Trial, run_trials, summarize
 
 _OTHER_SPACING, _OTHER_PHASE = 1.3, (0.37, 0.61)
 _HIDDEN_SHARE = 0.3
+_PLANNED = "planned"
+"""The planner of a store as `skyline build` makes it by default."""
 _GIVEN = "given"
 """The planner of a store that was there already."""
 
@@ -261,8 +264,9 @@ def _build(bench: _Bench, asked: Grid | PlanConfig) -> list[_Planned]:
         holds, spacing_m = asked
         if holds == PLACES:
             store = place_store(*where, spacing_m, bench.bounds_deg, PlaceConfig())
-        else:
-            store = uniform_store(*where, spacing_m, bench.bounds_deg, RenderConfig())
+            return [(_PLANNED if spacing_m is None else UNIFORM, store)]
+        grid_m = cast("float", spacing_m)
+        store = uniform_store(*where, grid_m, bench.bounds_deg, RenderConfig())
         return [(UNIFORM, store)]
     planned = planned_store(*where, asked, bench.bounds_deg, RenderConfig())
     stores = [planned]
