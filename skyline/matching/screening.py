@@ -8,11 +8,13 @@ the query's weighted phases w_q and a place's phases p_b, the score of a turn t 
     s_t = \mathrm{Re} \sum_q w_q \overline{p_{q + t}} +
     \frac{\left(\mathrm{Im} \sum_q r_q w_q \overline{p_{q + t}}\right)^2}{2 \sum_q r_q^2 |w_q|}
 
-where r_q is how fast a phase changes as the camera rolls: the second term is what the likeliest
-roll gains, to second order. A roll of 5 degrees adds to every rise as much as a smooth skyline has.
+where r_q is how fast a phase changes as the camera rolls: the second term is what the roll that
+suits the turn best gains, to second order, as if all rolls were as likely. A roll of 5 degrees
+adds to every rise as much as a smooth skyline has.
 
-A photo sees a part of the turn, so twenty turns at once are the product of a strip of phases, a
-little wider than the photo, with a matrix that holds the query twenty times, each a bin farther.
+A photo sees a part of the turn, so each sum at twenty turns at once is the product of a strip of
+phases, a little wider than the photo, with a matrix that holds the query twenty times, each a bin
+farther.
 Places come in blocks that may be mapped from a file, and only the best so far are kept: memory
 does not grow with the store.
 """
@@ -98,7 +100,7 @@ class Screen:
         Bins it is wide.
     matrices : (2, 2 (span + T - 1), F T) float32
         The query at F fields of view and T turns, and how it changes as the camera rolls: scaled
-        so that the square of what the second gives is what the likeliest roll gains.
+        so that the square of what the second gives is what a roll gains.
     open_turns : (B,) bool
         The turns that are looked at.
     mean, scale : (F,) float32
@@ -239,7 +241,7 @@ def query_waves(query: QueryRays) -> NDArray[np.complex128]:
 
 
 def roll_to_turn() -> Float64Array:
-    """Return how fast the phases (B,) of a query's rises grow as the camera rolls, a radian."""
+    """Return the radians (B,) that the phases of a query's rises grow by, a radian of roll."""
     azimuth = np.radians((np.arange(PHASE_BINS + 1) - PHASE_BINS // 2) * (360.0 / PHASE_BINS))
     return np.asarray(rise_to_turn() * np.diff(np.sin(azimuth)))
 

@@ -224,6 +224,7 @@ class JointRefinement:
         covariance_m2 = np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
         covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
         poses = [one.poses(some) for one, some in zip(self._each, now, strict=True)]
+        # Margins and covariances are those of one query in the mean, and so are these odds.
         standing = replace(poses[0].hypotheses, score=cost / len(poses))
         covariance_m2 = self._each[0].spread(standing, covariance_m2)
         apart_m, of_each = _apart_m(poses[0].hypotheses), np.maximum(agrees.sum(axis=0), 1)

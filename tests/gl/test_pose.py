@@ -267,6 +267,15 @@ def test_queries_of_one_eye_move_together_and_a_stranger_is_named(scene):
     assert 0.0 < joint.poses[0].margin[0] < np.inf
 
 
+def test_near_poses_that_fit_as_well_widen_each_other(scene, rays):
+    refinement = Refinement(rays_of(*rays, 60.0), scene, SHORT, None)
+    # 40 m apart as good, and 1 km off as well: that is another answer.
+    some = poses(3, easting_m=PLACE[0] + np.array([0.0, 40.0, 1000.0]), score=0.0)
+    spread_m2 = refinement.spread(some, np.tile(4.0 * np.eye(2), (3, 1, 1)))
+    near, alone = np.diag([4.0 + 0.5 * 40.0**2, 4.0]), 4.0 * np.eye(2)
+    np.testing.assert_allclose(spread_m2, [near, near, alone], atol=1e-9)
+
+
 def test_the_same_photo_twice_is_no_surer_than_once(scene, rays):
     query = rays_of(*rays, 60.0, 61.5, (57.0, 63.0))
     found = _around()

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from skyline_bench.figures.canvas import new_figure, plain_ticks, save_figure
 from skyline_bench.measuring.record import Row
+from skyline_bench.runs.cost_summary import UNIFORM
 
 _COSTS = (
     ("places", 1.0, "places (or four renderings each)"),
@@ -20,9 +21,13 @@ _DASHES = ("solid", "dashed", "dotted", "dashdot")
 
 
 def save_accuracy(rows: Sequence[Row], path: Path) -> None:
-    """Save accuracy against cost: a colour a matcher, a kind of dashes a kind of queries."""
-    lines = list(dict.fromkeys((str(row["matcher"]), str(row["queries"])) for row in rows))
-    matchers, kinds = (list(dict.fromkeys(names)) for names in zip(*lines, strict=True))
+    """Save accuracy against cost: a colour a matcher, a kind of dashes a kind of queries.
+
+    Lines join uniform grids; stores that something else chose are crosses.
+    """
+    keys = "matcher", "queries", "planner"
+    lines = list(dict.fromkeys(tuple(str(row[key]) for key in keys) for row in rows))
+    matchers, kinds, _ = (list(dict.fromkeys(names)) for names in zip(*lines, strict=True))
     figure = new_figure(13.0, 10.0)
     grid = figure.subplots(len(_FIGURES), len(_COSTS), sharex="col", sharey="row")
     for line, (key, label) in zip(grid, _FIGURES, strict=True):
@@ -36,18 +41,20 @@ def save_accuracy(rows: Sequence[Row], path: Path) -> None:
                 axis.set_yscale("log")
                 plain_ticks(axis.yaxis)
             axis.grid(alpha=0.3)
-            for matcher, kind in lines:
+            for matcher, kind, planner in lines:
+                joined = planner == UNIFORM
                 shown = sorted(
                     (scale * float(str(row[cost])), float(str(row[key])))
                     for row in rows
-                    if (row["matcher"], row["queries"]) == (matcher, kind) and row[cost] is not None
+                    if tuple(row[name] for name in keys) == (matcher, kind, planner)
+                    and row[cost] is not None
                 )
                 axis.plot(
                     *([point[i] for point in shown] for i in range(2)),
-                    marker=".",
+                    marker="." if joined else "x",
                     color=f"C{matchers.index(matcher)}",
-                    linestyle=_DASHES[kinds.index(kind) % len(_DASHES)],
-                    label=f"{matcher}, {kind}",
+                    linestyle=_DASHES[kinds.index(kind) % len(_DASHES)] if joined else "none",
+                    label=f"{matcher}, {kind}, {planner}",
                 )
     for axis, (_, _, label) in zip(grid[-1], _COSTS, strict=True):
         axis.set_xlabel(label)

@@ -16,7 +16,7 @@ from skyline_bench.trials.matchers import WHAT, check_matchers, searched_by
 
 BoundsDeg = tuple[float, float, float, float]
 Grid = tuple[str, float | None]
-"""What a uniform store holds, and its spacing in metres."""
+"""What a store holds, and its spacing in metres; None for places as they are planned by default."""
 
 DEFAULT_AREA_M = (5_000.0, 10_000.0)
 """East by north, in the DEM's middle."""

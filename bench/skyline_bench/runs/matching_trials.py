@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -51,7 +50,7 @@ from skyline_bench.trials.trials import Trial, run_trials, summarize
 
 _OTHER_SPACING, _OTHER_PHASE = 1.3, (0.37, 0.61)
 _HIDDEN_SHARE = 0.3
-_PLANNED = "planned"
+_DEFAULT = "planned"
 """The planner of a store as `skyline build` makes it by default."""
 _GIVEN = "given"
 """The planner of a store that was there already."""
@@ -262,12 +261,11 @@ def _build(bench: _Bench, asked: Grid | PlanConfig) -> list[_Planned]:
     where = bench.terrain, bench.folder
     if not isinstance(asked, PlanConfig):
         holds, spacing_m = asked
-        if holds == PLACES:
+        if holds == PLACES or spacing_m is None:
             store = place_store(*where, spacing_m, bench.bounds_deg, PlaceConfig())
-            return [(_PLANNED if spacing_m is None else UNIFORM, store)]
-        grid_m = cast("float", spacing_m)
-        store = uniform_store(*where, grid_m, bench.bounds_deg, RenderConfig())
-        return [(UNIFORM, store)]
+        else:
+            store = uniform_store(*where, spacing_m, bench.bounds_deg, RenderConfig())
+        return [(_DEFAULT if spacing_m is None else UNIFORM, store)]
     planned = planned_store(*where, asked, bench.bounds_deg, RenderConfig())
     stores = [planned]
     if PLACES in bench.config.searched():
