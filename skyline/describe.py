@@ -8,6 +8,7 @@ from skyline.camera import pixel_size
 from skyline.geodesy import Frame
 from skyline.pipeline import JointResult, MatchResult, RenderConfig
 from skyline.render.context import describe_context
+from skyline.report.beyond import beyond_in_words
 from skyline.report.claims import claim_in_words, describe_claim
 from skyline.report.records import CandidateRecord, LensRecord, MatchRecord, describe_candidates
 from skyline.store import StoreHeader, open_store
@@ -20,7 +21,7 @@ from skyline.views import Views
 
 Facts = dict[str, object]
 
-_OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg")
+_OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "beyond_share")
 
 
 def describe_match(query: str, result: MatchResult, loading_seconds: float) -> MatchRecord:
@@ -68,6 +69,8 @@ def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
     if 0 < len(places) < asked_for:
         count = f"{len(places)} of {asked_for} candidates"
         said.append(f"  {count}: no other place was worth refining to the end")
+    beyond = beyond_in_words(places[0]["beyond_share"]) if places else None
+    said += [f"  {beyond}"] if beyond else []
     if "lens" in record:
         said.append(f"  field of view: {_lens_in_words(record['lens'])}")
     if "exif" in record:

@@ -8,8 +8,9 @@ reliability diagram):
 
     P = \frac{1}{1 + \exp(-(b + \sum_f w_f (x_f - m_f) / s_f))}
 
-The figures say how well the best pose fits, how much better it fits than any elsewhere, and how
-much there was to fit. Where a query shows too little, no fit is believed.
+The figures say how well the best pose fits, how much better it fits than any elsewhere, how unusual
+its camera is, and how much there was to fit. Where a query shows too little, no fit is believed.
+How far the camera is tilted up is no figure: synthetic queries tilt less than photos do.
 """
 
 import json
@@ -34,6 +35,7 @@ DISTANCES_M = (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M)
 _MAX_MARGIN = 60.0
 """Margins beyond teach no more, with caps of up to 1,000: strangers have been fitted with 124."""
 _MIN_MARGIN = 1e-3
+_MOST_LENS_DEVIATIONS = 4.0
 _MODELS = "confidence.json"
 
 
@@ -93,6 +95,8 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
         "log_far_margin": _log_margin(far_margin),
         "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
         "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
+        "lens_deviations": _lens_deviations(poses.hypotheses, query),
+        "roll_deg": np.abs(poses.hypotheses.roll_deg),
         "retrieved_score": np.full(len(poses), retrieved["score"][best]),
         "retrieved_log_margin": np.full(len(poses), retrieved["log_margin"][best]),
         "retrieved_log_far_margin": np.full(len(poses), retrieved["log_far_margin"][best]),
@@ -109,6 +113,13 @@ def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64A
         "log_margin": _log_margin(margin),
         "log_far_margin": _log_margin(far_margin),
     } | _query_figures(query, len(found))
+
+
+def _lens_deviations(poses: Hypotheses, query: QueryRays) -> Float64Array:
+    """Return how far the fitted field of view is from the one given, in its deviations, (M,)."""
+    own, fitted = (np.tan(np.radians(fov) / 2.0) for fov in (query.fov_deg, poses.fov_deg))
+    off = np.abs(np.log(fitted / own)) / query.log_scale_sd
+    return np.asarray(np.minimum(off, _MOST_LENS_DEVIATIONS))
 
 
 def mean_figures(each: Sequence[dict[str, Float64Array]]) -> dict[str, Float64Array]:

@@ -54,8 +54,8 @@ class FullMatcher(Ranker):
     def open(cls, source: Source) -> Self:
         """See `Ranker.open`."""
         places, config = source.places(), source.config
-        scene = source.scene()
-        return cls(Retriever(places, source.ground(), config.retrieval), scene, config.full)
+        retriever = Retriever(places, source.ground(), config.retrieval, source.edge())
+        return cls(retriever, source.scene(), config.full)
 
     def rank(
         self,
@@ -93,7 +93,8 @@ class FullMatcher(Ranker):
             poses = replace(poses, hypotheses=_held(poses.hypotheses, narrowed))
         chosen = self._chosen(poses.hypotheses, top)
         near, roughly = self._sure("refined", figures, chosen)
-        return Ranking(poses.hypotheses[chosen], near, poses.covariance_m2[chosen], roughly)
+        covariance_m2, beyond_share = poses.covariance_m2[chosen], poses.beyond_share[chosen]
+        return Ranking(poses.hypotheses[chosen], near, covariance_m2, roughly, beyond_share)
 
     def _found(
         self,
@@ -158,6 +159,7 @@ class FullMatcher(Ranker):
                 near,
                 poses.covariance_m2[chosen],
                 roughly,
+                poses.beyond_share[chosen],
             )
             for poses in joint.poses
         )
@@ -215,7 +217,11 @@ class FullMatcher(Ranker):
         config = _held_at(replace(self._config.refine, restarts=1), float(above_m[0]))
         with one_blas_thread():
             poses = refine(start, query, self._scene, config)
-        return Ranking(poses.hypotheses[:1], covariance_m2=poses.covariance_m2[:1])
+        return Ranking(
+            poses.hypotheses[:1],
+            covariance_m2=poses.covariance_m2[:1],
+            beyond_share=poses.beyond_share[:1],
+        )
 
     def _with_claimed(
         self, found: Hypotheses, query: QueryRays, narrowed: Narrowed | None

@@ -28,8 +28,9 @@ from skyline.matching.progress import tell
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import thinned
 from skyline.matching.refine_config import RefineConfig
-from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, Fit, Solver
+from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, Fit, Linear, Solver
 from skyline.rows import Rows
+from skyline.terrain.edge import DataEdge
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
@@ -45,6 +46,11 @@ _GREATEST_LOG_ODDS = 50.0
 
 class Scene(Protocol):
     """The terrain as refinement needs it."""
+
+    @property
+    def edge(self) -> DataEdge | None:
+        """Where its data end; None where nothing is taken to lie beyond."""
+        ...
 
     @property
     def height_sd_m(self) -> float:
@@ -83,6 +89,8 @@ class Poses:
         Independent columns that would say as much as those do.
     height_sd_m : (M,) float64
         Deviation of the terrain model's heights that the fit suggests.
+    beyond_share : (M,) float64
+        Part of the query in which terrain past the data's edge may stand above the model's.
     margin : (M,) float64
         Score of the best pose elsewhere minus this one's: below 0 unless this is the best;
         infinite where there is none elsewhere.
@@ -98,6 +106,7 @@ class Poses:
     inlier_share: Float64Array
     effective_columns: Float64Array
     height_sd_m: Float64Array
+    beyond_share: Float64Array
     margin: Float64Array
     far_margin: Float64Array
     renderings: int
@@ -169,9 +178,10 @@ class Refinement:
         height_sd_m = scene.height_sd_m
         eye = EyeHeight(config.eye_height_m, 0.0 if config.eye_height_known else height_sd_m)
         scouting, query = thinned(query, config.scout_bins), thinned(query, config.bins)
-        self.scout = Solver(scouting, config.rough, eye, height_sd_m, claim)
-        self.rough = Solver(query, config.rough, eye, height_sd_m, claim)
-        self.fine = Solver(query, config.fine, eye, height_sd_m, claim)
+        of = eye, height_sd_m, claim, scene.edge
+        self.scout = Solver(scouting, config.rough, *of)
+        self.rough = Solver(query, config.rough, *of)
+        self.fine = Solver(query, config.fine, *of)
         self._renderings = self._seen_times = 0
         rounds = config.rounds + config.restart_rounds + config.final_rounds
         self._rounds = rounds + (config.shortlist > config.particles)
@@ -360,6 +370,7 @@ class Refinement:
             shown / trust.sum(),
             judged.effective_columns,
             np.array(solver.noise.height_m)[particles.fit.height],
+            _beyond_share(linear, trust),
             _margin(hypotheses, self._config.elsewhere_m),
             _margin(hypotheses, self._config.far_m),
             self._renderings,
@@ -375,6 +386,13 @@ class Refinement:
         share = odds / odds.sum(axis=1, keepdims=True)
         squares = covariance_m2 + apart[..., np.newaxis] * apart[..., np.newaxis, :]
         return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
+
+
+def _beyond_share(linear: Linear, trust: Float64Array) -> Float64Array:
+    """Return the share (M,) of the trust in columns that what lies past the edge may rise in."""
+    if linear.beyond_rad is None:
+        return np.zeros(len(linear.place_m))
+    return np.asarray((linear.beyond_rad > 0.0) @ trust / trust.sum())
 
 
 def _margin(hypotheses: Hypotheses, elsewhere_m: float) -> Float64Array:

@@ -42,6 +42,9 @@ class Candidate:
         Whether the pose was fitted by rendering again.
     covariance_m2 : ((float, float), (float, float)) or None
         Covariance of easting and northing, square metres, where something has estimated it.
+    beyond_share : float or None
+        Part of the query's skyline in which terrain past the elevation model's edge may stand above
+        the model's, where the pose was fitted by rendering.
     """
 
     lon: float
@@ -59,6 +62,7 @@ class Candidate:
     confidence_1km: float | None = None
     refined: bool = False
     covariance_m2: tuple[tuple[float, float], tuple[float, float]] | None = None
+    beyond_share: float | None = None
 
     @property
     def radius_m(self) -> float | None:
@@ -90,12 +94,15 @@ class Ranking:
         Of easting and northing, where the poses were refined.
     confidence_1km : (M,) float64, optional
         Probability that each is right within 1 km, where something has estimated it.
+    beyond_share : (M,) float64, optional
+        Part of the query that terrain past the data's edge may hide; see `Candidate`.
     """
 
     poses: Hypotheses
     confidence: Float64Array | None = None
     covariance_m2: Float64Array | None = None
     confidence_1km: Float64Array | None = None
+    beyond_share: Float64Array | None = None
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -125,6 +132,7 @@ class Ranking:
                 covariance_m2=None
                 if self.covariance_m2 is None
                 else _as_rows(self.covariance_m2[index]),
+                beyond_share=_of(self.beyond_share, index),
             )
             for index in range(len(self))
         )

@@ -29,6 +29,7 @@ from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import level_with_changes
 from skyline.rows import Rows
+from skyline.terrain.edge import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE = range(7)
 """Columns of a state: the eye's displacement, metres; its height above the ground, metres; angles,
@@ -201,6 +202,9 @@ class Linear:
         Where the states' eyes stand; see `Curves`.
     eye_m : (M,) float64
         Their elevations, the ground taken to be level about where the curve was seen.
+    beyond_rad : (M, R) float64 or None
+        How far above the terrain's skyline terrain past the data's edge may rise; below 0 where
+        none reaches it.
     """
 
     residual_rad: Float64Array
@@ -210,6 +214,7 @@ class Linear:
     rise_rad: Float64Array | None
     place_m: NDArray[np.complex128]
     eye_m: Float64Array
+    beyond_rad: Float64Array | None
 
 
 class Solver:
@@ -224,6 +229,8 @@ class Solver:
         Deviation of the terrain model's heights to be expected.
     claim : Claim, optional
         Where the photo says that it was taken.
+    edge : DataEdge, optional
+        Where the terrain's data end; without it nothing is taken to lie beyond.
     """
 
     def __init__(
@@ -233,9 +240,10 @@ class Solver:
         eye: EyeHeight,
         height_sd_m: float,
         claim: Claim | None = None,
+        edge: DataEdge | None = None,
     ) -> None:
         self.query = query
-        self._claim = claim
+        self._claim, self._edge = claim, edge
         self.config = config
         self.noise = replace(config.noise, height_sd_m=height_sd_m)
         self._eye = eye
@@ -374,6 +382,7 @@ class Solver:
         residual = (rays.y - y) * to_angle
         # Next to an unknown column the curve may be known but not its slope.
         known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=-1)
+        eye_m = curves.ground_m + state[:, EYE_HEIGHT]
         return Linear(
             np.where(known, residual, np.nan),
             np.where(known[..., np.newaxis], jacobian, 0.0),
@@ -381,14 +390,34 @@ class Solver:
             there[..., 5],
             there[..., 6] * to_angle if there.shape[-1] > 6 else None,
             curves.place_m + state[:, EAST] + 1j * state[:, NORTH],
-            curves.ground_m + state[:, EYE_HEIGHT],
+            eye_m,
+            self._beyond_rad(curves.place_m, eye_m, azimuth, y),
         )
+
+    def _beyond_rad(
+        self,
+        place_m: NDArray[np.complex128],
+        eye_m: Float64Array,
+        azimuth_rad: Float64Array,
+        y: Float64Array,
+    ) -> Float64Array | None:
+        """Return how far past skylines of tangents (M, R) what lies beyond the data may rise."""
+        if self._edge is None:
+            return None
+        place_m, eye_m = place_m[:, np.newaxis], eye_m[:, np.newaxis]
+        most = self._edge.elevation_tan(place_m.real, place_m.imag, eye_m, azimuth_rad)
+        return np.asarray(np.nan_to_num(np.arctan(most) - np.arctan(y)))
 
     def _errors(self, linear: Linear, curves: Curves) -> HeightErrors:
         step_rad = 2.0 * np.pi / curves.channels.shape[1]
         blur_rad = self.config.blur_steps * step_rad * np.abs(linear.jacobian[..., HEADING])
         return HeightErrors.of(
-            linear.azimuth_rad, linear.distance_m, blur_rad, self.noise, linear.rise_rad
+            linear.azimuth_rad,
+            linear.distance_m,
+            blur_rad,
+            self.noise,
+            linear.rise_rad,
+            linear.beyond_rad,
         )
 
     def _judge(

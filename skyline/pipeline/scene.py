@@ -12,6 +12,7 @@ from skyline.pipeline.config import RenderConfig, curvature_of, make_renderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.thread import RenderThread
 from skyline.store import StoreHeader
+from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
@@ -44,6 +45,7 @@ class RenderedScene:
     ) -> None:
         self.ground_m = terrain.height_at
         self.height_sd_m = terrain.height_sd_m
+        self.edge = DataEdge.of(terrain, config.curvature)
         self._thread = thread
         self._piece = max(1, _PIECE_COLUMNS // config.width)
         fields = [terrain] if surface is None else [terrain, surface]

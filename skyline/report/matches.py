@@ -11,6 +11,7 @@ from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
 from skyline.matching.ranking import Candidate
 from skyline.photo import QuerySkyline
+from skyline.report.beyond import beyond_said
 from skyline.report.claims import claim_said
 from skyline.report.geojson import write_geojson
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
@@ -124,8 +125,8 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
     if matched.candidates:
         parts.append(_candidate_table(matched.candidates))
     claim = claim_said(matched.query.noted, best, matched.is_answered, with_place=False)
-    if claim:
-        parts.append(Text(claim))
+    beyond = beyond_said(matched.candidates)
+    parts += [Text(said) for said in (claim, beyond) if said]
     done = " ".join(matched.done)
     parts.append(
         Text(f"What was done: {done} It took {matched.seconds:.2f} s.".replace(":  ", ": "))

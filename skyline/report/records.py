@@ -25,6 +25,7 @@ class CandidateRecord(TypedDict):
     confidence: float | None
     confidence_1km: float | None
     refined: bool
+    beyond_share: float | None
 
 
 class LensRecord(TypedDict):

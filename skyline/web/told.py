@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from skyline import Candidate, MatchResult, Stroke
+from skyline.report.beyond import beyond_said
 
 Ground = Callable[[float, float], float | None]
 """Returns the ground's height at a longitude and a latitude; None where it is not known."""
@@ -18,6 +19,7 @@ def outcome(result: MatchResult, ground: Ground) -> dict[str, Any]:
         "chance": result.confidence,
         "refusal": result.refusal,
         "claim": result.claim,
+        "beyond": beyond_said(result.candidates),
         "seconds": result.seconds,
     }
 

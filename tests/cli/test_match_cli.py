@@ -36,6 +36,7 @@ def test_extract_then_match_the_trace(run, store, photo, tmp_path):
         "easting_m", "northing_m", "lon", "lat", "eye_elevation_m", "radius_m", "heading_deg",
         "pitch_deg", "roll_deg", "fov_deg", "score", "confidence", "confidence_1km",
         "refined",
+        "beyond_share",
     }  # fmt: skip
     assert record["answer"] == record["candidates"][0]
     assert record["answer"]["refined"] is True

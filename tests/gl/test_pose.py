@@ -29,6 +29,7 @@ class _Scene:
     field: HeightField
     renderer: HorizonRenderer
     height_sd_m: float = 5.0
+    edge: None = None
 
     def render(self, viewpoints, headings):
         return self.renderer.render(viewpoints, headings)

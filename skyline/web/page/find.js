@@ -59,15 +59,16 @@ function show() {
 }
 
 function said(result) {
-  const claim = result.claim ? [element("p", { class: "claim" }, result.claim)] : [];
+  const notes = [result.claim, result.beyond].filter((one) => one)
+    .map((one) => element("p", { class: "claim" }, one));
   if (result.answered) {
     const best = result.candidates[0];
     const near = result.within === null ? "" : ` within ${result.within} m`;
     const sure = result.chance === null ? "" : `, ${Math.round(100 * result.chance)} % sure`;
-    return [element("span", { class: "yes" }, `Found${near}${sure}. `), degrees(best.lon, best.lat), ...claim];
+    return [element("span", { class: "yes" }, `Found${near}${sure}. `), degrees(best.lon, best.lat), ...notes];
   }
   return [element("span", { class: "no" }, "No answer: "), `${result.refusal}. `,
-    "Check the yellow skyline and mend it, say what you know, or fit by hand.", ...claim];
+    "Check the yellow skyline and mend it, say what you know, or fit by hand.", ...notes];
 }
 
 function row(one, index) {
