@@ -52,7 +52,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         retrieval_scale: "5 minutes",
         strangers: "10 minutes",
         same_place: "20 minutes",
-        calibrate: "20 minutes",
+        calibrate: "an hour",
     },
     "Photographs": {
         photos: "30 minutes",

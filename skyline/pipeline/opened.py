@@ -104,11 +104,17 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
     Where it is not to be had there is a warning of what is left ``otherwise``. Only plain files
     are read: a store from a stranger must not make the reader go anywhere else.
     """
-    if not header.dem_files or not all(map(is_file, header.dem_files)):
+    if not header.dem_files:
+        _log.warning(
+            "%s: the store was built from heights that came from no file; give them as `dem`",
+            otherwise,
+        )
+        return None
+    if not all(map(is_file, header.dem_files)):
         _log.warning(
             "%s: the store's DEM is not at hand (no file here is %s); say where it lies with --dem",
             otherwise,
-            ", ".join(header.dem_files) or "no path",
+            ", ".join(header.dem_files),
         )
         return None
     try:

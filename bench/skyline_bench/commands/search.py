@@ -54,9 +54,10 @@ def strangers(
 
 def calibrate(
     data: Annotated[
-        Path, typer.Argument(metavar="DATA", help="A folder with sierra, rofental and davos.")
+        Path,
+        typer.Argument(metavar="DATA", help="A folder with sierra, rofental, everest and davos."),
     ],
-    queries: Annotated[int, typer.Option(help="Of each of six kinds, on each terrain.")] = 20,
+    queries: Annotated[int, typer.Option(help="Of each of six kinds, on each terrain.")] = 40,
     model: Annotated[
         Path | None,
         typer.Option(
@@ -78,7 +79,7 @@ def calibrate(
     seed: options.Seed = 1000,
     quick: options.Quick = False,
 ) -> None:
-    """The confidence learned on Sierra and Rofental, its reliability shown on Davos."""
+    """The confidence learned on Sierra, Rofental and Everest, its reliability shown on Davos."""
     if examples is not None and examples.exists():
         told = learning.kept(examples)
     else:
