@@ -1,20 +1,25 @@
 """Where a DEM ends: how high terrain beyond it may stand in the skyline."""
 
 from dataclasses import dataclass
+from math import ceil
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float64Array
 from skyline.geodesy import Curvature, Rectangle
 from skyline.terrain.heightfield import HeightField
 
+_REACH_M = 10_000.0
+"""Terrain past a point of the edge is taken to be no higher than what lies this near inside."""
+_PARTS = 256
+"""Of each side, for which that is noted."""
 _LEAST_M = 1.0
 """Who stands on the edge is taken to stand this far inside."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class DataEdge:
     """The rectangle that a DEM covers, and how high the terrain beyond may be.
 
@@ -24,32 +29,30 @@ class DataEdge:
     ----------
     bounds_m : (float, float, float, float)
         West, south, east, north.
-    highest_m : float
-        The terrain beyond is taken to be no higher than the highest within.
+    highest_m : (4, P) float64
+        How high terrain may be past P parts of equal length of each of these sides, from south to
+        north and from west to east.
     curvature : Curvature
     """
 
     bounds_m: Rectangle
-    highest_m: float
+    highest_m: Float64Array
     curvature: Curvature
 
     @classmethod
     def of(cls, terrain: HeightField, curvature: Curvature) -> Self:
-        """Return the edge of a DEM."""
-        return cls(terrain.bounds_m, terrain.height_range_m[1], curvature)
-
-    def distance_m(
-        self, easting_m: ArrayLike, northing_m: ArrayLike, azimuth_rad: ArrayLike
-    ) -> Float64Array:
-        """Return how far off the edge is along azimuths from grid north; they broadcast."""
-        west, south, east, north = self.bounds_m
-        easting_m, northing_m = np.asarray(easting_m), np.asarray(northing_m)
-        sine, cosine = np.sin(azimuth_rad), np.cos(azimuth_rad)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            across = np.where(sine > 0.0, east - easting_m, easting_m - west) / np.abs(sine)
-            along = np.where(cosine > 0.0, north - northing_m, northing_m - south) / np.abs(cosine)
-        # Along one pair of sides a ray never meets them; who stands on one divides 0 by 0.
-        return np.asarray(np.maximum(np.fmin(across, along), _LEAST_M))
+        """Return the edge of a DEM; beyond, ranges go on as high as they are inside."""
+        northward = terrain.heights_m[::-1]
+        deep = ceil(_REACH_M / terrain.spacing_east_m), ceil(_REACH_M / terrain.spacing_north_m)
+        sides = (
+            (northward[:, : deep[0]], 1, deep[1]),
+            (northward[: deep[1]], 0, deep[0]),
+            (northward[:, -deep[0] :], 1, deep[1]),
+            (northward[-deep[1] :], 0, deep[0]),
+        )
+        highest_m = np.stack([_highest(np.fmax.reduce(*side), reach) for *side, reach in sides])
+        known = np.where(np.isfinite(highest_m), highest_m, terrain.height_range_m[1])
+        return cls(terrain.bounds_m, known, curvature)
 
     def elevation_tan(
         self,
@@ -58,16 +61,49 @@ class DataEdge:
         eye_elevation_m: ArrayLike,
         azimuth_rad: ArrayLike,
     ) -> Float64Array:
-        """Return the greatest tangent of elevation, over grid azimuths, of terrain past the edge.
+        """Return the greatest tangent of elevation of terrain past the edge.
 
-        An eye above all terrain sees it best at the horizon of its greatest height, not at the
-        edge. The arguments broadcast.
+        An eye above all that terrain sees it best at the horizon of its greatest height, not at the
+        edge. The arguments broadcast; azimuths are from grid north, places lie inside.
         """
-        distance_m = self.distance_m(easting_m, northing_m, azimuth_rad)
-        above_m = self.highest_m - np.asarray(eye_elevation_m, dtype=np.float64)
+        distance_m, highest_m = self._left(easting_m, northing_m, azimuth_rad)
+        above_m = highest_m - np.asarray(eye_elevation_m, dtype=np.float64)
         drop = self.curvature.drop_per_m2
         if drop > 0.0:
             distance_m = np.maximum(distance_m, np.sqrt(np.maximum(-above_m, 0.0) / drop))
             return np.asarray(above_m / distance_m - drop * distance_m)
         # On a flat Earth what lies below the eye rises towards its level, endlessly far off.
         return np.asarray(np.where(above_m > 0.0, above_m / distance_m, 0.0))
+
+    def _left(
+        self, easting_m: ArrayLike, northing_m: ArrayLike, azimuth_rad: ArrayLike
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return how far off rays leave the data, and how high terrain may be past there."""
+        west, south, east, north = self.bounds_m
+        easting_m, northing_m = np.asarray(easting_m), np.asarray(northing_m)
+        sine, cosine = np.sin(azimuth_rad), np.cos(azimuth_rad)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            across = np.where(sine > 0.0, east - easting_m, easting_m - west) / np.abs(sine)
+            along = np.where(cosine > 0.0, north - northing_m, northing_m - south) / np.abs(cosine)
+        # Along one pair of sides a ray never meets them; who stands on one divides 0 by 0.
+        distance_m = np.fmin(across, along)
+        is_across = across <= along
+        share = np.where(
+            is_across,
+            (northing_m + distance_m * cosine - south) / (north - south),
+            (easting_m + distance_m * sine - west) / (east - west),
+        )
+        side = np.where(is_across, np.where(sine > 0.0, 2, 0), np.where(cosine > 0.0, 3, 1))
+        parts = self.highest_m.shape[1]
+        part = np.clip(parts * share, 0, parts - 1).astype(np.intp)
+        return np.maximum(distance_m, _LEAST_M), self.highest_m[side, part]
+
+
+def _highest(height_m: NDArray[np.floating], reach: int) -> Float64Array:
+    """Return the greatest of heights (N,) within a reach of each of P parts; NaN is below all."""
+    from scipy.ndimage import maximum_filter1d  # noqa: PLC0415  (slow to load)
+
+    known = np.where(np.isnan(height_m), -np.inf, height_m).astype(np.float64)
+    widened = maximum_filter1d(known, 2 * reach + 1, mode="nearest")
+    middle = (np.arange(_PARTS) + 0.5) * len(known) / _PARTS
+    return np.asarray(widened[middle.astype(np.intp)])

@@ -1,5 +1,7 @@
 """The edge of a DEM: how far off it is, and how high what lies beyond may stand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import field_of
@@ -19,7 +21,9 @@ def _inside(easting_m, northing_m):
 
 @pytest.mark.parametrize("place_m", [(0.0, 0.0), (4900.0, -900.0), (-2999.0, 1999.0)])
 def test_the_edge_is_where_a_ray_leaves_the_data(place_m):
-    distance_m = DataEdge(BOUNDS_M, 900.0, CURVED).distance_m(*place_m, AZIMUTH_RAD)
+    # 900 m above the eye, on a flat Earth, the tangent says how far off the edge is.
+    edge = DataEdge(BOUNDS_M, np.full((4, 1), 900.0), FLAT)
+    distance_m = 900.0 / edge.elevation_tan(*place_m, 0.0, AZIMUTH_RAD)
     for azimuth, edge_m in zip(AZIMUTH_RAD, distance_m, strict=True):
         along_m = np.arange(0.5, 12_000.0, 1.0)
         east, north = place_m[0] + along_m * np.sin(azimuth), place_m[1] + along_m * np.cos(azimuth)
@@ -30,9 +34,10 @@ def test_the_edge_is_where_a_ray_leaves_the_data(place_m):
 @pytest.mark.parametrize("curvature", [CURVED, FLAT])
 @pytest.mark.parametrize("eye_m", [200.0, 899.0, 900.0, 1500.0])
 def test_nothing_beyond_the_edge_stands_higher_than_is_said(curvature, eye_m):
-    edge = DataEdge(BOUNDS_M, 900.0, curvature)
+    edge, high = (DataEdge(BOUNDS_M, np.full((4, 1), m), curvature) for m in (900.0, 1e6))
     most = edge.elevation_tan(100.0, -200.0, eye_m, AZIMUTH_RAD)
-    from_m = edge.distance_m(100.0, -200.0, AZIMUTH_RAD)
+    flat = replace(high, curvature=FLAT)
+    from_m = (1e6 - eye_m) / flat.elevation_tan(100.0, -200.0, eye_m, AZIMUTH_RAD)
     past_m = from_m[:, np.newaxis] + np.append(0.0, np.geomspace(0.1, 1e6, 4000))
     seen = (900.0 - eye_m - curvature.drop_m(past_m)) / past_m
     highest = seen.max(axis=1)
@@ -40,8 +45,36 @@ def test_nothing_beyond_the_edge_stands_higher_than_is_said(curvature, eye_m):
     np.testing.assert_allclose(most, highest, atol=1e-3 if curvature is FLAT else 1e-6)
 
 
-def test_the_edge_of_a_field_is_its_outermost_samples():
-    field = field_of(np.arange(12.0).reshape(3, 4), spacing_m=30.0)
-    edge = DataEdge.of(field, CURVED)
-    assert edge.bounds_m == field.bounds_m
-    assert edge.highest_m == 11.0
+def test_what_lies_beyond_is_as_high_as_what_lies_near_the_edge():
+    heights = np.random.default_rng(8).exponential(300.0, (70, 90))
+    heights[20:40, :30] = np.nan
+    field = field_of(heights, spacing_m=1000.0)
+    edge = DataEdge.of(field, FLAT)
+    west, south, east, north = edge.bounds_m
+    row, col = np.indices(heights.shape)
+    sample_east, sample_north = field.to_map(row, col)
+    places = np.random.default_rng(9).uniform((west, south), (east, north), (40, 2))
+    for (place_east, place_north), azimuth in zip(places, AZIMUTH_RAD[:40], strict=True):
+        away_m = np.arange(0.0, 150_000.0, 10.0)
+        on_east, on_north = (
+            place_east + away_m * np.sin(azimuth),
+            place_north + away_m * np.cos(azimuth),
+        )
+        inside = (west <= on_east) & (on_east <= east) & (south <= on_north) & (on_north <= north)
+        left_m = away_m[inside][-1]
+        exit_east, exit_north = on_east[inside][-1], on_north[inside][-1]
+        most = edge.elevation_tan(place_east, place_north, 0.0, azimuth) * left_m
+        # The band is ten samples deep; parts of a side and samples are half a sample apart at most.
+        apart_m = np.maximum(abs(sample_east - exit_east), abs(sample_north - exit_north))
+        known = np.where(np.isnan(heights), 0.0, heights)
+        assert known[apart_m <= 8500.0].max() <= most * 1.01
+        assert most <= known[apart_m <= 11_500.0].max() * 1.01
+
+
+def test_where_the_data_are_holes_along_a_side_the_highest_of_all_counts():
+    heights = np.full((40, 40), 100.0)
+    heights[:, :12] = np.nan
+    heights[20, 30] = 700.0
+    edge = DataEdge.of(field_of(heights, spacing_m=1000.0), FLAT)
+    assert (edge.highest_m[0] == 700.0).all()
+    assert edge.highest_m[3, 20:].max() == 100.0
