@@ -27,20 +27,12 @@ from skyline_bench.truth.agreement import Agreement, RenderPath, Scene, Truth
 
 @dataclass(frozen=True, slots=True)
 class RepeatCase:
-    """A batch rendered again, in parts, and by another renderer: the same bytes each time.
-
-    Attributes
-    ----------
-    name, breaks : str
-    scene : callable
-    parts : tuple of int
-        Where the batch is cut; none renders it whole a second time.
-    """
+    """A batch rendered again, in parts, and by another renderer: the same bytes each time."""
 
     name: str
     breaks: str
     scene: Callable[[], Scene]
-    parts: tuple[int, ...] = ()
+    parts: tuple[int, ...] = ()  # Where the batch is cut; none renders it whole a second time
     paths: tuple[str, ...] = ("horizon", "depth")
 
     def agreement(self, path: RenderPath, quick: bool) -> Agreement:
@@ -73,27 +65,15 @@ def _batch() -> Scene:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """A symmetry of the square grid, and what it does to headings and columns.
+    """A symmetry of the square grid, and what it does to headings and columns."""
 
-    Attributes
-    ----------
-    heights : callable
-        Turns (rows, cols) heights.
-    place : callable
-        Turns (row, col), given the last row and column.
-    heading : callable
-        The heading, of the terrain as it was, that is seen along a heading of the turned one.
-    reverses : bool
-        Whether left and right change places.
-    swaps : bool
-        Whether rows and columns change places.
-    """
-
-    heights: Callable[[NDArray[np.floating]], NDArray[np.floating]]
+    heights: Callable[[NDArray[np.floating]], NDArray[np.floating]]  # Turns (rows, cols) heights
+    # Turns (row, col), given the last row and column.
     place: Callable[[Float64Array, Float64Array, int, int], tuple[Float64Array, Float64Array]]
+    # The heading, of the terrain as it was, that is seen along a heading of the turned one.
     heading: Callable[[int], int]
-    reverses: bool
-    swaps: bool
+    reverses: bool  # Whether left and right change places
+    swaps: bool  # Whether rows and columns change places
 
 
 HALF_TURN = Turn(

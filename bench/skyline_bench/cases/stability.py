@@ -67,10 +67,8 @@ def measure(
 
     Parameters
     ----------
-    path : RenderPath
     quick : bool
         Take the first two viewpoints of each scene only.
-    cases : sequence of HardCase
 
     Returns
     -------

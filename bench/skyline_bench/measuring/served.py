@@ -20,20 +20,11 @@ _WINDOW = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False
 
 @dataclass(frozen=True, slots=True)
 class ServedPage:
-    """A page that is being served.
-
-    Attributes
-    ----------
-    address : str
-    ready_s : float
-        From the command to the page's first answer.
-    process : int
-        Its number.
-    """
+    """A page that is being served."""
 
     address: str
-    ready_s: float
-    process: int
+    ready_s: float  # From the command to the page's first answer
+    process: int  # Its number
 
     def own_bytes(self) -> int:
         """Return the memory of the server that lies in no file."""
@@ -76,13 +67,7 @@ def browser() -> Iterator[Any]:
 
 
 def headless() -> tuple[Any, Any]:
-    """Return Chromium's options and driver, without a screen or a network beyond this machine.
-
-    Raises
-    ------
-    InputError
-        It, its driver or selenium is not installed.
-    """
+    """Return Chromium's options and driver, without a screen or a network beyond this machine."""
     program, driver = shutil.which("chromium"), shutil.which("chromedriver")
     try:
         from selenium import webdriver  # noqa: PLC0415  (an extra)

@@ -45,14 +45,6 @@ def crew(held: object, workers: int) -> Iterator[Crew]:
     ----------
     held : object
         What every worker holds; sent once.
-    workers : int
-
-    Raises
-    ------
-    InputError
-        Fewer than one worker.
-    BuildError
-        A worker died.
     """
     if workers < 1:
         raise InputError(f"workers is {workers}; expected 1 or more")

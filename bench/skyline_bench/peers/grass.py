@@ -47,18 +47,12 @@ def horizons(
         Without holes.
     eyes : Viewpoints
         N; their heights are not used.
-    step_deg : float
 
     Returns
     -------
     elevation_deg : (N, A) float64
     seconds : (N - 1,) float64
         Of all places but the first.
-
-    Raises
-    ------
-    SkylineError
-        GRASS fails.
     """
     with tempfile.TemporaryDirectory() as folder:
         dem, script = Path(folder, "dem.tif"), Path(folder, "horizons.sh")

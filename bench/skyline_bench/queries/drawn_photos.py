@@ -34,55 +34,26 @@ _SNOW, _CLOUD = (240.0, 243.0, 249.0), (244.0, 245.0, 247.0)
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """How a photo is drawn. Pairs are the range a seed draws from.
+    """How a photo is drawn. Pairs are the range a seed draws from."""
 
-    Attributes
-    ----------
-    sky : str
-        A name in ``_SKIES``.
-    light : float
-        Light on the ground: 1 is a clear day, 0.2 leaves silhouettes.
-    clouds : float
-        Share of the sky that clouds cover.
-    banks : int
-        Clouds that lie on the ridge and hide parts of it.
-    contrast : (float, float)
-        What haze leaves of the farthest ridge's contrast to the sky.
-    snow : float
-        Share of the relief, from the top, that is under snow.
-    layers : int
-        Ridges one before another.
-    trees, people, poles, wires : int
-        How many of each stand in front.
-    lake : bool
-        Mirror the mountains in the lower part.
-    blur_px : (float, float)
-        Deviation of the blur; the photo is 1200 px wide.
-    noise : float
-        Levels of sensor noise.
-    jpeg_quality : (int, int) or None
-    framed : bool
-        A border and a caption bar, and a logo in the sky.
-    size_px : (int, int)
-    fov_deg : float
-    """
-
-    sky: str = "blue"
-    light: float = 1.0
-    clouds: float = 0.0
-    banks: int = 0
+    sky: str = "blue"  # A name in ``_SKIES``
+    light: float = 1.0  # Light on the ground: 1 is a clear day, 0.2 leaves silhouettes
+    clouds: float = 0.0  # Share of the sky that clouds cover
+    banks: int = 0  # Clouds that lie on the ridge and hide parts of it
+    # What haze leaves of the farthest ridge's contrast to the sky.
     contrast: tuple[float, float] = (0.5, 0.9)
-    snow: float = 0.15
-    layers: int = 3
+    snow: float = 0.15  # Share of the relief, from the top, that is under snow
+    layers: int = 3  # Ridges one before another
+    # How many of each stand in front.
     trees: int = 0
     people: int = 0
     poles: int = 0
     wires: int = 0
-    lake: bool = False
-    blur_px: tuple[float, float] = (0.5, 0.9)
-    noise: float = 2.0
+    lake: bool = False  # Mirror the mountains in the lower part
+    blur_px: tuple[float, float] = (0.5, 0.9)  # Deviation of the blur; the photo is 1200 px wide
+    noise: float = 2.0  # Levels of sensor noise
     jpeg_quality: tuple[int, int] | None = (80, 95)
-    framed: bool = False
+    framed: bool = False  # A border and a caption bar, and a logo in the sky
     size_px: tuple[int, int] = (1200, 800)
     fov_deg: float = 60.0
 
@@ -113,21 +84,11 @@ CONDITIONS: Mapping[str, Recipe] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnPhoto:
-    """A photo and what is true of it.
+    """A photo and what is true of it."""
 
-    Attributes
-    ----------
-    image : (H, W, 3) uint8
-    row_px : (W,) float64
-        The terrain's skyline, also where it is hidden; NaN in borders.
-    visible : (W,) bool
-        Where it is to be seen.
-    fov_deg : float
-    """
-
-    image: UInt8Array
-    row_px: Float64Array
-    visible: BoolArray
+    image: UInt8Array  # (H, W, 3)
+    row_px: Float64Array  # (W,); the terrain's skyline, also where it is hidden; NaN in borders
+    visible: BoolArray  # (W,); where it is to be seen
     fov_deg: float
 
 

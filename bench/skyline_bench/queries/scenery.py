@@ -38,24 +38,12 @@ _TEXTURE_CELLS = 128
 
 @dataclass(frozen=True, slots=True)
 class Scenery:
-    """Weather and season of a drawn photograph.
+    """Weather and season of a drawn photograph."""
 
-    Attributes
-    ----------
-    visibility_m : float
-        Distance at which 2 % of the contrast are left.
-    snow_line_m : float
-        Height above which ground that is not too steep is white.
-    tree_line_m : float
-        Height below which there is forest.
-    clouds : float
-        How much of the sky is covered, 0 to 1; they gather about the ridge.
-    """
-
-    visibility_m: float = 80_000.0
-    snow_line_m: float = np.inf
-    tree_line_m: float = 1900.0
-    clouds: float = 0.3
+    visibility_m: float = 80_000.0  # Distance at which 2 % of the contrast are left
+    snow_line_m: float = np.inf  # Height above which ground that is not too steep is white
+    tree_line_m: float = 1900.0  # Height below which there is forest
+    clouds: float = 0.3  # How much of the sky is covered, 0 to 1; they gather about the ridge
 
     def __post_init__(self) -> None:
         if not self.visibility_m > 0.0:
@@ -77,11 +65,9 @@ def ground_rgb(
 
     Parameters
     ----------
-    field : HeightField
     place_m : two (M,) float64
     distance_m : (M,) float64
         From the camera.
-    scenery : Scenery
     generator : np.random.Generator
         Where meadows and forests are.
     """

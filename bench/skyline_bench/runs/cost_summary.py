@@ -21,22 +21,14 @@ _LEAST_M = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """A store as one matcher uses it.
-
-    Attributes
-    ----------
-    name, planner, matcher : str
-    renderings : int
-    size_bytes : int
-    mean_m, median_m : float
-        Errors over all queries.
-    """
+    """A store as one matcher uses it."""
 
     name: str
     planner: str
     matcher: str
     renderings: int
     size_bytes: int
+    # Errors over all queries.
     mean_m: float
     median_m: float
 

@@ -31,25 +31,12 @@ _STEPS = round(360.0 / DEFAULT_STEP_DEG)
 
 @dataclass(frozen=True, slots=True)
 class HorizonConfig:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    places : int
-        Drawn with ``seed`` from the middle half of the DEM, both ways.
-    compared : int
-        Of them, compared with the oracle.
-    grass_places : int
-        Given to GRASS.
-    depths : tuple of int
-        Of Embree's bisection, started from the neighbouring column.
-    repeats : int
-    seed : int
-    """
-
-    places: int = 1000
-    compared: int = 24
-    grass_places: int = 24
+    places: int = 1000  # Drawn with ``seed`` from the middle half of the DEM, both ways
+    compared: int = 24  # Of them, compared with the oracle
+    grass_places: int = 24  # Given to GRASS
+    # Of Embree's bisection, started from the neighbouring column.
     depths: tuple[int, ...] = (9, 11, 13, 15)
     repeats: int = 3
     seed: int = 0

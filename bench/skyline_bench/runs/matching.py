@@ -38,52 +38,29 @@ _QUICK_M = 3000.0
 
 @dataclass(frozen=True, slots=True)
 class MatchingConfig:
-    """What is compared.
+    """What is compared."""
 
-    Attributes
-    ----------
-    bounds_deg : (float, float, float, float), optional
-        West, south, east, north of the area; by default 5 x 10 km in the DEM's middle.
-    spacings_m : tuple of float
-        Of the uniform stores of renderings, built where a matcher searches such.
-    place_spacings_m : tuple of float or None
-        Of the uniform stores of places, likewise; None for places as they are planned by default.
-    plans : tuple of PlanConfig
-        What the paper's planners are asked for: a store of the renderings of each, and one of
-        whole places at their eyes, likewise.
-    stores : tuple of Path
-        Stores that are there already, measured after the others.
-    matchers : tuple of str
-        Names of `skyline_bench.trials.matchers.WHAT`; each is run on the stores it can search.
-    kinds : tuple of str
-        Names of `KINDS`.
-    queries : int
-        Of each kind.
-    grouped : bool
-        Whether queries are told apart by how far their skyline is; takes three at least.
-    seed : int
-        Of the queries and the intervals.
-    top : int
-        Candidates asked for; the first one counts.
-    workers : int, optional
-        Processes at work, each with one thread; by default this process with all of them.
-    query : QueryConfig
-        Plain queries.
-    """
-
+    # West, south, east, north of the area; by default 5 x 10 km in the DEM's middle.
     bounds_deg: BoundsDeg | None = None
+    # Of the uniform stores of renderings, built where a matcher searches such.
     spacings_m: tuple[float, ...] = (1024.0, 512.0, 256.0, 128.0)
+    # Of the uniform stores of places, likewise; None for places as they are planned by default.
     place_spacings_m: tuple[float | None, ...] = (None, 160.0, 120.0, 80.0, 60.0, 40.0)
+    # What the paper's planners are asked for: a store of the renderings of each, and one of whole
+    # places at their eyes, likewise.
     plans: tuple[PlanConfig, ...] = ()
-    stores: tuple[Path, ...] = ()
+    stores: tuple[Path, ...] = ()  # Stores that are there already, measured after the others
+    # Names of `skyline_bench.trials.matchers.WHAT`; each is run on the stores it can search.
     matchers: tuple[str, ...] = tuple(WHAT)
-    kinds: tuple[str, ...] = tuple(KINDS)
-    queries: int = 300
+    kinds: tuple[str, ...] = tuple(KINDS)  # Names of `KINDS`
+    queries: int = 300  # Of each kind
+    # Whether queries are told apart by how far their skyline is; takes three at least.
     grouped: bool = False
-    seed: int = 0
-    top: int = 5
+    seed: int = 0  # Of the queries and the intervals
+    top: int = 5  # Candidates asked for; the first one counts
+    # Processes at work, each with one thread; by default this process with all of them.
     workers: int | None = None
-    query: QueryConfig = field(default_factory=QueryConfig)
+    query: QueryConfig = field(default_factory=QueryConfig)  # Plain queries
 
     def __post_init__(self) -> None:
         for name, value, least in (

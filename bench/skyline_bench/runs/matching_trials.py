@@ -58,23 +58,13 @@ _GIVEN = "given"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """One matcher's trials of one kind of queries on one store.
+    """One matcher's trials of one kind of queries on one store."""
 
-    Attributes
-    ----------
-    planner : str
-        What chose the store's viewpoints.
-    store : ReferenceStore
-    matcher, kind : str
-    trials : tuple of Trial
-        In the order of the queries.
-    """
-
-    planner: str
+    planner: str  # What chose the store's viewpoints
     store: ReferenceStore
     matcher: str
     kind: str
-    trials: tuple[Trial, ...]
+    trials: tuple[Trial, ...]  # In the order of the queries
 
     def row(self, seed: int, group: DistanceGroup | None = None) -> dict[str, object]:
         """Return the table's row of a group: what was compared, `summarize`, and costs."""
@@ -101,19 +91,11 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """The whole comparison.
+    """The whole comparison."""
 
-    Attributes
-    ----------
-    groups : tuple of DistanceGroup
-        Close, medium, far and all; none where they were not asked for.
-    comparisons : tuple of Comparison
-        By store, then matcher, then kind.
-    seed : int
-    """
-
+    # Close, medium, far and all; none where they were not asked for.
     groups: tuple[DistanceGroup, ...]
-    comparisons: tuple[Comparison, ...]
+    comparisons: tuple[Comparison, ...]  # By store, then matcher, then kind
     seed: int
 
     def rows(self) -> list[dict[str, object]]:
@@ -141,14 +123,7 @@ _Job = tuple[ReferenceStore, str]
 
 
 def check(terrain: HeightField, config: MatchingConfig) -> BoundsDeg:
-    """Return the bounds of the area, if everything asked for fits into it.
-
-    Raises
-    ------
-    InputError
-        Bounds outside the DEM, an area too small for a spacing, a budget that is too small to
-        begin with, or a store for no matcher.
-    """
+    """Return the bounds of the area, if everything asked for fits into it."""
     bounds_deg = config.bounds_deg or middle_deg(terrain)
     area = map_bounds(terrain, bounds_deg)
     for _, spacing_m in config.grids():
@@ -179,7 +154,6 @@ def measure(
     ----------
     terrain : HeightField
         What the stores are rendered from, and the plain queries.
-    config : MatchingConfig
     folder : Path
         Where stores and trials are kept: what is there already is not done again.
     progress : callable, optional
@@ -191,15 +165,6 @@ def measure(
         Position errors are those of the best candidate, whether or not the matcher stands by it; a
         query without any counts as wrong by half of the area's diagonal. Heading errors are those
         of the right answers.
-
-    Raises
-    ------
-    InputError
-        As `check`.
-    StoreMismatchError
-        The folder has a store of another DEM, area or configuration.
-    BuildError
-        A worker died.
     """
     bounds_deg = check(terrain, config)
     west, south, east, north = map_bounds(terrain, bounds_deg)

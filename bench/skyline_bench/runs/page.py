@@ -53,7 +53,6 @@ def measure(folder: Path, matches: int, drag_s: float, progress: Progress) -> li
         Over which memory is compared.
     drag_s : float
         For how long the camera is dragged.
-    progress : callable
     """
     store, photo = _made(folder)
     progress(1, 5)

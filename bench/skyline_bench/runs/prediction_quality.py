@@ -29,84 +29,42 @@ _TIMED = 100
 
 @dataclass(frozen=True, slots=True)
 class QualitySetup:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    viewpoints : int
-        Random viewpoints; each has four views.
-    displacements : int
-        Other eyes around each, uniform in a disc.
-    reach_m : float
-        Radius of the disc.
-    threshold_px : float
-        Two skylines are alike within this.
-    margin_m : float
-        Least distance of a viewpoint from the map's border.
-    seed : int
-    """
-
-    viewpoints: int = 200
-    displacements: int = 12
-    reach_m: float = 300.0
-    threshold_px: float = 3.0
-    margin_m: float = 3000.0
+    viewpoints: int = 200  # Random viewpoints; each has four views
+    displacements: int = 12  # Other eyes around each, uniform in a disc
+    reach_m: float = 300.0  # Radius of the disc
+    threshold_px: float = 3.0  # Two skylines are alike within this
+    margin_m: float = 3000.0  # Least distance of a viewpoint from the map's border
     seed: int = 41
 
 
 @dataclass(frozen=True, slots=True)
 class QualityRow:
-    """What one predictor got right; precision and recall with 95 % intervals over viewpoints.
-
-    Attributes
-    ----------
-    predictor : str
-    precision, recall : float
-        Of "alike within the threshold"; precision is NaN where nothing was predicted alike.
-    precision_interval, recall_interval : (low, high)
-    rank_correlation : float
-        Spearman's, of predicted and true errors.
-    answered : float
-        Share of displacements the predictor had a finite error for.
-    ms_per_area : float
-        Processor time for a view and 100 displacements.
-    """
+    """What one predictor got right; precision and recall with 95 % intervals over viewpoints."""
 
     predictor: str
+    # Of "alike within the threshold"; precision is NaN where nothing was predicted alike.
     precision: float
     precision_interval: tuple[float, float]
     recall: float
     recall_interval: tuple[float, float]
-    rank_correlation: float
-    answered: float
-    ms_per_area: float
+    rank_correlation: float  # Spearman's, of predicted and true errors
+    answered: float  # Share of displacements the predictor had a finite error for
+    ms_per_area: float  # Processor time for a view and 100 displacements
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QualityPairs:
-    """N views, M displaced eyes of each, and how far apart the skylines truly are.
+    """N views, M displaced eyes of each, and how far apart the skylines truly are."""
 
-    Attributes
-    ----------
-    views : Views
-        The four headings of an eye follow one another.
-    displacements_m : (N, M, 3) float64
-    true_px : (N, M) float32
-    """
-
-    views: Views
-    displacements_m: Float64Array
-    true_px: Float32Array
+    views: Views  # The four headings of an eye follow one another
+    displacements_m: Float64Array  # (N, M, 3)
+    true_px: Float32Array  # (N, M)
 
 
 def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:
-    """Choose eyes and displacements, render both ends and measure the true errors.
-
-    Raises
-    ------
-    InputError
-        A map too small for the margin and the reach, or mostly holes.
-    """
+    """Choose eyes and displacements, render both ends and measure the true errors."""
     eyes, others = _choose_eyes(field, setup)
     with HorizonRenderer(field) as renderer:
         stored, rendered = renderer.render(eyes), renderer.render(others)

@@ -25,26 +25,13 @@ Photos = tuple[SyntheticQuery, ...]
 
 @dataclass(frozen=True, slots=True)
 class SamePlaceConfig:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    bounds_deg : (float, float, float, float), optional
-        West, south, east, north; by default 5 x 10 km in the DEM's middle.
-    spacing_m : float
-        Of the store of places.
-    places : int
-        Where photos are taken.
-    photos : int
-        Of each place, looking anywhere.
-    seed : int
-    query : QueryConfig
-    """
-
+    # West, south, east, north; by default 5 x 10 km in the DEM's middle.
     bounds_deg: BoundsDeg | None = None
-    spacing_m: float = 80.0
-    places: int = 30
-    photos: int = 3
+    spacing_m: float = 80.0  # Of the store of places
+    places: int = 30  # Where photos are taken
+    photos: int = 3  # Of each place, looking anywhere
     seed: int = 0
     query: QueryConfig = QueryConfig()  # noqa: RUF009  (it is frozen)
 
@@ -62,23 +49,12 @@ class SamePlaceConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Measured:
-    """What was found of the photos of one place.
+    """What was found of the photos of one place."""
 
-    Attributes
-    ----------
-    alone : tuple of Trial
-        Of each photo.
-    together : JointResult
-        Of all.
-    mixed : JointResult
-        Of all but the last, and one of another place.
-    error_m, mixed_error_m : float
-        Of the two joint places; infinite where there is none.
-    """
-
-    alone: tuple[Trial, ...]
-    together: JointResult
-    mixed: JointResult
+    alone: tuple[Trial, ...]  # Of each photo
+    together: JointResult  # Of all
+    mixed: JointResult  # Of all but the last, and one of another place
+    # Of the two joint places; infinite where there is none.
     error_m: float
     mixed_error_m: float
 
@@ -103,11 +79,8 @@ def measure(
 
     Parameters
     ----------
-    terrain : HeightField
-    config : SamePlaceConfig
     folder : Path
         Where the store is, or will be.
-    progress : callable, optional
 
     Returns
     -------
@@ -117,11 +90,6 @@ def measure(
         found within 200 m. ``radius_holds`` is the share of the places found whose error is within
         the radius that 68 % should be within, ``own_named_wrong`` that of the places where a photo
         is said not to agree, ``stranger_named`` that where the photo of another place is.
-
-    Raises
-    ------
-    InputError
-        Bounds outside the DEM, or an area too small for the spacing.
     """
     bounds_deg = config.bounds_deg or middle_deg(terrain)
     store = place_store(terrain, folder, config.spacing_m, bounds_deg, PlaceConfig())

@@ -63,36 +63,19 @@ _QUICK_QUERIES, _QUICK_KM2 = 5, 10.0
 
 @dataclass(frozen=True, slots=True)
 class ScaleConfig:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    spacing_m : float, optional
-        Of a uniform store of places that is built; by default they are planned.
-    loss : float
-        What they are planned for.
-    bounds_deg : (float, float, float, float), optional
-        West, south, east, north of what is built; by default all of the DEM.
-    store : Path, optional
-        A store of places that is there already, instead.
-    areas_km2 : tuple of float
-        Squares that are searched; all of the store is searched as well.
-    near_km : tuple of float
-        Radii of circles that are searched.
-    queries : int
-    seed : int
-        Of the queries, and of where squares and circles lie about them.
-    query : QueryConfig
-    """
-
+    # Of a uniform store of places that is built; by default they are planned.
     spacing_m: float | None = None
-    loss: float = DEFAULT_LOSS
+    loss: float = DEFAULT_LOSS  # What they are planned for
+    # West, south, east, north of what is built; by default all of the DEM.
     bounds_deg: BoundsDeg | None = None
-    store: Path | None = None
+    store: Path | None = None  # A store of places that is there already, instead
+    # Squares that are searched; all of the store is searched as well.
     areas_km2: tuple[float, ...] = (50.0, 1000.0, 10_000.0)
-    near_km: tuple[float, ...] = (30.0,)
+    near_km: tuple[float, ...] = (30.0,)  # Radii of circles that are searched
     queries: int = 200
-    seed: int = 0
+    seed: int = 0  # Of the queries, and of where squares and circles lie about them
     query: QueryConfig = field(default_factory=QueryConfig)
 
     def __post_init__(self) -> None:
@@ -120,14 +103,7 @@ class ScaleConfig:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """A square or a circle that holds a query's place, or everything.
-
-    Attributes
-    ----------
-    name : str
-    km2 : float
-    side_m, radius_m : float or None
-    """
+    """A square or a circle that holds a query's place, or everything."""
 
     name: str
     km2: float
@@ -162,22 +138,12 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The outcome of one query in one search.
+    """The outcome of one query in one search."""
 
-    Attributes
-    ----------
-    query : int
-        Its number.
-    search : str
-        The name of the search.
-    distance_m : float
-        Median distance of the query's skyline; 0 where it has none: what fills its image stands
-        right before it.
-    outcome : Outcome
-    """
-
-    query: int
-    search: str
+    query: int  # Its number
+    search: str  # The name of the search
+    # Median distance of the query's skyline; 0 where it has none: what fills its image stands right
+    # before it.
     distance_m: float
     outcome: Outcome
 
@@ -197,23 +163,13 @@ def outcomes(
 
     Parameters
     ----------
-    terrain : HeightField
-    config : ScaleConfig
     folder : Path
         Where the store that is built and the results are kept: what is there is not done again.
-    progress : callable, optional
 
     Returns
     -------
     (dict, list of Search, list of Found)
         What the store cost, what was searched, and what became of each query in each search.
-
-    Raises
-    ------
-    InputError
-        Bounds outside the DEM, a spacing that does not fit them, or a store of renderings.
-    StoreMismatchError
-        The store is of another DEM, or the folder has one of another area.
     """
     if config.store is not None:
         store = given_store(terrain, config.store)

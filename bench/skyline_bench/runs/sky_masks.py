@@ -29,29 +29,17 @@ _JPEG_QUALITY = 92
 
 @dataclass(frozen=True, slots=True)
 class MaskRow:
-    """One half of the photographs.
-
-    Attributes
-    ----------
-    half : str
-    photos, refused : int
-    within : float
-        Share of the trusted columns that lie within 1 % of the image's height.
-    trusted : float
-        Share of the columns whose mask has an edge, refused photographs' too, that are trusted.
-    mostly_wrong : int
-        Photographs with most of their trusted columns farther off.
-    seconds, seconds_12mp : float
-        Processor time a photograph, from the file to the skyline: as it is, and the first three
-        enlarged to 12 megapixels.
-    """
+    """One half of the photographs."""
 
     half: str
     photos: int
     refused: int
-    within: float
+    within: float  # Share of the trusted columns that lie within 1 % of the image's height
+    # Share of the columns whose mask has an edge, refused photographs' too, that are trusted.
     trusted: float
-    mostly_wrong: int
+    mostly_wrong: int  # Photographs with most of their trusted columns farther off
+    # Processor time a photograph, from the file to the skyline: as it is, and the first three
+    # enlarged to 12 megapixels.
     seconds: float
     seconds_12mp: float
 
@@ -65,13 +53,7 @@ class _Outcome:
 
 
 def measure(folder: Path, quick: bool, progress: Progress) -> list[dict[str, object]]:
-    """Measure both halves of a folder, or two photographs of each, one core.
-
-    Raises
-    ------
-    InputError
-        The folder has fewer than two photographs with masks.
-    """
+    """Measure both halves of a folder, or two photographs of each, one core."""
     cv2.setNumThreads(1)
     names = sorted(
         (path.name.removesuffix(".mask.png") for path in folder.glob("*.mask.png")),

@@ -37,40 +37,24 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class SpeedErrorConfig:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    width : int
-        Columns W of all paths but the depth path.
-    depth_widths : tuple of int
-    tolerances_px : tuple of float
-        Of the horizon path.
-    bisections : tuple of Bisection
-        Settings of the Embree peer.
-    viewpoints : int
-        Viewpoints of a timed batch, on a grid of ``spacing_m`` in the middle of the DEM.
-    slow_viewpoints : int
-        The same for the depth path and the oracle: they take viewpoints one by one, so that the
-        time of one does not depend on how many there are.
-    compared_viewpoints : int
-        How many of the batch, drawn with ``seed``, are compared with the oracle.
-    repeats : int
-        Timed rounds.
-    curvature : Curvature
-    """
-
-    width: int = DEFAULT_WIDTH
+    width: int = DEFAULT_WIDTH  # Columns W of all paths but the depth path
     depth_widths: tuple[int, ...] = (160, 320, 640, 1280, 2560)
-    tolerances_px: tuple[float, ...] = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0)
+    tolerances_px: tuple[float, ...] = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0)  # Of the horizon path
+    # Settings of the Embree peer.
     bisections: tuple[Bisection, ...] = tuple(
         Bisection(depth, start) for start in STARTS for depth in (9, 11, 13, 15, 18)
     )
+    # Viewpoints of a timed batch, on a grid of ``spacing_m`` in the middle of the DEM.
     viewpoints: int = 400
     spacing_m: float = 100.0
+    # The same for the depth path and the oracle: they take viewpoints one by one, so that the time
+    # of one does not depend on how many there are.
     slow_viewpoints: int = 2
+    # How many of the batch, drawn with ``seed``, are compared with the oracle.
     compared_viewpoints: int = 24
-    repeats: int = 5
+    repeats: int = 5  # Timed rounds
     seed: int = 0
     curvature: Curvature = field(default_factory=Curvature)
 
@@ -116,13 +100,7 @@ class _Contender:
 
 
 def central_viewpoints(terrain: HeightField, count: int, spacing_m: float) -> Viewpoints:
-    """Return up to ``count`` viewpoints of a uniform grid, a square in the middle of a DEM.
-
-    Raises
-    ------
-    InputError
-        The spacing is not positive, or no viewpoint falls on the surface.
-    """
+    """Return up to ``count`` viewpoints of a uniform grid, a square in the middle of a DEM."""
     side = int(np.ceil(np.sqrt(count)))
     west, south, east, north = terrain.bounds_m
     half_m = (side - 0.5) / 2.0 * spacing_m
@@ -138,13 +116,7 @@ def central_viewpoints(terrain: HeightField, count: int, spacing_m: float) -> Vi
 def measure(
     terrain: HeightField, config: SpeedErrorConfig, progress: Progress | None = None
 ) -> list[Row]:
-    """Return one row a contender: what a benchmark always says, and what explains it.
-
-    Raises
-    ------
-    InputError
-        No viewpoint falls on the surface in the middle of the DEM.
-    """
+    """Return one row a contender: what a benchmark always says, and what explains it."""
     batch = central_viewpoints(terrain, config.viewpoints, config.spacing_m)
     drawn = np.random.default_rng(config.seed).permutation(len(batch))
     compared = batch[np.sort(drawn[: config.compared_viewpoints])]

@@ -37,32 +37,17 @@ CODINGS = (
 
 @dataclass(frozen=True, slots=True)
 class DurabilityConfig:
-    """How much is done to stores.
+    """How much is done to stores."""
 
-    Attributes
-    ----------
-    dem : Path
-        What builds to kill are made from.
-    stores : tuple of Path
-        Of exact rows, on which codings of compact rows are compared.
-    kills, flips, cases : int
-        Of each kind of store.
-    seconds : float
-        How long readers read.
-    renderings : int
-        To compare codings on.
-    spacing_m : float
-        Of the builds to kill.
-    """
-
-    dem: Path
-    stores: tuple[Path, ...] = ()
+    dem: Path  # What builds to kill are made from
+    stores: tuple[Path, ...] = ()  # Of exact rows, on which codings of compact rows are compared
+    # Of each kind of store.
     kills: int = 200
     flips: int = 200
     cases: int = 500
-    seconds: float = 60.0
-    renderings: int = 1024
-    spacing_m: float = 500.0
+    seconds: float = 60.0  # How long readers read
+    renderings: int = 1024  # To compare codings on
+    spacing_m: float = 500.0  # Of the builds to kill
 
 
 def _rendered_build(terrain: HeightField, spacing_m: float, path: Path, say: Say) -> None:

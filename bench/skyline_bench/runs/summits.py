@@ -43,26 +43,14 @@ _EYE_M = 2.0
 
 @dataclass(frozen=True, slots=True)
 class SummitsConfig:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    summits : int
-        The highest so many.
-    eyes : int
-        Eyes drawn about each summit.
-    nearest_m, farthest_m : float
-        Distances of eyes.
-    places : int
-        Places rendered, for the cost.
-    seed : int
-    """
-
-    summits: int = 200
-    eyes: int = 8
+    summits: int = 200  # The highest so many
+    eyes: int = 8  # Eyes drawn about each summit
+    # Distances of eyes.
     nearest_m: float = 2000.0
     farthest_m: float = 20_000.0
-    places: int = 400
+    places: int = 400  # Places rendered, for the cost
     seed: int = 0
 
     def quick(self) -> "SummitsConfig":
@@ -146,13 +134,7 @@ class _Sights:
 def measure(
     dem: Sequence[str | Path], crs: str | None = None, config: SummitsConfig = SummitsConfig()
 ) -> list[Row]:
-    """Return a row for each surface.
-
-    Raises
-    ------
-    InputError
-        As `read_dem` raises it, or a DEM without a summit.
-    """
+    """Return a row for each surface."""
     options = DemOptions(crs=crs)
     started = time.process_time()
     field = read_dem(dem, options)

@@ -34,7 +34,6 @@ def measure(
 
     Parameters
     ----------
-    seeds : int
     quick : bool
         One seed only.
     strategies : sequence of str, optional
@@ -47,11 +46,6 @@ def measure(
         ``mean_area`` (of the views rendered), ``seconds`` (processor time) and ``coverage``
         (reached), standard deviations ``A_std``, ``B_std``, ``mean_area_std``, ``seconds_std``,
         and ``bound``, ``asked * 10000 / mean_area``.
-
-    Raises
-    ------
-    InputError
-        No such strategy, or fewer than one seed.
     """
     chosen = _known(strategies)
     if seeds < 1:

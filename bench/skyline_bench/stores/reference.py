@@ -41,25 +41,15 @@ _SECONDS = ("build_s", "build_cpu_s")
 
 @dataclass(frozen=True, slots=True)
 class ReferenceStore:
-    """A store and what it cost.
-
-    Attributes
-    ----------
-    name : str
-    path : Path
-    holds : str
-        Renderings or places.
-    rows, size_bytes : int
-    build_s, build_cpu_s : float or None
-        By the clock and of processor time, over all the runs it was built in; None where that
-        was not noted.
-    """
+    """A store and what it cost."""
 
     name: str
     path: Path
-    holds: str
+    holds: str  # Renderings or places
     rows: int
     size_bytes: int
+    # By the clock and of processor time, over all the runs it was built in; None where that was not
+    # noted.
     build_s: float | None
     build_cpu_s: float | None
 
@@ -77,13 +67,7 @@ class ReferenceStore:
 def check_spacing(
     terrain: HeightField, spacing_m: float | None, bounds_deg: MapBounds | None
 ) -> None:
-    """Refuse a uniform grid that does not fit an area; without a spacing there is none.
-
-    Raises
-    ------
-    InputError
-        A spacing that is not positive, or wider than the area.
-    """
+    """Refuse a uniform grid that does not fit an area; without a spacing there is none."""
     bounds = map_bounds(terrain, bounds_deg)
     if spacing_m is None:
         return
@@ -103,13 +87,7 @@ def uniform_store(
     bounds_deg: MapBounds | None,
     config: RenderConfig,
 ) -> ReferenceStore:
-    """Return a uniform store of renderings in a folder, built as far as it is not there yet.
-
-    Raises
-    ------
-    StoreMismatchError
-        The folder has one of that name from another DEM, area or configuration.
-    """
+    """Return a uniform store of renderings in a folder, built as far as it is not there yet."""
     name, layout = f"uniform-{spacing_m:g}", Layout(spacing_m, bounds_deg=bounds_deg)
     path = folder / f"{name}.h5"
     return _built(name, path, lambda: build_store(terrain, path, layout, config))
@@ -142,13 +120,6 @@ def planned_store(
 
     It is named by its strategy and, where it has one, its budget. A plan that was followed to its
     end is not worked out again.
-
-    Raises
-    ------
-    InputError
-        An area that cannot be planned.
-    StoreMismatchError
-        The folder has one of that name from another DEM, area or configuration.
     """
     name = planned.strategy + (f"-{planned.budget}" if planned.budget else "")
     path = folder / f"{name}.h5"
@@ -247,17 +218,7 @@ def _as_read(settings: dict[str, object]) -> dict[str, object]:
 
 
 def given_store(terrain: HeightField, path: Path) -> ReferenceStore:
-    """Return a store that is there already, under its file's name.
-
-    Raises
-    ------
-    MissingFileError
-        There is no such file.
-    InputError
-        It lies in another frame than the terrain, so that its places cannot be compared.
-    StoreError
-        It cannot be read.
-    """
+    """Return a store that is there already, under its file's name."""
     if not path.is_file():
         raise MissingFileError(f"{path} does not exist; give a store that `skyline build` made")
     with open_store(path) as store:

@@ -10,16 +10,8 @@ SKY, GROUND, COVER, UNKNOWN = 0, 1, 2, 255
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingPhoto:
-    """A photograph and what is true of it.
+    """A photograph and what is true of it."""
 
-    Attributes
-    ----------
-    image : (H, W, 3) uint8
-    label : (H, W) uint8
-    row_px : (W,) float32
-        The skyline, in rows; NaN where none is to be seen.
-    """
-
-    image: UInt8Array
-    label: UInt8Array
-    row_px: Float32Array
+    image: UInt8Array  # (H, W, 3)
+    label: UInt8Array  # (H, W)
+    row_px: Float32Array  # (W,); the skyline, in rows; NaN where none is to be seen

@@ -29,34 +29,19 @@ class QueryMatcher(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What one matcher made of one query.
+    """What one matcher made of one query."""
 
-    Attributes
-    ----------
-    query : int
-        The query's number.
-    truth : Truth
-    distance_m : float
-        Median distance of the query's skyline.
-    candidates : tuple of Candidate
-        Best first; empty where the matcher found nothing or refused the query.
-    answered_within_m : float or None
-        How near the matcher says the best of them is, 200 m if it does not say; None where it does
-        not stand by it.
-    error_m : float
-        Distance of the best candidate from the truth; without any, what a miss is set to.
-    heading_error_deg : float
-        Of the best candidate, 0 to 180; NaN without any.
-    seconds : float
-    """
-
-    query: int
+    query: int  # The query's number
     truth: Truth
-    distance_m: float
+    distance_m: float  # Median distance of the query's skyline
+    # Best first; empty where the matcher found nothing or refused the query.
     candidates: tuple[Candidate, ...]
+    # How near the matcher says the best of them is, 200 m if it does not say; None where it does
+    # not stand by it.
     answered_within_m: float | None
+    # Distance of the best candidate from the truth; without any, what a miss is set to.
     error_m: float
-    heading_error_deg: float
+    heading_error_deg: float  # Of the best candidate, 0 to 180; NaN without any
     seconds: float
 
     @property

@@ -49,18 +49,11 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What the skylines of a scene should be.
+    """What the skylines of a scene should be."""
 
-    Attributes
-    ----------
-    views : Views
-        float64.
-    slack_px : float
-        How far the elevation_tan of ``views`` may be from the exact surface's: 0 from the
-        oracle, the discretization of the terrain for a closed form.
-    """
-
-    views: Views
+    views: Views  # float64
+    # How far the elevation_tan of ``views`` may be from the exact surface's: 0 from the oracle, the
+    # discretization of the terrain for a closed form.
     slack_px: float = 0.0
 
 
@@ -89,19 +82,11 @@ class RendererFactory(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
-    """Rendered skylines against the truth, both (N, W).
+    """Rendered skylines against the truth, both (N, W)."""
 
-    Attributes
-    ----------
-    error_px : float64
-        Infinite where only one of the two meets data; 0 where the path cannot be held to it.
-    bound_px : float64
-        What the path's arithmetic allows.
-    flags_agree : bool
-    """
-
+    # Infinite where only one of the two meets data; 0 where the path cannot be held to it.
     error_px: Float64Array
-    bound_px: Float64Array
+    bound_px: Float64Array  # What the path's arithmetic allows
     flags_agree: BoolArray
 
     @property
@@ -112,18 +97,11 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class RenderPath:
-    """A way to render skylines, and what it promises.
-
-    Attributes
-    ----------
-    name : str
-    factory : RendererFactory
-    agreement : callable
-        Compares rendered views of a scene with the truth.
-    """
+    """A way to render skylines, and what it promises."""
 
     name: str
     factory: RendererFactory
+    # Compares rendered views of a scene with the truth.
     agreement: Callable[[Scene, Views, Truth], Agreement]
 
     def render(self, scene: Scene) -> Views:
@@ -237,7 +215,6 @@ def undecided_columns(scene: Scene, bound_px: Float64Array) -> tuple[BoolArray, 
 
     Parameters
     ----------
-    scene : Scene
     bound_px : (N, W) float64
         Bound on the error of v.
 

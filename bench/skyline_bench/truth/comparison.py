@@ -13,24 +13,14 @@ PIXEL_TAN = pixel_size(DEFAULT_WIDTH)
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Errors over the columns that neither side flags.
+    """Errors over the columns that neither side flags."""
 
-    Attributes
-    ----------
-    rms_px, max_px : float or None
-        None where no column could be compared.
-    columns : int
-        Columns compared.
-    flagged_share : float
-        Share of all columns that were left out because either side flags them.
-    missing : int
-        Unflagged columns of the truth where the other has no value, whatever its flags say.
-    """
-
+    # None where no column could be compared.
     rms_px: float | None
     max_px: float | None
-    columns: int
-    flagged_share: float
+    columns: int  # Columns compared
+    flagged_share: float  # Share of all columns that were left out because either side flags them
+    # Unflagged columns of the truth where the other has no value, whatever its flags say.
     missing: int
 
 

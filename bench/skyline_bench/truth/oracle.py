@@ -55,7 +55,6 @@ def skyline(
 
     Parameters
     ----------
-    field : HeightField
     viewpoints : Viewpoints
         N eyes, at or above the surface.
     width : int
@@ -79,12 +78,10 @@ def skyline_at(
 
     Parameters
     ----------
-    field : HeightField
     viewpoints : Viewpoints
         N eyes, at or above the surface.
     u : (W,) float64
         Abscissas of the columns, increasing, of magnitude at most 1.
-    curvature : Curvature
 
     Returns
     -------
@@ -117,20 +114,13 @@ def skyline_at(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rivals:
-    """What decides a column's flags, (N, W) each; N views, the four headings of an eye together.
+    """What decides a column's flags, (N, W) each; N views, the four headings of an eye together."""
 
-    Attributes
-    ----------
-    inner_tan, border_tan : float64
-        Greatest v over the crossings beyond which the surface goes on, and over those where it
-        ends; -inf where there are none. The greater of the two is the skyline.
-    hole : bool
-        Whether the column passes over a hole with data behind it.
-    """
-
+    # Greatest v over the crossings beyond which the surface goes on, and over those where it ends;
+    # -inf where there are none. The greater of the two is the skyline.
     inner_tan: Float64Array
     border_tan: Float64Array
-    hole: BoolArray
+    hole: BoolArray  # Whether the column passes over a hole with data behind it
 
 
 def rivals(
@@ -140,11 +130,8 @@ def rivals(
 
     Parameters
     ----------
-    field : HeightField
-    viewpoints : Viewpoints
     u : (W,) float64
         Abscissas of the columns, increasing, of magnitude at most 1.
-    curvature : Curvature
     """
     triangles = Triangles.of(field.heights_m)
     shape = (len(viewpoints), len(HEADINGS), len(u))

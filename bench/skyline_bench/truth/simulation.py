@@ -29,23 +29,13 @@ _NEAREST_DEPTH_SHARE = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row of the paper's Table 1.
-
-    Attributes
-    ----------
-    peaks : int
-    rotation_deg : float
-    threshold_px : float
-    coverage : float
-    affine : bool
-        Whether the reprojection error is taken after the affine warp of Equation 4.
-    """
+    """One row of the paper's Table 1."""
 
     peaks: int
     rotation_deg: float
     threshold_px: float
     coverage: float
-    affine: bool
+    affine: bool  # Whether the reprojection error is taken after the affine warp of Equation 4
 
 
 TABLE_1 = (
@@ -57,33 +47,15 @@ TABLE_1 = (
 
 @dataclass(frozen=True, slots=True)
 class Mountain:
-    """The model's free parameters, in candidates; one set for all rows and strategies.
+    """The model's free parameters, in candidates; one set for all rows and strategies."""
 
-    Attributes
-    ----------
-    distance : float
-        From the front row of candidates to the mountain's near end.
-    width : float
-        Of the mountain, end to end.
-    height : float
-        Of the peaks above the eyes.
-    setback : float
-        How far behind the foot the peaks stand.
-    size : int
-        Rows and columns of candidates.
-    reach : int
-        Of a tolerance area, to either side.
-    columns : int
-        Of the view's 640 columns, how many are looked at, evenly spread.
-    """
-
-    distance: float = 9.0
-    width: float = 150.0
-    height: float = 17.0
-    setback: float = 18.0
-    size: int = 100
-    reach: int = 15
-    columns: int = 64
+    distance: float = 9.0  # From the front row of candidates to the mountain's near end
+    width: float = 150.0  # Of the mountain, end to end
+    height: float = 17.0  # Of the peaks above the eyes
+    setback: float = 18.0  # How far behind the foot the peaks stand
+    size: int = 100  # Rows and columns of candidates
+    reach: int = 15  # Of a tolerance area, to either side
+    columns: int = 64  # Of the view's 640 columns, how many are looked at, evenly spread
 
     def curve(self, row: Row) -> Float32Array:
         """Return the skyline of the mountain in space, (P, 3): right, up, forward."""
@@ -169,7 +141,6 @@ class SimulatedModel:
 
     Parameters
     ----------
-    simulation : Simulation
     sources : int
         How many rendered views, the nearest, a prediction is made from.
     """
@@ -265,8 +236,6 @@ def reprojection_errors(
     ----------
     u, v, depth : (Q,) float32
         The view's skyline, NaN where there is none; depth in candidates.
-    reach : int
-    affine : bool
 
     Returns
     -------
@@ -317,15 +286,11 @@ class Run:
     ----------
     viewpoints : (A,) int64
         In the order rendered, corners first.
-    coverage : Coverage
-    progress : (A - 3,) float64
-        Coverage after the corners and after each rendering.
-    seconds : float
-        Processor time of the strategy with all it asked for: renderings, areas, predictions.
     """
 
     coverage: Coverage
-    progress: NDArray[np.float64]
+    progress: NDArray[np.float64]  # Coverage after the corners and after each rendering
+    # Processor time of the strategy with all it asked for: renderings, areas, predictions.
     seconds: float
 
 
