@@ -4,25 +4,28 @@ import inspect
 from collections.abc import Callable, Mapping
 
 from skyline.console import command_line, run_app
-from skyline_bench.commands.adaptive import uniform_adaptive
-from skyline_bench.commands.matching import matching
-from skyline_bench.commands.page import page
+from skyline_bench.commands.matching import matching, uniform_adaptive
 from skyline_bench.commands.photos import photos, readme_picture
 from skyline_bench.commands.placing import placing
 from skyline_bench.commands.planning import prediction_quality, table1
-from skyline_bench.commands.same_place import same_place
-from skyline_bench.commands.scale import scale
-from skyline_bench.commands.search import calibrate, retrieval_scale, strangers
+from skyline_bench.commands.search import (
+    calibrate,
+    retrieval_scale,
+    same_place,
+    scale,
+    strangers,
+)  # fmt: skip
 from skyline_bench.commands.sky_model import sky_masks, train_sky_model
 from skyline_bench.commands.skylines import (
     horizon,
     large_dem,
+    page,
     pipeline_speed,
     place_speed,
     speed_error,
     stability,
     summits,
-)
+)  # fmt: skip
 from skyline_bench.commands.stores import input_fuzz, sharded_build, store_durability
 
 COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
@@ -35,10 +38,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         large_dem: "2 minutes",
         pipeline_speed: "a minute",
     },
-    "Planning": {
-        table1: "a minute",
-        prediction_quality: "a minute",
-    },
+    "Planning": {table1: "a minute", prediction_quality: "a minute"},
     "Builds, stores and files": {
         sharded_build: "an hour",
         store_durability: "an hour",
@@ -60,9 +60,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         train_sky_model: "an hour",
         readme_picture: "a minute",
     },
-    "The page": {
-        page: "3 minutes",
-    },
+    "The page": {page: "3 minutes"},
 }
 """Commands by what they measure, and about how long each takes on 2 cores without a GPU."""
 

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.matching import Candidate
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.pipeline import FULL, JointResult, Matcher, PlaceConfig, Progress
 from skyline.planning.uniform import map_bounds
@@ -18,7 +16,7 @@ from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_qu
 from skyline_bench.runs.matching import BoundsDeg, middle_deg
 from skyline_bench.stores.reference import place_store
 from skyline_bench.trials.matchers import open_matcher
-from skyline_bench.trials.trials import Trial, errors, run_trials
+from skyline_bench.trials.trials import Trial, accuracy, errors, run_trials
 
 Photos = tuple[SyntheticQuery, ...]
 
@@ -141,45 +139,39 @@ def _groups(measured: Sequence[_Measured]) -> Mapping[str, Sequence[_Measured]]:
 def _row(measured: Sequence[_Measured]) -> Row:
     alone = [trial for one in measured for trial in one.alone]
     error_m = np.array([one.error_m for one in measured])
-    mixed_m = np.array([one.mixed_error_m for one in measured])
-    right, mixed_right = error_m <= RIGHT_WITHIN_M, mixed_m <= RIGHT_WITHIN_M
-    within_m = np.array([one.together.within_m for one in measured], dtype=np.float64)
-    mixed_within_m = np.array([one.mixed.within_m for one in measured], dtype=np.float64)
-    answered, mixed_answered = np.isfinite(within_m), np.isfinite(mixed_within_m)
+    one_by_one = accuracy(
+        np.array([trial.error_m for trial in alone]), [trial.answered_within_m for trial in alone]
+    )
+    together = accuracy(error_m, [one.together.within_m for one in measured])
+    mixed = accuracy(
+        np.array([one.mixed_error_m for one in measured]), [one.mixed.within_m for one in measured]
+    )
+    best = [next(iter(one.together.places), None) for one in measured]
+    names = ("within_200m", "median_m", "answered", "precision")
     return {
         "places": len(measured),
         "photos": len(alone) // len(measured),
-        "alone_within_200m": float(np.mean([trial.right for trial in alone])),
-        "alone_median_m": float(np.median([trial.error_m for trial in alone])),
+        **{f"alone_{name}": one_by_one[name] for name in names},
         "alone_radius_holds": _radius_holds(
-            np.array([trial.error_m for trial in alone]),
-            [trial.candidates[0] if trial.candidates else None for trial in alone],
+            [trial.error_m for trial in alone], [trial.radius_m for trial in alone]
         ),
-        "alone_answered": float(np.mean([trial.answered_within_m is not None for trial in alone])),
         "alone_seconds": float(np.median([trial.seconds for trial in alone])),
-        "within_200m": float(right.mean()),
-        "median_m": float(np.median(error_m)),
-        "answered": float(answered.mean()),
-        "precision": float((error_m <= within_m)[answered].mean()) if answered.any() else None,
+        **{name: together[name] for name in names},
         "radius_holds": _radius_holds(
-            error_m, [next(iter(one.together.places), None) for one in measured]
+            error_m.tolist(), [None if place is None else place.radius_m for place in best]
         ),
         "own_named_wrong": float(np.mean([not all(one.together.agrees) for one in measured])),
         "seconds": float(np.median([one.together.seconds for one in measured])),
-        "mixed_within_200m": float(mixed_right.mean()),
-        "mixed_answered": float(mixed_answered.mean()),
-        "mixed_precision": float((mixed_m <= mixed_within_m)[mixed_answered].mean())
-        if mixed_answered.any()
-        else None,
+        **{f"mixed_{name}": mixed[name] for name in names},
         "stranger_named": float(np.mean([not one.mixed.agrees[-1] for one in measured])),
     }
 
 
-def _radius_holds(error_m: Float64Array, best: Sequence[Candidate | None]) -> float | None:
-    """Return the share of right places whose error (N,) is within their radius."""
+def _radius_holds(error_m: Sequence[float], radius_m: Sequence[float | None]) -> float | None:
+    """Return the share of right places whose error is within their radius."""
     within = [
-        error <= place.radius_m
-        for error, place in zip(error_m.tolist(), best, strict=True)
-        if place is not None and place.radius_m is not None and error <= RIGHT_WITHIN_M
+        error <= radius
+        for error, radius in zip(error_m, radius_m, strict=True)
+        if radius is not None and error <= RIGHT_WITHIN_M
     ]
     return float(np.mean(within)) if within else None

@@ -20,7 +20,6 @@ import numpy as np
 from skyline import __version__
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.pipeline import Matcher, PlaceConfig, Progress
 from skyline.pipeline.config import mapped_area_m
@@ -41,6 +40,7 @@ from skyline_bench.stores.reference import (
 from skyline_bench.trials.kept import measured_code_digest
 from skyline_bench.trials.matchers import MATCHING
 from skyline_bench.trials.traced import STAGES, Outcome, Traced
+from skyline_bench.trials.trials import accuracy
 
 _log = logging.getLogger(__name__)
 
@@ -318,17 +318,10 @@ def summary(outcomes: Sequence[Outcome]) -> Row:
         for name in fields(Outcome)
     }
     error_m = np.where(np.isnan(columns["error_m"]), np.inf, columns["error_m"])
-    right, within_m = error_m <= RIGHT_WITHIN_M, columns["answered_within_m"]
-    answered = np.isfinite(within_m)
     return {
-        "n": len(outcomes),
-        "within_200m": float(right.mean()),
+        **accuracy(error_m, [one.answered_within_m for one in outcomes]),
         "within_1km": float((error_m <= _KILOMETRE_M).mean()),
-        "median_m": float(np.median(error_m)),
         "mean_m": float(np.minimum(error_m, _NOWHERE_M).mean()),
-        "answered": float(answered.mean()),
-        "answered_200m": float((within_m <= RIGHT_WITHIN_M).mean()),
-        "precision": float((error_m <= within_m)[answered].mean()) if answered.any() else None,
         "query_s": float(np.median(columns["seconds"])),
         "query_cpu_s": float(columns["cpu_s"].mean()),
         **{stage: float(columns[stage].mean()) for stage in STAGES},

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from skyline.pipeline import Layout, Matcher, RenderConfig, build_sharded, local_runner
 from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring.digests import file_digest
 from skyline_bench.measuring.memory import peak_bytes
 from skyline_bench.queries.synthetic import make_queries
+from skyline_bench.trials.kept import file_digest
 from skyline_bench.trials.trials import errors
 
 YOSEMITE = (-119.60, 37.45, -119.00, 37.962)

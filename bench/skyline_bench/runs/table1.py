@@ -15,7 +15,6 @@ from skyline.paper.planning.strategies import STRATEGIES
 from skyline_bench.truth.simulation import TABLE_1, Run, Simulation, simulate
 
 SEEDS = 10
-_QUICK_SEEDS = 1
 
 PAPER = {
     "rov": ((240, 1545), (81, 6664), (239, 9028)),
@@ -27,17 +26,8 @@ PAPER = {
 """(A) and (B) of the paper's Table 1, row by row."""
 
 
-def measure(
-    seeds: int = SEEDS, quick: bool = False, strategies: Sequence[str] | None = None
-) -> list[dict[str, Any]]:
-    """Run strategies on the three rows, each with seeds 0, 1, ...
-
-    Parameters
-    ----------
-    quick : bool
-        One seed only.
-    strategies : sequence of str, optional
-        By default all.
+def measure(seeds: int = SEEDS) -> list[dict[str, Any]]:
+    """Run the strategies on the three rows, each with seeds 0, 1, ...
 
     Returns
     -------
@@ -47,26 +37,17 @@ def measure(
         (reached), standard deviations ``A_std``, ``B_std``, ``mean_area_std``, ``seconds_std``,
         and ``bound``, ``asked * 10000 / mean_area``.
     """
-    chosen = _known(strategies)
     if seeds < 1:
         raise InputError(f"seeds is {seeds}; expected at least 1")
-    seeds = min(seeds, _QUICK_SEEDS) if quick else seeds
     rows = []
     for number, row in enumerate(TABLE_1, start=1):
         simulation = Simulation(row)
-        for name in chosen:
-            runs = [simulate(simulation, STRATEGIES[name], seed) for seed in range(seeds)]
+        for name, strategy in STRATEGIES.items():
+            runs = [simulate(simulation, strategy, seed) for seed in range(seeds)]
             measured = _summary(runs)
             bound = row.coverage * simulation.grid.valid.size / measured["mean_area"]
             rows.append({"row": number, "strategy": name, **measured, "bound": bound})
     return rows
-
-
-def _known(strategies: Sequence[str] | None) -> Sequence[str]:
-    unknown = [name for name in strategies or () if name not in STRATEGIES]
-    if unknown:
-        raise InputError(f"strategy is {unknown[0]!r}; expected one of {', '.join(STRATEGIES)}")
-    return strategies or tuple(STRATEGIES)
 
 
 def _summary(runs: Sequence[Run]) -> dict[str, float]:
