@@ -1,7 +1,7 @@
 """The figures of records, drawn without a window."""
 
 from collections.abc import Iterable, Sequence
-from math import log
+from math import isfinite, log
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,7 @@ def draw_line(
     axis: Axes, rows: Iterable[Row], cost: str, key: str, label: str, style: str = ".-"
 ) -> None:
     """Draw a figure of rows against a cost of theirs, from the least cost on."""
-    points = sorted((row[cost], row[key]) for row in rows if row[cost] is not None)
+    points = sorted((row[cost], row[key]) for row in rows if isfinite(row[cost]))
     if points:
         axis.plot(*zip(*points, strict=True), style, label=label)
 

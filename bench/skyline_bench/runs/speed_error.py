@@ -25,12 +25,13 @@ from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
-from skyline_bench.measuring.timing import Timing, in_turns, over_cores
+from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.timing import in_turns, over_cores
 from skyline_bench.peers.embree import STARTS, Bisection, EmbreePeer, is_installed
 from skyline_bench.truth import oracle
-from skyline_bench.truth.comparison import Comparison, compare
+from skyline_bench.truth.comparison import compare
 
-Row = dict[str, object]
+_Render = Callable[[Viewpoints], Views]
 
 _log = logging.getLogger(__name__)
 
@@ -85,17 +86,14 @@ class SpeedErrorConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Contender:
-    """One way to a skyline with one setting, ready to be asked for viewpoints.
-
-    ``first_s`` is what it took from nothing to the first viewpoint's answer.
-    """
+    """One way to a skyline with one setting, ready to be asked for viewpoints."""
 
     path: str
     width: int
     setting: str
-    first_s: float
     viewpoints: Viewpoints
-    render: Callable[[Viewpoints], Views]
+    render: _Render
+    first_s: float  # From nothing to the first viewpoint's answer
     details: Row = field(default_factory=dict)
 
 
@@ -120,9 +118,14 @@ def measure(
     batch = central_viewpoints(terrain, config.viewpoints, config.spacing_m)
     drawn = np.random.default_rng(config.seed).permutation(len(batch))
     compared = batch[np.sort(drawn[: config.compared_viewpoints])]
+    steps = count(1)
+
+    def tick() -> None:
+        if progress:
+            progress(next(steps), len(contenders) * (3 + 2 * config.repeats))
+
     with ExitStack() as held:
         contenders = list(_contenders(terrain, batch, compared, config, held))
-        tick = _ticker(progress, len(contenders) * (3 + 2 * config.repeats))
         truths: dict[int, Views] = {}
         errors = []
         for contender in contenders:
@@ -137,8 +140,24 @@ def measure(
             [partial(c.render, compared[:1]) for c in contenders], config.repeats, tick
         )
     return [
-        _row(*measured, compared_viewpoints=len(compared))
-        for measured in zip(contenders, errors, batches, alone, strict=True)
+        {
+            "path": one.path,
+            "width": one.width,
+            "tolerance_px": None,
+            "setting": one.setting,
+            "ms_per_viewpoint": 1e3 * batch_time.seconds / len(one.viewpoints),
+            **asdict(error),
+            "viewpoints_per_s": len(one.viewpoints) / batch_time.seconds,
+            "cpu_ms_per_viewpoint": 1e3 * batch_time.cpu_seconds / len(one.viewpoints),
+            "ms_alone": 1e3 * alone_time.seconds,
+            "first_s": one.first_s,
+            "timed_viewpoints": len(one.viewpoints),
+            "compared_viewpoints": len(compared),
+            **one.details,
+        }
+        for one, error, batch_time, alone_time in zip(
+            contenders, errors, batches, alone, strict=True
+        )
     ]
 
 
@@ -150,103 +169,43 @@ def _contenders(
     held: ExitStack,
 ) -> Iterator[_Contender]:
     """Yield everything that is compared; what holds resources is entered into ``held``."""
-    few = few[: config.slow_viewpoints]
-    for width in config.depth_widths:
+    few, width, curvature = few[: config.slow_viewpoints], config.width, config.curvature
+
+    def first(make: Callable[[], _Render]) -> tuple[_Render, float]:
         started = time.perf_counter()
-        depth = held.enter_context(DepthRenderer(terrain, width, config.curvature))
-        first_s = _first_answer(started, depth.render, few)
-        yield _Contender("depth", width, f"W = {width}", first_s, few, depth.render)
+        render = make()
+        render(few[:1])
+        return render, time.perf_counter() - started
+
+    for columns in config.depth_widths:
+        depth = partial(DepthRenderer, terrain, columns, curvature)
+        made = first(lambda depth=depth: held.enter_context(depth()).render)
+        yield _Contender("depth", columns, f"W = {columns}", few, *made)
     for tolerance_px in config.tolerances_px:
-        started = time.perf_counter()
-        horizon = held.enter_context(
-            HorizonRenderer(terrain, config.width, config.curvature, tolerance_px)
-        )
-        yield _Contender(
-            "horizon",
-            config.width,
-            f"{tolerance_px:g} px",
-            _first_answer(started, horizon.render, few),
-            batch,
-            horizon.render,
-            {"tolerance_px": tolerance_px},
-        )
+        horizon = partial(HorizonRenderer, terrain, width, curvature, tolerance_px)
+        made = first(lambda horizon=horizon: held.enter_context(horizon()).render)
+        setting, details = f"{tolerance_px:g} px", {"tolerance_px": tolerance_px}
+        yield _Contender("horizon", width, setting, batch, *made, details)
     if is_installed():
         started = time.perf_counter()
-        peer = EmbreePeer(terrain, config.width, config.curvature)
-        first_s = _first_answer(started, partial(peer.render, bisection=Bisection(15)), few)
+        peer = EmbreePeer(terrain, width, curvature)
+        peer.render(few[:1], Bisection(15))
+        first_s = time.perf_counter() - started
         for bisection in config.bisections:
-            yield _Contender(
-                "embree",
-                config.width,
-                f"{bisection.start} {bisection.depth}",
-                first_s,
-                batch,
-                partial(peer.render, bisection=bisection),
-                {"start": bisection.start, "bisections": bisection.depth},
-            )
+            setting = f"{bisection.start} {bisection.depth}"
+            render = partial(peer.render, bisection=bisection)
+            details = {"start": bisection.start, "bisections": bisection.depth}
+            yield _Contender("embree", width, setting, batch, render, first_s, details)
     else:
         _log.warning("Embree is left out; to have it measured: pip install 'skyline-bench[peers]'")
-    started = time.perf_counter()
-    exact = _oracle(terrain, config, config.width)
-    first_s = _first_answer(started, exact, few)
-    yield _Contender("oracle", config.width, "exact", first_s, few, exact)
+    made = first(lambda: _oracle(terrain, config, width))
+    yield _Contender("oracle", width, "exact", few, *made)
 
 
-def _first_answer(
-    started: float, render: Callable[[Viewpoints], Views], viewpoints: Viewpoints
-) -> float:
-    """Return the seconds from ``started`` to a first viewpoint's answer, all set up by then."""
-    render(viewpoints[:1])
-    return time.perf_counter() - started
-
-
-def _oracle(
-    terrain: HeightField, config: SpeedErrorConfig, width: int
-) -> Callable[[Viewpoints], Views]:
+def _oracle(terrain: HeightField, config: SpeedErrorConfig, width: int) -> _Render:
     """Return the oracle as a renderer that uses all cores."""
 
-    def render(viewpoints: Viewpoints) -> Views:
-        return Views.concatenate(
-            over_cores(
-                lambda part: oracle.skyline(terrain, part, width, config.curvature), viewpoints, 1
-            )
-        )
+    def render(part: Viewpoints) -> Views:
+        return oracle.skyline(terrain, part, width, config.curvature)
 
-    return render
-
-
-def _row(
-    contender: _Contender,
-    error: Comparison,
-    batch: Timing,
-    alone: Timing,
-    *,
-    compared_viewpoints: int,
-) -> Row:
-    timed = len(contender.viewpoints)
-    return {
-        "path": contender.path,
-        "width": contender.width,
-        "tolerance_px": None,
-        "setting": contender.setting,
-        "ms_per_viewpoint": 1e3 * batch.seconds / timed,
-        **asdict(error),
-        "viewpoints_per_s": timed / batch.seconds,
-        "cpu_ms_per_viewpoint": 1e3 * batch.cpu_seconds / timed,
-        "ms_alone": 1e3 * alone.seconds,
-        "first_s": contender.first_s,
-        "timed_viewpoints": timed,
-        "compared_viewpoints": compared_viewpoints,
-        **contender.details,
-    }
-
-
-def _ticker(progress: Progress | None, total: int) -> Callable[[], None]:
-    """Return what to call after each of ``total`` steps."""
-    steps = count(1)
-
-    def tick() -> None:
-        if progress:
-            progress(next(steps), total)
-
-    return tick
+    return lambda viewpoints: Views.concatenate(over_cores(render, viewpoints, 1))

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import Float32Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
 from skyline.paper.planning.plan import PlanConfig
@@ -48,10 +49,10 @@ class ReferenceStore:
     holds: str  # Renderings or places
     rows: int
     size_bytes: int
-    # By the clock and of processor time, over all the runs it was built in; None where that was not
+    # By the clock and of processor time, over all the runs it was built in; NaN where that was not
     # noted.
-    build_s: float | None
-    build_cpu_s: float | None
+    build_s: float
+    build_cpu_s: float
 
     @property
     def renderings(self) -> int:
@@ -123,14 +124,9 @@ def planned_store(
     """
     name = planned.strategy + (f"-{planned.budget}" if planned.budget else "")
     path = folder / f"{name}.h5"
-    asked = _as_read(
-        {
-            "dem": terrain.digest,
-            "bounds_deg": bounds_deg,
-            "plan": asdict(planned),
-            "render": asdict(config),
-        }
-    )
+    settings = {"dem": terrain.digest, "bounds_deg": bounds_deg}
+    settings |= {"plan": asdict(planned), "render": asdict(config)}
+    asked = json.loads(json.dumps(settings))
     if path.exists() and _noted(path).get("followed") == asked:
         return _reference(name, path)
     return _built(
@@ -150,71 +146,45 @@ def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) 
         there = store.eyes()
     # The headings of one location share its eye.
     eyes = np.unique(np.stack([there.easting_m, there.northing_m, there.eye_elevation_m]), axis=1)
-    apart_m = np.asarray(cKDTree(eyes[:2].T).query(eyes[:2].T, k=[2])[0])[:, 0]
-    path = folder / f"{planned.name}-places.h5"
-    viewpoints = Viewpoints(*np.ascontiguousarray(eyes))
-    built = _built(
-        planned.name, path, lambda: _render_places(terrain, viewpoints, apart_m / 2.0, path)
-    )
-    return replace(
-        built,
-        build_s=_sum(planned.build_s, built.build_s),
-        build_cpu_s=_sum(planned.build_cpu_s, built.build_cpu_s),
-    )
-
-
-def _render_places(
-    terrain: HeightField, viewpoints: Viewpoints, tolerance_m: Float64Array, path: Path
-) -> BuildResult:
-    """Render viewpoints as places into a store, each with its own tolerance (N,)."""
-    tolerances = tolerance_m.astype(np.float32).tolist()
-    of_eye = dict(zip(_eyes(viewpoints), tolerances, strict=True))
+    tree = cKDTree(eyes[:2].T)
 
     def tolerance(some: Viewpoints) -> Float32Array:
-        return np.array([of_eye[eye] for eye in _eyes(some)], dtype=np.float32)
+        apart_m = np.asarray(tree.query(np.stack([some.easting_m, some.northing_m], 1), k=[2])[0])
+        return (apart_m[:, 0] / 2.0).astype(np.float32)
 
-    config = PlaceConfig()
-    renderer = place_renderer(terrain, config)
-    header = store_header(terrain, renderer.description, config, {"planner": "viewpoints"})
-    with PlaceRows(renderer, header, tolerance) as rows:
-        return render_missing(path, rows, viewpoints)
+    def render() -> BuildResult:
+        config = PlaceConfig()
+        renderer = place_renderer(terrain, config)
+        header = store_header(terrain, renderer.description, config, {"planner": "viewpoints"})
+        with PlaceRows(renderer, header, tolerance) as rows:
+            return render_missing(path, rows, Viewpoints(*np.ascontiguousarray(eyes)))
 
-
-def _eyes(viewpoints: Viewpoints) -> list[complex]:
-    eyes: list[complex] = (viewpoints.easting_m + 1j * viewpoints.northing_m).tolist()
-    return eyes
+    path = folder / f"{planned.name}-places.h5"
+    built = _built(planned.name, path, render)
+    return replace(
+        built,
+        build_s=planned.build_s + built.build_s,
+        build_cpu_s=planned.build_cpu_s + built.build_cpu_s,
+    )
 
 
 def _built(
     name: str, path: Path, build: Callable[[], BuildResult], **about: object
 ) -> ReferenceStore:
     """Build a store, note beside it what it took over all runs and what is given, and return it."""
-    was_there, noted = path.exists(), _noted(path)
+    before = _noted(path) if path.exists() else dict.fromkeys(_SECONDS, 0.0)
     cpu = time.process_time()
     built = build()
-    now = built.seconds, time.process_time() - cpu
-    taken: dict[str, float | None] = dict(zip(_SECONDS, now, strict=True))
+    now = (built.seconds, time.process_time() - cpu) if built.rendered else (0.0, 0.0)
+    taken = {key: before.get(key, math.nan) + new for key, new in zip(_SECONDS, now, strict=True)}
     _log.info("%s: %d of %d rows now", name, built.rendered, built.rows)
-    if was_there:
-        before = {key: noted.get(key) for key in _SECONDS}
-        both = {key: _sum(before[key], taken[key]) for key in _SECONDS}
-        taken = both if built.rendered else before
     path.with_suffix(_NOTE).write_text(json.dumps({**taken, **about}) + "\n", encoding="utf-8")
     return _reference(name, path)
-
-
-def _sum(one: float | None, other: float | None) -> float | None:
-    return None if one is None or other is None else one + other
 
 
 def _noted(path: Path) -> dict[str, Any]:
     noted = path.with_suffix(_NOTE)
     return dict(json.loads(noted.read_text(encoding="utf-8"))) if noted.exists() else {}
-
-
-def _as_read(settings: dict[str, object]) -> dict[str, object]:
-    """Return settings as they come back from JSON."""
-    return dict(json.loads(json.dumps(settings)))
 
 
 def given_store(terrain: HeightField, path: Path) -> ReferenceStore:
@@ -240,5 +210,5 @@ def _reference(name: str, path: Path) -> ReferenceStore:
             store.header.holds,
             store.committed,
             path.stat().st_size,
-            *(noted.get(key) for key in _SECONDS),
+            *(noted.get(key, math.nan) for key in _SECONDS),
         )

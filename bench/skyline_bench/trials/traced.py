@@ -49,17 +49,7 @@ class Outcome:
 
 
 class Traced:
-    """The full matcher on places, whose stages can be looked at.
-
-    Parameters
-    ----------
-    ground : callable
-        Heights of the terrain; see `Retriever`.
-    scene : Scene
-        What refinement renders.
-    frame : Frame
-        Of the places.
-    """
+    """The full matcher on places, whose stages can be looked at."""
 
     def __init__(self, places: PlaceSource, ground: Ground, scene: Scene, frame: Frame) -> None:
         self._frame = frame

@@ -8,7 +8,7 @@ import dataclasses
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -62,22 +62,8 @@ def oracle_truth(scene: Scene) -> Truth:
     return Truth(oracle.skyline(scene.field, scene.viewpoints, scene.width, scene.curvature))
 
 
-class Renderer(Protocol):
-    """Anything that renders skylines."""
-
-    def render(self, viewpoints: Viewpoints) -> Views:
-        """Return 4 N views; the four headings of a viewpoint follow one another."""
-        ...
-
-
-class RendererFactory(Protocol):
-    """Makes a renderer of one field, released on leaving its context."""
-
-    def __call__(
-        self, field: HeightField, width: int, curvature: Curvature | None, /
-    ) -> AbstractContextManager[Renderer]:
-        """Return the renderer's context manager."""
-        ...
+Renderers = Callable[[HeightField, int, Curvature | None], AbstractContextManager[Any]]
+"""Makes a renderer of one field; its ``render`` gives four views a viewpoint."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,14 +86,15 @@ class RenderPath:
     """A way to render skylines, and what it promises."""
 
     name: str
-    factory: RendererFactory
+    factory: Renderers
     # Compares rendered views of a scene with the truth.
     agreement: Callable[[Scene, Views, Truth], Agreement]
 
     def render(self, scene: Scene) -> Views:
         """Render a scene with a renderer of its own."""
         with self.factory(scene.field, scene.width, scene.curvature) as renderer:
-            return renderer.render(scene.viewpoints)
+            views: Views = renderer.render(scene.viewpoints)
+            return views
 
 
 def exact_agreement(scene: Scene, views: Views, truth: Truth) -> Agreement:
