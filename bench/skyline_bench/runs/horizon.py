@@ -126,7 +126,7 @@ def _row(
     seconds: float,
     cpu_seconds: float | None,
     off_deg: Float64Array,
-) -> Row:
+) -> dict[str, object]:
     return {
         "tool": key[0],
         "setting": key[1],

@@ -57,6 +57,6 @@ def measure(folder: Path, repeats: int) -> list[Row]:
     time("photo to skyline", lambda: read_query(query, CAMERA.fov_deg), 1, "photo", repeats)
     for name, kind in MATCHERS.items():
         with Matcher(stores[kind.searches], terrain, name) as matcher:
-            work = partial(matcher.match, query, CAMERA.fov_deg)
-            time(f"match, {name}", work, len(matcher.viewpoints), "stored location", repeats)
+            match = partial(matcher.match, query, CAMERA.fov_deg)
+            time(f"match, {name}", match, len(matcher.viewpoints), "stored location", repeats)
     return rows

@@ -8,10 +8,11 @@ W = 640 whatever the width.
 import logging
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -171,19 +172,17 @@ def _contenders(
     """Yield everything that is compared; what holds resources is entered into ``held``."""
     few, width, curvature = few[: config.slow_viewpoints], config.width, config.curvature
 
-    def first(make: Callable[[], _Render]) -> tuple[_Render, float]:
+    def first(make: Callable[[], AbstractContextManager[Any]]) -> tuple[_Render, float]:
         started = time.perf_counter()
-        render = make()
+        render: _Render = held.enter_context(make()).render
         render(few[:1])
         return render, time.perf_counter() - started
 
     for columns in config.depth_widths:
-        depth = partial(DepthRenderer, terrain, columns, curvature)
-        made = first(lambda depth=depth: held.enter_context(depth()).render)
+        made = first(partial(DepthRenderer, terrain, columns, curvature))
         yield _Contender("depth", columns, f"W = {columns}", few, *made)
     for tolerance_px in config.tolerances_px:
-        horizon = partial(HorizonRenderer, terrain, width, curvature, tolerance_px)
-        made = first(lambda horizon=horizon: held.enter_context(horizon()).render)
+        made = first(partial(HorizonRenderer, terrain, width, curvature, tolerance_px))
         setting, details = f"{tolerance_px:g} px", {"tolerance_px": tolerance_px}
         yield _Contender("horizon", width, setting, batch, *made, details)
     if is_installed():
@@ -194,12 +193,14 @@ def _contenders(
         for bisection in config.bisections:
             setting = f"{bisection.start} {bisection.depth}"
             render = partial(peer.render, bisection=bisection)
-            details = {"start": bisection.start, "bisections": bisection.depth}
-            yield _Contender("embree", width, setting, batch, render, first_s, details)
+            how = {"start": bisection.start, "bisections": bisection.depth}
+            yield _Contender("embree", width, setting, batch, render, first_s, how)
     else:
         _log.warning("Embree is left out; to have it measured: pip install 'skyline-bench[peers]'")
-    made = first(lambda: _oracle(terrain, config, width))
-    yield _Contender("oracle", width, "exact", few, *made)
+    started = time.perf_counter()
+    exact = _oracle(terrain, config, width)
+    exact(few[:1])
+    yield _Contender("oracle", width, "exact", few, exact, time.perf_counter() - started)
 
 
 def _oracle(terrain: HeightField, config: SpeedErrorConfig, width: int) -> _Render:

@@ -124,8 +124,7 @@ def planned_store(
     """
     name = planned.strategy + (f"-{planned.budget}" if planned.budget else "")
     path = folder / f"{name}.h5"
-    settings = {"dem": terrain.digest, "bounds_deg": bounds_deg}
-    settings |= {"plan": asdict(planned), "render": asdict(config)}
+    settings = [terrain.digest, bounds_deg, asdict(planned), asdict(config)]
     asked = json.loads(json.dumps(settings))
     if path.exists() and _noted(path).get("followed") == asked:
         return _reference(name, path)
