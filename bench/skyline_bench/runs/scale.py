@@ -10,7 +10,7 @@ import json
 import logging
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.memory import own_bytes, peak_bytes, reset_peak
-from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, Truth, make_queries
 from skyline_bench.runs.matching import BoundsDeg, middle_deg
 from skyline_bench.stores.reference import (
     ReferenceStore,
@@ -79,11 +79,10 @@ class ScaleConfig:
     query: QueryConfig = field(default_factory=QueryConfig)
 
     def __post_init__(self) -> None:
-        for what, values in (("area", self.areas_km2), ("radius", self.near_km)):
-            for value in values:
-                if not 0.0 < value < np.inf:
-                    unit = "km2" if what == "area" else "km"
-                    raise InputError(f"{what} is {value} {unit}; expected more than 0")
+        given = [(f"area is {km2} km2", km2) for km2 in self.areas_km2]
+        for said, value in given + [(f"radius is {km} km", km) for km in self.near_km]:
+            if not 0.0 < value < np.inf:
+                raise InputError(f"{said}; expected more than 0")
         if self.queries < 1:
             raise InputError(f"the number of queries is {self.queries}; expected at least 1")
         if self.seed < 0:
@@ -153,7 +152,15 @@ def measure(
 ) -> tuple[Row, list[Row]]:
     """Build or open a store of places, match queries in squares of it, and sum up."""
     cost, searches, found = outcomes(terrain, config, folder, progress)
-    return cost, list(_rows(searches, found))
+    rows: list[Row] = []
+    for search in searches:
+        for group, (low, high) in GROUPS.items():
+            mine = [one for one in found if one.search == search.name]
+            some = [one.outcome for one in mine if low <= one.distance_m < high]
+            if some:
+                about = {"search": search.name, "km2": search.km2, "group": group}
+                rows.append({**about, **summary(some)})
+    return cost, rows
 
 
 def outcomes(
@@ -175,15 +182,8 @@ def outcomes(
         store = given_store(terrain, config.store)
     else:
         check_spacing(terrain, config.spacing_m, config.bounds_deg)
-        store = place_store(
-            terrain,
-            folder,
-            config.spacing_m,
-            config.bounds_deg,
-            PlaceConfig(),
-            progress,
-            config.loss,
-        )
+        where = config.spacing_m, config.bounds_deg, PlaceConfig()
+        store = place_store(terrain, folder, *where, progress, config.loss)
     reset_peak()
     started = time.perf_counter()
     with Matcher(store.path, terrain, config=MATCHING) as matcher:
@@ -205,9 +205,8 @@ def outcomes(
                 progress(len(results.found), len(wanted))
             query = queries[number]
             narrowed = search.about(query.truth, area, terrain.frame, [config.seed, number])
-            results.keep(
-                Found(number, search.name, _distance_m(query), traced.match(query, narrowed))
-            )
+            distance_m = float(np.nan_to_num(query.distance_m))
+            results.keep(Found(number, search.name, distance_m, traced.match(query, narrowed)))
         scene.release()
     cost: Row = {
         "store": store.name,
@@ -226,10 +225,7 @@ def outcomes(
 class Results:
     """Outcomes kept in a file, a line each as they come; those of an earlier run are read.
 
-    Parameters
-    ----------
-    path : Path
-        A line that a kill cut short is left out.
+    A line that a kill cut short is left out.
     """
 
     def __init__(self, path: Path) -> None:
@@ -281,34 +277,9 @@ def _digest(terrain: HeightField, config: ScaleConfig, store: ReferenceStore) ->
     """Return a name for all that an outcome depends on but its query's number and search."""
     with open_store(store.path) as opened:
         settings = dict(opened.header.config)
-    depends = {
-        "package_version": __version__,
-        "code": measured_code_digest(),
-        "dem": terrain.digest,
-        "store": settings,
-        "places": store.rows,
-        "seed": config.seed,
-        "query": asdict(config.query),
-    }
-    text = json.dumps(depends, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
-
-
-def _distance_m(query: SyntheticQuery) -> float:
-    return query.distance_m if np.isfinite(query.distance_m) else 0.0
-
-
-def _rows(searches: Sequence[Search], found: Sequence[Found]) -> Iterator[Row]:
-    """Yield the table's rows: by search, then group."""
-    for search in searches:
-        for group, (low, high) in GROUPS.items():
-            some = [
-                one.outcome
-                for one in found
-                if one.search == search.name and low <= one.distance_m < high
-            ]
-            if some:
-                yield {"search": search.name, "km2": search.km2, "group": group, **summary(some)}
+    code, query = measured_code_digest(), asdict(config.query)
+    depends = __version__, code, terrain.digest, settings, store.rows, config.seed, query
+    return hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()[:12]
 
 
 def summary(outcomes: Sequence[Outcome]) -> Row:
