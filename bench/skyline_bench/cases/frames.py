@@ -9,16 +9,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import rasterio
 from numpy.typing import ArrayLike
 from pyproj import Geod
-from rasterio.transform import Affine
 
 from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, column_azimuths_deg, columns_u
 from skyline.terrain.dem import read_dem
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench.cases.closed_forms import ClosedForm, SceneCase
+from skyline_bench.measuring.geotiff import write_geotiff
 from skyline_bench.truth.agreement import Scene
 
 _GEOD = Geod(ellps="WGS84")
@@ -99,14 +98,9 @@ class _Country:
             left = (self.lon_deg + first * step_lon + 180.0) % 360.0 - 180.0
             lon = left + (np.arange(count) + 0.5) * step_lon
             heights = self.height_m(*np.meshgrid(lon, lat)).astype(np.float32)
+            corner, step = (left, lat[0] + 0.5 * _STEP_DEG), (step_lon, _STEP_DEG)
             path = folder / f"tile{first}.tif"
-            shape = {"width": count, "height": len(lat), "count": 1, "dtype": "float32"}
-            transform = Affine(step_lon, 0.0, left, 0.0, -_STEP_DEG, lat[0] + 0.5 * _STEP_DEG)
-            with rasterio.open(
-                path, "w", driver="GTiff", crs="EPSG:4326", transform=transform, **shape
-            ) as raster:
-                raster.write(heights, 1)
-            paths.append(path)
+            paths.append(write_geotiff(path, heights, "EPSG:4326", corner, step))
         return paths
 
 

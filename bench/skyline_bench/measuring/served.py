@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 from skyline.errors import BuildError, InputError
 from skyline_bench.measuring.memory import own_bytes
@@ -42,17 +43,11 @@ def served_page(arguments: Sequence[str | Path]) -> Iterator[ServedPage]:
             found = re.search(r"http://\S+", line)
             if found is None:
                 raise BuildError("the page was not served; `skyline serve` says why")
-            _first_answer(found[0])
+            with urlopen(found[0]) as answer:
+                answer.read()
             yield ServedPage(found[0], time.perf_counter() - began, run.pid)
         finally:
             run.terminate()
-
-
-def _first_answer(address: str) -> None:
-    from urllib.request import urlopen  # noqa: PLC0415  (a tenth of a second)
-
-    with urlopen(address) as answer:
-        answer.read()
 
 
 @contextmanager

@@ -55,7 +55,6 @@ class Recipe:
     jpeg_quality: tuple[int, int] | None = (80, 95)
     framed: bool = False  # A border and a caption bar, and a logo in the sky
     size_px: tuple[int, int] = (1200, 800)
-    fov_deg: float = 60.0
 
 
 CONDITIONS: Mapping[str, Recipe] = {
@@ -78,7 +77,7 @@ CONDITIONS: Mapping[str, Recipe] = {
     "noise": Recipe(noise=14.0),
     "blur": Recipe(blur_px=(2.5, 5.0), clouds=0.3),
     "small JPEG": Recipe(size_px=(480, 320), jpeg_quality=(30, 60), clouds=0.3),
-    "panorama": Recipe(size_px=(2400, 480), fov_deg=150.0, layers=4, clouds=0.3),
+    "panorama": Recipe(size_px=(2400, 480), layers=4, clouds=0.3),
 }
 
 
@@ -89,7 +88,6 @@ class DrawnPhoto:
     image: UInt8Array  # (H, W, 3)
     row_px: Float64Array  # (W,); the terrain's skyline, also where it is hidden; NaN in borders
     visible: BoolArray  # (W,); where it is to be seen
-    fov_deg: float
 
 
 def draw_recipe(rng: np.random.Generator, recipe: Recipe) -> DrawnPhoto:
@@ -106,7 +104,7 @@ def draw_recipe(rng: np.random.Generator, recipe: Recipe) -> DrawnPhoto:
         visible &= cover.opacity[at, np.arange(width)] < 0.5
     if recipe.framed:
         _frame(rng, picture, row_px, visible)
-    return DrawnPhoto(_expose(rng, recipe, picture), row_px, visible, recipe.fov_deg)
+    return DrawnPhoto(_expose(rng, recipe, picture), row_px, visible)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +120,7 @@ def _fractal(
 ) -> Float32Array:
     """Return noise of unit deviation with a power-law spectrum, ``stretch`` times as wide."""
     padded = (2 * ((shape[0] + 65) // 2), 2 * ((shape[1] + 65) // 2))
-    down = np.fft.fftfreq(padded[0])[:, np.newaxis] / 1.0
+    down = np.fft.fftfreq(padded[0])[:, np.newaxis]
     across = np.fft.rfftfreq(padded[1])[np.newaxis, :] * stretch
     frequency = np.hypot(down, across)
     frequency[0, 0] = np.inf
@@ -149,7 +147,7 @@ def _sky(rng: np.random.Generator, recipe: Recipe) -> Float32Array:
     width, height = recipe.size_px
     zenith, horizon = (np.array(colour, dtype=np.float32) for colour in _SKIES[recipe.sky])
     down = np.clip(np.linspace(0.0, 2.0, height), 0.0, 1.0)[:, np.newaxis, np.newaxis]
-    sky = np.repeat(zenith + np.float32(1.0) * down * (horizon - zenith), width, axis=1)
+    sky = np.repeat(zenith + down * (horizon - zenith), width, axis=1)
     if recipe.clouds > 0.0:
         density = _fractal(rng, (height, width), 1.6, stretch=0.45)
         threshold = np.quantile(density, 1.0 - recipe.clouds)

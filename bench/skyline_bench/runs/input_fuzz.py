@@ -14,11 +14,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rasterio
-from rasterio.transform import from_origin
 
 from skyline import cli
 from skyline.errors import SkylineError
+from skyline_bench.measuring.geotiff import write_geotiff
 from skyline_bench.measuring.record import Row
 from skyline_bench.stores.damage import mutated
 
@@ -59,12 +58,8 @@ def good_files(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], list[obj
     """Return good files and the commands that read them, by suffix."""
     generator = np.random.default_rng(0)
     heights = generator.normal(0.0, 9.0, (40, 40)).cumsum(0).cumsum(1).astype(np.float32)
-    dem = folder / "good.tif"
-    with rasterio.open(
-        dem, "w", driver="GTiff", width=40, height=40, count=1, dtype="float32",
-        crs="EPSG:32632", transform=from_origin(WEST, NORTH, SPACING_M, SPACING_M),
-    ) as file:  # fmt: skip
-        file.write(heights, 1)
+    corner, step = (WEST, NORTH), (SPACING_M, SPACING_M)
+    dem = write_geotiff(folder / "good.tif", heights, "EPSG:32632", corner, step)
     store = folder / "store.h5"
     ended(["build", dem, "-o", store, "--spacing", 300])
     ascii_dem = (

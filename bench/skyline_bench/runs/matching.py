@@ -7,7 +7,7 @@ Stores and answers are kept, so that a comparison that was stopped goes on.
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -44,7 +44,7 @@ from skyline_bench.trials.kept import (
     measured_code_digest,
     save_trials,
 )  # fmt: skip
-from skyline_bench.trials.matchers import PAPER, WHAT, check_matchers, open_matcher, searched_by
+from skyline_bench.trials.matchers import PAPER, WHAT, open_matcher, searched_by
 from skyline_bench.trials.trials import Trial, run_trials, summarize
 
 BoundsDeg = tuple[float, float, float, float]
@@ -99,7 +99,6 @@ class MatchingConfig:
     top: int = 5  # Candidates asked for; the first one counts
     # Processes at work, each with one thread; by default this process with all of them.
     workers: int | None = None
-    query: QueryConfig = field(default_factory=QueryConfig)  # Plain queries
 
     def __post_init__(self) -> None:
         for name, value, least in (
@@ -112,12 +111,15 @@ class MatchingConfig:
         for name in ("spacings_m", "place_spacings_m", "plans", "matchers", "kinds"):
             # Asked for twice is asked for once: two processes must not build the same store.
             object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
-        check_matchers(self.matchers)
+        for what, names, known in (
+            ("matcher", self.matchers, WHAT),
+            ("kind of queries", self.kinds, KINDS),
+        ):
+            for name in names:
+                if name not in known:
+                    raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
         if not (self.grids() or self.plans or self.stores):
             raise InputError("there is no store to match; give a spacing or a store")
-        for kind in self.kinds:
-            if kind not in KINDS:
-                raise InputError(f"kind of queries is {kind!r}; expected one of {', '.join(KINDS)}")
 
     def searched(self) -> set[str]:
         """Return what the matchers search: places, renderings or both."""
@@ -350,7 +352,7 @@ def _key(bench: _Bench, store: ReferenceStore, matcher: str, kind: str) -> tuple
         "dem": bench.terrain.digest,
         "store": file_digest(store.path),
         "bounds_deg": bench.bounds_deg,
-        "queries": [kind, config.queries, config.seed, asdict(config.query)],
+        "queries": [kind, config.queries, config.seed, asdict(QueryConfig())],
         "matcher": [matcher, config.top],
     }
     return key, bench.folder / "trials" / f"{store.name}.{matcher}.{kind}.json"
@@ -359,7 +361,7 @@ def _key(bench: _Bench, store: ReferenceStore, matcher: str, kind: str) -> tuple
 def _queries(
     terrain: HeightField, config: MatchingConfig, bounds_deg: BoundsDeg, kind: str
 ) -> Sequence[SyntheticQuery]:
-    seen, query = terrain, config.query
+    seen, query = terrain, QueryConfig()
     if kind == OTHER_DEM:
         other = resampled(terrain, _OTHER_SPACING * terrain.spacing_m, _OTHER_PHASE)
         seen = perturbed(other, seed=config.seed)

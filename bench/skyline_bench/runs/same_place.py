@@ -12,7 +12,7 @@ from skyline.pipeline import FULL, JointResult, Matcher, PlaceConfig, Progress
 from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
-from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries_together
+from skyline_bench.queries.synthetic import SyntheticQuery, make_queries_together
 from skyline_bench.runs.matching import BoundsDeg, middle_deg
 from skyline_bench.stores.reference import place_store
 from skyline_bench.trials.matchers import open_matcher
@@ -31,7 +31,6 @@ class SamePlaceConfig:
     places: int = 30  # Where photos are taken
     photos: int = 3  # Of each place, looking anywhere
     seed: int = 0
-    query: QueryConfig = QueryConfig()  # noqa: RUF009  (it is frozen)
 
     def __post_init__(self) -> None:
         if self.places < 2 or self.photos < 3:
@@ -91,14 +90,8 @@ def measure(
     """
     bounds_deg = config.bounds_deg or middle_deg(terrain)
     store = place_store(terrain, folder, config.spacing_m, bounds_deg, PlaceConfig())
-    made = make_queries_together(
-        terrain,
-        map_bounds(terrain, bounds_deg),
-        config.places,
-        config.photos,
-        config.seed,
-        config.query,
-    )
+    area = map_bounds(terrain, bounds_deg)
+    made = make_queries_together(terrain, area, config.places, config.photos, config.seed)
     measured = []
     with open_matcher(FULL, store.path, terrain) as matcher:
         for index, photos in enumerate(made):

@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -12,21 +11,12 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.matching import Candidate
 from skyline.matching.confidence import RIGHT_WITHIN_M
-from skyline.photo import QuerySkyline
-from skyline.pipeline import MatchResult
+from skyline.pipeline import Matcher, MatchResult
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 
 _RESAMPLES = 2000
 _INTERVAL = (2.5, 97.5)
 """Percentiles of the bootstrap that bound an interval of 95 %."""
-
-
-class QueryMatcher(Protocol):
-    """Anything that finds query skylines on the map."""
-
-    def match(self, query: QuerySkyline, fov_deg: float | None = None, top: int = 5) -> MatchResult:
-        """Return what was found, best first."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +38,7 @@ class Trial:
 
 
 def run_trials(
-    matcher: QueryMatcher, queries: Sequence[SyntheticQuery], miss_m: float, top: int
+    matcher: Matcher, queries: Sequence[SyntheticQuery], miss_m: float, top: int
 ) -> Iterator[Trial]:
     """Yield a trial of each query; a query without any candidate is wrong by ``miss_m``."""
     for query in queries:

@@ -17,12 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float32Array, Int64Array
+from skyline.arrays import Float32Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, columns_u, pixel_size
 from skyline.paper.planning.coverage import CandidateGrid, Coverage, Problem, Strategy
 
 _CURVE_POINTS = 513
 _FEWEST_POINTS = 3
+_SOURCES = 8
+"""How many rendered views, the nearest, a prediction is made from."""
 _NEAREST_DEPTH_SHARE = 0.05
 """A skyline point this much nearer than it was is taken to be passed: no warp reaches it."""
 
@@ -122,10 +124,6 @@ class Simulation:
             ]
         )
 
-    def area(self, seen: Seen) -> BoolArray:
-        """Return the tolerance areas of views, (N, K, K)."""
-        return self.measure(seen) <= self.row.threshold_px
-
     def _eyes(self, candidates: Int64Array) -> Float32Array:
         """Return right, up, forward of eyes; row 0 is the front, the square is centred."""
         row, col = self.grid.row_col(candidates)
@@ -138,16 +136,10 @@ class SimulatedModel:
 
     A predicted view is the upper envelope, seen from the candidate, of what the nearest rendered
     views saw. Nothing that no view has seen enters.
-
-    Parameters
-    ----------
-    sources : int
-        How many rendered views, the nearest, a prediction is made from.
     """
 
-    def __init__(self, simulation: Simulation, sources: int = 8) -> None:
+    def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
-        self._sources = sources
         self._viewpoints = np.zeros(0, dtype=np.int64)
         columns = simulation.mountain.columns
         self._points = np.zeros((0, columns + 1, 3), dtype=np.float32)
@@ -163,7 +155,7 @@ class SimulatedModel:
     def predict_errors(self, candidates: Int64Array) -> Float32Array:
         """Return predicted reprojection errors of views at candidates (N), (N, K, K) px."""
         simulation = self._simulation
-        nearest, _ = simulation.grid.nearest(candidates, self._viewpoints, self._sources)
+        nearest, _ = simulation.grid.nearest(candidates, self._viewpoints, _SOURCES)
         points = self._points[nearest].reshape(len(candidates), -1, 3)
         return simulation.measure(simulation.see(candidates, points))
 
