@@ -13,7 +13,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from skyline import __version__
 from skyline.errors import InputError
 from skyline.paper.planning.budget import check_coarse, spaced_for
 from skyline.paper.planning.candidates import lay_out
@@ -37,13 +36,7 @@ from skyline_bench.stores.reference import (
     uniform_store,
 )
 from skyline_bench.trials.distance_groups import DistanceGroup, distance_groups
-from skyline_bench.trials.kept import (
-    Key,
-    file_digest,
-    kept_trials,
-    measured_code_digest,
-    save_trials,
-)  # fmt: skip
+from skyline_bench.trials.kept import Kept, file_digest
 from skyline_bench.trials.matchers import PAPER, WHAT, open_matcher, searched_by
 from skyline_bench.trials.trials import Trial, run_trials, summarize
 
@@ -326,36 +319,28 @@ def _build(bench: _Bench, asked: Grid | PlanConfig) -> list[_Planned]:
 
 
 def _match(bench: _Bench, job: _Job) -> dict[str, tuple[Trial, ...]]:
-    """Return a job's trials by kind of queries: those kept, or new ones, which are kept then."""
+    """Return a job's trials by kind of queries: those kept, and new ones, which are kept then."""
     store, name = job
+    config, digest = bench.config, file_digest(store.path)
     found: dict[str, tuple[Trial, ...]] = {}
     with ExitStack() as held:
         matcher: Matcher | None = None
         for kind, queries in bench.queries.items():
-            key, file = _key(bench, store, name, kind)
-            trials = kept_trials(file, key, len(queries))
-            if trials is None:
-                if matcher is None:
-                    matcher = held.enter_context(open_matcher(name, store.path, bench.terrain))
-                trials = list(run_trials(matcher, queries, bench.miss_m, bench.config.top))
-                save_trials(file, key, trials)
-            found[kind] = tuple(trials)
+            asked = [kind, config.seed, asdict(QueryConfig()), name, config.top]
+            depends = [bench.terrain.digest, digest, bench.bounds_deg, asked]
+            kept = Kept(bench.folder / "trials" / f"{store.name}.{name}.{kind}", depends, Trial)
+            keys = [str(index) for index in range(len(queries))]
+            missing = [index for index, key in enumerate(keys) if key not in kept.found]
+            if missing:
+                matcher = matcher or held.enter_context(
+                    open_matcher(name, store.path, bench.terrain)
+                )
+                some = [queries[index] for index in missing]
+                trials = run_trials(matcher, some, bench.miss_m, config.top)
+                for index, trial in zip(missing, trials, strict=True):
+                    kept.keep(keys[index], trial)
+            found[kind] = tuple(kept.found[key] for key in keys)
     return found
-
-
-def _key(bench: _Bench, store: ReferenceStore, matcher: str, kind: str) -> tuple[Key, Path]:
-    """Return what a job's trials depend on, and where they are kept."""
-    config = bench.config
-    key: Key = {
-        "package_version": __version__,
-        "code": measured_code_digest(),
-        "dem": bench.terrain.digest,
-        "store": file_digest(store.path),
-        "bounds_deg": bench.bounds_deg,
-        "queries": [kind, config.queries, config.seed, asdict(QueryConfig())],
-        "matcher": [matcher, config.top],
-    }
-    return key, bench.folder / "trials" / f"{store.name}.{matcher}.{kind}.json"
 
 
 def _queries(

@@ -5,19 +5,15 @@ tell what a larger area costs and how much of the accuracy it takes. Results are
 search, so that a run that was killed goes on.
 """
 
-import hashlib
-import json
 import logging
 import math
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from skyline import __version__
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.narrowing import Narrowed, Narrowing
@@ -37,7 +33,7 @@ from skyline_bench.stores.reference import (
     given_store,
     place_store,
 )
-from skyline_bench.trials.kept import measured_code_digest
+from skyline_bench.trials.kept import Kept
 from skyline_bench.trials.matchers import MATCHING
 from skyline_bench.trials.traced import STAGES, Outcome, Traced
 from skyline_bench.trials.trials import accuracy
@@ -190,9 +186,13 @@ def outcomes(
         open_s = time.perf_counter() - started
         area = mapped_area_m(matcher.header, terrain) or map_bounds(terrain, None)
     searches = _searches(config, area)
-    results = Results(folder / f"scale-{_digest(terrain, config, store)}.jsonl")
-    wanted = [(query, search) for query in range(config.queries) for search in searches]
-    missing = [one for one in wanted if (one[0], one[1].name) not in results.found]
+    kept = _kept(terrain, config, store, folder / "scale")
+    wanted = {
+        f"{query} {search.name}": (query, search)
+        for query in range(config.queries)
+        for search in searches
+    }
+    missing = [key for key in wanted if key not in kept.found]
     if missing:
         queries = make_queries(terrain, area, config.queries, config.seed, config.query)
         with open_store(store.path) as opened:
@@ -200,13 +200,14 @@ def outcomes(
         scene = RenderedScene.of_store(terrain, header, MATCHING)
         traced = Traced(places, terrain.height_at, scene, terrain.frame)
         traced.match(queries[0])  # The first compiles shaders.
-        for number, search in missing:
+        for key in missing:
             if progress:
-                progress(len(results.found), len(wanted))
+                progress(len(kept.found), len(wanted))
+            number, search = wanted[key]
             query = queries[number]
             narrowed = search.about(query.truth, area, terrain.frame, [config.seed, number])
-            distance_m = float(np.nan_to_num(query.distance_m))
-            results.keep(Found(number, search.name, distance_m, traced.match(query, narrowed)))
+            distance_m, outcome = np.nan_to_num(query.distance_m), traced.match(query, narrowed)
+            kept.keep(key, Found(number, search.name, float(distance_m), outcome))
         scene.release()
     cost: Row = {
         "store": store.name,
@@ -219,37 +220,7 @@ def outcomes(
         "own_bytes": own_bytes(),
         "peak_bytes": peak_bytes(),
     }
-    return cost, searches, [results.found[query, search.name] for query, search in wanted]
-
-
-class Results:
-    """Outcomes kept in a file, a line each as they come; those of an earlier run are read.
-
-    A line that a kill cut short is left out.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.found: dict[tuple[int, str], Found] = {}
-        text = path.read_text(encoding="utf-8") if path.exists() else ""
-        for line in text.splitlines():
-            try:
-                held: dict[str, Any] = json.loads(line)
-                one = Found(**{**held, "outcome": Outcome(**held["outcome"])})
-            except (ValueError, KeyError, TypeError):
-                continue
-            self.found[one.query, one.search] = one
-        if text and not text.endswith("\n"):
-            self._append("")
-
-    def keep(self, found: Found) -> None:
-        """Add an outcome, also to the file."""
-        self.found[found.query, found.search] = found
-        self._append(json.dumps(asdict(found)))
-
-    def _append(self, line: str) -> None:
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(line + "\n")
+    return cost, searches, [kept.found[key] for key in wanted]
 
 
 def _searches(config: ScaleConfig, area: MapBounds) -> list[Search]:
@@ -273,13 +244,14 @@ def _searches(config: ScaleConfig, area: MapBounds) -> list[Search]:
     return [*fitting, Search(WHOLE, extent_km2)]
 
 
-def _digest(terrain: HeightField, config: ScaleConfig, store: ReferenceStore) -> str:
-    """Return a name for all that an outcome depends on but its query's number and search."""
+def _kept(
+    terrain: HeightField, config: ScaleConfig, store: ReferenceStore, path: Path
+) -> Kept[Found]:
+    """Return what is kept of the same queries in the same store."""
     with open_store(store.path) as opened:
         settings = dict(opened.header.config)
-    code, query = measured_code_digest(), asdict(config.query)
-    depends = __version__, code, terrain.digest, settings, store.rows, config.seed, query
-    return hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()[:12]
+    depends = terrain.digest, settings, store.rows, config.seed, asdict(config.query)
+    return Kept(path, depends, lambda outcome, **held: Found(**held, outcome=Outcome(**outcome)))
 
 
 def summary(outcomes: Sequence[Outcome]) -> Row:

@@ -70,7 +70,7 @@ def _coding_rows(path: Path, folder: Path, renderings: int) -> list[Row]:
         starts = np.linspace(0, len(store) - 32, max(renderings // 32, 1)).astype(int)
         rows = np.unique((starts[:, np.newaxis] + np.arange(32)).ravel())
         exact, keypoints = store.views(rows), store.keypoint_columns(rows)
-    table = []
+    table: list[Row] = []
     for errors in (None, *CODINGS):
         coding = RowCoding.within(header.width, *errors) if errors else None
         sample = folder / "sample.h5"

@@ -1,21 +1,19 @@
-"""Trials kept in a folder, so that a measurement that was stopped goes on where it was."""
+"""Results kept in a file, so that a measurement that was stopped goes on where it was."""
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from types import ModuleType
+from typing import Any, Generic, TypeVar
 
 import skyline
 import skyline_bench
-from skyline.files import write_with_folders
 from skyline.render.shaders import SHADER_FOLDERS
-from skyline_bench.trials.trials import Trial
 
-Key = Mapping[str, object]
-"""What a result depends on, as JSON holds it."""
+T = TypeVar("T")
 
 MEASURED_CODE: Mapping[ModuleType, Sequence[str]] = {
     skyline: (
@@ -30,24 +28,46 @@ MEASURED_CODE: Mapping[ModuleType, Sequence[str]] = {
 """By package: code that an answer depends on; shaders beside it."""
 
 
-def save_trials(path: Path, key: Key, trials: Sequence[Trial]) -> None:
-    """Write trials, whole or not at all."""
-    kept = [asdict(trial) for trial in trials]
-    write_with_folders(path, json.dumps({"key": key, "trials": kept}) + "\n")
+class Kept(Generic[T]):
+    """Results kept in a file, a line each as they come; those of an earlier run are read.
 
+    A line that a kill cut short is left out.
 
-def kept_trials(path: Path, key: Key, count: int) -> list[Trial] | None:
-    """Return the so many trials that were kept under a key; None where there are none.
-
-    A file that holds others, or cannot be read, counts as none: it will be written again.
+    Parameters
+    ----------
+    path : Path
+        Begins the file's name; what is not there is made.
+    depends : object
+        All that results depend on but their keys, as JSON: others are kept in another file.
+    read : callable
+        Makes a result, a dataclass, of its fields.
     """
-    try:
-        held = json.loads(path.read_text(encoding="utf-8"))
-        if held["key"] != json.loads(json.dumps(key)) or len(held["trials"]) != count:
-            return None
-        return [Trial(**one) for one in held["trials"]]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+
+    def __init__(self, path: Path, depends: object, read: Callable[..., T]) -> None:
+        whole = [skyline.__version__, measured_code_digest(), depends]
+        digest = hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
+        self._path = path.with_name(f"{path.name}-{digest[:12]}.jsonl")
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self.found: dict[str, T] = {}
+        text = self._path.read_text(encoding="utf-8") if self._path.exists() else ""
+        for line in text.splitlines():
+            try:
+                held = json.loads(line)
+                self.found[held.pop("key")] = read(**held)
+            except (ValueError, KeyError, TypeError, AttributeError):
+                continue
+        if text and not text.endswith("\n"):
+            self._append("")
+
+    def keep(self, key: str, result: T) -> None:
+        """Add a result, also to the file."""
+        self.found[key] = result
+        fields: dict[str, Any] = asdict(result)  # type: ignore[call-overload]
+        self._append(json.dumps({"key": key, **fields}))
+
+    def _append(self, line: str) -> None:
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(line + "\n")
 
 
 def file_digest(path: Path) -> str:
