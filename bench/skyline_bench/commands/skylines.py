@@ -50,9 +50,7 @@ def speed_error(
 
 
 def stability(
-    json_file: options.JsonFile = None,
-    plot: options.PlotFile = None,
-    quick: options.Quick = False,
+    json_file: options.JsonFile = None, plot: options.PlotFile = None, quick: options.Quick = False
 ) -> None:
     """Every hard case along every path that promises something there; exit code 1 if one fails."""
     rows: list[Row] = []

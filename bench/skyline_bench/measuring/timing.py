@@ -42,9 +42,7 @@ def over_cores(
 
 
 def in_turns(
-    works: Sequence[Callable[[], object]],
-    repeats: int,
-    tick: Callable[[], object] = lambda: None,
+    works: Sequence[Callable[[], object]], repeats: int, tick: Callable[[], object] = lambda: None
 ) -> list[Timing]:
     """Time each piece of work, in turns so that what else the machine does hits all alike.
 

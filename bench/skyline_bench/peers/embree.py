@@ -83,10 +83,7 @@ class EmbreePeer:
     """
 
     def __init__(
-        self,
-        field: HeightField,
-        width: int = DEFAULT_WIDTH,
-        curvature: Curvature | None = None,
+        self, field: HeightField, width: int = DEFAULT_WIDTH, curvature: Curvature | None = None
     ) -> None:
         self.field = field
         self.width = check_width(width)
@@ -225,11 +222,7 @@ def _from_neighbours(rays: _Rays, columns: Int64Array, bracket_tan: float) -> Fl
 
 
 def _around(
-    rays: _Rays,
-    columns: Int64Array,
-    guess: Float64Array,
-    step: Float64Array,
-    bracket_tan: float,
+    rays: _Rays, columns: Int64Array, guess: Float64Array, step: Float64Array, bracket_tan: float
 ) -> Float64Array:
     """Return the skyline of columns, looked for around guesses in growing steps.
 
@@ -255,11 +248,7 @@ def _around(
 
 
 def _bisected(
-    rays: _Rays,
-    columns: Int64Array,
-    low: Float64Array,
-    high: Float64Array,
-    bracket_tan: float,
+    rays: _Rays, columns: Int64Array, low: Float64Array, high: Float64Array, bracket_tan: float
 ) -> Float64Array:
     """Return the middles of brackets that hold the skyline, narrowed to ``bracket_tan``."""
     wide = np.flatnonzero(high - low > bracket_tan)

@@ -10,10 +10,7 @@ from skyline.terrain.heightfield import HeightField, Provenance
 
 
 def perturbed(
-    terrain: HeightField,
-    height_rms_m: float = 10.0,
-    correlation_m: float = 300.0,
-    seed: int = 0,
+    terrain: HeightField, height_rms_m: float = 10.0, correlation_m: float = 300.0, seed: int = 0
 ) -> HeightField:
     """Add smooth random errors to the heights.
 

@@ -67,10 +67,7 @@ class _Measured:
 
 
 def measure(
-    terrain: HeightField,
-    config: SamePlaceConfig,
-    folder: Path,
-    progress: Progress | None = None,
+    terrain: HeightField, config: SamePlaceConfig, folder: Path, progress: Progress | None = None
 ) -> list[Row]:
     """Match photos of one place alone, together, and with one of another place among them.
 
