@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pyproj import Geod
+from pyproj import Geod, Transformer
 
 from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, column_azimuths_deg, columns_u
@@ -21,6 +21,7 @@ from skyline_bench.measuring.geotiff import write_geotiff
 from skyline_bench.truth.agreement import Scene
 
 _GEOD = Geod(ellps="WGS84")
+_TO_EARTH_CENTRED = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
 _GROUND_M, _EYE_M = 500.0, 510.0
 _PEAK_M, _SIGMA_M = 1500.0, 2000.0
 _PEAK_AWAY_M = 17_000.0
@@ -120,16 +121,8 @@ def _slack_tan(spacing_m: float) -> float:
 
 def _earth_centred_m(lon_deg: ArrayLike, lat_deg: ArrayLike) -> Float64Array:
     """Return (..., 3) metres from the Earth's centre of places on the ellipsoid."""
-    lon, lat = np.radians(lon_deg), np.radians(lat_deg)
-    normal = _GEOD.a / np.sqrt(1.0 - _GEOD.es * np.sin(lat) ** 2)
-    return np.stack(
-        [
-            normal * np.cos(lat) * np.cos(lon),
-            normal * np.cos(lat) * np.sin(lon),
-            normal * (1.0 - _GEOD.es) * np.sin(lat),
-        ],
-        axis=-1,
-    )
+    lon, lat = np.broadcast_arrays(lon_deg, lat_deg)
+    return np.stack(_TO_EARTH_CENTRED.transform(lon, lat, np.zeros(lon.shape)), axis=-1)
 
 
 def _country_case(name: str, breaks: str, lon_deg: float, lat_deg: float) -> SceneCase:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
@@ -146,13 +147,8 @@ def _sampled(
 
 def _looked_up(grid: Float32Array, col: Float32Array, row: Float32Array) -> Float64Array:
     """Return bilinear values (M,) of a grid, its border continued."""
-    top, left = np.floor(row).astype(np.intp), np.floor(col).astype(np.intp)
-    south, east = row - top, col - left
-    rows = [np.clip(top + step, 0, grid.shape[0] - 1) for step in (0, 1)]
-    cols = [np.clip(left + step, 0, grid.shape[1] - 1) for step in (0, 1)]
-    north_part = grid[rows[0], cols[0]] * (1.0 - east) + grid[rows[0], cols[1]] * east
-    south_part = grid[rows[1], cols[0]] * (1.0 - east) + grid[rows[1], cols[1]] * east
-    return np.asarray(north_part * (1.0 - south) + south_part * south, dtype=np.float64)
+    found = ndimage.map_coordinates(grid, [row, col], np.float64, order=1, mode="nearest")
+    return np.asarray(found)
 
 
 def _texture(
