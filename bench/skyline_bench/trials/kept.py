@@ -52,8 +52,8 @@ class Kept(Generic[T]):
         text = self._path.read_text(encoding="utf-8") if self._path.exists() else ""
         for line in text.splitlines():
             try:
-                held = json.loads(line)
-                self.found[held.pop("key")] = read(**held)
+                key = (held := json.loads(line)).pop("key")
+                self.found[key] = read(**held)
             except (ValueError, KeyError, TypeError, AttributeError):
                 continue
         if text and not text.endswith("\n"):
