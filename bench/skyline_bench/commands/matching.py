@@ -20,7 +20,7 @@ from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.runs.cost_summary import equal_rows, reached_rows
 from skyline_bench.runs.matching import KINDS, PLAIN, MatchingConfig, check, measure
-from skyline_bench.trials.distance_groups import ALL
+from skyline_bench.trials.distance_groups import ALL, DistanceGroup
 from skyline_bench.trials.matchers import PAPER, RETRIEVED, WHAT
 
 _MATCHING = MatchingConfig()
@@ -71,11 +71,7 @@ def matching(
         queries=queries,
         seed=seed,
     )
-    terrain = read_dem(dem, DemOptions(crs=crs))
-    config = config.quick(terrain) if quick else config
-    check(terrain, config)
-    with options.store_folder(folder) as place, progress_bar("matching") as progress:
-        rows, _ = measure(terrain, config, place, progress)
+    rows, _ = _measured(dem, crs, config, quick, folder)
     columns = """store matcher queries places build_cpu_s bytes within_200m within_200m_low
         within_200m_high median_m mean_m p90_m heading_median_deg answered query_ms"""
     options.tell(json_file, "matching", rows, columns)
@@ -137,11 +133,7 @@ def uniform_adaptive(
         top=1,
         workers=workers,
     )
-    terrain = read_dem(dem, DemOptions(crs=crs))
-    config = config.quick(terrain) if quick else config
-    check(terrain, config)
-    with options.store_folder(folder) as place, progress_bar("comparing") as progress:
-        rows, groups = measure(terrain, config, place, progress)
+    rows, groups = _measured(dem, crs, config, quick, folder)
     columns = """store renderings bytes build_s matcher close medium far mean_m mean_m_low
         mean_m_high median_m p90_m within_200m query_ms"""
     options.print_rows(_store_lines(rows), columns)
@@ -156,6 +148,17 @@ def uniform_adaptive(
     options.keep_record(json_file, "uniform-adaptive", rows, summary)
     if plot is not None:
         save_figure(draw_costs(rows), plot)
+
+
+def _measured(
+    dem: list[str], crs: str | None, config: MatchingConfig, quick: bool, folder: Path | None
+) -> tuple[list[Row], tuple[DistanceGroup, ...]]:
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    config = config.quick(terrain) if quick else config
+    # Before any folder is made.
+    check(terrain, config)
+    with options.store_folder(folder) as place, progress_bar("matching") as progress:
+        return measure(terrain, config, place, progress)
 
 
 def _store_lines(rows: list[Row]) -> list[Row]:

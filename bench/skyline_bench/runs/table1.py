@@ -16,15 +16,6 @@ from skyline_bench.truth.simulation import TABLE_1, Run, Simulation, simulate
 
 SEEDS = 10
 
-PAPER = {
-    "rov": ((240, 1545), (81, 6664), (239, 9028)),
-    "arov": ((286, 1636), (80, 5824), (217, 6991)),
-    "hov": ((324, 1210), (98, 6723), (252, 7226)),
-    "sov": ((275, 1941), (100, 10043), (245, 9148)),
-    "lpov": ((325, 1515), (86, 5489), (191, 5943)),
-}
-"""(A) and (B) of the paper's Table 1, row by row."""
-
 
 def measure(seeds: int = SEEDS) -> list[dict[str, Any]]:
     """Run the strategies on the three rows, each with seeds 0, 1, ...
@@ -68,28 +59,19 @@ def _summary(runs: Sequence[Run]) -> dict[str, float]:
 def conclusions(rows: Iterable[dict[str, Any]]) -> dict[str, bool]:
     """Return which of the paper's conclusions (section 5.1) hold for its five strategies."""
     by_key = {(row["row"], row["strategy"]): row for row in rows}
-
-    def column(row: int, figure: str) -> dict[str, float]:
-        return {name: by_key[row, name][figure] for name in PAPER}
-
-    a_1, a_2, a_3 = (column(row, "A") for row in (1, 2, 3))
-    b_1, b_2, b_3 = (column(row, "B") for row in (1, 2, 3))
-    seconds = {name: sum(column(row, "seconds")[name] for row in (1, 2, 3)) for name in PAPER}
-    return {
-        "affine needs fewer renderings than non-affine": all(
-            max(a_2[name], a_3[name]) < a_1[name] for name in PAPER
-        ),
-        "affine overlaps more than non-affine": all(
-            min(b_2[name], b_3[name]) > b_1[name] for name in PAPER
-        ),
-        "more peaks, more renderings": all(a_3[name] > a_2[name] for name in PAPER),
-        "lpov is best for two peaks": min(a_3, key=lambda name: a_3[name]) == "lpov",
-        "lpov overlaps least with the affine model": all(
-            min(b, key=lambda name: b[name]) == "lpov" for b in (b_2, b_3)
-        ),
-        "sov overlaps most": all(
-            max(b, key=lambda name: b[name]) == "sov" for b in (b_1, b_2, b_3)
-        ),
-        "rov costs most": max(seconds, key=lambda name: seconds[name]) == "rov",
-        "hov costs least": min(seconds, key=lambda name: seconds[name]) == "hov",
+    names = np.array(list(STRATEGIES))
+    a, b, seconds = (
+        np.array([[by_key[row, name][figure] for name in names] for row in (1, 2, 3)])
+        for figure in ("A", "B", "seconds")
+    )
+    holds = {
+        "affine needs fewer renderings than non-affine": a[1:].max(axis=0) < a[0],
+        "affine overlaps more than non-affine": b[1:].min(axis=0) > b[0],
+        "more peaks, more renderings": a[2] > a[1],
+        "lpov is best for two peaks": names[a[2].argmin()] == "lpov",
+        "lpov overlaps least with the affine model": names[b[1:].argmin(axis=1)] == "lpov",
+        "sov overlaps most": names[b.argmax(axis=1)] == "sov",
+        "rov costs most": names[seconds.sum(axis=0).argmax()] == "rov",
+        "hov costs least": names[seconds.sum(axis=0).argmin()] == "hov",
     }
+    return {said: bool(np.all(each)) for said, each in holds.items()}
