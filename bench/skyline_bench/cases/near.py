@@ -5,7 +5,6 @@ from functools import partial
 
 import numpy as np
 
-from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, columns_u, ground_directions
 from skyline_bench.cases.closed_forms import (
     FLAT,
@@ -138,14 +137,11 @@ def _pyramid() -> Scene:
 def _pyramid_skyline(scene: Scene) -> ClosedForm:
     # y(z) = -h - slope z (1 + |u|), so v is greatest where the data ends, 64 cells ahead.
     u = np.abs(columns_u(scene.width))
-    above = np.repeat(_eye_heights_m(scene), len(HEADINGS))
-    return ClosedForm(-above[:, np.newaxis] / (64.0 * SPACING_M) - 0.5 * (1.0 + u))
-
-
-def _eye_heights_m(scene: Scene) -> Float64Array:
     eyes = scene.viewpoints
-    ground = scene.field.height_at(eyes.easting_m, eyes.northing_m)
-    return np.asarray(eyes.eye_elevation_m - ground, dtype=np.float64)
+    above = eyes.eye_elevation_m - scene.field.height_at(eyes.easting_m, eyes.northing_m)
+    return ClosedForm(
+        -np.repeat(above, len(HEADINGS))[:, np.newaxis] / (64.0 * SPACING_M) - 0.5 * (1.0 + u)
+    )
 
 
 _PIT_CELLS, _PIT_SPACING_M = 1, 16.0

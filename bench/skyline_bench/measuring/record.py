@@ -65,11 +65,13 @@ def shown(value: object) -> str:
 
 
 def _plain(rows: Sequence[Row]) -> list[Row]:
-    return [{key: _finite(value) for key, value in row.items()} for row in rows]
-
-
-def _finite(value: object) -> object:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return [
+        {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value
+            for key, value in row.items()
+        }
+        for row in rows
+    ]
 
 
 def _processor() -> str:

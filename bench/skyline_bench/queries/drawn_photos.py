@@ -173,7 +173,8 @@ def _mountains(
         row = _ridge(rng, width, height, level)
         ground = _ground(rng, recipe, row, height)
         veiled = left * ground + (1.0 - left) * horizon
-        share = _share_below(row, height)[:, :, np.newaxis]
+        below = np.arange(height)[:, np.newaxis] + 0.5 - row
+        share = np.clip(below, 0.0, 1.0).astype(np.float32)[:, :, np.newaxis]
         picture += share * (veiled - picture)
         skyline = np.minimum(skyline, row)
     return picture, skyline
@@ -199,12 +200,6 @@ def _ground(
     snow_shade = recipe.light * (0.75 + 0.25 * np.clip(light, 0.3, 1.0))[:, :, np.newaxis]
     lit = (1.0 - snowy) * colour * shade + snowy * np.array(_SNOW) * snow_shade
     return np.asarray(lit, dtype=np.float32)
-
-
-def _share_below(row: Float64Array, height: int) -> Float32Array:
-    """Return how much of each pixel, (H, W), lies below a border."""
-    below = np.arange(height)[:, np.newaxis] + 0.5 - row
-    return np.asarray(np.clip(below, 0.0, 1.0), dtype=np.float32)
 
 
 def _mirror(rng: np.random.Generator, picture: Float32Array) -> None:

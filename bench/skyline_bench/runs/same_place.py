@@ -103,16 +103,12 @@ def _measured(matcher: Matcher, photos: Photos, stranger: SyntheticQuery) -> _Me
         matcher.match_together([one.skyline for one in some])
         for some in (photos, (*photos[:-1], stranger))
     )
-    return _Measured(
-        tuple(run_trials(matcher, photos, np.inf, 1)),
-        together,
-        mixed,
-        *(_error_m(found, photos[0]) for found in (together, mixed)),
+    error_m, mixed_error_m = (
+        errors(found.places[0], photos[0].truth)[0] if found.places else np.inf
+        for found in (together, mixed)
     )
-
-
-def _error_m(found: JointResult, photo: SyntheticQuery) -> float:
-    return errors(found.places[0], photo.truth)[0] if found.places else np.inf
+    alone = tuple(run_trials(matcher, photos, np.inf, 1))
+    return _Measured(alone, together, mixed, error_m, mixed_error_m)
 
 
 def _groups(measured: Sequence[_Measured]) -> Mapping[str, Sequence[_Measured]]:
