@@ -9,7 +9,7 @@ import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count
 from typing import Any
@@ -147,7 +147,7 @@ def measure(
             "tolerance_px": None,
             "setting": one.setting,
             "ms_per_viewpoint": 1e3 * batch_time.seconds / len(one.viewpoints),
-            **asdict(error),
+            **error,
             "viewpoints_per_s": len(one.viewpoints) / batch_time.seconds,
             "cpu_ms_per_viewpoint": 1e3 * batch_time.cpu_seconds / len(one.viewpoints),
             "ms_alone": 1e3 * alone_time.seconds,
