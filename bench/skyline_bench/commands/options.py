@@ -18,7 +18,7 @@ from skyline.errors import InputError
 from skyline_bench.measuring.record import Row, shown, write_record
 
 _PLOT_SUFFIXES = (".png", ".pdf", ".svg")
-_PIPED_WIDTH = 200
+_PIPED_WIDTH = 300
 
 Columns = Mapping[str, str] | str
 """Keys of rows, and the headings that a table gives them; of a text, the keys are the headings."""
