@@ -53,7 +53,8 @@ def draw_line(
     axis: Axes, rows: Iterable[Row], cost: str, key: str, label: str, style: str = ".-"
 ) -> None:
     """Draw a figure of rows against a cost of theirs, from the least cost on."""
-    points = sorted((row[cost], row[key]) for row in rows if isfinite(row[cost]))
+    scale, _ = _COSTS.get(cost, (1.0, ""))
+    points = sorted((scale * row[cost], row[key]) for row in rows if isfinite(row[cost]))
     if points:
         axis.plot(*zip(*points, strict=True), style, label=label)
 
@@ -61,10 +62,12 @@ def draw_line(
 # --- matchers on stores ---------------------------------------------------------------------
 
 _COSTS = {
-    "places": "places (or four renderings each)",
-    "build_cpu_s": "processor time to build (s)",
-    "bytes": "store (bytes)",
+    "places": (1.0, "places (or four renderings each)"),
+    "renderings": (1.0, "renderings, or four a place"),
+    "build_cpu_s": (1.0, "processor time to build (s)"),
+    "bytes": (1e-6, "store (MB the matcher reads)"),
 }
+"""What stores cost: what one unit of it is drawn as, and its label."""
 _ERRORS = {
     "within_200m": "share within 200 m",
     "median_m": "median error (m)",
@@ -81,23 +84,27 @@ def save_accuracy(rows: Sequence[Row], path: Path) -> None:
     keys = "matcher", "queries", "planner"
     lines = list(dict.fromkeys(tuple(row[key] for key in keys) for row in rows))
     matchers, kinds, _ = (list(dict.fromkeys(names)) for names in zip(*lines, strict=True))
+    costs = "places", "build_cpu_s", "bytes"
     figure = new_figure(13.0, 10.0)
-    grid = figure.subplots(len(_ERRORS), len(_COSTS), sharex="col", sharey="row")
+    grid = figure.subplots(len(_ERRORS), len(costs), sharex="col", sharey="row")
     for line, key in zip(grid, _ERRORS, strict=True):
-        for axis, cost in zip(line, _COSTS, strict=True):
+        for axis, cost in zip(line, costs, strict=True):
             for matcher, kind, planner in lines:
                 asked = [matcher, kind, planner]
                 mine = [row for row in rows if [row[name] for name in keys] == asked]
                 dashes = "." + _DASHES[kinds.index(kind) % len(_DASHES)]
                 style = f"C{matchers.index(matcher)}" + (dashes if planner == UNIFORM else "x")
                 draw_line(axis, mine, cost, key, f"{matcher}, {kind}, {planner}", style)
-            axis.set(xscale="log", yscale="linear" if key == "within_200m" else "log")
+            axis.set(xscale="log", xlabel=_COSTS[cost][1])
             plain_ticks(axis.xaxis)
+            if key == "within_200m":
+                axis.set_ylim(0.0, 1.02)
+            else:
+                axis.set_yscale("log")
+                plain_ticks(axis.yaxis)
             axis.grid(alpha=0.3)
+            axis.label_outer()
         line[0].set_ylabel(_ERRORS[key])
-    grid[0, 0].set_ylim(0.0, 1.02)
-    for axis, label in zip(grid[-1], _COSTS.values(), strict=True):
-        axis.set_xlabel(label)
     grid[0, 0].legend(fontsize=7)
     save_figure(figure, path)
 
@@ -115,10 +122,6 @@ _GREY = "#777777"
 _PAPERS_UNIFORM = ((182, 665, 2662, 10648), (1587.0, 702.0, 411.0, 123.0))
 _PAPERS_ADAPTIVE = (2800, 117.0)
 """Renderings and mean error over the groups, metres: Table 2 of the paper."""
-_AMOUNTS = {
-    "renderings": (1.0, "renderings, or four a place"),
-    "bytes": (1e-6, "store (MB the matcher reads)"),
-}
 
 
 def draw_costs(rows: Sequence[Row]) -> Figure:
@@ -132,7 +135,8 @@ def draw_costs(rows: Sequence[Row]) -> Figure:
     figure = new_figure(2.75 * len(matchers) + 0.9, 6.4)
     grid = figure.subplots(2, len(matchers), sharey=True, sharex="row", squeeze=False)
     handles: dict[str, Artist] = {}
-    for line, (key, (scale, label)) in zip(grid, _AMOUNTS.items(), strict=True):
+    for line, key in zip(grid, ("renderings", "bytes"), strict=True):
+        scale, label = _COSTS[key]
         for axis, matcher in zip(line, matchers, strict=True):
             if matcher == PAPER and key == "renderings":
                 grey = {"color": _GREY, "markerfacecolor": "none"}
@@ -155,6 +159,7 @@ def draw_costs(rows: Sequence[Row]) -> Figure:
                     cost * scale, mean, bars, fmt=style, color=colour, capsize=2, label=planner
                 )
             axis.set(xscale="log", yscale="log", xlabel=label)
+            axis.tick_params(labelsize=8)
             plain_ticks(axis.xaxis)
             plain_ticks(axis.yaxis)
             axis.grid(alpha=0.3)
