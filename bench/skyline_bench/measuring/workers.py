@@ -36,10 +36,7 @@ raises is raised here.
 def crew(held: object, workers: int) -> Iterator[Crew]:
     """Start workers for the block, which are stopped whatever they do when it is left.
 
-    Parameters
-    ----------
-    held : object
-        What every worker holds; sent once.
+    ``held`` is what every worker holds, sent once.
     """
     if workers < 1:
         raise InputError(f"workers is {workers}; expected 1 or more")

@@ -56,14 +56,7 @@ _STATE = "const done = arguments[0]; import('/page/{}.js').then((it) => done({})
 def measure(folder: Path, matches: int, drag_s: float, progress: Progress) -> list[Row]:
     """Serve the sample terrain's page and measure it.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the store and the photo are made.
-    matches : int
-        Over which memory is compared.
-    drag_s : float
-        For how long the camera is dragged.
+    Memory is compared over so many matches, and the camera is dragged for so long.
     """
     store, photo = _made(folder)
     progress(1, 5)

@@ -71,11 +71,6 @@ def measure(
 ) -> list[Row]:
     """Match photos of one place alone, together, and with one of another place among them.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the store is, or will be.
-
     Returns
     -------
     list of dict

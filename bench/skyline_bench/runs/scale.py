@@ -159,10 +159,7 @@ def outcomes(
 ) -> tuple[Row, list[Search], list[Found]]:
     """Build or open a store of places, and match queries in squares of it.
 
-    Parameters
-    ----------
-    folder : Path
-        Where the store that is built and the results are kept: what is there is not done again.
+    The store that is built and the results are kept in ``folder``: what is there is not done again.
 
     Returns
     -------
