@@ -4,65 +4,50 @@ import inspect
 from collections.abc import Callable, Mapping
 
 from skyline.console import command_line, run_app
-from skyline_bench.commands.adaptive import uniform_adaptive
-from skyline_bench.commands.matching import matching
-from skyline_bench.commands.page import page
-from skyline_bench.commands.photos import photos, readme_picture
-from skyline_bench.commands.placing import placing
-from skyline_bench.commands.planning import prediction_quality, table1
-from skyline_bench.commands.same_place import same_place
-from skyline_bench.commands.scale import scale
-from skyline_bench.commands.search import calibrate, retrieval_scale, strangers
-from skyline_bench.commands.sky_model import sky_masks, train_sky_model
-from skyline_bench.commands.skylines import (
-    horizon,
-    large_dem,
-    pipeline_speed,
-    place_speed,
-    speed_error,
-    stability,
-    summits,
+from skyline_bench.commands import (
+    matching,
+    photos,
+    placing,
+    planning,
+    search,
+    sky_model,
+    skylines,
+    stores,
 )
-from skyline_bench.commands.stores import input_fuzz, sharded_build, store_durability
 
 COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Skylines": {
-        speed_error: "10 minutes",
-        stability: "5 minutes",
-        place_speed: "a minute",
-        horizon: "3 minutes",
-        summits: "a minute",
-        large_dem: "2 minutes",
-        pipeline_speed: "a minute",
+        skylines.speed_error: "10 minutes",
+        skylines.stability: "5 minutes",
+        skylines.place_speed: "a minute",
+        skylines.horizon: "3 minutes",
+        skylines.summits: "a minute",
+        skylines.large_dem: "2 minutes",
+        skylines.pipeline_speed: "a minute",
     },
-    "Planning": {
-        table1: "a minute",
-        prediction_quality: "a minute",
-    },
+    "Planning": {planning.table1: "a minute", planning.prediction_quality: "a minute"},
     "Builds, stores and files": {
-        sharded_build: "an hour",
-        store_durability: "an hour",
-        input_fuzz: "2 minutes",
+        stores.sharded_build: "an hour",
+        stores.store_durability: "an hour",
+        stores.input_fuzz: "2 minutes",
     },
     "Search": {
-        matching: "hours",
-        uniform_adaptive: "hours",
-        scale: "hours",
-        placing: "an hour",
-        retrieval_scale: "5 minutes",
-        strangers: "10 minutes",
-        same_place: "20 minutes",
-        calibrate: "an hour",
+        matching.matching: "hours",
+        matching.uniform_adaptive: "hours",
+        search.scale: "hours",
+        placing.placing: "an hour",
+        search.retrieval_scale: "5 minutes",
+        search.strangers: "10 minutes",
+        search.same_place: "20 minutes",
+        search.calibrate: "an hour",
     },
     "Photographs": {
-        photos: "30 minutes",
-        sky_masks: "a minute",
-        train_sky_model: "an hour",
-        readme_picture: "a minute",
+        photos.photos: "30 minutes",
+        sky_model.sky_masks: "a minute",
+        sky_model.train_sky_model: "an hour",
+        photos.readme_picture: "a minute",
     },
-    "The page": {
-        page: "3 minutes",
-    },
+    "The page": {skylines.page: "3 minutes"},
 }
 """Commands by what they measure, and about how long each takes on 2 cores without a GPU."""
 

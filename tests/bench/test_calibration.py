@@ -5,7 +5,7 @@ import pytest
 
 from skyline.errors import InputError
 from skyline.matching import confidence
-from skyline_bench.figures.reliability import save_reliability
+from skyline_bench.figures.plots import save_reliability
 from skyline_bench.runs.calibration import (
     Example,
     calibration_error,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from skyline_bench.figures.uniform_adaptive import draw_costs, save_costs
+from skyline_bench.figures.plots import draw_costs, save_figure
 from skyline_bench.runs.cost_summary import equal_rows, reached_rows
 
 
@@ -95,7 +95,7 @@ def test_costs_are_drawn_one_column_a_matcher_and_legible(tmp_path):
     assert "MB" in figure.axes[2].get_xlabel()
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels == ["uniform in the paper", "adaptive in the paper", "uniform", "lpov"]
-    save_costs(ROWS, tmp_path / "costs.png")
+    save_figure(figure, tmp_path / "costs.png")
     assert np.asarray(Image.open(tmp_path / "costs.png").convert("RGB")).std() > 20.0
-    save_costs(ROWS, tmp_path / "costs.svg")
+    save_figure(figure, tmp_path / "costs.svg")
     assert "<svg" in (tmp_path / "costs.svg").read_text()

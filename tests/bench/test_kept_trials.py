@@ -1,4 +1,4 @@
-"""Trials kept in a folder: found again where nothing they depend on has changed."""
+"""Results kept in a file: found again where nothing they depend on has changed."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,14 +10,8 @@ from scenes import candidate_at
 from skyline.photo import QuerySkyline
 from skyline.pipeline import MatchResult
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
-from skyline_bench.trials.kept import (
-    MEASURED_CODE,
-    kept_trials,
-    measured_code_digest,
-    measured_files,
-    save_trials,
-)
-from skyline_bench.trials.trials import summarize, trial_of
+from skyline_bench.trials.kept import MEASURED_CODE, Kept, measured_code_digest, measured_files
+from skyline_bench.trials.trials import Trial, summarize, trial_of
 
 SKYLINE = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
 QUERIES = [
@@ -34,38 +28,49 @@ KEY = {"seed": 3, "query": {"fov_deg": (60.0, 60.0)}, "store": "abc"}
 @pytest.fixture
 def trials():
     found = [MatchResult(SKYLINE, (BEST,), 0.2), MatchResult(SKYLINE, (), 0.1, "none"), None]
-    return [trial_of(i, QUERIES[i], found[i], 0.25, 5000.0) for i in range(3)]
+    return [trial_of(QUERIES[i], found[i], 0.25, 5000.0) for i in range(3)]
 
 
-def test_what_was_kept_is_found_again(trials, tmp_path):
-    path = tmp_path / "trials" / "store.full.json"
-    save_trials(path, KEY, trials)
-    again = kept_trials(path, KEY, QUERIES)
-    assert again is not None
-    assert again[0] == trials[0]
-    assert [one.error_m for one in again] == [0.0, 5000.0, 5000.0]
-    assert np.isnan(again[1].heading_error_deg)
-    assert summarize(again, 0) == summarize(trials, 0)
-    assert [each.name for each in path.parent.iterdir()] == ["store.full.json"]
+@pytest.fixture
+def path(trials, tmp_path):
+    """The file that the trials are kept in."""
+    kept = Kept(tmp_path / "trials" / "store.full", KEY, Trial)
+    for number, trial in enumerate(trials):
+        kept.keep(str(number), trial)
+    (path,) = (tmp_path / "trials").iterdir()
+    return path
+
+
+def again(path, key=KEY):
+    return Kept(path.with_name("store.full"), key, Trial).found
+
+
+def test_what_was_kept_is_found_again(trials, path):
+    found = again(path)
+    assert list(found) == ["0", "1", "2"]
+    assert found["0"] == trials[0]
+    assert [one.error_m for one in found.values()] == [0.0, 5000.0, 5000.0]
+    assert np.isnan(found["1"].heading_error_deg)
+    assert summarize(list(found.values()), 0) == summarize(trials, 0)
 
 
 @pytest.mark.parametrize("other", [{"seed": 4}, {"store": "xyz"}, {"matcher": "paper"}])
-def test_what_has_changed_is_measured_again(trials, tmp_path, other):
-    path = tmp_path / "store.full.json"
-    save_trials(path, KEY, trials)
-    assert kept_trials(path, KEY | other, QUERIES) is None
+def test_what_has_changed_is_measured_again(path, other):
+    assert not again(path, KEY | other)
+    assert len(again(path)) == 3
 
 
-def test_what_cannot_be_read_is_measured_again(trials, tmp_path):
-    path = tmp_path / "store.full.json"
-    assert kept_trials(path, KEY, QUERIES) is None
-    save_trials(path, KEY, trials)
+def test_a_line_that_cannot_be_read_is_measured_again(trials, path):
     whole = path.read_text()
-    for damaged in (whole[: len(whole) // 2], "[]", "{}", whole.replace("error_m", "error")):
+    for damaged in ("[]\n", "{}\n", "1\n", whole.replace("error_m", "error")):
         path.write_text(damaged)
-        assert kept_trials(path, KEY, QUERIES) is None
-    save_trials(path, KEY, trials[:2])
-    assert kept_trials(path, KEY, QUERIES) is None
+        assert not again(path)
+    # A kill in the middle of a line loses that line alone.
+    path.write_text(whole[:-20])
+    assert list(again(path)) == ["0", "1"]
+    other = replace(trials[2], error_m=7.0)
+    Kept(path.with_name("store.full"), KEY, Trial).keep("2", other)
+    assert [one.error_m for one in again(path).values()] == [0.0, 5000.0, 7.0]
 
 
 def test_answers_depend_on_code_learned_models_and_shaders():
@@ -75,11 +80,3 @@ def test_answers_depend_on_code_learned_models_and_shaders():
     names = {file.name for file in measured_files()}
     assert {"retrieval.py", "confidence.json", "horizon_march.glsl", "synthetic.py"} <= names
     assert not {"adaptive.py", "uniform_adaptive.py"} & names
-
-
-def test_the_best_candidate_alone_is_kept(trials, tmp_path):
-    several = replace(trials[0], candidates=(BEST, BEST))
-    save_trials(tmp_path / "x.json", KEY, [several, *trials[1:]])
-    again = kept_trials(tmp_path / "x.json", KEY, QUERIES)
-    assert again is not None
-    assert again[0].candidates == (BEST,)

@@ -7,8 +7,7 @@ from scenes import field_of
 from skyline.errors import InputError
 from skyline.paper.planning.plan import PlanConfig
 from skyline.planning.uniform import map_bounds
-from skyline_bench.runs.matching import MatchingConfig, middle_deg
-from skyline_bench.runs.matching_trials import check
+from skyline_bench.runs.matching import MatchingConfig, check, middle_deg
 
 PLAIN = field_of(np.zeros((300, 300), dtype=np.float32), 30.0, north_m=9000.0)
 

@@ -24,22 +24,22 @@ def field():
 
 @pytest.fixture(scope="module")
 def rows(field):
-    return {row.predictor: row for row in prediction_quality(field, SETUP)}
+    return {row["predictor"]: row for row in prediction_quality(field, SETUP)}
 
 
 def test_a_warp_tells_more_views_alike_than_none(rows):
-    assert rows["affine-mean"].recall > rows["non-affine"].recall
+    assert rows["affine-mean"]["recall"] > rows["non-affine"]["recall"]
 
 
 def test_rows_hold_shares_and_their_intervals(rows):
     assert rows.keys() == PREDICTORS.keys()
     for row in rows.values():
         for share, (low, high) in (
-            (row.precision, row.precision_interval),
-            (row.recall, row.recall_interval),
+            (row["precision"], row["precision_interval"]),
+            (row["recall"], row["recall_interval"]),
         ):
             assert 0.0 <= low <= share <= high <= 1.0
-        assert 0.0 < row.answered <= 1.0
+        assert 0.0 < row["answered"] <= 1.0
 
 
 def test_pairs_do_not_depend_on_anything_but_the_seed(field):

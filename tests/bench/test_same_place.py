@@ -49,7 +49,7 @@ def test_rows_count_what_was_found(photos):
     for some, (alone, east_m, agrees) in zip(photos, found, strict=True):
         right = joint(some[0], 0.0, (True,)).results[0]
         trials = tuple(
-            trial_of(index, one, right if index < alone else None, 1.0, np.inf)
+            trial_of(one, right if index < alone else None, 1.0, np.inf)
             for index, one in enumerate(some)
         )
         mixed = joint(some[0], east_m, (True, True, False))

@@ -11,8 +11,8 @@ from skyline.errors import InputError
 from skyline.places import Places
 from skyline_bench.measuring.memory import own_bytes, peak_bytes, reset_peak
 from skyline_bench.queries.synthetic import QueryConfig, Truth
-from skyline_bench.runs.scale import Found, Results, ScaleConfig, Search, measure
-from skyline_bench.trials.traced import STAGES, Outcome, Traced
+from skyline_bench.runs.scale import ScaleConfig, Search, measure
+from skyline_bench.trials.traced import STAGES, Traced
 
 AREA_M = (1000.0, 2000.0, 11_000.0, 8000.0)
 CONFIG = ScaleConfig(
@@ -61,23 +61,6 @@ def test_a_circle_holds_the_place():
         off_m.append(np.hypot(east_m - 5e3, north_m - 5e3))
     assert max(off_m) <= 2000.0 * 1.001
     assert max(off_m) > 1500.0
-
-
-def test_outcomes_are_kept_line_by_line(tmp_path):
-    path = tmp_path / "results.jsonl"
-    first = Found(0, "all", 700.0, Outcome(12.5, 0.9, True, 1.5, 2.0, True, True, True, True))
-    second = Found(1, "all", 0.0, Outcome())
-    kept = Results(path)
-    kept.keep(first)
-    kept.keep(second)
-    again = Results(path)
-    assert again.found == {(0, "all"): first, (1, "all"): second}
-    # A kill in the middle of a line loses that line alone.
-    path.write_text(path.read_text()[:-20])
-    cut = Results(path)
-    assert list(cut.found) == [(0, "all")]
-    cut.keep(second)
-    assert Results(path).found == again.found
 
 
 @pytest.mark.usefixtures("refined_once")

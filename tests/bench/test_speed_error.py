@@ -8,7 +8,7 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.errors import InputError
-from skyline_bench.figures.speed_error import save_speed_error
+from skyline_bench.figures.plots import save_speed_error
 from skyline_bench.peers.embree import Bisection
 from skyline_bench.runs.speed_error import SpeedErrorConfig, central_viewpoints
 

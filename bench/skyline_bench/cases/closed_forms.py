@@ -31,41 +31,23 @@ _QUICK_VIEWPOINTS = 2
 
 @dataclass(frozen=True, slots=True)
 class ClosedForm:
-    """Skylines known without looking at any edge.
+    """Skylines known without looking at any edge."""
 
-    Attributes
-    ----------
-    elevation_tan : (N, W) float64
-    slack_tan : float
-        How far the surface between samples may be from the form that gave the skylines.
-    """
-
-    elevation_tan: Float64Array
+    elevation_tan: Float64Array  # (N, W)
+    # How far the surface between samples may be from the form that gave the skylines.
     slack_tan: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class SceneCase:
-    """A scene whose skylines are held to the truth.
-
-    Attributes
-    ----------
-    name : str
-    breaks : str
-        What could break, one sentence.
-    scene : callable
-        Makes the scene.
-    closed_form : callable, optional
-        Gives the skylines of a scene; without it the oracle does.
-    paths : tuple of str
-        Names of the paths that promise something here.
-    """
+    """A scene whose skylines are held to the truth."""
 
     name: str
-    breaks: str
-    scene: Callable[[], Scene]
+    breaks: str  # What could break, one sentence
+    scene: Callable[[], Scene]  # Makes the scene
+    # Gives the skylines of a scene; without it the oracle does.
     closed_form: Callable[[Scene], ClosedForm] | None = None
-    paths: tuple[str, ...] = ("horizon", "depth")
+    paths: tuple[str, ...] = ("horizon", "depth")  # Names of the paths that promise something here
 
     def agreement(self, path: RenderPath, quick: bool) -> Agreement:
         """Render the scene along a path and compare it with the truth."""

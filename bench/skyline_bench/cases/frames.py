@@ -9,19 +9,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import rasterio
 from numpy.typing import ArrayLike
-from pyproj import Geod
-from rasterio.transform import Affine
+from pyproj import Geod, Transformer
 
 from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, column_azimuths_deg, columns_u
 from skyline.terrain.dem import read_dem
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench.cases.closed_forms import ClosedForm, SceneCase
+from skyline_bench.measuring.geotiff import write_geotiff
 from skyline_bench.truth.agreement import Scene
 
 _GEOD = Geod(ellps="WGS84")
+_TO_EARTH_CENTRED = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
 _GROUND_M, _EYE_M = 500.0, 510.0
 _PEAK_M, _SIGMA_M = 1500.0, 2000.0
 _PEAK_AWAY_M = 17_000.0
@@ -99,14 +99,9 @@ class _Country:
             left = (self.lon_deg + first * step_lon + 180.0) % 360.0 - 180.0
             lon = left + (np.arange(count) + 0.5) * step_lon
             heights = self.height_m(*np.meshgrid(lon, lat)).astype(np.float32)
+            corner, step = (left, lat[0] + 0.5 * _STEP_DEG), (step_lon, _STEP_DEG)
             path = folder / f"tile{first}.tif"
-            shape = {"width": count, "height": len(lat), "count": 1, "dtype": "float32"}
-            transform = Affine(step_lon, 0.0, left, 0.0, -_STEP_DEG, lat[0] + 0.5 * _STEP_DEG)
-            with rasterio.open(
-                path, "w", driver="GTiff", crs="EPSG:4326", transform=transform, **shape
-            ) as raster:
-                raster.write(heights, 1)
-            paths.append(path)
+            paths.append(write_geotiff(path, heights, "EPSG:4326", corner, step))
         return paths
 
 
@@ -126,16 +121,8 @@ def _slack_tan(spacing_m: float) -> float:
 
 def _earth_centred_m(lon_deg: ArrayLike, lat_deg: ArrayLike) -> Float64Array:
     """Return (..., 3) metres from the Earth's centre of places on the ellipsoid."""
-    lon, lat = np.radians(lon_deg), np.radians(lat_deg)
-    normal = _GEOD.a / np.sqrt(1.0 - _GEOD.es * np.sin(lat) ** 2)
-    return np.stack(
-        [
-            normal * np.cos(lat) * np.cos(lon),
-            normal * np.cos(lat) * np.sin(lon),
-            normal * (1.0 - _GEOD.es) * np.sin(lat),
-        ],
-        axis=-1,
-    )
+    lon, lat = np.broadcast_arrays(lon_deg, lat_deg)
+    return np.stack(_TO_EARTH_CENTRED.transform(lon, lat, np.zeros(lon.shape)), axis=-1)
 
 
 def _country_case(name: str, breaks: str, lon_deg: float, lat_deg: float) -> SceneCase:

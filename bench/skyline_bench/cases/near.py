@@ -1,10 +1,10 @@
 """Hard cases near the eye: where it stands on the grid, and what is steep or close."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, columns_u, ground_directions
 from skyline_bench.cases.closed_forms import (
     FLAT,
@@ -69,26 +69,21 @@ def _of_width(width: int) -> SceneCase:
     )
 
 
+_UNDERFOOT = "the edge underfoot lies in no direction, or in both"
+
 GRID_CASES = (
-    SceneCase(
-        "eye on a sample",
-        "edges that start at the eye have depth 0, and rays along them meet nothing else",
-        lambda: _eye_at_offset(0.0, 0.0),
-    ),
-    SceneCase(
-        "eye on a row's edge",
-        "the edge underfoot lies in no direction, or in both",
-        lambda: _eye_at_offset(0.0, 1.0),
-    ),
-    SceneCase(
-        "eye on a column's edge",
-        "the edge underfoot lies in no direction, or in both",
-        lambda: _eye_at_offset(1.0, 0.0),
-    ),
-    SceneCase(
-        "eye on a diagonal",
-        "the side of the diagonal that the eye is on is decided by rounding",
-        lambda: _eye_at_offset(1.0, 1.0),
+    *(
+        SceneCase(f"eye on a {where}", breaks, partial(_eye_at_offset, *shares))
+        for where, breaks, shares in (
+            (
+                "sample",
+                "edges that start at the eye have depth 0, and rays along them meet nothing else",
+                (0.0, 0.0),
+            ),
+            ("row's edge", _UNDERFOOT, (0.0, 1.0)),
+            ("column's edge", _UNDERFOOT, (1.0, 0.0)),
+            ("diagonal", "the side of the diagonal is decided by rounding", (1.0, 1.0)),
+        )
     ),
     SceneCase(
         "eye a hair off an edge",
@@ -142,14 +137,11 @@ def _pyramid() -> Scene:
 def _pyramid_skyline(scene: Scene) -> ClosedForm:
     # y(z) = -h - slope z (1 + |u|), so v is greatest where the data ends, 64 cells ahead.
     u = np.abs(columns_u(scene.width))
-    above = np.repeat(_eye_heights_m(scene), len(HEADINGS))
-    return ClosedForm(-above[:, np.newaxis] / (64.0 * SPACING_M) - 0.5 * (1.0 + u))
-
-
-def _eye_heights_m(scene: Scene) -> Float64Array:
     eyes = scene.viewpoints
-    ground = scene.field.height_at(eyes.easting_m, eyes.northing_m)
-    return np.asarray(eyes.eye_elevation_m - ground, dtype=np.float64)
+    above = eyes.eye_elevation_m - scene.field.height_at(eyes.easting_m, eyes.northing_m)
+    return ClosedForm(
+        -np.repeat(above, len(HEADINGS))[:, np.newaxis] / (64.0 * SPACING_M) - 0.5 * (1.0 + u)
+    )
 
 
 _PIT_CELLS, _PIT_SPACING_M = 1, 16.0
@@ -244,36 +236,29 @@ STEEP_CASES = (
         _pyramid,
         _pyramid_skyline,
     ),
-    SceneCase(
-        "pit with walls of 63 degrees",
-        "skylines past 45 degrees leave the depth image, and bounds made for small v",
-        lambda: _pit(64.0),
-        _pit_skyline,
-    ),
-    SceneCase(
-        "pit with walls of 88 degrees",
-        "skylines past 85 degrees: v above 11",
-        lambda: _pit(1000.0),
-        _pit_skyline,
+    *(
+        SceneCase(
+            f"pit with walls of {steep} degrees", breaks, partial(_pit, depth_m), _pit_skyline
+        )
+        for steep, depth_m, breaks in (
+            (63, 64.0, "skylines past 45 degrees leave the depth image, and bounds for small v"),
+            (88, 1000.0, "skylines past 85 degrees: v above 11"),
+        )
     ),
     SceneCase(
         "eye 1 mm from a wall",
         "depth of the nearest edge is 0.002 of a cell and its v is in the hundreds",
         _at_a_wall,
     ),
-    SceneCase(
-        "eye 1 mm below a crest of 45 degrees",
-        "the skyline itself is 1 mm away, its height over the eye lost in rounding",
-        lambda: _below_a_crest(1.0),
-        _slope_skyline,
-        HORIZON_ONLY,
-    ),
-    SceneCase(
-        "eye 1 mm below a crest of 87 degrees",
-        "the same with v of 20",
-        lambda: _below_a_crest(20.0),
-        _slope_skyline,
-        HORIZON_ONLY,
+    *(
+        SceneCase(
+            f"eye 1 mm below a crest of {steep} degrees",
+            "the skyline itself is 1 mm away, its height over the eye lost in rounding",
+            partial(_below_a_crest, slope),
+            _slope_skyline,
+            HORIZON_ONLY,
+        )
+        for steep, slope in ((45, 1.0), (87, 20.0))
     ),
     SceneCase(
         "3 km cliff in one cell", "a fraction along an edge costs 3 km times its rounding", _cliff

@@ -7,7 +7,6 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float64Array
 from skyline.errors import OffMapError
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -27,20 +26,12 @@ from skyline_bench.truth.agreement import Agreement, RenderPath, Scene, Truth
 
 @dataclass(frozen=True, slots=True)
 class RepeatCase:
-    """A batch rendered again, in parts, and by another renderer: the same bytes each time.
-
-    Attributes
-    ----------
-    name, breaks : str
-    scene : callable
-    parts : tuple of int
-        Where the batch is cut; none renders it whole a second time.
-    """
+    """A batch rendered again, in parts, and by another renderer: the same bytes each time."""
 
     name: str
     breaks: str
     scene: Callable[[], Scene]
-    parts: tuple[int, ...] = ()
+    parts: tuple[int, ...] = ()  # Where the batch is cut; none renders it whole a second time
     paths: tuple[str, ...] = ("horizon", "depth")
 
     def agreement(self, path: RenderPath, quick: bool) -> Agreement:
@@ -71,59 +62,17 @@ def _batch() -> Scene:
 # --- the same terrain, turned ---------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
-    """A symmetry of the square grid, and what it does to headings and columns.
+Turn = tuple[tuple[int, int], tuple[int, int]]
+"""A symmetry of the square grid: the matrix that turns steps along rows and columns."""
 
-    Attributes
-    ----------
-    heights : callable
-        Turns (rows, cols) heights.
-    place : callable
-        Turns (row, col), given the last row and column.
-    heading : callable
-        The heading, of the terrain as it was, that is seen along a heading of the turned one.
-    reverses : bool
-        Whether left and right change places.
-    swaps : bool
-        Whether rows and columns change places.
-    """
-
-    heights: Callable[[NDArray[np.floating]], NDArray[np.floating]]
-    place: Callable[[Float64Array, Float64Array, int, int], tuple[Float64Array, Float64Array]]
-    heading: Callable[[int], int]
-    reverses: bool
-    swaps: bool
-
-
-HALF_TURN = Turn(
-    lambda heights: heights[::-1, ::-1],
-    lambda row, col, last_row, last_col: (last_row - row, last_col - col),
-    lambda heading: (heading + 2) % 4,
-    reverses=False,
-    swaps=False,
-)
-TRANSPOSITION = Turn(
-    lambda heights: heights.T,
-    lambda row, col, last_row, last_col: (col, row),
-    lambda heading: 3 - heading,
-    reverses=True,
-    swaps=True,
-)
-QUARTER_TURN = Turn(  # anticlockwise: what was east is north
-    np.rot90,
-    lambda row, col, last_row, last_col: (last_col - col, row),
-    lambda heading: (heading + 1) % 4,
-    reverses=False,
-    swaps=True,
-)
-MIRROR = Turn(  # east and west change places
-    lambda heights: heights[:, ::-1],
-    lambda row, col, last_row, last_col: (row, last_col - col),
-    lambda heading: (4 - heading) % 4,
-    reverses=True,
-    swaps=False,
-)
+HALF_TURN = (-1, 0), (0, -1)
+TRANSPOSITION = (0, 1), (1, 0)
+QUARTER_TURN = (0, -1), (1, 0)
+"""Anticlockwise: what was east is north."""
+MIRROR = (1, 0), (0, -1)
+"""East and west change places."""
+_WAYS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1)])
+"""Steps along rows and columns of north, east, south and west."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,27 +103,25 @@ class TurnCase:
 def turned_scene(scene: Scene, turn: Turn) -> Scene:
     """Turn a field and the eyes on it; its north-west sample stays where one was."""
     field, eyes = scene.field, scene.viewpoints
-    heights = turn.heights(field.heights_m)
-    east, north = field.spacing_east_m, field.spacing_north_m
-    turned = HeightField(
-        heights,
-        field.west_m,
-        field.north_m,
-        north if turn.swaps else east,
-        east if turn.swaps else north,
-        field.frame,
-    )
-    row, col = field.to_grid(eyes.easting_m, eyes.northing_m)
-    easting, northing = turned.to_map(*turn.place(row, col, field.rows - 1, field.cols - 1))
+    spacings_m, heights = (field.spacing_east_m, field.spacing_north_m), field.heights_m
+    if turn[0][0] == 0:
+        spacings_m, heights = spacings_m[::-1], heights.T
+    signs = np.sum(turn, axis=1)
+    heights = heights[:: signs[0], :: signs[1]]
+    turned = HeightField(heights, field.west_m, field.north_m, *spacings_m, field.frame)
+    place = np.array(turn) @ field.to_grid(eyes.easting_m, eyes.northing_m)
+    place += np.where(signs < 0, np.array(heights.shape) - 1, 0)[:, np.newaxis]
+    easting, northing = turned.to_map(*place)
     moved = replace(eyes, easting_m=easting, northing_m=northing)
     return replace(scene, field=turned, viewpoints=moved)
 
 
 def turned_views(views: Views, turn: Turn) -> Views:
     """Return the views that the turned terrain should give, four headings a viewpoint."""
-    order = np.array([turn.heading(heading) for heading in range(4)])
+    order = [int(np.flatnonzero((way == _WAYS).all(axis=1))[0]) for way in _WAYS @ turn]
     rows = (np.arange(0, len(views), 4)[:, np.newaxis] + order).ravel()
-    ahead = slice(None, None, -1) if turn.reverses else slice(None)
+    # A reflection lets left and right change places.
+    ahead = slice(None, None, round(np.linalg.det(turn)))
     return replace(
         views,
         elevation_tan=views.elevation_tan[rows, ahead].astype(np.float64),

@@ -1,36 +1,37 @@
 """What the commands share: options, checks of what is to be written, tables and records."""
 
 import json
+import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+from typer import Argument, CallbackParam, Option
 
 from skyline.console import parse_bounds
 from skyline.errors import InputError
 from skyline_bench.measuring.record import Row, shown, write_record
 
 _PLOT_SUFFIXES = (".png", ".pdf", ".svg")
-_PIPED_WIDTH = 200
+_PIPED_WIDTH = 300
 
-Columns = Mapping[str, str]
-"""Keys of rows, and the headings that a table gives them."""
+Columns = Mapping[str, str] | str
+"""Keys of rows, and the headings that a table gives them; of a text, the keys are the headings."""
 
 
-def in_a_folder(param: typer.CallbackParam, path: Path | None) -> Path | None:
+def in_a_folder(param: CallbackParam, path: Path | None) -> Path | None:
     """Refuse a file that could not be written, before the measurement and not after it."""
     if path is not None and not path.absolute().parent.is_dir():
         raise InputError(f"{param.opts[0]} {path}: there is no folder {path.parent}; make it first")
     return path
 
 
-def _drawable(param: typer.CallbackParam, path: Path | None) -> Path | None:
+def _drawable(param: CallbackParam, path: Path | None) -> Path | None:
     if path is not None and path.suffix.lower() not in _PLOT_SUFFIXES:
         raise InputError(
             f"--plot {path}: cannot draw {path.suffix!r}; expected {', '.join(_PLOT_SUFFIXES)}"
@@ -38,43 +39,41 @@ def _drawable(param: typer.CallbackParam, path: Path | None) -> Path | None:
     return in_a_folder(param, path)
 
 
+def new_file(words: str, *names: str) -> Any:
+    """Return an option for a file that is written."""
+    return Option(*names, metavar="FILE", help=words, callback=in_a_folder)
+
+
+Floats = list[float] | None
+Names = list[str] | None
+"""Of options that may be repeated."""
+
 Dems = Annotated[
-    list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
+    list[str], Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
 ]
-JsonFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--json", metavar="FILE", help="Write rows and machine as JSON.", callback=in_a_folder
-    ),
-]
+JsonFile = Annotated[Path | None, new_file("Write rows and machine as JSON.", "--json")]
 PlotFile = Annotated[
     Path | None,
-    typer.Option("--plot", metavar="FILE", help="Draw them: PNG, PDF or SVG.", callback=_drawable),
+    Option("--plot", metavar="FILE", help="Draw them: PNG, PDF or SVG.", callback=_drawable),
 ]
-Seed = Annotated[int, typer.Option(help="Of whatever is drawn at random.")]
-Quick = Annotated[bool, typer.Option("--quick", help="Two minutes at most: much smaller.")]
+Seed = Annotated[int, Option(help="Of whatever is drawn at random.")]
+Quick = Annotated[bool, Option("--quick", help="Two minutes at most: much smaller.")]
 Folder = Annotated[
-    Path | None,
-    typer.Option(help="Where stores and results are kept: a run that was stopped goes on."),
+    Path | None, Option(help="Where stores and results are kept: a run that was stopped goes on.")
 ]
 Bounds = Annotated[
     str | None,
-    typer.Option(
-        metavar="W,S,E,N",
-        help="Degrees of longitude and latitude (WGS 84); by default 5 x 10 km in the middle.",
-    ),
+    Option(metavar="W,S,E,N", help="Degrees (WGS 84); by default 5 x 10 km in the middle."),
 ]
 BuiltBounds = Annotated[
     str | None,
-    typer.Option("--bounds", metavar="W,S,E,N", help="Of what is built, degrees; by default all."),
+    Option("--bounds", metavar="W,S,E,N", help="Of what is built, degrees; by default all."),
 ]
-Queries = Annotated[int, typer.Option(help="Each is looked for in every store and area.")]
+Queries = Annotated[int, Option(help="Each is looked for in every store and area.")]
 StoreFile = Annotated[
-    Path, typer.Argument(metavar="STORE", help="A store of places that `skyline build` made.")
+    Path, Argument(metavar="STORE", help="A store of places that `skyline build` made.")
 ]
-Crs = Annotated[
-    str | None, typer.Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")
-]
+Crs = Annotated[str | None, Option(help="The DEM's CRS where its file has none, e.g. EPSG:32632.")]
 
 
 def bounds_of(bounds: str | None) -> tuple[float, float, float, float] | None:
@@ -124,11 +123,13 @@ def rows_but(json_file: Path | None, key: str, begins: Iterable[str]) -> list[Ro
 
 
 def print_rows(rows: Sequence[Row], columns: Columns | None = None) -> None:
-    """Print rows as a table; ``columns`` are the keys shown, by default all, with headings.
+    """Print rows as a table; ``columns`` are those shown, by default all.
 
     Bytes are shown as megabytes where the heading says so.
     """
-    columns = columns or {key: key for row in rows for key in row}
+    if not isinstance(columns, Mapping):
+        keys = columns.split() if columns else dict.fromkeys(key for row in rows for key in row)
+        columns = {key: re.sub("bytes$", "MB", key).replace("_", " ") for key in keys}
     table = Table(box=SIMPLE_HEAD)
     for key, heading in columns.items():
         words = any(isinstance(row.get(key), str) for row in rows)

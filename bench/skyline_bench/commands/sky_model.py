@@ -4,7 +4,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from skyline.console import progress_bar
 from skyline.errors import InputError
@@ -15,8 +15,7 @@ from skyline_bench.training.photographs import draw_training_photos
 
 def sky_masks(
     folder: Annotated[
-        Path,
-        typer.Argument(metavar="FOLDER", help="NAME.jpg and NAME.mask.png, white = mountain."),
+        Path, Argument(metavar="FOLDER", help="NAME.jpg and NAME.mask.png, white = mountain.")
     ],
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
@@ -28,18 +27,9 @@ def sky_masks(
 
 
 def train_sky_model(
-    out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="The model, ONNX zipped.",
-            callback=options.in_a_folder,
-        ),
-    ],
-    photos: Annotated[int, typer.Option(help="Photographs to draw.")] = 6000,
-    steps: Annotated[int, typer.Option(help="Batches of 16 to train on.")] = 4500,
+    out: Annotated[Path, options.new_file("The model, ONNX zipped.", "--out", "-o")],
+    photos: Annotated[int, Option(help="Photographs to draw.")] = 6000,
+    steps: Annotated[int, Option(help="Batches of 16 to train on.")] = 4500,
     seed: options.Seed = 1,
     quick: options.Quick = False,
 ) -> None:

@@ -1,22 +1,22 @@
-"""Skylines measured: speed against error, hard cases, places, and very large DEMs."""
+"""Skylines measured: speed against error, hard cases, places, very large DEMs, and the page."""
 
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from skyline.console import progress_bar
 from skyline.errors import SkylineError
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.cases import stability as hard_cases
 from skyline_bench.commands import options
-from skyline_bench.figures.speed_error import save_speed_error
-from skyline_bench.figures.stability import save_stability
-from skyline_bench.measuring.record import machine
+from skyline_bench.figures.plots import save_speed_error, save_stability
+from skyline_bench.measuring.record import Row, machine
 from skyline_bench.runs import horizon as horizon_tools
 from skyline_bench.runs import large_dem as large_dems
+from skyline_bench.runs import page as pages
 from skyline_bench.runs import pipeline_speed as pipeline_stages
 from skyline_bench.runs import place_speed as ways_to_places
 from skyline_bench.runs import summits as summits_kept
@@ -29,11 +29,9 @@ _SPEED_ERROR = SpeedErrorConfig()
 def speed_error(
     dem: options.Dems,
     viewpoints: Annotated[
-        int, typer.Option(help="Viewpoints of a batch, on a 100 m grid in the DEM's middle.")
+        int, Option(help="Viewpoints of a batch, on a 100 m grid in the DEM's middle.")
     ] = _SPEED_ERROR.viewpoints,
-    width: Annotated[
-        int, typer.Option(help="Columns of all but the depth path.")
-    ] = _SPEED_ERROR.width,
+    width: Annotated[int, Option(help="Columns of all but the depth path.")] = _SPEED_ERROR.width,
     json_file: options.JsonFile = None,
     plot: options.PlotFile = None,
     seed: options.Seed = _SPEED_ERROR.seed,
@@ -45,28 +43,17 @@ def speed_error(
     terrain = read_dem(dem, DemOptions(crs=crs))
     with progress_bar("measuring") as progress:
         rows = measure(terrain, config.quick() if quick else config, progress)
-    columns = {
-        "path": "path",
-        "setting": "setting",
-        "viewpoints_per_s": "per s",
-        "ms_per_viewpoint": "ms",
-        "ms_alone": "alone",
-        "rms_px": "rms px",
-        "max_px": "max px",
-        "missing": "lost",
-    }
+    columns = "path setting viewpoints_per_s ms_per_viewpoint ms_alone rms_px max_px missing"
     options.tell(json_file, "speed-error", rows, columns)
     if plot is not None:
         save_speed_error(rows, machine(), plot)
 
 
 def stability(
-    json_file: options.JsonFile = None,
-    plot: options.PlotFile = None,
-    quick: options.Quick = False,
+    json_file: options.JsonFile = None, plot: options.PlotFile = None, quick: options.Quick = False
 ) -> None:
     """Every hard case along every path that promises something there; exit code 1 if one fails."""
-    rows: list[hard_cases.Row] = []
+    rows: list[Row] = []
     asked = [
         (path, case)
         for path in (HORIZON, DEPTH)
@@ -77,16 +64,8 @@ def stability(
         for path, case in asked:
             progress(len(rows), len(asked))
             rows += hard_cases.measure(path, quick, [case])
-    options.print_rows(
-        [{**row, "verdict": "holds" if row["ok"] else "FAILS"} for row in rows],
-        {
-            "case": "case",
-            "path": "path",
-            "error_px": "error px",
-            "bound_px": "bound px",
-            "verdict": "verdict",
-        },
-    )
+    verdicts = [{**row, "verdict": "holds" if row["ok"] else "FAILS"} for row in rows]
+    options.print_rows(verdicts, "case path error_px bound_px verdict")
     options.keep_record(json_file, "stability", rows)
     if plot is not None:
         save_stability(rows, plot)
@@ -97,7 +76,7 @@ def stability(
 
 def place_speed(
     dem: options.Dems,
-    eyes: Annotated[int, typer.Option(help="Eyes, on an 80 m grid in the DEM's middle.")] = 2000,
+    eyes: Annotated[int, Option(help="Eyes, on an 80 m grid in the DEM's middle.")] = 2000,
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
     crs: options.Crs = None,
@@ -137,40 +116,24 @@ def summits(
     """
     config = summits_kept.SummitsConfig()
     rows = summits_kept.measure(dem, crs, config.quick() if quick else config)
-    options.print_rows(
-        rows,
-        {
-            "surface": "surface",
-            "spacing_m": "m",
-            "summits": "summits",
-            "lowest_m": "lowest m",
-            "highest_m": "highest m",
-            "summits_off": "off",
-            "sights": "sights",
-            "median_sight_m": "median m",
-            "p90_sight_m": "90 % m",
-            "bias_m": "bias m",
-            "rms_off_m": "rms m",
-            "place_cpu_ms": "ms a place",
-        },
-    )
+    columns = """surface spacing_m summits lowest_m highest_m summits_off sights median_sight_m
+        p90_sight_m bias_m rms_off_m place_cpu_ms"""
+    options.print_rows(rows, columns)
     options.keep_record(
-        json_file, "summits", options.rows_but(json_file, "dem", [str(rows[0]["dem"])]) + rows
+        json_file, "summits", options.rows_but(json_file, "dem", [rows[0]["dem"]]) + rows
     )
 
 
 def large_dem(
-    samples: Annotated[int, typer.Option(help="Rows and columns of the made-up DEM.")] = 20_000,
-    viewpoints: Annotated[int, typer.Option(help="About its middle.")] = 256,
+    samples: Annotated[int, Option(help="Rows and columns of the made-up DEM.")] = 20_000,
+    viewpoints: Annotated[int, Option(help="About its middle.")] = 256,
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
 ) -> None:
     """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
-    samples, viewpoints = (
-        (min(samples, 4000), min(viewpoints, 32)) if quick else (samples, viewpoints)
-    )
-    rows = [large_dems.measure(samples, viewpoints)]
-    options.tell(json_file, "large-dem", rows)
+    if quick:
+        samples, viewpoints = min(samples, 4000), min(viewpoints, 32)
+    options.tell(json_file, "large-dem", [large_dems.measure(samples, viewpoints)])
 
 
 def pipeline_speed(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
@@ -178,3 +141,14 @@ def pipeline_speed(json_file: options.JsonFile = None, quick: options.Quick = Fa
     with tempfile.TemporaryDirectory() as folder:
         rows = pipeline_stages.measure(Path(folder), repeats=1 if quick else 3)
     options.tell(json_file, "pipeline-speed", rows)
+
+
+def page(
+    matches: Annotated[int, Option(help="Over which memory is compared.")] = 50,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+) -> None:
+    """The page in a browser: ready, strokes on 12 megapixels, the live skyline, memory."""
+    with tempfile.TemporaryDirectory() as folder, progress_bar("page") as bar:
+        rows = pages.measure(Path(folder), 3 if quick else matches, 2.0 if quick else 10.0, bar)
+    options.tell(json_file, "page", rows)

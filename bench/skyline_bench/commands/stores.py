@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from skyline.console import progress_bar
 from skyline.errors import InputError
 from skyline.terrain.dem import read_dem
 from skyline_bench.commands import options
+from skyline_bench.commands.options import Names
 from skyline_bench.measuring.record import Row
 from skyline_bench.runs import input_fuzz as damaged_input
 from skyline_bench.runs import sharded_build as shards
@@ -23,10 +25,7 @@ _DURABILITY = durability.DurabilityConfig(Path())
 def sharded_build(
     dem: options.Dems,
     part: Annotated[
-        list[str] | None,
-        typer.Option(
-            help=f"May be repeated; by default all: {', '.join(shards.PARTS)}; quick: killed."
-        ),
+        Names, Option(help=f"May be repeated; by default all: {', '.join(shards.PARTS)}.")
     ] = None,
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
@@ -50,19 +49,17 @@ def sharded_build(
 
 
 def store_durability(
-    dem: Annotated[Path, typer.Argument(metavar="DEM", help="What builds to kill are made from.")],
+    dem: Annotated[Path, Argument(metavar="DEM", help="What builds to kill are made from.")],
     test: Annotated[
-        list[str] | None,
-        typer.Option(help=f"May be repeated; by default all: {', '.join(durability.TESTS)}."),
+        Names, Option(help=f"May be repeated; by default all: {', '.join(durability.TESTS)}.")
     ] = None,
     store: Annotated[
-        list[Path] | None,
-        typer.Option(help="Of exact rows, to compare codings on; may be repeated."),
+        list[Path] | None, Option(help="Of exact rows, to compare codings on; may be repeated.")
     ] = None,
-    kills: Annotated[int, typer.Option(help="Of a writer, and of a build.")] = _DURABILITY.kills,
-    flips: Annotated[int, typer.Option(help="Bits, one at a time.")] = _DURABILITY.flips,
-    cases: Annotated[int, typer.Option(help="Mutated files.")] = _DURABILITY.cases,
-    seconds: Annotated[float, typer.Option(help="Of reading.")] = _DURABILITY.seconds,
+    kills: Annotated[int, Option(help="Of a writer, and of a build.")] = _DURABILITY.kills,
+    flips: Annotated[int, Option(help="Bits, one at a time.")] = _DURABILITY.flips,
+    cases: Annotated[int, Option(help="Mutated files.")] = _DURABILITY.cases,
+    seconds: Annotated[float, Option(help="Of reading.")] = _DURABILITY.seconds,
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
 ) -> None:
@@ -84,7 +81,7 @@ def store_durability(
 
 
 def input_fuzz(
-    cases: Annotated[int, typer.Option(help="Of each kind of file.")] = 250,
+    cases: Annotated[int, Option(help="Of each kind of file.")] = 250,
     json_file: options.JsonFile = None,
     seed: options.Seed = 0,
     quick: options.Quick = False,

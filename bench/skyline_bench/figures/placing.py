@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from skyline_bench.figures.canvas import new_figure, plain_ticks, save_figure
+from skyline_bench.figures.plots import draw_line, new_figure, plain_ticks, save_figure
 from skyline_bench.measuring.record import Row
 
 
@@ -11,19 +11,15 @@ def save_placing(rows: Sequence[Row], path: Path) -> None:
     """Save the rows of `skyline_bench.runs.placing.measure`."""
     figure = new_figure(11.0, 4.6)
     everything = [row for row in rows if row["group"] == "all"]
-    kinds = {
-        "uniform": [row for row in everything if str(row["layout"]).startswith("places")],
-        "planned": [row for row in everything if str(row["layout"]).startswith("planned")],
-    }
     for axis, key, label in zip(
         figure.subplots(1, 2),
         ("within_200m", "within_1km"),
         ("share within 200 m", "share within 1 km"),
         strict=True,
     ):
-        for kind, mine in kinds.items():
-            points = sorted((float(str(row["places"])), float(str(row[key]))) for row in mine)
-            axis.plot(*zip(*points, strict=True), marker="o", label=kind)
+        for kind, begins in (("uniform", "places"), ("planned", "planned")):
+            mine = [row for row in everything if row["layout"].startswith(begins)]
+            draw_line(axis, mine, "places", key, kind, "o-")
         axis.set(xscale="log", xlabel="places", ylabel=label)
         plain_ticks(axis.xaxis)
         axis.grid(alpha=0.3)

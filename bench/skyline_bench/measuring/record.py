@@ -6,6 +6,7 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from skyline.files import write_whole
 from skyline.render.context import acquire_context
 from skyline_bench.measuring.timing import core_count
 
-Row = Mapping[str, object]
+Row = Mapping[str, Any]
 """One line of a benchmark's table: plain values by name."""
 
 
@@ -64,11 +65,13 @@ def shown(value: object) -> str:
 
 
 def _plain(rows: Sequence[Row]) -> list[Row]:
-    return [{key: _finite(value) for key, value in row.items()} for row in rows]
-
-
-def _finite(value: object) -> object:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return [
+        {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value
+            for key, value in row.items()
+        }
+        for row in rows
+    ]
 
 
 def _processor() -> str:

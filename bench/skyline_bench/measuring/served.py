@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 from skyline.errors import BuildError, InputError
 from skyline_bench.measuring.memory import own_bytes
@@ -20,20 +21,11 @@ _WINDOW = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False
 
 @dataclass(frozen=True, slots=True)
 class ServedPage:
-    """A page that is being served.
-
-    Attributes
-    ----------
-    address : str
-    ready_s : float
-        From the command to the page's first answer.
-    process : int
-        Its number.
-    """
+    """A page that is being served."""
 
     address: str
-    ready_s: float
-    process: int
+    ready_s: float  # From the command to the page's first answer
+    process: int  # Its number
 
     def own_bytes(self) -> int:
         """Return the memory of the server that lies in no file."""
@@ -51,17 +43,11 @@ def served_page(arguments: Sequence[str | Path]) -> Iterator[ServedPage]:
             found = re.search(r"http://\S+", line)
             if found is None:
                 raise BuildError("the page was not served; `skyline serve` says why")
-            _first_answer(found[0])
+            with urlopen(found[0]) as answer:
+                answer.read()
             yield ServedPage(found[0], time.perf_counter() - began, run.pid)
         finally:
             run.terminate()
-
-
-def _first_answer(address: str) -> None:
-    from urllib.request import urlopen  # noqa: PLC0415  (a tenth of a second)
-
-    with urlopen(address) as answer:
-        answer.read()
 
 
 @contextmanager
@@ -76,13 +62,7 @@ def browser() -> Iterator[Any]:
 
 
 def headless() -> tuple[Any, Any]:
-    """Return Chromium's options and driver, without a screen or a network beyond this machine.
-
-    Raises
-    ------
-    InputError
-        It, its driver or selenium is not installed.
-    """
+    """Return Chromium's options and driver, without a screen or a network beyond this machine."""
     program, driver = shutil.which("chromium"), shutil.which("chromedriver")
     try:
         from selenium import webdriver  # noqa: PLC0415  (an extra)

@@ -16,18 +16,10 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Medians over the repeats of one piece of work.
+    """Medians over the repeats of one piece of work."""
 
-    Attributes
-    ----------
-    seconds : float
-        By the clock on the wall.
-    cpu_seconds : float
-        Processor time of the whole process, all its threads.
-    """
-
-    seconds: float
-    cpu_seconds: float
+    seconds: float  # By the clock on the wall
+    cpu_seconds: float  # Processor time of the whole process, all its threads
 
 
 def core_count() -> int:
@@ -50,9 +42,7 @@ def over_cores(
 
 
 def in_turns(
-    works: Sequence[Callable[[], object]],
-    repeats: int,
-    tick: Callable[[], object] = lambda: None,
+    works: Sequence[Callable[[], object]], repeats: int, tick: Callable[[], object] = lambda: None
 ) -> list[Timing]:
     """Time each piece of work, in turns so that what else the machine does hits all alike.
 

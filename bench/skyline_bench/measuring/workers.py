@@ -13,12 +13,10 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Any, Protocol, TypeVar
+from typing import Any
+from unittest.mock import patch
 
 from skyline.errors import BuildError, InputError
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 _ONE_THREAD = ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -26,43 +24,29 @@ _held: Any = None
 """In a worker: what it was started with."""
 
 
-class Crew(Protocol):
-    """Does the same work on many items, in any order."""
+Crew = Callable[[Callable[[Any, Any], Any], Sequence[Any]], Iterator[tuple[Any, Any]]]
+"""Does the same work on many items, begun in their order.
 
-    def __call__(self, work: Callable[[Any, T], R], items: Sequence[T]) -> Iterator[tuple[T, R]]:
-        """Yield each item with what ``work(held, item)`` returned, as they are done.
-
-        Items are begun in their order. An error that a job raises is raised here.
-        """
-        ...
+It yields each item with what ``work(held, item)`` returned, as they are done; an error that a job
+raises is raised here.
+"""
 
 
 @contextmanager
 def crew(held: object, workers: int) -> Iterator[Crew]:
     """Start workers for the block, which are stopped whatever they do when it is left.
 
-    Parameters
-    ----------
-    held : object
-        What every worker holds; sent once.
-    workers : int
-
-    Raises
-    ------
-    InputError
-        Fewer than one worker.
-    BuildError
-        A worker died.
+    ``held`` is what every worker holds, sent once.
     """
     if workers < 1:
         raise InputError(f"workers is {workers}; expected 1 or more")
     others = set(multiprocessing.active_children())
     # Spawned, since an OpenGL context does not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with _environment(dict.fromkeys(_ONE_THREAD, "1")):
+    with patch.dict(os.environ, dict.fromkeys(_ONE_THREAD, "1")):
         pool = ProcessPoolExecutor(workers, context, _start, (held,))
 
-        def run(work: Callable[[Any, T], R], items: Sequence[T]) -> Iterator[tuple[T, R]]:
+        def run(work: Callable[[Any, Any], Any], items: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
             jobs = {pool.submit(_do, work, item): item for item in items}
             for job in as_completed(jobs):
                 yield jobs[job], job.result()
@@ -98,23 +82,8 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _do(work: Callable[[Any, T], R], item: T) -> R:
+def _do(work: Callable[[Any, Any], Any], item: object) -> Any:
     return work(_held, item)
-
-
-@contextmanager
-def _environment(settings: dict[str, str]) -> Iterator[None]:
-    """Set environment variables, which new processes inherit, for the block."""
-    before = {name: os.environ.get(name) for name in settings}
-    os.environ.update(settings)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def fork(work: Callable[[], None]) -> int:

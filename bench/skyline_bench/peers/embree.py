@@ -45,19 +45,13 @@ _VIEWPOINTS_A_CALL = 8
 
 @dataclass(frozen=True, slots=True)
 class Bisection:
-    """How the skyline of a column is found.
+    """How the skyline of a column is found."""
 
-    Attributes
-    ----------
-    depth : int
-        The last bracket is 2 / 2 ** depth wide, as after so many bisections of the paper's field
-        of view; its middle is the answer, so the error is at most half of that.
-    start : str
-        "plain" bisects the whole field of view; "neighbour" starts from the columns on either
-        side, found before, with a bracket that widens until it holds the skyline.
-    """
-
+    # The last bracket is 2 / 2 ** depth wide, as after so many bisections of the paper's field of
+    # view; its middle is the answer, so the error is at most half of that.
     depth: int
+    # "plain" bisects the whole field of view; "neighbour" starts from the columns on either side,
+    # found before, with a bracket that widens until it holds the skyline.
     start: str = "neighbour"
 
     def __post_init__(self) -> None:
@@ -82,23 +76,14 @@ class EmbreePeer:
 
     Parameters
     ----------
-    field : HeightField
     width : int
         Columns W of a view.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
-
-    Raises
-    ------
-    InputError
-        ``embreex`` is not installed.
     """
 
     def __init__(
-        self,
-        field: HeightField,
-        width: int = DEFAULT_WIDTH,
-        curvature: Curvature | None = None,
+        self, field: HeightField, width: int = DEFAULT_WIDTH, curvature: Curvature | None = None
     ) -> None:
         self.field = field
         self.width = check_width(width)
@@ -182,23 +167,12 @@ class EmbreePeer:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rays:
-    """Everything about M = views * W columns but the ordinate to look along.
-
-    Attributes
-    ----------
-    scene : embreex EmbreeScene
-    eyes : (M, 3) float32
-        East, up, north of each column's eye in the scene.
-    ground : (M, 2) float32
-        Each column's ground direction.
-    shear_tan : (views, W) float64
-        True ordinate minus the ordinate in the scene.
-    """
+    """Everything about M = views * W columns but the ordinate to look along."""
 
     scene: Any
-    eyes: Float32Array
-    ground: Float32Array
-    shear_tan: Float64Array
+    eyes: Float32Array  # (M, 3); east, up, north of each column's eye in the scene
+    ground: Float32Array  # (M, 2); each column's ground direction
+    shear_tan: Float64Array  # (views, W); true ordinate minus the ordinate in the scene
 
     def blocked(self, columns: Int64Array, tan: Float64Array) -> BoolArray:
         """Return whether the terrain stands in the way of a ray at ordinate ``tan``."""
@@ -248,11 +222,7 @@ def _from_neighbours(rays: _Rays, columns: Int64Array, bracket_tan: float) -> Fl
 
 
 def _around(
-    rays: _Rays,
-    columns: Int64Array,
-    guess: Float64Array,
-    step: Float64Array,
-    bracket_tan: float,
+    rays: _Rays, columns: Int64Array, guess: Float64Array, step: Float64Array, bracket_tan: float
 ) -> Float64Array:
     """Return the skyline of columns, looked for around guesses in growing steps.
 
@@ -278,11 +248,7 @@ def _around(
 
 
 def _bisected(
-    rays: _Rays,
-    columns: Int64Array,
-    low: Float64Array,
-    high: Float64Array,
-    bracket_tan: float,
+    rays: _Rays, columns: Int64Array, low: Float64Array, high: Float64Array, bracket_tan: float
 ) -> Float64Array:
     """Return the middles of brackets that hold the skyline, narrowed to ``bracket_tan``."""
     wide = np.flatnonzero(high - low > bracket_tan)

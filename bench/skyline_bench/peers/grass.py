@@ -13,13 +13,12 @@ import time
 from pathlib import Path
 
 import numpy as np
-import rasterio
-from rasterio.transform import from_origin
 
 from skyline.arrays import Float64Array
 from skyline.errors import SkylineError
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
+from skyline_bench.measuring.geotiff import write_geotiff
 
 _SCRIPT = """set -e
 r.in.gdal input={dem} output=dem --quiet
@@ -47,22 +46,19 @@ def horizons(
         Without holes.
     eyes : Viewpoints
         N; their heights are not used.
-    step_deg : float
 
     Returns
     -------
     elevation_deg : (N, A) float64
     seconds : (N - 1,) float64
         Of all places but the first.
-
-    Raises
-    ------
-    SkylineError
-        GRASS fails.
     """
     with tempfile.TemporaryDirectory() as folder:
         dem, script = Path(folder, "dem.tif"), Path(folder, "horizons.sh")
-        _write(field, dem)
+        # The samples are the centres of the raster's cells.
+        step = field.spacing_east_m, field.spacing_north_m
+        corner = field.west_m - 0.5 * step[0], field.north_m + 0.5 * step[1]
+        write_geotiff(dem, field.heights_m.astype(np.float32), field.frame.wkt, corner, step)
         places = [f"{e},{n}" for e, n in zip(eyes.easting_m, eyes.northing_m, strict=True)]
         text = _SCRIPT.format(dem=dem, step=step_deg, places=" ".join(places))
         script.write_text(text, encoding="utf-8")
@@ -83,21 +79,3 @@ def horizons(
     table = np.array(angles, dtype=np.float64).reshape(len(eyes), -1, 2)
     order = np.argsort(np.round(table[0, :, 0] % 360.0, 6), kind="stable")
     return table[:, order, 1][:, -steps:], np.diff(ends)
-
-
-def _write(field: HeightField, path: Path) -> None:
-    """Write the samples as the centres of a raster's cells."""
-    west = field.west_m - 0.5 * field.spacing_east_m
-    north = field.north_m + 0.5 * field.spacing_north_m
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=field.cols,
-        height=field.rows,
-        count=1,
-        dtype="float32",
-        crs=field.frame.wkt,
-        transform=from_origin(west, north, field.spacing_east_m, field.spacing_north_m),
-    ) as file:
-        file.write(field.heights_m.astype(np.float32), 1)

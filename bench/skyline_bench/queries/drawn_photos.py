@@ -34,57 +34,27 @@ _SNOW, _CLOUD = (240.0, 243.0, 249.0), (244.0, 245.0, 247.0)
 
 @dataclass(frozen=True, slots=True)
 class Recipe:
-    """How a photo is drawn. Pairs are the range a seed draws from.
+    """How a photo is drawn. Pairs are the range a seed draws from."""
 
-    Attributes
-    ----------
-    sky : str
-        A name in ``_SKIES``.
-    light : float
-        Light on the ground: 1 is a clear day, 0.2 leaves silhouettes.
-    clouds : float
-        Share of the sky that clouds cover.
-    banks : int
-        Clouds that lie on the ridge and hide parts of it.
-    contrast : (float, float)
-        What haze leaves of the farthest ridge's contrast to the sky.
-    snow : float
-        Share of the relief, from the top, that is under snow.
-    layers : int
-        Ridges one before another.
-    trees, people, poles, wires : int
-        How many of each stand in front.
-    lake : bool
-        Mirror the mountains in the lower part.
-    blur_px : (float, float)
-        Deviation of the blur; the photo is 1200 px wide.
-    noise : float
-        Levels of sensor noise.
-    jpeg_quality : (int, int) or None
-    framed : bool
-        A border and a caption bar, and a logo in the sky.
-    size_px : (int, int)
-    fov_deg : float
-    """
-
-    sky: str = "blue"
-    light: float = 1.0
-    clouds: float = 0.0
-    banks: int = 0
+    sky: str = "blue"  # A name in ``_SKIES``
+    light: float = 1.0  # Light on the ground: 1 is a clear day, 0.2 leaves silhouettes
+    clouds: float = 0.0  # Share of the sky that clouds cover
+    banks: int = 0  # Clouds that lie on the ridge and hide parts of it
+    # What haze leaves of the farthest ridge's contrast to the sky.
     contrast: tuple[float, float] = (0.5, 0.9)
-    snow: float = 0.15
-    layers: int = 3
+    snow: float = 0.15  # Share of the relief, from the top, that is under snow
+    layers: int = 3  # Ridges one before another
+    # How many of each stand in front.
     trees: int = 0
     people: int = 0
     poles: int = 0
     wires: int = 0
-    lake: bool = False
-    blur_px: tuple[float, float] = (0.5, 0.9)
-    noise: float = 2.0
+    lake: bool = False  # Mirror the mountains in the lower part
+    blur_px: tuple[float, float] = (0.5, 0.9)  # Deviation of the blur; the photo is 1200 px wide
+    noise: float = 2.0  # Levels of sensor noise
     jpeg_quality: tuple[int, int] | None = (80, 95)
-    framed: bool = False
+    framed: bool = False  # A border and a caption bar, and a logo in the sky
     size_px: tuple[int, int] = (1200, 800)
-    fov_deg: float = 60.0
 
 
 CONDITIONS: Mapping[str, Recipe] = {
@@ -107,28 +77,17 @@ CONDITIONS: Mapping[str, Recipe] = {
     "noise": Recipe(noise=14.0),
     "blur": Recipe(blur_px=(2.5, 5.0), clouds=0.3),
     "small JPEG": Recipe(size_px=(480, 320), jpeg_quality=(30, 60), clouds=0.3),
-    "panorama": Recipe(size_px=(2400, 480), fov_deg=150.0, layers=4, clouds=0.3),
+    "panorama": Recipe(size_px=(2400, 480), layers=4, clouds=0.3),
 }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnPhoto:
-    """A photo and what is true of it.
+    """A photo and what is true of it."""
 
-    Attributes
-    ----------
-    image : (H, W, 3) uint8
-    row_px : (W,) float64
-        The terrain's skyline, also where it is hidden; NaN in borders.
-    visible : (W,) bool
-        Where it is to be seen.
-    fov_deg : float
-    """
-
-    image: UInt8Array
-    row_px: Float64Array
-    visible: BoolArray
-    fov_deg: float
+    image: UInt8Array  # (H, W, 3)
+    row_px: Float64Array  # (W,); the terrain's skyline, also where it is hidden; NaN in borders
+    visible: BoolArray  # (W,); where it is to be seen
 
 
 def draw_recipe(rng: np.random.Generator, recipe: Recipe) -> DrawnPhoto:
@@ -145,7 +104,7 @@ def draw_recipe(rng: np.random.Generator, recipe: Recipe) -> DrawnPhoto:
         visible &= cover.opacity[at, np.arange(width)] < 0.5
     if recipe.framed:
         _frame(rng, picture, row_px, visible)
-    return DrawnPhoto(_expose(rng, recipe, picture), row_px, visible, recipe.fov_deg)
+    return DrawnPhoto(_expose(rng, recipe, picture), row_px, visible)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +120,7 @@ def _fractal(
 ) -> Float32Array:
     """Return noise of unit deviation with a power-law spectrum, ``stretch`` times as wide."""
     padded = (2 * ((shape[0] + 65) // 2), 2 * ((shape[1] + 65) // 2))
-    down = np.fft.fftfreq(padded[0])[:, np.newaxis] / 1.0
+    down = np.fft.fftfreq(padded[0])[:, np.newaxis]
     across = np.fft.rfftfreq(padded[1])[np.newaxis, :] * stretch
     frequency = np.hypot(down, across)
     frequency[0, 0] = np.inf
@@ -188,7 +147,7 @@ def _sky(rng: np.random.Generator, recipe: Recipe) -> Float32Array:
     width, height = recipe.size_px
     zenith, horizon = (np.array(colour, dtype=np.float32) for colour in _SKIES[recipe.sky])
     down = np.clip(np.linspace(0.0, 2.0, height), 0.0, 1.0)[:, np.newaxis, np.newaxis]
-    sky = np.repeat(zenith + np.float32(1.0) * down * (horizon - zenith), width, axis=1)
+    sky = np.repeat(zenith + down * (horizon - zenith), width, axis=1)
     if recipe.clouds > 0.0:
         density = _fractal(rng, (height, width), 1.6, stretch=0.45)
         threshold = np.quantile(density, 1.0 - recipe.clouds)
@@ -214,7 +173,8 @@ def _mountains(
         row = _ridge(rng, width, height, level)
         ground = _ground(rng, recipe, row, height)
         veiled = left * ground + (1.0 - left) * horizon
-        share = _share_below(row, height)[:, :, np.newaxis]
+        below = np.arange(height)[:, np.newaxis] + 0.5 - row
+        share = np.clip(below, 0.0, 1.0).astype(np.float32)[:, :, np.newaxis]
         picture += share * (veiled - picture)
         skyline = np.minimum(skyline, row)
     return picture, skyline
@@ -240,12 +200,6 @@ def _ground(
     snow_shade = recipe.light * (0.75 + 0.25 * np.clip(light, 0.3, 1.0))[:, :, np.newaxis]
     lit = (1.0 - snowy) * colour * shade + snowy * np.array(_SNOW) * snow_shade
     return np.asarray(lit, dtype=np.float32)
-
-
-def _share_below(row: Float64Array, height: int) -> Float32Array:
-    """Return how much of each pixel, (H, W), lies below a border."""
-    below = np.arange(height)[:, np.newaxis] + 0.5 - row
-    return np.asarray(np.clip(below, 0.0, 1.0), dtype=np.float32)
 
 
 def _mirror(rng: np.random.Generator, picture: Float32Array) -> None:

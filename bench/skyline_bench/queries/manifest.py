@@ -18,36 +18,25 @@ _BLACK = 128
 
 @dataclass(frozen=True, slots=True)
 class Photograph:
-    """One line of a manifest; what is None is not known.
+    """One line of a manifest; what is None is not known."""
 
-    Attributes
-    ----------
-    photo : Path
-        A photo, or a trace that is matched as if it were one.
-    kind : str
-        ``locate``: its place is to be found. ``refuse``: no answer is right. ``extract``: only its
-        skyline is looked at.
-    lon, lat : float, optional
-        Where it was taken; of one to refuse, where the store is.
-    heading_deg, pitch_deg, roll_deg, fov_deg, elevation_m : float, optional
-        How the camera truly stood.
-    given_fov_deg, given_eye_height_m : float, optional
-        What the matcher is told.
-    mask, trace : Path, optional
-        The true skyline: a picture of two colours of the photo's proportions, or a trace of it.
-    """
-
-    photo: Path
+    photo: Path  # A photo, or a trace that is matched as if it were one
+    # ``locate``: its place is to be found. ``refuse``: no answer is right. ``extract``: only its
+    # skyline is looked at.
     kind: str
+    # Where it was taken; of one to refuse, where the store is.
     lon: float | None = None
     lat: float | None = None
+    # How the camera truly stood.
     heading_deg: float | None = None
     pitch_deg: float | None = None
     roll_deg: float | None = None
     fov_deg: float | None = None
     elevation_m: float | None = None
+    # What the matcher is told.
     given_fov_deg: float | None = None
     given_eye_height_m: float | None = None
+    # The true skyline: a picture of two colours of the photo's proportions, or a trace of it.
     mask: Path | None = None
     trace: Path | None = None
 
@@ -81,15 +70,7 @@ _FILES = ("photo", "mask", "trace")
 
 
 def read_manifest(path: Path) -> list[Photograph]:
-    """Read a manifest; paths in it count from its folder.
-
-    Raises
-    ------
-    MissingFileError
-        The manifest, or a file that it names, does not exist.
-    InputError
-        A column, a kind or a number is none, or a place is missing.
-    """
+    """Read a manifest; paths in it count from its folder."""
     if not path.is_file():
         raise MissingFileError(f"{path} does not exist; expected a manifest of photographs (CSV)")
     with path.open(encoding="utf-8-sig", newline="") as file:

@@ -22,21 +22,11 @@ _ROUGHNESS = {"tree": 0.25, "building": 0.0, "person": 0.03}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Occluder:
-    """Something near in a run of columns.
+    """Something near in a run of columns."""
 
-    Attributes
-    ----------
-    kind : str
-        tree, building or person.
-    columns : (int, int)
-        First column and the one after the last.
-    row_px : (n,) float64
-        Its top in these columns, above the skyline behind it.
-    """
-
-    kind: str
-    columns: Run
-    row_px: Float64Array
+    kind: str  # tree, building or person
+    columns: Run  # First column and the one after the last
+    row_px: Float64Array  # (n,); its top in these columns, above the skyline behind it
 
 
 def random_runs(

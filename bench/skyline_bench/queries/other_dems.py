@@ -10,26 +10,16 @@ from skyline.terrain.heightfield import HeightField, Provenance
 
 
 def perturbed(
-    terrain: HeightField,
-    height_rms_m: float = 10.0,
-    correlation_m: float = 300.0,
-    seed: int = 0,
+    terrain: HeightField, height_rms_m: float = 10.0, correlation_m: float = 300.0, seed: int = 0
 ) -> HeightField:
     """Add smooth random errors to the heights.
 
     Parameters
     ----------
-    terrain : HeightField
     height_rms_m : float
         Root mean square of the errors over the whole field.
     correlation_m : float
         Distance at which their correlation, exp(-(d / L)^2), has dropped to 1/e.
-    seed : int
-
-    Raises
-    ------
-    InputError
-        A root mean square below 0, a correlation length that is not positive, or a negative seed.
     """
     if not (0.0 <= height_rms_m < np.inf and 0.0 < correlation_m < np.inf and seed >= 0):
         raise InputError(
@@ -57,17 +47,11 @@ def resampled(
 
     Parameters
     ----------
-    terrain : HeightField
     spacing_m : float
         Of the new samples, east and north.
     phase : (float, float)
         Shift of the new grid's north-western sample east and south of the old one's, in new
         spacings, 0 to below 1.
-
-    Raises
-    ------
-    InputError
-        A spacing that is not positive or leaves fewer than 2 x 2 samples, or a phase out of range.
     """
     if not (0.0 < spacing_m < np.inf and all(0.0 <= shift < 1.0 for shift in phase)):
         raise InputError(

@@ -21,11 +21,7 @@ _NOISE = 3.0
 
 
 def photograph(
-    renderer: DepthRenderer,
-    viewpoints: Viewpoints,
-    index: int,
-    camera: Camera,
-    seed: int,
+    renderer: DepthRenderer, viewpoints: Viewpoints, index: int, camera: Camera, seed: int
 ) -> NDArray[np.uint8]:
     """Return an RGB photograph (H, W, 3) taken from one viewpoint.
 

@@ -14,25 +14,12 @@ _MIN_FORWARD = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A pin-hole camera with square pixels; angles as in `matching.query.level`.
+    """A pin-hole camera with square pixels; angles as in `matching.query.level`."""
 
-    Attributes
-    ----------
-    heading_deg : float
-        Grid azimuth of the optical axis.
-    pitch_deg : float
-        Optical axis above the horizon.
-    roll_deg : float
-        Camera turned clockwise as seen from behind it.
-    fov_deg : float
-        Horizontal field of view.
-    width_px, height_px : int
-    """
-
-    heading_deg: float
-    pitch_deg: float = 0.0
-    roll_deg: float = 0.0
-    fov_deg: float = 60.0
+    heading_deg: float  # Grid azimuth of the optical axis
+    pitch_deg: float = 0.0  # Optical axis above the horizon
+    roll_deg: float = 0.0  # Camera turned clockwise as seen from behind it
+    fov_deg: float = 60.0  # Horizontal field of view
     width_px: int = 960
     height_px: int = 640
 

@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import numpy as np
-import rasterio
 from matplotlib.cbook import get_sample_data
-from rasterio.transform import from_bounds
+
+from skyline_bench.measuring.geotiff import write_geotiff
 
 
 def write_sample_dem(path: Path) -> Path:
@@ -14,19 +14,7 @@ def write_sample_dem(path: Path) -> Path:
     with np.load(name) as sample:
         heights = sample["elevation"]
         # The sample's ymin is its northern edge.
-        west, east = float(sample["xmin"]), float(sample["xmax"])
-        north, south = float(sample["ymin"]), float(sample["ymax"])
+        west, east, south, north = (float(sample[key]) for key in ("xmin", "xmax", "ymax", "ymin"))
     rows, cols = heights.shape
-    with rasterio.open(
-        path,
-        "w",
-        driver="GTiff",
-        width=cols,
-        height=rows,
-        count=1,
-        dtype=heights.dtype,
-        crs="EPSG:4326",
-        transform=from_bounds(west, south, east, north, cols, rows),
-    ) as raster:
-        raster.write(heights, 1)
-    return path
+    step = (east - west) / cols, (north - south) / rows
+    return write_geotiff(path, heights, "EPSG:4326", (west, north), step)

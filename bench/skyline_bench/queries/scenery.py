@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
@@ -38,24 +39,12 @@ _TEXTURE_CELLS = 128
 
 @dataclass(frozen=True, slots=True)
 class Scenery:
-    """Weather and season of a drawn photograph.
+    """Weather and season of a drawn photograph."""
 
-    Attributes
-    ----------
-    visibility_m : float
-        Distance at which 2 % of the contrast are left.
-    snow_line_m : float
-        Height above which ground that is not too steep is white.
-    tree_line_m : float
-        Height below which there is forest.
-    clouds : float
-        How much of the sky is covered, 0 to 1; they gather about the ridge.
-    """
-
-    visibility_m: float = 80_000.0
-    snow_line_m: float = np.inf
-    tree_line_m: float = 1900.0
-    clouds: float = 0.3
+    visibility_m: float = 80_000.0  # Distance at which 2 % of the contrast are left
+    snow_line_m: float = np.inf  # Height above which ground that is not too steep is white
+    tree_line_m: float = 1900.0  # Height below which there is forest
+    clouds: float = 0.3  # How much of the sky is covered, 0 to 1; they gather about the ridge
 
     def __post_init__(self) -> None:
         if not self.visibility_m > 0.0:
@@ -77,11 +66,9 @@ def ground_rgb(
 
     Parameters
     ----------
-    field : HeightField
     place_m : two (M,) float64
     distance_m : (M,) float64
         From the camera.
-    scenery : Scenery
     generator : np.random.Generator
         Where meadows and forests are.
     """
@@ -160,13 +147,8 @@ def _sampled(
 
 def _looked_up(grid: Float32Array, col: Float32Array, row: Float32Array) -> Float64Array:
     """Return bilinear values (M,) of a grid, its border continued."""
-    top, left = np.floor(row).astype(np.intp), np.floor(col).astype(np.intp)
-    south, east = row - top, col - left
-    rows = [np.clip(top + step, 0, grid.shape[0] - 1) for step in (0, 1)]
-    cols = [np.clip(left + step, 0, grid.shape[1] - 1) for step in (0, 1)]
-    north_part = grid[rows[0], cols[0]] * (1.0 - east) + grid[rows[0], cols[1]] * east
-    south_part = grid[rows[1], cols[0]] * (1.0 - east) + grid[rows[1], cols[1]] * east
-    return np.asarray(north_part * (1.0 - south) + south_part * south, dtype=np.float64)
+    found = ndimage.map_coordinates(grid, [row, col], np.float64, order=1, mode="nearest")
+    return np.asarray(found)
 
 
 def _texture(

@@ -4,7 +4,6 @@ Everything is taken from the rows of the group of all queries.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,50 +18,7 @@ _LEAST_M = 1e-3
 """Errors below have no logarithm worth speaking of."""
 
 
-@dataclass(frozen=True, slots=True)
-class Store:
-    """A store as one matcher uses it.
-
-    Attributes
-    ----------
-    name, planner, matcher : str
-    renderings : int
-    size_bytes : int
-    mean_m, median_m : float
-        Errors over all queries.
-    """
-
-    name: str
-    planner: str
-    matcher: str
-    renderings: int
-    size_bytes: int
-    mean_m: float
-    median_m: float
-
-    def cost(self, key: str) -> float:
-        """Return one of the `COSTS`."""
-        return float(self.renderings if key == "renderings" else self.size_bytes)
-
-
-def stores_of(rows: Iterable[Row]) -> list[Store]:
-    """Return what the rows of all queries say, in their order."""
-    return [
-        Store(
-            str(row["store"]),
-            str(row["planner"]),
-            str(row["matcher"]),
-            int(str(row["renderings"])),
-            int(str(row["bytes"])),
-            float(str(row["mean_m"])),
-            float(str(row["median_m"])),
-        )
-        for row in rows
-        if row["group"] == ALL
-    ]
-
-
-def reached_rows(rows: Iterable[Row]) -> list[dict[str, object]]:
+def reached_rows(rows: Iterable[Row]) -> list[Row]:
     """Return what it takes adaptive stores to be as accurate as the finest uniform one.
 
     Returns
@@ -74,19 +30,20 @@ def reached_rows(rows: Iterable[Row]) -> list[dict[str, object]]:
         good. ``interpolated`` is the cost at which a line between that store and the next cheaper
         one, on logarithmic axes, comes to the goal's error; None without such a pair.
     """
-    stores = stores_of(rows)
-    planners = list(dict.fromkeys(one.planner for one in stores if one.planner != UNIFORM))
+    stores = [row for row in rows if row["group"] == ALL]
+    planners = list(dict.fromkeys(one["planner"] for one in stores if one["planner"] != UNIFORM))
     return [
-        _reached(stores, goal, planner, matcher, cost)
+        _reached(_of(stores, planner, matcher), grid[-1], matcher, planner, cost)
         for matcher in WHAT
-        if any(one.matcher == matcher for one in stores)
-        for goal in _goals(stores, matcher)
+        if any(one["matcher"] == matcher for one in stores)
+        for grid in (_of(stores, UNIFORM, goal) for goal in dict.fromkeys((matcher, PAPER)))
+        if grid
         for planner in planners
         for cost in COSTS
     ]
 
 
-def equal_rows(rows: Iterable[Row]) -> list[dict[str, object]]:
+def equal_rows(rows: Iterable[Row]) -> list[Row]:
     """Return each adaptive store's errors beside those of uniform ones of as many renderings.
 
     Returns
@@ -95,74 +52,56 @@ def equal_rows(rows: Iterable[Row]) -> list[dict[str, object]]:
         ``uniform_mean_m`` is interpolated between the uniform stores on logarithmic axes, and
         ``gain`` is it over the store's own mean error; None outside their range.
     """
-    stores = stores_of(rows)
-    told: list[dict[str, object]] = []
+    stores = [row for row in rows if row["group"] == ALL]
+    told: list[Row] = []
     for store in stores:
-        if store.planner == UNIFORM:
+        if store["planner"] == UNIFORM:
             continue
-        uniform_m = _uniform_mean_m(stores, store)
-        told.append(
-            {
-                "store": store.name,
-                "matcher": store.matcher,
-                "renderings": store.renderings,
-                "mean_m": store.mean_m,
-                "median_m": store.median_m,
-                "uniform_mean_m": uniform_m,
-                "gain": None if uniform_m is None else uniform_m / max(store.mean_m, _LEAST_M),
-            }
-        )
+        uniform_m = _uniform_mean_m(_of(stores, UNIFORM, store["matcher"]), store["renderings"])
+        gain = None if uniform_m is None else uniform_m / max(store["mean_m"], _LEAST_M)
+        names = ("store", "matcher", "renderings", "mean_m", "median_m")
+        own = {name: store[name] for name in names}
+        told.append({**own, "uniform_mean_m": uniform_m, "gain": gain})
     return told
 
 
-def _reached(
-    stores: Sequence[Store], goal: Store, planner: str, matcher: str, cost: str
-) -> dict[str, object]:
-    mine = sorted(
-        (one for one in stores if (one.planner, one.matcher) == (planner, matcher)),
-        key=lambda one: one.cost(cost),
-    )
-    at = next((i for i, one in enumerate(mine) if one.mean_m <= goal.mean_m), None)
-    found = None if at is None else mine[at]
-    needed = None if found is None else found.cost(cost)
+def _of(stores: Sequence[Row], planner: str, matcher: str) -> list[Row]:
+    """Return the stores of one planner as one matcher uses them, by their renderings."""
+    mine = [one for one in stores if (one["planner"], one["matcher"]) == (planner, matcher)]
+    return sorted(mine, key=lambda one: float(one["renderings"]))
+
+
+def _reached(stores: list[Row], goal: Row, matcher: str, planner: str, cost: str) -> Row:
+    stores = sorted(stores, key=lambda one: float(one[cost]))
+    at = next((i for i, one in enumerate(stores) if one["mean_m"] <= goal["mean_m"]), None)
+    found: Row = {} if at is None else stores[at]
+    needed = found.get(cost)
     return {
-        "goal": f"{goal.matcher} on {goal.name}",
-        "goal_mean_m": goal.mean_m,
+        "goal": f"{goal['matcher']} on {goal['store']}",
+        "goal_mean_m": goal["mean_m"],
         "cost": cost,
-        "goal_cost": goal.cost(cost),
+        "goal_cost": goal[cost],
         "matcher": matcher,
         "planner": planner,
-        "store": None if found is None else found.name,
-        "mean_m": None if found is None else found.mean_m,
+        "store": found.get("store"),
+        "mean_m": found.get("mean_m"),
         "needed": needed,
-        "share": None if needed is None else needed / goal.cost(cost),
-        "interpolated": _between(mine[at - 1], mine[at], goal.mean_m, cost) if at else None,
+        "share": None if needed is None else needed / goal[cost],
+        "interpolated": _between(stores[at - 1], found, goal["mean_m"], cost) if at else None,
     }
 
 
-def _goals(stores: Sequence[Store], matcher: str) -> list[Store]:
-    """Return the finest uniform store with a matcher, and with the paper's."""
-    goals = []
-    for name in dict.fromkeys((matcher, PAPER)):
-        grid = [one for one in stores if (one.planner, one.matcher) == (UNIFORM, name)]
-        goals += [max(grid, key=lambda one: one.renderings)] if grid else []
-    return goals
-
-
-def _uniform_mean_m(stores: Sequence[Store], store: Store) -> float | None:
-    """Return the mean error that uniform stores would have with a store's renderings."""
-    grid = sorted(
-        (one.renderings, max(one.mean_m, _LEAST_M))
-        for one in stores
-        if (one.planner, one.matcher) == (UNIFORM, store.matcher)
-    )
-    if not grid or not grid[0][0] <= store.renderings <= grid[-1][0]:
+def _uniform_mean_m(grids: Sequence[Row], renderings: int) -> float | None:
+    """Return the mean error that uniform stores would have with so many renderings."""
+    if not grids or not grids[0]["renderings"] <= renderings <= grids[-1]["renderings"]:
         return None
-    renderings, mean_m = np.log(np.array(grid)).T
-    return float(np.exp(np.interp(np.log(store.renderings), renderings, mean_m)))
+    mean_m = np.log([max(one["mean_m"], _LEAST_M) for one in grids])
+    return float(
+        np.exp(np.interp(np.log(renderings), np.log([one["renderings"] for one in grids]), mean_m))
+    )
 
 
-def _between(worse: Store, better: Store, mean_m: float, cost: str) -> float:
-    low, high = np.log([worse.cost(cost), better.cost(cost)])
-    far, near, goal = np.log(np.maximum([worse.mean_m, better.mean_m, mean_m], _LEAST_M))
+def _between(worse: Row, better: Row, mean_m: float, cost: str) -> float:
+    low, high = np.log([worse[cost], better[cost]])
+    far, near, goal = np.log(np.maximum([worse["mean_m"], better["mean_m"], mean_m], _LEAST_M))
     return float(np.exp(low + (far - goal) / (far - near) * (high - low)))

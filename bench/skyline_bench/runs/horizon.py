@@ -20,36 +20,22 @@ from skyline.render.panorama import PanoramaRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import Views
+from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import in_turns
 from skyline_bench.peers import embree, grass
 from skyline_bench.truth import oracle
-
-Row = dict[str, object]
 
 _STEPS = round(360.0 / DEFAULT_STEP_DEG)
 
 
 @dataclass(frozen=True, slots=True)
 class HorizonConfig:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    places : int
-        Drawn with ``seed`` from the middle half of the DEM, both ways.
-    compared : int
-        Of them, compared with the oracle.
-    grass_places : int
-        Given to GRASS.
-    depths : tuple of int
-        Of Embree's bisection, started from the neighbouring column.
-    repeats : int
-    seed : int
-    """
-
-    places: int = 1000
-    compared: int = 24
-    grass_places: int = 24
+    places: int = 1000  # Drawn with ``seed`` from the middle half of the DEM, both ways
+    compared: int = 24  # Of them, compared with the oracle
+    grass_places: int = 24  # Given to GRASS
+    # Of Embree's bisection, started from the neighbouring column.
     depths: tuple[int, ...] = (9, 11, 13, 15)
     repeats: int = 3
     seed: int = 0
@@ -61,7 +47,11 @@ class HorizonConfig:
 
 def measure(terrain: HeightField, config: HorizonConfig) -> list[Row]:
     """Return time and error of each tool; what is not installed is left out."""
-    eyes = _places(terrain, config)
+    west, south, east, north = terrain.bounds_m
+    share = np.random.default_rng(config.seed).uniform(0.25, 0.75, (2, config.places))
+    easting, northing = west + share[0] * (east - west), south + share[1] * (north - south)
+    there = ~np.isnan(terrain.height_at(easting, northing))
+    eyes = stand_on(terrain, easting[there], northing[there])
     some = eyes[: config.compared]
     convergence = terrain.frame.convergence_deg(eyes.easting_m, eyes.northing_m)
     to_grid = -np.radians(convergence)
@@ -97,14 +87,6 @@ def measure(terrain: HeightField, config: HorizonConfig) -> list[Row]:
     ]
     renderer.release()
     return rows + (_grass(terrain, eyes[: config.grass_places]) if grass.is_installed() else [])
-
-
-def _places(terrain: HeightField, config: HorizonConfig) -> Viewpoints:
-    west, south, east, north = terrain.bounds_m
-    share = np.random.default_rng(config.seed).uniform(0.25, 0.75, (2, config.places))
-    easting, northing = west + share[0] * (east - west), south + share[1] * (north - south)
-    there = ~np.isnan(terrain.height_at(easting, northing))
-    return stand_on(terrain, easting[there], northing[there])
 
 
 def _grass(terrain: HeightField, eyes: Viewpoints) -> list[Row]:
@@ -144,7 +126,7 @@ def _row(
     seconds: float,
     cpu_seconds: float | None,
     off_deg: Float64Array,
-) -> Row:
+) -> dict[str, object]:
     return {
         "tool": key[0],
         "setting": key[1],

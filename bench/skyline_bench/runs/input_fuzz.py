@@ -1,7 +1,6 @@
 """Damaged DEMs, viewpoint lists, traces and images: exit 2 and one line, or an answer.
 
-Each case is a small good file with bytes flipped, zeroed, cut off or put in, given to the command
-that reads it, in this process.
+Each case is a small good file, mutated, and given to the command that reads it, in this process.
 """
 
 import contextlib
@@ -15,11 +14,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import rasterio
-from rasterio.transform import from_origin
 
 from skyline import cli
 from skyline.errors import SkylineError
+from skyline_bench.measuring.geotiff import write_geotiff
+from skyline_bench.measuring.record import Row
+from skyline_bench.stores.damage import mutated
 
 LIMIT_S = 60
 WEST, NORTH, SPACING_M = 600_000.0, 5_180_000.0, 30.0
@@ -29,27 +29,10 @@ class Hang(BaseException):
     """A command took longer than any of these files may."""
 
 
-def damaged(data: bytes, generator: np.random.Generator) -> bytes:
-    """Return data with one kind of damage."""
-    some = bytearray(data)
-    at = int(generator.integers(len(some)))
-    kind = generator.integers(4)
-    if kind == 0:
-        for place in generator.integers(len(some), size=int(generator.integers(1, 12))):
-            some[place] ^= 1 << int(generator.integers(8))
-    elif kind == 1:
-        some[at : at + int(generator.integers(1, 64))] = b""
-    elif kind == 2:
-        del some[at:]
-    else:
-        some[at:at] = generator.bytes(int(generator.integers(1, 64)))
-    return bytes(some)
-
-
-def ended(arguments: list[str]) -> str:
+def ended(arguments: list[object]) -> str:
     """Run a command; say how it ended: answered, refused, or what is wrong with its end."""
     out, err = io.StringIO(), io.StringIO()
-    sys.argv = ["skyline", *arguments]
+    sys.argv = ["skyline", *map(str, arguments)]
     signal.alarm(LIMIT_S)
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -71,18 +54,14 @@ def ended(arguments: list[str]) -> str:
     return f"code {code}: {told!r}"
 
 
-def good_files(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], list[str]]]]:
+def good_files(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], list[object]]]]:
     """Return good files and the commands that read them, by suffix."""
     generator = np.random.default_rng(0)
     heights = generator.normal(0.0, 9.0, (40, 40)).cumsum(0).cumsum(1).astype(np.float32)
-    dem = folder / "good.tif"
-    with rasterio.open(
-        dem, "w", driver="GTiff", width=40, height=40, count=1, dtype="float32",
-        crs="EPSG:32632", transform=from_origin(WEST, NORTH, SPACING_M, SPACING_M),
-    ) as file:  # fmt: skip
-        file.write(heights, 1)
+    corner, step = (WEST, NORTH), (SPACING_M, SPACING_M)
+    dem = write_geotiff(folder / "good.tif", heights, "EPSG:32632", corner, step)
     store = folder / "store.h5"
-    ended(["build", str(dem), "-o", str(store), "--spacing", "300"])
+    ended(["build", dem, "-o", store, "--spacing", 300])
     ascii_dem = (
         "ncols 40\nnrows 40\nxllcorner 600000\nyllcorner 5178800\ncellsize 30\n"
         + "\n".join(" ".join(f"{height:.1f}" for height in row) for row in heights)
@@ -101,25 +80,18 @@ def good_files(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], list[str
     jpeg = cv2.imencode(".jpg", photo)[1].tobytes()
     png = cv2.imencode(".png", photo)[1].tobytes()
     return {
-        "tif": (dem.read_bytes(), lambda path: ["info", str(path)]),
-        "asc": (ascii_dem.encode(), lambda path: ["info", str(path), "--crs", "EPSG:32632"]),
+        "tif": (dem.read_bytes(), lambda path: ["info", path]),
+        "asc": (ascii_dem.encode(), lambda path: ["info", path, "--crs", "EPSG:32632"]),
         "csv": (
             viewpoints.encode(),
-            lambda path: [
-                "render",
-                str(dem),
-                "--viewpoints",
-                str(path),
-                "-o",
-                str(folder / "o.h5"),
-            ],
+            lambda path: ["render", dem, "--viewpoints", path, "-o", folder / "o.h5"],
         ),
         "trace.csv": (
             trace.encode(),
-            lambda path: ["match", str(store), str(path), "--fov-deg", "60", "--no-refine"],
+            lambda path: ["match", store, path, "--fov-deg", 60, "--no-refine"],
         ),
-        "jpg": (jpeg, lambda path: ["extract", str(path), "-o", str(folder / "jpg-out.csv")]),
-        "png": (png, lambda path: ["extract", str(path), "-o", str(folder / "png-out.csv")]),
+        "jpg": (jpeg, lambda path: ["extract", path, "-o", folder / "jpg-out.csv"]),
+        "png": (png, lambda path: ["extract", path, "-o", folder / "png-out.csv"]),
     }
 
 
@@ -127,7 +99,7 @@ def _too_long(_signal: int, _frame: object) -> None:
     raise Hang
 
 
-def measure(cases: int, seed: int) -> Iterator[dict[str, object]]:
+def measure(cases: int, seed: int) -> Iterator[Row]:
     """Yield how many of so many damaged files of each kind were answered, and how many refused."""
     signal.signal(signal.SIGALRM, _too_long)
     with tempfile.TemporaryDirectory() as name:
@@ -142,15 +114,9 @@ def measure(cases: int, seed: int) -> Iterator[dict[str, object]]:
             ends: Counter[str] = Counter()
             for case in range(cases):
                 path = folder / f"case-{case}.{suffix}"
-                path.write_bytes(damaged(data, generator))
+                path.write_bytes(mutated(data, generator))
                 ends[ended(command(path))] += 1
                 path.unlink()
                 (folder / "o.h5").unlink(missing_ok=True)
-            answered, refused = ends.pop("answered", 0), ends.pop("refused", 0)
-            yield {
-                "file": suffix,
-                "cases": cases,
-                "answered": answered,
-                "refused": refused,
-                "wrong": dict(ends),
-            }
+            counts = {end: ends.pop(end, 0) for end in ("answered", "refused")}
+            yield {"file": suffix, "cases": cases, **counts, "wrong": dict(ends)}

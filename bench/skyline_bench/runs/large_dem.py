@@ -10,13 +10,15 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.cases.closed_forms import fractal
 from skyline_bench.measuring.memory import peak_bytes
+from skyline_bench.measuring.record import Row
 
 SPACING_M = 30.0
 PERIOD = 2000
 
 
-def _made(samples: int) -> HeightField:
-    """Return rough terrain that repeats every 60 km, in one array and no copies."""
+def measure(samples: int, viewpoints: int) -> Row:
+    """Render from some viewpoints about the middle of ``samples`` x ``samples`` heights."""
+    # Rough terrain that repeats every 60 km, in one array and no copies.
     tile = (1500.0 + 1500.0 * fractal(PERIOD, PERIOD, 1, 2.1)).astype(np.float32)
     heights = np.empty((samples, samples), dtype=np.float32)
     for row in range(0, samples, PERIOD):
@@ -24,12 +26,7 @@ def _made(samples: int) -> HeightField:
             part = heights[row : row + PERIOD, col : col + PERIOD]
             part[:] = tile[: part.shape[0], : part.shape[1]]
     heights.setflags(write=False)
-    return HeightField(heights, 0.0, 0.0, SPACING_M, SPACING_M, Frame.local(10.0, 46.0))
-
-
-def measure(samples: int, viewpoints: int) -> dict[str, object]:
-    """Render from some viewpoints about the middle of ``samples`` x ``samples`` heights."""
-    field = _made(samples)
+    field = HeightField(heights, 0.0, 0.0, SPACING_M, SPACING_M, Frame.local(10.0, 46.0))
     middle = samples * SPACING_M / 2.0
     place = np.random.default_rng(2).uniform(-5000.0, 5000.0, (2, viewpoints))
     eyes = stand_on(field, middle + place[0], -middle + place[1])

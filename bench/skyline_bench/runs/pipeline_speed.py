@@ -16,6 +16,7 @@ from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.dem import read_dem
+from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import in_turns
 from skyline_bench.queries.photographs import photograph
 from skyline_bench.queries.pinhole import Camera
@@ -27,39 +28,35 @@ SPACING_M = 500.0
 CAMERA = Camera(140.0, fov_deg=60.0)
 
 
-def timed(work: Callable[[], object], repeats: int) -> float:
-    """Return the median seconds of some runs after one that warms up."""
-    return in_turns([work], repeats)[0].seconds
-
-
-def measure(folder: Path, repeats: int) -> list[dict[str, object]]:
+def measure(folder: Path, repeats: int) -> list[Row]:
     """Return one row a stage, the median of some repeats; files go to a folder."""
-    rows: list[dict[str, object]] = []
+    rows: list[Row] = []
 
-    def row(stage: str, seconds: float, count: int, unit: str) -> None:
+    def time(stage: str, work: Callable[[], object], count: int, unit: str, n: int) -> None:
+        seconds = in_turns([work], n)[0].seconds
         rows.append({"stage": stage, "ms_each": 1e3 * seconds / count, "of": unit})
 
     dem = write_sample_dem(folder / "dem.tif")
-    row("read and warp DEM", timed(lambda: read_dem([dem]), repeats), 1, "DEM")
+    time("read and warp DEM", lambda: read_dem([dem]), 1, "DEM", repeats)
     terrain = read_dem([dem])
     eyes = uniform_grid(terrain, 1000.0, map_bounds(terrain, BOUNDS_DEG))[:16]
     for width in (160, 640, 1280):
         with DepthRenderer(terrain, width) as renderer:
-            seconds = timed(lambda: renderer.render(eyes), repeats)
-        row(f"depth path, W = {width}", seconds, len(eyes), "viewpoint")
-    row("oracle, W = 640", timed(lambda: oracle.skyline(terrain, eyes[:4]), 1), 4, "viewpoint")
+            work = partial(renderer.render, eyes)
+            time(f"depth path, W = {width}", work, len(eyes), "viewpoint", repeats)
+    time("oracle, W = 640", lambda: oracle.skyline(terrain, eyes[:4]), 4, "viewpoint", 1)
     with DepthRenderer(terrain) as renderer:
         views = renderer.render(eyes)
-    row("keypoints", timed(lambda: polyline_keypoints(views, 1.0), repeats), len(views), "view")
+    time("keypoints", lambda: polyline_keypoints(views, 1.0), len(views), "view", repeats)
     stores = {RENDERINGS: folder / "renderings.h5", PLACES: folder / "places.h5"}
     build_uniform(terrain, stores[RENDERINGS], SPACING_M, BOUNDS_DEG)
     build_places(terrain, stores[PLACES], SPACING_M, BOUNDS_DEG)
     query = folder / "query.jpg"
     with DepthRenderer(terrain, 2048) as renderer:
         Image.fromarray(photograph(renderer, eyes, 0, CAMERA, seed=1)).save(query, quality=92)
-    row("photo to skyline", timed(lambda: read_query(query, CAMERA.fov_deg), repeats), 1, "photo")
+    time("photo to skyline", lambda: read_query(query, CAMERA.fov_deg), 1, "photo", repeats)
     for name, kind in MATCHERS.items():
         with Matcher(stores[kind.searches], terrain, name) as matcher:
-            seconds = timed(partial(matcher.match, query, CAMERA.fov_deg), repeats)
-            row(f"match, {name}", seconds, len(matcher.viewpoints), "stored location")
+            match = partial(matcher.match, query, CAMERA.fov_deg)
+            time(f"match, {name}", match, len(matcher.viewpoints), "stored location", repeats)
     return rows

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import rankdata
+from scipy.stats import spearmanr
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
@@ -20,6 +20,7 @@ from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import Views
+from skyline_bench.measuring.record import Row
 
 _log = logging.getLogger(__name__)
 
@@ -29,84 +30,27 @@ _TIMED = 100
 
 @dataclass(frozen=True, slots=True)
 class QualitySetup:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    viewpoints : int
-        Random viewpoints; each has four views.
-    displacements : int
-        Other eyes around each, uniform in a disc.
-    reach_m : float
-        Radius of the disc.
-    threshold_px : float
-        Two skylines are alike within this.
-    margin_m : float
-        Least distance of a viewpoint from the map's border.
-    seed : int
-    """
-
-    viewpoints: int = 200
-    displacements: int = 12
-    reach_m: float = 300.0
-    threshold_px: float = 3.0
-    margin_m: float = 3000.0
+    viewpoints: int = 200  # Random viewpoints; each has four views
+    displacements: int = 12  # Other eyes around each, uniform in a disc
+    reach_m: float = 300.0  # Radius of the disc
+    threshold_px: float = 3.0  # Two skylines are alike within this
+    margin_m: float = 3000.0  # Least distance of a viewpoint from the map's border
     seed: int = 41
-
-
-@dataclass(frozen=True, slots=True)
-class QualityRow:
-    """What one predictor got right; precision and recall with 95 % intervals over viewpoints.
-
-    Attributes
-    ----------
-    predictor : str
-    precision, recall : float
-        Of "alike within the threshold"; precision is NaN where nothing was predicted alike.
-    precision_interval, recall_interval : (low, high)
-    rank_correlation : float
-        Spearman's, of predicted and true errors.
-    answered : float
-        Share of displacements the predictor had a finite error for.
-    ms_per_area : float
-        Processor time for a view and 100 displacements.
-    """
-
-    predictor: str
-    precision: float
-    precision_interval: tuple[float, float]
-    recall: float
-    recall_interval: tuple[float, float]
-    rank_correlation: float
-    answered: float
-    ms_per_area: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QualityPairs:
-    """N views, M displaced eyes of each, and how far apart the skylines truly are.
+    """N views, M displaced eyes of each, and how far apart the skylines truly are."""
 
-    Attributes
-    ----------
-    views : Views
-        The four headings of an eye follow one another.
-    displacements_m : (N, M, 3) float64
-    true_px : (N, M) float32
-    """
-
-    views: Views
-    displacements_m: Float64Array
-    true_px: Float32Array
+    views: Views  # The four headings of an eye follow one another
+    displacements_m: Float64Array  # (N, M, 3)
+    true_px: Float32Array  # (N, M)
 
 
 def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:
-    """Choose eyes and displacements, render both ends and measure the true errors.
-
-    Raises
-    ------
-    InputError
-        A map too small for the margin and the reach, or mostly holes.
-    """
+    """Choose eyes and displacements, render both ends and measure the true errors."""
     eyes, others = _choose_eyes(field, setup)
     with HorizonRenderer(field) as renderer:
         stored, rendered = renderer.render(eyes), renderer.render(others)
@@ -125,30 +69,39 @@ def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:
     return QualityPairs(stored, moved, true_px.reshape(shape))
 
 
-def prediction_quality(field: HeightField, setup: QualitySetup) -> list[QualityRow]:
-    """Measure every predictor on one terrain; see `QualityRow`."""
+def prediction_quality(field: HeightField, setup: QualitySetup) -> list[Row]:
+    """Measure every predictor on one terrain.
+
+    Returns
+    -------
+    list of dict
+        ``precision`` and ``recall`` of "alike within the threshold", with 95 % intervals over
+        viewpoints (precision is NaN where nothing was predicted alike); Spearman's
+        ``rank_correlation`` of predicted and true errors; ``answered``, the share of displacements
+        the predictor had a finite error for; ``ms_per_area``, processor time for a view and 100
+        displacements.
+    """
     pairs = quality_pairs(field, setup)
     _log.info("alike within the threshold: %.3f", (pairs.true_px <= setup.threshold_px).mean())
     return [_row(name, pairs, setup) for name in PREDICTORS]
 
 
-def _row(name: str, pairs: QualityPairs, setup: QualitySetup) -> QualityRow:
+def _row(name: str, pairs: QualityPairs, setup: QualitySetup) -> Row:
     errors = PREDICTORS[name].errors_px(pairs.views, pairs.displacements_m)
     claimed, alike = errors <= setup.threshold_px, pairs.true_px <= setup.threshold_px
-    precision, recall = _precision_recall(claimed, alike)
-    intervals = _intervals(claimed, alike, setup.seed)
-    row = QualityRow(
-        name,
-        precision,
-        intervals[0],
-        recall,
-        intervals[1],
-        _rank_correlation(errors, pairs.true_px),
-        float(np.isfinite(errors).mean()),
-        _ms_per_area(PREDICTORS[name], pairs),
-    )
-    _log.info("%s", row)
-    return row
+    right = claimed & alike
+    precision, precision_interval = _share(right, claimed, setup.seed)
+    recall, recall_interval = _share(right, alike, setup.seed)
+    return {
+        "predictor": name,
+        "precision": precision,
+        "precision_interval": precision_interval,
+        "recall": recall,
+        "recall_interval": recall_interval,
+        "rank_correlation": float(spearmanr(errors.ravel(), pairs.true_px.ravel()).statistic),
+        "answered": float(np.isfinite(errors).mean()),
+        "ms_per_area": _ms_per_area(PREDICTORS[name], pairs),
+    }
 
 
 def _ms_per_area(predictor: Reprojection, pairs: QualityPairs) -> float:
@@ -189,34 +142,11 @@ def _choose_eyes(field: HeightField, setup: QualitySetup) -> tuple[Viewpoints, V
     return eyes, stand_on(field, there[0][chosen].ravel(), there[1][chosen].ravel())
 
 
-def _precision_recall(claimed: BoolArray, alike: BoolArray) -> tuple[float, float]:
-    right = float(np.count_nonzero(claimed & alike))
-    claims, truths = np.count_nonzero(claimed), np.count_nonzero(alike)
-    return right / claims if claims else np.nan, right / truths if truths else np.nan
-
-
-def _intervals(
-    claimed: BoolArray, alike: BoolArray, seed: int
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return 95 % intervals of precision and recall, viewpoints drawn anew with replacement."""
-    generator = np.random.default_rng(seed)
-    eyes = len(claimed) // 4
-    right, claims, truths = (
-        np.count_nonzero(part.reshape(eyes, -1), axis=1)
-        for part in (claimed & alike, claimed, alike)
-    )
-    drawn = generator.integers(0, eyes, (_RESAMPLES, eyes))
-    low_high = []
-    for total in (claims, truths):
-        among = np.maximum(total[drawn].sum(axis=1), 1)
-        low, high = np.quantile(right[drawn].sum(axis=1) / among, [0.025, 0.975])
-        low_high.append((float(low), float(high)))
-    return low_high[0], low_high[1]
-
-
-def _rank_correlation(predicted: Float32Array, true: Float32Array) -> float:
-    """Return Spearman's rank correlation; infinite errors are the largest, and equal."""
-    ranks = np.stack([rankdata(predicted.ravel()), rankdata(true.ravel())])
-    ranks -= ranks.mean(axis=1, keepdims=True)
-    spread = np.sqrt((ranks**2).sum(axis=1)).prod()
-    return float(ranks.prod(axis=0).sum() / spread) if spread else np.nan
+def _share(right: BoolArray, among: BoolArray, seed: int) -> tuple[float, tuple[float, float]]:
+    """Return the share of some pairs that are right, and its 95 % interval over viewpoints."""
+    eyes = len(right) // 4
+    hits, all_ = (np.count_nonzero(part.reshape(eyes, -1), axis=1) for part in (right, among))
+    drawn = np.random.default_rng(seed).integers(0, eyes, (_RESAMPLES, eyes))
+    shares = hits[drawn].sum(axis=1) / np.maximum(all_[drawn].sum(axis=1), 1)
+    low, high = np.quantile(shares, [0.025, 0.975])
+    return hits.sum() / all_.sum() if all_.any() else np.nan, (float(low), float(high))

@@ -6,47 +6,31 @@ from pathlib import Path
 
 import numpy as np
 
-from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.matching import Candidate
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.pipeline import FULL, JointResult, Matcher, PlaceConfig, Progress
 from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
-from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries_together
+from skyline_bench.queries.synthetic import SyntheticQuery, make_queries_together
 from skyline_bench.runs.matching import BoundsDeg, middle_deg
 from skyline_bench.stores.reference import place_store
 from skyline_bench.trials.matchers import open_matcher
-from skyline_bench.trials.trials import Trial, errors, run_trials
+from skyline_bench.trials.trials import Trial, accuracy, errors, run_trials
 
 Photos = tuple[SyntheticQuery, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class SamePlaceConfig:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    bounds_deg : (float, float, float, float), optional
-        West, south, east, north; by default 5 x 10 km in the DEM's middle.
-    spacing_m : float
-        Of the store of places.
-    places : int
-        Where photos are taken.
-    photos : int
-        Of each place, looking anywhere.
-    seed : int
-    query : QueryConfig
-    """
-
+    # West, south, east, north; by default 5 x 10 km in the DEM's middle.
     bounds_deg: BoundsDeg | None = None
-    spacing_m: float = 80.0
-    places: int = 30
-    photos: int = 3
+    spacing_m: float = 80.0  # Of the store of places
+    places: int = 30  # Where photos are taken
+    photos: int = 3  # Of each place, looking anywhere
     seed: int = 0
-    query: QueryConfig = QueryConfig()  # noqa: RUF009  (it is frozen)
 
     def __post_init__(self) -> None:
         if self.places < 2 or self.photos < 3:
@@ -62,23 +46,12 @@ class SamePlaceConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Measured:
-    """What was found of the photos of one place.
+    """What was found of the photos of one place."""
 
-    Attributes
-    ----------
-    alone : tuple of Trial
-        Of each photo.
-    together : JointResult
-        Of all.
-    mixed : JointResult
-        Of all but the last, and one of another place.
-    error_m, mixed_error_m : float
-        Of the two joint places; infinite where there is none.
-    """
-
-    alone: tuple[Trial, ...]
-    together: JointResult
-    mixed: JointResult
+    alone: tuple[Trial, ...]  # Of each photo
+    together: JointResult  # Of all
+    mixed: JointResult  # Of all but the last, and one of another place
+    # Of the two joint places; infinite where there is none.
     error_m: float
     mixed_error_m: float
 
@@ -94,20 +67,9 @@ class _Measured:
 
 
 def measure(
-    terrain: HeightField,
-    config: SamePlaceConfig,
-    folder: Path,
-    progress: Progress | None = None,
+    terrain: HeightField, config: SamePlaceConfig, folder: Path, progress: Progress | None = None
 ) -> list[Row]:
     """Match photos of one place alone, together, and with one of another place among them.
-
-    Parameters
-    ----------
-    terrain : HeightField
-    config : SamePlaceConfig
-    folder : Path
-        Where the store is, or will be.
-    progress : callable, optional
 
     Returns
     -------
@@ -117,22 +79,11 @@ def measure(
         found within 200 m. ``radius_holds`` is the share of the places found whose error is within
         the radius that 68 % should be within, ``own_named_wrong`` that of the places where a photo
         is said not to agree, ``stranger_named`` that where the photo of another place is.
-
-    Raises
-    ------
-    InputError
-        Bounds outside the DEM, or an area too small for the spacing.
     """
     bounds_deg = config.bounds_deg or middle_deg(terrain)
     store = place_store(terrain, folder, config.spacing_m, bounds_deg, PlaceConfig())
-    made = make_queries_together(
-        terrain,
-        map_bounds(terrain, bounds_deg),
-        config.places,
-        config.photos,
-        config.seed,
-        config.query,
-    )
+    area = map_bounds(terrain, bounds_deg)
+    made = make_queries_together(terrain, area, config.places, config.photos, config.seed)
     measured = []
     with open_matcher(FULL, store.path, terrain) as matcher:
         for index, photos in enumerate(made):
@@ -147,16 +98,12 @@ def _measured(matcher: Matcher, photos: Photos, stranger: SyntheticQuery) -> _Me
         matcher.match_together([one.skyline for one in some])
         for some in (photos, (*photos[:-1], stranger))
     )
-    return _Measured(
-        tuple(run_trials(matcher, photos, np.inf, 1)),
-        together,
-        mixed,
-        *(_error_m(found, photos[0]) for found in (together, mixed)),
+    error_m, mixed_error_m = (
+        errors(found.places[0], photos[0].truth)[0] if found.places else np.inf
+        for found in (together, mixed)
     )
-
-
-def _error_m(found: JointResult, photo: SyntheticQuery) -> float:
-    return errors(found.places[0], photo.truth)[0] if found.places else np.inf
+    alone = tuple(run_trials(matcher, photos, np.inf, 1))
+    return _Measured(alone, together, mixed, error_m, mixed_error_m)
 
 
 def _groups(measured: Sequence[_Measured]) -> Mapping[str, Sequence[_Measured]]:
@@ -173,45 +120,39 @@ def _groups(measured: Sequence[_Measured]) -> Mapping[str, Sequence[_Measured]]:
 def _row(measured: Sequence[_Measured]) -> Row:
     alone = [trial for one in measured for trial in one.alone]
     error_m = np.array([one.error_m for one in measured])
-    mixed_m = np.array([one.mixed_error_m for one in measured])
-    right, mixed_right = error_m <= RIGHT_WITHIN_M, mixed_m <= RIGHT_WITHIN_M
-    within_m = np.array([one.together.within_m for one in measured], dtype=np.float64)
-    mixed_within_m = np.array([one.mixed.within_m for one in measured], dtype=np.float64)
-    answered, mixed_answered = np.isfinite(within_m), np.isfinite(mixed_within_m)
+    one_by_one = accuracy(
+        np.array([trial.error_m for trial in alone]), [trial.answered_within_m for trial in alone]
+    )
+    together = accuracy(error_m, [one.together.within_m for one in measured])
+    mixed = accuracy(
+        np.array([one.mixed_error_m for one in measured]), [one.mixed.within_m for one in measured]
+    )
+    best = [next(iter(one.together.places), None) for one in measured]
+    names = ("within_200m", "median_m", "answered", "precision")
     return {
         "places": len(measured),
         "photos": len(alone) // len(measured),
-        "alone_within_200m": float(np.mean([trial.right for trial in alone])),
-        "alone_median_m": float(np.median([trial.error_m for trial in alone])),
+        **{f"alone_{name}": one_by_one[name] for name in names},
         "alone_radius_holds": _radius_holds(
-            np.array([trial.error_m for trial in alone]),
-            [trial.candidates[0] if trial.candidates else None for trial in alone],
+            [trial.error_m for trial in alone], [trial.radius_m for trial in alone]
         ),
-        "alone_answered": float(np.mean([trial.answered_within_m is not None for trial in alone])),
         "alone_seconds": float(np.median([trial.seconds for trial in alone])),
-        "within_200m": float(right.mean()),
-        "median_m": float(np.median(error_m)),
-        "answered": float(answered.mean()),
-        "precision": float((error_m <= within_m)[answered].mean()) if answered.any() else None,
+        **{name: together[name] for name in names},
         "radius_holds": _radius_holds(
-            error_m, [next(iter(one.together.places), None) for one in measured]
+            error_m.tolist(), [None if place is None else place.radius_m for place in best]
         ),
         "own_named_wrong": float(np.mean([not all(one.together.agrees) for one in measured])),
         "seconds": float(np.median([one.together.seconds for one in measured])),
-        "mixed_within_200m": float(mixed_right.mean()),
-        "mixed_answered": float(mixed_answered.mean()),
-        "mixed_precision": float((mixed_m <= mixed_within_m)[mixed_answered].mean())
-        if mixed_answered.any()
-        else None,
+        **{f"mixed_{name}": mixed[name] for name in names},
         "stranger_named": float(np.mean([not one.mixed.agrees[-1] for one in measured])),
     }
 
 
-def _radius_holds(error_m: Float64Array, best: Sequence[Candidate | None]) -> float | None:
-    """Return the share of right places whose error (N,) is within their radius."""
+def _radius_holds(error_m: Sequence[float], radius_m: Sequence[float | None]) -> float | None:
+    """Return the share of right places whose error is within their radius."""
     within = [
-        error <= place.radius_m
-        for error, place in zip(error_m.tolist(), best, strict=True)
-        if place is not None and place.radius_m is not None and error <= RIGHT_WITHIN_M
+        error <= radius
+        for error, radius in zip(error_m, radius_m, strict=True)
+        if radius is not None and error <= RIGHT_WITHIN_M
     ]
     return float(np.mean(within)) if within else None

@@ -5,22 +5,17 @@ tell what a larger area costs and how much of the accuracy it takes. Results are
 search, so that a run that was killed goes on.
 """
 
-import hashlib
-import json
 import logging
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from skyline import __version__
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.pipeline import Matcher, PlaceConfig, Progress
 from skyline.pipeline.config import mapped_area_m
@@ -30,17 +25,13 @@ from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.memory import own_bytes, peak_bytes, reset_peak
-from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth, make_queries
+from skyline_bench.queries.synthetic import QueryConfig, Truth, make_queries
 from skyline_bench.runs.matching import BoundsDeg, middle_deg
-from skyline_bench.stores.reference import (
-    ReferenceStore,
-    check_spacing,
-    given_store,
-    place_store,
-)
-from skyline_bench.trials.kept import measured_code_digest
+from skyline_bench.stores.reference import ReferenceStore, check_spacing, given_store, place_store
+from skyline_bench.trials.kept import Kept
 from skyline_bench.trials.matchers import MATCHING
 from skyline_bench.trials.traced import STAGES, Outcome, Traced
+from skyline_bench.trials.trials import accuracy
 
 _log = logging.getLogger(__name__)
 
@@ -63,44 +54,26 @@ _QUICK_QUERIES, _QUICK_KM2 = 5, 10.0
 
 @dataclass(frozen=True, slots=True)
 class ScaleConfig:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    spacing_m : float, optional
-        Of a uniform store of places that is built; by default they are planned.
-    loss : float
-        What they are planned for.
-    bounds_deg : (float, float, float, float), optional
-        West, south, east, north of what is built; by default all of the DEM.
-    store : Path, optional
-        A store of places that is there already, instead.
-    areas_km2 : tuple of float
-        Squares that are searched; all of the store is searched as well.
-    near_km : tuple of float
-        Radii of circles that are searched.
-    queries : int
-    seed : int
-        Of the queries, and of where squares and circles lie about them.
-    query : QueryConfig
-    """
-
+    # Of a uniform store of places that is built; by default they are planned.
     spacing_m: float | None = None
-    loss: float = DEFAULT_LOSS
+    loss: float = DEFAULT_LOSS  # What they are planned for
+    # West, south, east, north of what is built; by default all of the DEM.
     bounds_deg: BoundsDeg | None = None
-    store: Path | None = None
+    store: Path | None = None  # A store of places that is there already, instead
+    # Squares that are searched; all of the store is searched as well.
     areas_km2: tuple[float, ...] = (50.0, 1000.0, 10_000.0)
-    near_km: tuple[float, ...] = (30.0,)
+    near_km: tuple[float, ...] = (30.0,)  # Radii of circles that are searched
     queries: int = 200
-    seed: int = 0
+    seed: int = 0  # Of the queries, and of where squares and circles lie about them
     query: QueryConfig = field(default_factory=QueryConfig)
 
     def __post_init__(self) -> None:
-        for what, values in (("area", self.areas_km2), ("radius", self.near_km)):
-            for value in values:
-                if not 0.0 < value < np.inf:
-                    unit = "km2" if what == "area" else "km"
-                    raise InputError(f"{what} is {value} {unit}; expected more than 0")
+        given = [(f"area is {km2} km2", km2) for km2 in self.areas_km2]
+        for said, value in given + [(f"radius is {km} km", km) for km in self.near_km]:
+            if not 0.0 < value < np.inf:
+                raise InputError(f"{said}; expected more than 0")
         if self.queries < 1:
             raise InputError(f"the number of queries is {self.queries}; expected at least 1")
         if self.seed < 0:
@@ -120,14 +93,7 @@ class ScaleConfig:
 
 @dataclass(frozen=True, slots=True)
 class Search:
-    """A square or a circle that holds a query's place, or everything.
-
-    Attributes
-    ----------
-    name : str
-    km2 : float
-    side_m, radius_m : float or None
-    """
+    """A square or a circle that holds a query's place, or everything."""
 
     name: str
     km2: float
@@ -162,22 +128,12 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The outcome of one query in one search.
+    """The outcome of one query in one search."""
 
-    Attributes
-    ----------
-    query : int
-        Its number.
-    search : str
-        The name of the search.
-    distance_m : float
-        Median distance of the query's skyline; 0 where it has none: what fills its image stands
-        right before it.
-    outcome : Outcome
-    """
-
-    query: int
-    search: str
+    query: int  # Its number
+    search: str  # The name of the search
+    # Median distance of the query's skyline; 0 where it has none: what fills its image stands right
+    # before it.
     distance_m: float
     outcome: Outcome
 
@@ -187,7 +143,15 @@ def measure(
 ) -> tuple[Row, list[Row]]:
     """Build or open a store of places, match queries in squares of it, and sum up."""
     cost, searches, found = outcomes(terrain, config, folder, progress)
-    return cost, list(_rows(searches, found))
+    rows: list[Row] = []
+    for search in searches:
+        for group, (low, high) in GROUPS.items():
+            mine = [one for one in found if one.search == search.name]
+            some = [one.outcome for one in mine if low <= one.distance_m < high]
+            if some:
+                about = {"search": search.name, "km2": search.km2, "group": group}
+                rows.append({**about, **summary(some)})
+    return cost, rows
 
 
 def outcomes(
@@ -195,48 +159,32 @@ def outcomes(
 ) -> tuple[Row, list[Search], list[Found]]:
     """Build or open a store of places, and match queries in squares of it.
 
-    Parameters
-    ----------
-    terrain : HeightField
-    config : ScaleConfig
-    folder : Path
-        Where the store that is built and the results are kept: what is there is not done again.
-    progress : callable, optional
+    The store that is built and the results are kept in ``folder``: what is there is not done again.
 
     Returns
     -------
     (dict, list of Search, list of Found)
         What the store cost, what was searched, and what became of each query in each search.
-
-    Raises
-    ------
-    InputError
-        Bounds outside the DEM, a spacing that does not fit them, or a store of renderings.
-    StoreMismatchError
-        The store is of another DEM, or the folder has one of another area.
     """
     if config.store is not None:
         store = given_store(terrain, config.store)
     else:
         check_spacing(terrain, config.spacing_m, config.bounds_deg)
-        store = place_store(
-            terrain,
-            folder,
-            config.spacing_m,
-            config.bounds_deg,
-            PlaceConfig(),
-            progress,
-            config.loss,
-        )
+        where = config.spacing_m, config.bounds_deg, PlaceConfig()
+        store = place_store(terrain, folder, *where, progress, config.loss)
     reset_peak()
     started = time.perf_counter()
     with Matcher(store.path, terrain, config=MATCHING) as matcher:
         open_s = time.perf_counter() - started
         area = mapped_area_m(matcher.header, terrain) or map_bounds(terrain, None)
     searches = _searches(config, area)
-    results = Results(folder / f"scale-{_digest(terrain, config, store)}.jsonl")
-    wanted = [(query, search) for query in range(config.queries) for search in searches]
-    missing = [one for one in wanted if (one[0], one[1].name) not in results.found]
+    kept = _kept(terrain, config, store, folder / "scale")
+    wanted = {
+        f"{query} {search.name}": (query, search)
+        for query in range(config.queries)
+        for search in searches
+    }
+    missing = [key for key in wanted if key not in kept.found]
     if missing:
         queries = make_queries(terrain, area, config.queries, config.seed, config.query)
         with open_store(store.path) as opened:
@@ -244,14 +192,14 @@ def outcomes(
         scene = RenderedScene.of_store(terrain, header, MATCHING)
         traced = Traced(places, terrain.height_at, scene, terrain.frame)
         traced.match(queries[0])  # The first compiles shaders.
-        for number, search in missing:
+        for key in missing:
             if progress:
-                progress(len(results.found), len(wanted))
+                progress(len(kept.found), len(wanted))
+            number, search = wanted[key]
             query = queries[number]
             narrowed = search.about(query.truth, area, terrain.frame, [config.seed, number])
-            results.keep(
-                Found(number, search.name, _distance_m(query), traced.match(query, narrowed))
-            )
+            distance_m, outcome = np.nan_to_num(query.distance_m), traced.match(query, narrowed)
+            kept.keep(key, Found(number, search.name, float(distance_m), outcome))
         scene.release()
     cost: Row = {
         "store": store.name,
@@ -264,40 +212,7 @@ def outcomes(
         "own_bytes": own_bytes(),
         "peak_bytes": peak_bytes(),
     }
-    return cost, searches, [results.found[query, search.name] for query, search in wanted]
-
-
-class Results:
-    """Outcomes kept in a file, a line each as they come; those of an earlier run are read.
-
-    Parameters
-    ----------
-    path : Path
-        A line that a kill cut short is left out.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self.found: dict[tuple[int, str], Found] = {}
-        text = path.read_text(encoding="utf-8") if path.exists() else ""
-        for line in text.splitlines():
-            try:
-                held: dict[str, Any] = json.loads(line)
-                one = Found(**{**held, "outcome": Outcome(**held["outcome"])})
-            except (ValueError, KeyError, TypeError):
-                continue
-            self.found[one.query, one.search] = one
-        if text and not text.endswith("\n"):
-            self._append("")
-
-    def keep(self, found: Found) -> None:
-        """Add an outcome, also to the file."""
-        self.found[found.query, found.search] = found
-        self._append(json.dumps(asdict(found)))
-
-    def _append(self, line: str) -> None:
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(line + "\n")
+    return cost, searches, [kept.found[key] for key in wanted]
 
 
 def _searches(config: ScaleConfig, area: MapBounds) -> list[Search]:
@@ -321,38 +236,14 @@ def _searches(config: ScaleConfig, area: MapBounds) -> list[Search]:
     return [*fitting, Search(WHOLE, extent_km2)]
 
 
-def _digest(terrain: HeightField, config: ScaleConfig, store: ReferenceStore) -> str:
-    """Return a name for all that an outcome depends on but its query's number and search."""
+def _kept(
+    terrain: HeightField, config: ScaleConfig, store: ReferenceStore, path: Path
+) -> Kept[Found]:
+    """Return what is kept of the same queries in the same store."""
     with open_store(store.path) as opened:
         settings = dict(opened.header.config)
-    depends = {
-        "package_version": __version__,
-        "code": measured_code_digest(),
-        "dem": terrain.digest,
-        "store": settings,
-        "places": store.rows,
-        "seed": config.seed,
-        "query": asdict(config.query),
-    }
-    text = json.dumps(depends, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:12]
-
-
-def _distance_m(query: SyntheticQuery) -> float:
-    return query.distance_m if np.isfinite(query.distance_m) else 0.0
-
-
-def _rows(searches: Sequence[Search], found: Sequence[Found]) -> Iterator[Row]:
-    """Yield the table's rows: by search, then group."""
-    for search in searches:
-        for group, (low, high) in GROUPS.items():
-            some = [
-                one.outcome
-                for one in found
-                if one.search == search.name and low <= one.distance_m < high
-            ]
-            if some:
-                yield {"search": search.name, "km2": search.km2, "group": group, **summary(some)}
+    depends = terrain.digest, settings, store.rows, config.seed, asdict(config.query)
+    return Kept(path, depends, lambda outcome, **held: Found(**held, outcome=Outcome(**outcome)))
 
 
 def summary(outcomes: Sequence[Outcome]) -> Row:
@@ -362,17 +253,10 @@ def summary(outcomes: Sequence[Outcome]) -> Row:
         for name in fields(Outcome)
     }
     error_m = np.where(np.isnan(columns["error_m"]), np.inf, columns["error_m"])
-    right, within_m = error_m <= RIGHT_WITHIN_M, columns["answered_within_m"]
-    answered = np.isfinite(within_m)
     return {
-        "n": len(outcomes),
-        "within_200m": float(right.mean()),
+        **accuracy(error_m, [one.answered_within_m for one in outcomes]),
         "within_1km": float((error_m <= _KILOMETRE_M).mean()),
-        "median_m": float(np.median(error_m)),
         "mean_m": float(np.minimum(error_m, _NOWHERE_M).mean()),
-        "answered": float(answered.mean()),
-        "answered_200m": float((within_m <= RIGHT_WITHIN_M).mean()),
-        "precision": float((error_m <= within_m)[answered].mean()) if answered.any() else None,
         "query_s": float(np.median(columns["seconds"])),
         "query_cpu_s": float(columns["cpu_s"].mean()),
         **{stage: float(columns[stage].mean()) for stage in STAGES},

@@ -9,8 +9,9 @@ import multiprocessing
 import os
 import resource
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,9 @@ from numpy.typing import NDArray
 from skyline.pipeline import Layout, Matcher, RenderConfig, build_sharded, local_runner
 from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring.digests import file_digest
 from skyline_bench.measuring.memory import peak_bytes
 from skyline_bench.queries.synthetic import make_queries
+from skyline_bench.trials.kept import file_digest
 from skyline_bench.trials.trials import errors
 
 YOSEMITE = (-119.60, 37.45, -119.00, 37.962)
@@ -31,37 +32,7 @@ QUERIES = 6
 ROUNDS = 3
 """Of two workers against one."""
 
-Row = dict[str, object]
-
-
-class _Clock:
-    """When tiles were done: a build's speed without what its workers take to start."""
-
-    def __init__(self, told: Callable[[int], None] = lambda _: None) -> None:
-        self._told = told
-        self._done: list[tuple[float, int]] = []
-
-    def __call__(self, done: int, _total: int) -> None:
-        """Note how many renderings there are now; a `Progress`."""
-        self._done.append((time.perf_counter(), done))
-        self._told(done)
-
-    @property
-    def first_tile(self) -> float:
-        """When the first tile was done."""
-        return self._done[1][0]
-
-    @property
-    def last_tile(self) -> float:
-        """When the last tile was done."""
-        return self._done[-1][0]
-
-    @property
-    def per_second(self) -> float:
-        """Renderings a second in the second half, when every worker has long been at work."""
-        all_ = self._done[-1][1]
-        start, held = next(entry for entry in self._done if 2 * entry[1] >= all_)
-        return (all_ - held) / (self.last_tile - start)
+Row = dict[str, Any]
 
 
 def _children_cpu_s() -> float:
@@ -69,22 +40,37 @@ def _children_cpu_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def _build(terrain: HeightField, path: Path, plan: Layout, workers: int, clock: _Clock) -> Row:
-    """Build with workers of this machine; return what it took."""
+def _build(
+    terrain: HeightField,
+    path: Path,
+    plan: Layout,
+    workers: int,
+    told: Callable[[int], None] = lambda _: None,
+) -> Row:
+    """Build with workers of this machine, and tell how many renderings there are; what it took."""
     cpu_s, load = _children_cpu_s(), os.getloadavg()[0]
+    tiles: list[tuple[float, int]] = []
+
+    def progress(done: int, _total: int) -> None:
+        tiles.append((time.perf_counter(), done))
+        told(done)
+
     started = time.perf_counter()
     with local_runner(workers) as runner:
         ready = time.perf_counter()
-        done = build_sharded(terrain, path, plan, RenderConfig(), runner, clock)
+        rows = build_sharded(terrain, path, plan, RenderConfig(), runner, progress).rows
         ended = time.perf_counter()
+    last, all_ = tiles[-1]
+    # In the second half every worker has long been at work.
+    half, held = next(tile for tile in tiles if 2 * tile[1] >= all_)
     return {
         "workers": workers,
-        "renderings": done.rows,
+        "renderings": rows,
         "start_s": ready - started,
-        "first_tile_s": clock.first_tile - ready,
-        "build_s": clock.last_tile - ready,
-        "merge_s": ended - clock.last_tile,
-        "renderings_a_second": clock.per_second,
+        "first_tile_s": tiles[1][0] - ready,
+        "build_s": last - ready,
+        "merge_s": ended - last,
+        "renderings_a_second": (all_ - held) / (last - half),
         "workers_cpu_s": _children_cpu_s() - cpu_s,
         "bytes": path.stat().st_size,
         "digest": file_digest(path)[:16],
@@ -101,33 +87,28 @@ def measure_workers(terrain: HeightField, folder: Path, quick: bool) -> list[Row
         for workers, threads in ((1, 1), (2, 1), (1, cores)):
             os.environ["LP_NUM_THREADS"] = str(threads)
             path = folder / f"{turn}_{workers}_{threads}.h5"
-            row = _build(terrain, path, plan, workers, _Clock())
+            row = _build(terrain, path, plan, workers)
             rows.append({"case": "workers", "renderer_threads": threads, "round": turn} | row)
             del os.environ["LP_NUM_THREADS"]
-    rows.append({"case": "workers, ratios"} | _ratios(rows, cores))
-    return rows
-
-
-def _ratios(rows: Sequence[Row], cores: int) -> Row:
-    """Return how much faster two workers were, the median over the rounds."""
 
     def speeds(workers: int, threads: int) -> NDArray[np.float64]:
         mine = [r for r in rows if (r["workers"], r["renderer_threads"]) == (workers, threads)]
-        return np.array([r["renderings_a_second"] for r in mine], dtype=np.float64)
+        return np.array([r["renderings_a_second"] for r in mine])
 
-    two = speeds(2, 1)
-    return {
-        "two_to_one_of_one_thread": float(np.median(two / speeds(1, 1))),
-        f"two_to_one_of_{cores}_threads": float(np.median(two / speeds(1, cores))),
+    # The median over the rounds of how much faster two workers were.
+    ratios = {
+        "two_to_one_of_one_thread": float(np.median(speeds(2, 1) / speeds(1, 1))),
+        f"two_to_one_of_{cores}_threads": float(np.median(speeds(2, 1) / speeds(1, cores))),
         "same_bytes": len({row["digest"] for row in rows}) == 1,
     }
+    return [*rows, {"case": "workers, ratios"} | ratios]
 
 
 def measure_killed(terrain: HeightField, folder: Path, quick: bool) -> list[Row]:
     """Kill one of two workers when half of the renderings are there."""
     plan = Layout(_spacing_m(quick), 5000.0, PART)
-    unbroken = _build(terrain, folder / "unbroken.h5", plan, 2, _Clock())
-    half = int(str(unbroken["renderings"])) // 2
+    unbroken = _build(terrain, folder / "unbroken.h5", plan, 2)
+    half = unbroken["renderings"] // 2
     killed: list[int] = []
 
     def kill(done: int) -> None:
@@ -136,7 +117,7 @@ def measure_killed(terrain: HeightField, folder: Path, quick: bool) -> list[Row]
             killed.append(worker.pid or 0)
             worker.kill()
 
-    row = _build(terrain, folder / "killed.h5", plan, 2, _Clock(kill))
+    row = _build(terrain, folder / "killed.h5", plan, 2, kill)
     same = row["digest"] == unbroken["digest"]
     rows = [{"case": "killed, unbroken"} | unbroken]
     rows.append({"case": "killed", "killed": len(killed), "same_bytes": same} | row)
@@ -148,9 +129,9 @@ def measure_area(terrain: HeightField, folder: Path, quick: bool) -> list[Row]:
     west, south, east, north = map_bounds(terrain, YOSEMITE)
     plan, path = Layout(_spacing_m(quick), 10_000.0, YOSEMITE), folder / "area.h5"
     row: Row = {"case": "area", "area_km2": (east - west) * (north - south) / 1e6}
-    row |= _build(terrain, path, plan, 2, _Clock())
+    row |= _build(terrain, path, plan, 2)
     row["worker_peak_bytes"] = 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    row["bytes_a_rendering"] = path.stat().st_size / int(str(row["renderings"]))
+    row["bytes_a_rendering"] = path.stat().st_size / row["renderings"]
     queries = make_queries(terrain, (west, south, east, north), QUERIES, seed=7)
     started = time.perf_counter()
     matcher = Matcher(path, terrain, "correlation")

@@ -8,7 +8,6 @@ Names are split in two by their hash: one half to develop on, one that is only e
 import hashlib
 import tempfile
 import time
-from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import cv2
@@ -19,6 +18,7 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError
 from skyline.photo import extract_photo
 from skyline.pipeline import Progress
+from skyline_bench.measuring.record import Row
 
 _NEAR_SHARE = 0.01
 """Share of the image's height within which a row is right."""
@@ -27,50 +27,17 @@ _LARGE_PHOTOS = 3
 _JPEG_QUALITY = 92
 
 
-@dataclass(frozen=True, slots=True)
-class MaskRow:
-    """One half of the photographs.
-
-    Attributes
-    ----------
-    half : str
-    photos, refused : int
-    within : float
-        Share of the trusted columns that lie within 1 % of the image's height.
-    trusted : float
-        Share of the columns whose mask has an edge, refused photographs' too, that are trusted.
-    mostly_wrong : int
-        Photographs with most of their trusted columns farther off.
-    seconds, seconds_12mp : float
-        Processor time a photograph, from the file to the skyline: as it is, and the first three
-        enlarged to 12 megapixels.
-    """
-
-    half: str
-    photos: int
-    refused: int
-    within: float
-    trusted: float
-    mostly_wrong: int
-    seconds: float
-    seconds_12mp: float
-
-
-@dataclass(frozen=True, slots=True)
-class _Outcome:
-    trusted: int
-    right: int
-    columns: int
-    seconds: float
-
-
-def measure(folder: Path, quick: bool, progress: Progress) -> list[dict[str, object]]:
+def measure(folder: Path, quick: bool, progress: Progress) -> list[Row]:
     """Measure both halves of a folder, or two photographs of each, one core.
 
-    Raises
-    ------
-    InputError
-        The folder has fewer than two photographs with masks.
+    Returns
+    -------
+    list of dict
+        ``within``: share of the trusted columns that lie within 1 % of the image's height;
+        ``trusted``: share of the columns whose mask has an edge, refused photographs' too, that
+        are trusted; ``mostly_wrong``: photographs with most of their trusted columns farther off;
+        ``seconds`` and ``seconds_12mp``: processor time a photograph, from the file to the
+        skyline, as it is, and the first three enlarged to 12 megapixels.
     """
     cv2.setNumThreads(1)
     names = sorted(
@@ -81,15 +48,27 @@ def measure(folder: Path, quick: bool, progress: Progress) -> list[dict[str, obj
         raise InputError(f"{folder} has {len(names)} masks NAME.mask.png; expected two or more")
     middle = len(names) // 2
     halves = {"development": names[:middle], "held out": names[middle:]}
-    rows, done = list[dict[str, object]](), 0
+    rows, done = list[Row](), 0
     for half, members in halves.items():
-        outcomes = []
+        found = []
         for name in members[: 2 if quick else None]:
-            outcomes.append(_outcome(folder, name))
+            found.append(_counted(folder, name))
             done += 1
             progress(done, 4 if quick else len(names))
+        trusted, right, columns, seconds = np.array(found).T
         large = [_large_seconds(folder / f"{name}.jpg") for name in members[:_LARGE_PHOTOS]]
-        rows.append(asdict(_row(half, outcomes, float(np.median(large)))))
+        rows.append(
+            {
+                "half": half,
+                "photos": len(found),
+                "refused": int((trusted == 0).sum()),
+                "within": float(right.sum() / max(trusted.sum(), 1)),
+                "trusted": float(trusted.sum() / max(columns.sum(), 1)),
+                "mostly_wrong": int((2 * right < trusted).sum()),
+                "seconds": float(seconds.mean()),
+                "seconds_12mp": float(np.median(large)),
+            }
+        )
     return rows
 
 
@@ -111,9 +90,12 @@ def _timed(path: Path) -> tuple[Float64Array | None, float]:
     return row_px, time.process_time() - started
 
 
-def _outcome(folder: Path, name: str) -> _Outcome:
-    mask = _grey(folder / f"{name}.mask.png")
-    truth = mask_rows(mask)
+def _counted(folder: Path, name: str) -> tuple[float, ...]:
+    """Return trusted, right and true columns of a photograph, and the processor time."""
+    mask = cv2.imread(str(folder / f"{name}.mask.png"), cv2.IMREAD_GRAYSCALE)
+    if mask is None:
+        raise InputError(f"{name}.mask.png cannot be read; expected a mask, white = mountain")
+    truth = mask_rows(np.asarray(mask, dtype=np.uint8))
     row_px, seconds = _timed(folder / f"{name}.jpg")
     if row_px is None:
         row_px = np.full_like(truth, np.nan)
@@ -124,15 +106,7 @@ def _outcome(folder: Path, name: str) -> _Outcome:
         )
     trusted = np.isfinite(truth) & np.isfinite(row_px)
     right = np.abs(row_px - truth)[trusted] <= _NEAR_SHARE * len(mask)
-    known = np.isfinite(truth)
-    return _Outcome(int(trusted.sum()), int(right.sum()), int(known.sum()), seconds)
-
-
-def _grey(path: Path) -> UInt8Array:
-    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise InputError(f"{path} cannot be read; expected a mask, white = mountain")
-    return np.asarray(image, dtype=np.uint8)
+    return trusted.sum(), right.sum(), np.isfinite(truth).sum(), seconds
 
 
 def mask_rows(mask: UInt8Array) -> Float64Array:
@@ -140,17 +114,3 @@ def mask_rows(mask: UInt8Array) -> Float64Array:
     white = mask > 127
     first = white.argmax(axis=0)
     return np.where(white.any(axis=0) & (first > 0), first - 0.5, np.nan)
-
-
-def _row(half: str, outcomes: list[_Outcome], seconds_12mp: float) -> MaskRow:
-    trusted = sum(outcome.trusted for outcome in outcomes)
-    return MaskRow(
-        half,
-        len(outcomes),
-        sum(outcome.trusted == 0 for outcome in outcomes),
-        sum(outcome.right for outcome in outcomes) / max(trusted, 1),
-        trusted / max(sum(outcome.columns for outcome in outcomes), 1),
-        sum(2 * outcome.right < outcome.trusted for outcome in outcomes),
-        float(np.mean([outcome.seconds for outcome in outcomes])),
-        seconds_12mp,
-    )

@@ -8,10 +8,11 @@ W = 640 whatever the width.
 import logging
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field, replace
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -25,52 +26,37 @@ from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
-from skyline_bench.measuring.timing import Timing, in_turns, over_cores
+from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.timing import in_turns, over_cores
 from skyline_bench.peers.embree import STARTS, Bisection, EmbreePeer, is_installed
 from skyline_bench.truth import oracle
-from skyline_bench.truth.comparison import Comparison, compare
+from skyline_bench.truth.comparison import compare
 
-Row = dict[str, object]
+_Render = Callable[[Viewpoints], Views]
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedErrorConfig:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    width : int
-        Columns W of all paths but the depth path.
-    depth_widths : tuple of int
-    tolerances_px : tuple of float
-        Of the horizon path.
-    bisections : tuple of Bisection
-        Settings of the Embree peer.
-    viewpoints : int
-        Viewpoints of a timed batch, on a grid of ``spacing_m`` in the middle of the DEM.
-    slow_viewpoints : int
-        The same for the depth path and the oracle: they take viewpoints one by one, so that the
-        time of one does not depend on how many there are.
-    compared_viewpoints : int
-        How many of the batch, drawn with ``seed``, are compared with the oracle.
-    repeats : int
-        Timed rounds.
-    curvature : Curvature
-    """
-
-    width: int = DEFAULT_WIDTH
+    width: int = DEFAULT_WIDTH  # Columns W of all paths but the depth path
     depth_widths: tuple[int, ...] = (160, 320, 640, 1280, 2560)
-    tolerances_px: tuple[float, ...] = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0)
+    tolerances_px: tuple[float, ...] = (0.0, 0.05, 0.1, 0.25, 0.5, 1.0)  # Of the horizon path
+    # Settings of the Embree peer.
     bisections: tuple[Bisection, ...] = tuple(
         Bisection(depth, start) for start in STARTS for depth in (9, 11, 13, 15, 18)
     )
+    # Viewpoints of a timed batch, on a grid of ``spacing_m`` in the middle of the DEM.
     viewpoints: int = 400
     spacing_m: float = 100.0
+    # The same for the depth path and the oracle: they take viewpoints one by one, so that the time
+    # of one does not depend on how many there are.
     slow_viewpoints: int = 2
+    # How many of the batch, drawn with ``seed``, are compared with the oracle.
     compared_viewpoints: int = 24
-    repeats: int = 5
+    repeats: int = 5  # Timed rounds
     seed: int = 0
     curvature: Curvature = field(default_factory=Curvature)
 
@@ -101,28 +87,19 @@ class SpeedErrorConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Contender:
-    """One way to a skyline with one setting, ready to be asked for viewpoints.
-
-    ``first_s`` is what it took from nothing to the first viewpoint's answer.
-    """
+    """One way to a skyline with one setting, ready to be asked for viewpoints."""
 
     path: str
     width: int
     setting: str
-    first_s: float
     viewpoints: Viewpoints
-    render: Callable[[Viewpoints], Views]
+    render: _Render
+    first_s: float  # From nothing to the first viewpoint's answer
     details: Row = field(default_factory=dict)
 
 
 def central_viewpoints(terrain: HeightField, count: int, spacing_m: float) -> Viewpoints:
-    """Return up to ``count`` viewpoints of a uniform grid, a square in the middle of a DEM.
-
-    Raises
-    ------
-    InputError
-        The spacing is not positive, or no viewpoint falls on the surface.
-    """
+    """Return up to ``count`` viewpoints of a uniform grid, a square in the middle of a DEM."""
     side = int(np.ceil(np.sqrt(count)))
     west, south, east, north = terrain.bounds_m
     half_m = (side - 0.5) / 2.0 * spacing_m
@@ -138,19 +115,18 @@ def central_viewpoints(terrain: HeightField, count: int, spacing_m: float) -> Vi
 def measure(
     terrain: HeightField, config: SpeedErrorConfig, progress: Progress | None = None
 ) -> list[Row]:
-    """Return one row a contender: what a benchmark always says, and what explains it.
-
-    Raises
-    ------
-    InputError
-        No viewpoint falls on the surface in the middle of the DEM.
-    """
+    """Return one row a contender: what a benchmark always says, and what explains it."""
     batch = central_viewpoints(terrain, config.viewpoints, config.spacing_m)
     drawn = np.random.default_rng(config.seed).permutation(len(batch))
     compared = batch[np.sort(drawn[: config.compared_viewpoints])]
+    steps = count(1)
+
+    def tick() -> None:
+        if progress:
+            progress(next(steps), len(contenders) * (3 + 2 * config.repeats))
+
     with ExitStack() as held:
         contenders = list(_contenders(terrain, batch, compared, config, held))
-        tick = _ticker(progress, len(contenders) * (3 + 2 * config.repeats))
         truths: dict[int, Views] = {}
         errors = []
         for contender in contenders:
@@ -165,8 +141,24 @@ def measure(
             [partial(c.render, compared[:1]) for c in contenders], config.repeats, tick
         )
     return [
-        _row(*measured, compared_viewpoints=len(compared))
-        for measured in zip(contenders, errors, batches, alone, strict=True)
+        {
+            "path": one.path,
+            "width": one.width,
+            "tolerance_px": None,
+            "setting": one.setting,
+            "ms_per_viewpoint": 1e3 * batch_time.seconds / len(one.viewpoints),
+            **error,
+            "viewpoints_per_s": len(one.viewpoints) / batch_time.seconds,
+            "cpu_ms_per_viewpoint": 1e3 * batch_time.cpu_seconds / len(one.viewpoints),
+            "ms_alone": 1e3 * alone_time.seconds,
+            "first_s": one.first_s,
+            "timed_viewpoints": len(one.viewpoints),
+            "compared_viewpoints": len(compared),
+            **one.details,
+        }
+        for one, error, batch_time, alone_time in zip(
+            contenders, errors, batches, alone, strict=True
+        )
     ]
 
 
@@ -178,103 +170,43 @@ def _contenders(
     held: ExitStack,
 ) -> Iterator[_Contender]:
     """Yield everything that is compared; what holds resources is entered into ``held``."""
-    few = few[: config.slow_viewpoints]
-    for width in config.depth_widths:
+    few, width, curvature = few[: config.slow_viewpoints], config.width, config.curvature
+
+    def first(make: Callable[[], AbstractContextManager[Any]]) -> tuple[_Render, float]:
         started = time.perf_counter()
-        depth = held.enter_context(DepthRenderer(terrain, width, config.curvature))
-        first_s = _first_answer(started, depth.render, few)
-        yield _Contender("depth", width, f"W = {width}", first_s, few, depth.render)
+        render: _Render = held.enter_context(make()).render
+        render(few[:1])
+        return render, time.perf_counter() - started
+
+    for columns in config.depth_widths:
+        made = first(partial(DepthRenderer, terrain, columns, curvature))
+        yield _Contender("depth", columns, f"W = {columns}", few, *made)
     for tolerance_px in config.tolerances_px:
-        started = time.perf_counter()
-        horizon = held.enter_context(
-            HorizonRenderer(terrain, config.width, config.curvature, tolerance_px)
-        )
-        yield _Contender(
-            "horizon",
-            config.width,
-            f"{tolerance_px:g} px",
-            _first_answer(started, horizon.render, few),
-            batch,
-            horizon.render,
-            {"tolerance_px": tolerance_px},
-        )
+        made = first(partial(HorizonRenderer, terrain, width, curvature, tolerance_px))
+        setting, details = f"{tolerance_px:g} px", {"tolerance_px": tolerance_px}
+        yield _Contender("horizon", width, setting, batch, *made, details)
     if is_installed():
         started = time.perf_counter()
-        peer = EmbreePeer(terrain, config.width, config.curvature)
-        first_s = _first_answer(started, partial(peer.render, bisection=Bisection(15)), few)
+        peer = EmbreePeer(terrain, width, curvature)
+        peer.render(few[:1], Bisection(15))
+        first_s = time.perf_counter() - started
         for bisection in config.bisections:
-            yield _Contender(
-                "embree",
-                config.width,
-                f"{bisection.start} {bisection.depth}",
-                first_s,
-                batch,
-                partial(peer.render, bisection=bisection),
-                {"start": bisection.start, "bisections": bisection.depth},
-            )
+            setting = f"{bisection.start} {bisection.depth}"
+            render = partial(peer.render, bisection=bisection)
+            how = {"start": bisection.start, "bisections": bisection.depth}
+            yield _Contender("embree", width, setting, batch, render, first_s, how)
     else:
         _log.warning("Embree is left out; to have it measured: pip install 'skyline-bench[peers]'")
     started = time.perf_counter()
-    exact = _oracle(terrain, config, config.width)
-    first_s = _first_answer(started, exact, few)
-    yield _Contender("oracle", config.width, "exact", first_s, few, exact)
+    exact = _oracle(terrain, config, width)
+    exact(few[:1])
+    yield _Contender("oracle", width, "exact", few, exact, time.perf_counter() - started)
 
 
-def _first_answer(
-    started: float, render: Callable[[Viewpoints], Views], viewpoints: Viewpoints
-) -> float:
-    """Return the seconds from ``started`` to a first viewpoint's answer, all set up by then."""
-    render(viewpoints[:1])
-    return time.perf_counter() - started
-
-
-def _oracle(
-    terrain: HeightField, config: SpeedErrorConfig, width: int
-) -> Callable[[Viewpoints], Views]:
+def _oracle(terrain: HeightField, config: SpeedErrorConfig, width: int) -> _Render:
     """Return the oracle as a renderer that uses all cores."""
 
-    def render(viewpoints: Viewpoints) -> Views:
-        return Views.concatenate(
-            over_cores(
-                lambda part: oracle.skyline(terrain, part, width, config.curvature), viewpoints, 1
-            )
-        )
+    def render(part: Viewpoints) -> Views:
+        return oracle.skyline(terrain, part, width, config.curvature)
 
-    return render
-
-
-def _row(
-    contender: _Contender,
-    error: Comparison,
-    batch: Timing,
-    alone: Timing,
-    *,
-    compared_viewpoints: int,
-) -> Row:
-    timed = len(contender.viewpoints)
-    return {
-        "path": contender.path,
-        "width": contender.width,
-        "tolerance_px": None,
-        "setting": contender.setting,
-        "ms_per_viewpoint": 1e3 * batch.seconds / timed,
-        **asdict(error),
-        "viewpoints_per_s": timed / batch.seconds,
-        "cpu_ms_per_viewpoint": 1e3 * batch.cpu_seconds / timed,
-        "ms_alone": 1e3 * alone.seconds,
-        "first_s": contender.first_s,
-        "timed_viewpoints": timed,
-        "compared_viewpoints": compared_viewpoints,
-        **contender.details,
-    }
-
-
-def _ticker(progress: Progress | None, total: int) -> Callable[[], None]:
-    """Return what to call after each of ``total`` steps."""
-    steps = count(1)
-
-    def tick() -> None:
-        if progress:
-            progress(next(steps), total)
-
-    return tick
+    return lambda viewpoints: Views.concatenate(over_cores(render, viewpoints, 1))

@@ -13,6 +13,7 @@ from skyline.store import RowCoding, create_store, open_store
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.views import Views
+from skyline_bench.measuring.record import Row
 from skyline_bench.stores.damage import flip_test, fuzz_test
 from skyline_bench.stores.durability import (
     Say,
@@ -22,7 +23,10 @@ from skyline_bench.stores.durability import (
     readers_test,
 )
 
-Rows = Iterator[dict[str, object]]
+Rows = Iterator[Row]
+
+_SPACING_M = 500.0
+"""Of the builds to kill."""
 
 CODINGS = (
     (0.001, 0.0005),
@@ -37,52 +41,36 @@ CODINGS = (
 
 @dataclass(frozen=True, slots=True)
 class DurabilityConfig:
-    """How much is done to stores.
+    """How much is done to stores."""
 
-    Attributes
-    ----------
-    dem : Path
-        What builds to kill are made from.
-    stores : tuple of Path
-        Of exact rows, on which codings of compact rows are compared.
-    kills, flips, cases : int
-        Of each kind of store.
-    seconds : float
-        How long readers read.
-    renderings : int
-        To compare codings on.
-    spacing_m : float
-        Of the builds to kill.
-    """
-
-    dem: Path
-    stores: tuple[Path, ...] = ()
+    dem: Path  # What builds to kill are made from
+    stores: tuple[Path, ...] = ()  # Of exact rows, on which codings of compact rows are compared
+    # Of each kind of store.
     kills: int = 200
     flips: int = 200
     cases: int = 500
-    seconds: float = 60.0
-    renderings: int = 1024
-    spacing_m: float = 500.0
+    seconds: float = 60.0  # How long readers read
+    renderings: int = 1024  # To compare codings on
 
 
-def _rendered_build(terrain: HeightField, spacing_m: float, path: Path, say: Say) -> None:
+def _rendered_build(terrain: HeightField, path: Path, say: Say) -> None:
     """Render a uniform grid into a store, or go on with it."""
 
     def progress(*_: int) -> None:
         with open_store(path) as store:
             say(len(store))
 
-    build_uniform(terrain, path, spacing_m, config=RenderConfig(width=64), progress=progress)
+    build_uniform(terrain, path, _SPACING_M, config=RenderConfig(width=64), progress=progress)
 
 
-def _coding_rows(path: Path, folder: Path, renderings: int) -> list[dict[str, object]]:
+def _coding_rows(path: Path, folder: Path, renderings: int) -> list[Row]:
     """Compare codings on some chunks of a store, spread evenly: bytes, errors, reading speed."""
     with open_store(path) as store:
         header = store.header
         starts = np.linspace(0, len(store) - 32, max(renderings // 32, 1)).astype(int)
         rows = np.unique((starts[:, np.newaxis] + np.arange(32)).ravel())
         exact, keypoints = store.views(rows), store.keypoint_columns(rows)
-    table = []
+    table: list[Row] = []
     for errors in (None, *CODINGS):
         coding = RowCoding.within(header.width, *errors) if errors else None
         sample = folder / "sample.h5"
@@ -103,7 +91,7 @@ def _coding_rows(path: Path, folder: Path, renderings: int) -> list[dict[str, ob
     return table
 
 
-def _measured(path: Path, exact: Views) -> dict[str, object]:
+def _measured(path: Path, exact: Views) -> Row:
     """Return what a store takes on disk and to read, and how far its rows are from exact ones."""
     for _ in range(2):
         # Opened again, since HDF5 keeps unpacked chunks of an open file.
@@ -150,7 +138,7 @@ def _kills_of_writer(config: DurabilityConfig, folder: Path) -> Rows:
 def _kills_of_build(config: DurabilityConfig, folder: Path) -> Rows:
     # Nothing is rendered in this process: OpenGL does not outlive a fork.
     terrain = read_dem([config.dem])
-    yield kill_test(partial(_rendered_build, terrain, config.spacing_m), folder, config.kills)
+    yield kill_test(partial(_rendered_build, terrain), folder, config.kills)
 
 
 def _readers(config: DurabilityConfig, folder: Path) -> Rows:

@@ -16,18 +16,6 @@ from skyline_bench.queries.synthetic import QueryConfig, make_queries
 HALF_SIDE_M = 4_000.0
 
 
-def middle_m(terrain: HeightField) -> tuple[float, float, float, float]:
-    """Return the square in a terrain's middle that queries are taken from."""
-    west, south, east, north = terrain.bounds_m
-    easting_m, northing_m = (west + east) / 2.0, (south + north) / 2.0
-    return (
-        easting_m - HALF_SIDE_M,
-        northing_m - HALF_SIDE_M,
-        easting_m + HALF_SIDE_M,
-        northing_m + HALF_SIDE_M,
-    )
-
-
 def measure(
     store: Path,
     dem: Sequence[str],
@@ -38,7 +26,10 @@ def measure(
 ) -> dict[str, object]:
     """Match queries of strange terrain to a store of places of a DEM."""
     asked = QueryConfig()
-    made = make_queries(strange, middle_m(strange), queries, seed, asked)
+    west, south, east, north = strange.bounds_m
+    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
+    area = (*(middle - HALF_SIDE_M), *(middle + HALF_SIDE_M))
+    made = make_queries(strange, area, queries, seed, asked)
     config = MatchConfig(fov_slack=asked.fov_slack)
     sure, answered, seconds = list[float](), 0, list[float]()
     with Matcher(store, dem, config=config) as matcher:

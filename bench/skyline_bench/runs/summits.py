@@ -7,7 +7,7 @@ not too large; and plain bilinear interpolation at its own samples, which keeps 
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -27,6 +27,7 @@ from skyline.terrain.mosaic import mosaic_grid, read_mosaic
 from skyline.terrain.tiles import Grid, open_tile
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame
 from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.timing import in_turns
 from skyline_bench.runs.speed_error import central_viewpoints
 
 EXACT_M = 1.0
@@ -43,26 +44,14 @@ _EYE_M = 2.0
 
 @dataclass(frozen=True, slots=True)
 class SummitsConfig:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    summits : int
-        The highest so many.
-    eyes : int
-        Eyes drawn about each summit.
-    nearest_m, farthest_m : float
-        Distances of eyes.
-    places : int
-        Places rendered, for the cost.
-    seed : int
-    """
-
-    summits: int = 200
-    eyes: int = 8
+    summits: int = 200  # The highest so many
+    eyes: int = 8  # Eyes drawn about each summit
+    # Distances of eyes.
     nearest_m: float = 2000.0
     farthest_m: float = 20_000.0
-    places: int = 400
+    places: int = 400  # Places rendered, for the cost
     seed: int = 0
 
     def quick(self) -> "SummitsConfig":
@@ -133,33 +122,23 @@ class _File:
         return row[highest], col[highest]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sights:
-    """S eyes, each with a summit that it sees."""
-
-    summit: Int64Array
-    easting_m: Float64Array
-    northing_m: Float64Array
-    elevation_m: Float64Array
+_Places = tuple[Float64Array, Float64Array, Float64Array]
+"""Easting, northing and height (P,) of places."""
+_Sights = tuple[Int64Array, Float64Array]
+"""The summits (S,) that eyes (3, S) see: easting, northing, elevation."""
 
 
 def measure(
     dem: Sequence[str | Path], crs: str | None = None, config: SummitsConfig = SummitsConfig()
 ) -> list[Row]:
-    """Return a row for each surface.
-
-    Raises
-    ------
-    InputError
-        As `read_dem` raises it, or a DEM without a summit.
-    """
+    """Return a row for each surface."""
     options = DemOptions(crs=crs)
     started = time.process_time()
     field = read_dem(dem, options)
     read_s = time.process_time() - started
     file = _File.read(dem, options, field)
     row, col = file.summits(config.summits)
-    sights = _sights(file, file.place(row, col), file.heights_m[row, col], config)
+    sights = _sights(file, row, col, config)
     surfaces = {"as read": field}
     if field.provenance.resampling != "none":
         surfaces["as read, on the coarser spacing"] = _warped(file, field, max(file.spacing_m))
@@ -174,9 +153,8 @@ def measure(
                 "file_spacing_m": f"{file.spacing_m[0]:.3g} x {file.spacing_m[1]:.3g}",
                 "surface": name,
                 "spacing_m": surface.spacing_m,
-                **_summit_errors(surface, file, row, col),
+                **_summit_errors(surface, file, row, col, sights),
                 **_sample_errors(surface, file),
-                **_sight_errors(surface, file, (row, col), sights),
                 "samples": surface.heights_m.size,
                 "read_cpu_s": read_s if name == "as read" else math.nan,
                 "place_cpu_ms": _place_cpu_ms(surface, config.places),
@@ -207,51 +185,60 @@ def _around(file: _File, row: int, col: int) -> tuple[Float64Array, Float64Array
     return file.place(row + south.reshape(-1), col + east.reshape(-1))
 
 
-def _nodes(
-    surface: HeightField, easting: Float64Array, northing: Float64Array
-) -> tuple[Float64Array, Float64Array]:
-    """Return the places of a surface's samples within the box around some places."""
+def _surface_around(surface: HeightField, file: _File, row: int, col: int) -> _Places:
+    """Return places of the surface around a summit, its samples among them, and their heights."""
+    easting, northing = _around(file, row, col)
     (first_row, last_row), (first_col, last_col) = surface.to_grid(
         [easting.min(), easting.max()], [northing.max(), northing.min()]
     )
-    row, col = np.meshgrid(
+    rows, cols = np.meshgrid(
         np.arange(max(np.ceil(first_row), 0.0), min(np.floor(last_row) + 1.0, surface.rows)),
         np.arange(max(np.ceil(first_col), 0.0), min(np.floor(last_col) + 1.0, surface.cols)),
         indexing="ij",
     )
-    return surface.to_map(row.reshape(-1), col.reshape(-1))
-
-
-def _surface_around(
-    surface: HeightField, file: _File, row: int, col: int
-) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return places of the surface around a summit, its samples among them, and their heights."""
-    easting, northing = _around(file, row, col)
-    nodes = _nodes(surface, easting, northing)
+    nodes = surface.to_map(rows.reshape(-1), cols.reshape(-1))
     easting, northing = np.append(easting, nodes[0]), np.append(northing, nodes[1])
     return easting, northing, surface.height_at(easting, northing)
 
 
 def _summit_errors(
-    surface: HeightField, file: _File, row: Int64Array, col: Int64Array
-) -> dict[str, object]:
-    highest = np.array(
-        [
-            np.nanmax(_surface_around(surface, file, *summit)[2])
-            for summit in zip(row.tolist(), col.tolist(), strict=True)
-        ]
-    )
-    error_m = highest - file.heights_m[row, col]
+    surface: HeightField, file: _File, row: Int64Array, col: Int64Array, sights: _Sights
+) -> Row:
+    """Return how far summits are too high or low, also as seen, in metres at their distance."""
+    summit, eyes = sights
+    error_m, seen_m = [], []
+    for index, (r, c) in enumerate(zip(row.tolist(), col.tolist(), strict=True)):
+        around, mine = _surface_around(surface, file, r, c), eyes[:, summit == index]
+        easting, northing = _around(file, r, c)
+        error_m.append(np.nanmax(around[2]) - file.heights_m[r, c])
+        true = easting, northing, file.height_m(easting, northing)
+        east_m, north_m = np.array(file.place([r], [c])) - mine[:2]
+        off = _greatest_tan(around, mine) - _greatest_tan(true, mine)
+        seen_m += np.abs(off * np.hypot(east_m, north_m)).tolist()
+    off_m = np.array(seen_m or [math.nan])
     return {
         "summits": row.size,
-        "lowest_m": float(error_m.min()),
-        "mean_m": float(error_m.mean()),
-        "highest_m": float(error_m.max()),
+        "lowest_m": float(min(error_m)),
+        "mean_m": float(np.mean(error_m)),
+        "highest_m": float(max(error_m)),
         "summits_off": int(np.count_nonzero(np.abs(error_m) > EXACT_M)),
+        "sights": len(seen_m),
+        "median_sight_m": float(np.median(off_m)),
+        "p90_sight_m": float(np.quantile(off_m, 0.9)),
+        "sights_within": float(np.mean(off_m <= EXACT_M)),
     }
 
 
-def _sample_errors(surface: HeightField, file: _File) -> dict[str, object]:
+def _greatest_tan(places: _Places, eyes: Float64Array) -> Float64Array:
+    """Return how high places reach as seen from eyes (3, S), (S,)."""
+    easting, northing, height_m = places
+    east, north, up = eyes[:, :, np.newaxis]
+    away = np.hypot(easting - east, northing - north)
+    tan = (height_m - up) / away - Curvature().drop_per_m2 * away
+    return np.asarray(np.nanmax(tan, axis=1), dtype=np.float64)
+
+
+def _sample_errors(surface: HeightField, file: _File) -> Row:
     """Return how far the surface is from the file's samples, a tenth of the rows."""
     row, col = np.meshgrid(
         np.arange(0, file.grid.rows, 10), np.arange(file.grid.cols), indexing="ij"
@@ -264,20 +251,15 @@ def _sample_errors(surface: HeightField, file: _File) -> dict[str, object]:
     }
 
 
-def _sights(
-    file: _File,
-    summits: tuple[Float64Array, Float64Array],
-    heights_m: Float32Array,
-    config: SummitsConfig,
-) -> _Sights:
+def _sights(file: _File, row: Int64Array, col: Int64Array, config: SummitsConfig) -> _Sights:
     """Draw eyes about each summit; keep those below it that see it over the file's terrain."""
     rng = np.random.default_rng(config.seed)
-    shape = heights_m.size * config.eyes
+    shape = row.size * config.eyes
     away_m = rng.uniform(config.nearest_m, config.farthest_m, shape)
     azimuth = rng.uniform(0.0, 2.0 * np.pi, shape)
-    summit = np.repeat(np.arange(heights_m.size), config.eyes)
+    summit = np.repeat(np.arange(row.size), config.eyes)
     east, north = away_m * np.sin(azimuth), away_m * np.cos(azimuth)
-    easting, northing = summits[0][summit] + east, summits[1][summit] + north
+    easting, northing = np.array(file.place(row, col))[:, summit] + [east, north]
     elevation = file.height_m(easting, northing) + _EYE_M
     drop = Curvature().drop_per_m2
     share = (np.arange(_SIGHT_STEPS) + 0.5) / _SIGHT_STEPS
@@ -285,65 +267,15 @@ def _sights(
     share = share[:, np.newaxis] * (1.0 - 2.0 * max(file.spacing_m) / away_m)
     between_m = file.height_m(easting - share * east, northing - share * north)
     tan = (between_m - elevation) / (share * away_m) - drop * share * away_m
-    to_summit = (heights_m[summit] - elevation) / away_m - drop * away_m
+    to_summit = (file.heights_m[row, col][summit] - elevation) / away_m - drop * away_m
     with np.errstate(invalid="ignore"):
         seen = (tan.max(axis=0) < to_summit) & (to_summit > 0.0)
-    return _Sights(summit[seen], easting[seen], northing[seen], elevation[seen])
-
-
-def _sight_errors(
-    surface: HeightField,
-    file: _File,
-    summits: tuple[Int64Array, Int64Array],
-    sights: _Sights,
-) -> dict[str, object]:
-    """Return how far summits are seen too high or low, in metres at their distance."""
-    off = []
-    for summit in np.unique(sights.summit).tolist():
-        row, col = int(summits[0][summit]), int(summits[1][summit])
-        easting, northing = _around(file, row, col)
-        true_tan = _greatest_tan((easting, northing, file.height_m(easting, northing)))
-        tan = _greatest_tan(_surface_around(surface, file, row, col))
-        there = file.place(np.array([row]), np.array([col]))
-        for index in np.flatnonzero(sights.summit == summit):
-            eye = (
-                float(sights.easting_m[index]),
-                float(sights.northing_m[index]),
-                float(sights.elevation_m[index]),
-            )
-            away_m = math.hypot(there[0][0] - eye[0], there[1][0] - eye[1])
-            off.append((tan(eye) - true_tan(eye)) * away_m)
-    off_m = np.abs(np.array(off)) if off else np.array([math.nan])
-    return {
-        "sights": len(off),
-        "median_sight_m": float(np.median(off_m)),
-        "p90_sight_m": float(np.quantile(off_m, 0.9)),
-        "sights_within": float(np.mean(off_m <= EXACT_M)),
-    }
-
-
-def _greatest_tan(
-    places: tuple[Float64Array, Float64Array, Float64Array],
-) -> Callable[[tuple[float, float, float]], float]:
-    """Return how high places reach, as a function of the eye."""
-    easting, northing, height_m = places
-    drop = Curvature().drop_per_m2
-
-    def tan(eye: tuple[float, float, float]) -> float:
-        away = np.hypot(easting - eye[0], northing - eye[1])
-        return float(np.nanmax((height_m - eye[2]) / away - drop * away))
-
-    return tan
+    return summit[seen], np.stack([easting, northing, elevation])[:, seen]
 
 
 def _place_cpu_ms(surface: HeightField, count: int) -> float:
-    """Return processor milliseconds of rendering a place about the middle, the best of three."""
+    """Return processor milliseconds of rendering a place about the middle, the median of three."""
     eyes = central_viewpoints(surface, count, 80.0)
-    seconds = []
     with PanoramaRenderer(surface, BINS) as renderer:
-        renderer.render(eyes)
-        for _ in range(3):
-            started = time.process_time()
-            renderer.render(eyes)
-            seconds.append(time.process_time() - started)
-    return 1e3 * min(seconds) / len(eyes)
+        (timing,) = in_turns([lambda: renderer.render(eyes)], 3)
+    return 1e3 * timing.cpu_seconds / len(eyes)

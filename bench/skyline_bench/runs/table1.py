@@ -15,30 +15,10 @@ from skyline.paper.planning.strategies import STRATEGIES
 from skyline_bench.truth.simulation import TABLE_1, Run, Simulation, simulate
 
 SEEDS = 10
-_QUICK_SEEDS = 1
-
-PAPER = {
-    "rov": ((240, 1545), (81, 6664), (239, 9028)),
-    "arov": ((286, 1636), (80, 5824), (217, 6991)),
-    "hov": ((324, 1210), (98, 6723), (252, 7226)),
-    "sov": ((275, 1941), (100, 10043), (245, 9148)),
-    "lpov": ((325, 1515), (86, 5489), (191, 5943)),
-}
-"""(A) and (B) of the paper's Table 1, row by row."""
 
 
-def measure(
-    seeds: int = SEEDS, quick: bool = False, strategies: Sequence[str] | None = None
-) -> list[dict[str, Any]]:
-    """Run strategies on the three rows, each with seeds 0, 1, ...
-
-    Parameters
-    ----------
-    seeds : int
-    quick : bool
-        One seed only.
-    strategies : sequence of str, optional
-        By default all.
+def measure(seeds: int = SEEDS) -> list[dict[str, Any]]:
+    """Run the strategies on the three rows, each with seeds 0, 1, ...
 
     Returns
     -------
@@ -47,32 +27,18 @@ def measure(
         ``mean_area`` (of the views rendered), ``seconds`` (processor time) and ``coverage``
         (reached), standard deviations ``A_std``, ``B_std``, ``mean_area_std``, ``seconds_std``,
         and ``bound``, ``asked * 10000 / mean_area``.
-
-    Raises
-    ------
-    InputError
-        No such strategy, or fewer than one seed.
     """
-    chosen = _known(strategies)
     if seeds < 1:
         raise InputError(f"seeds is {seeds}; expected at least 1")
-    seeds = min(seeds, _QUICK_SEEDS) if quick else seeds
     rows = []
     for number, row in enumerate(TABLE_1, start=1):
         simulation = Simulation(row)
-        for name in chosen:
-            runs = [simulate(simulation, STRATEGIES[name], seed) for seed in range(seeds)]
+        for name, strategy in STRATEGIES.items():
+            runs = [simulate(simulation, strategy, seed) for seed in range(seeds)]
             measured = _summary(runs)
             bound = row.coverage * simulation.grid.valid.size / measured["mean_area"]
             rows.append({"row": number, "strategy": name, **measured, "bound": bound})
     return rows
-
-
-def _known(strategies: Sequence[str] | None) -> Sequence[str]:
-    unknown = [name for name in strategies or () if name not in STRATEGIES]
-    if unknown:
-        raise InputError(f"strategy is {unknown[0]!r}; expected one of {', '.join(STRATEGIES)}")
-    return strategies or tuple(STRATEGIES)
 
 
 def _summary(runs: Sequence[Run]) -> dict[str, float]:
@@ -93,28 +59,19 @@ def _summary(runs: Sequence[Run]) -> dict[str, float]:
 def conclusions(rows: Iterable[dict[str, Any]]) -> dict[str, bool]:
     """Return which of the paper's conclusions (section 5.1) hold for its five strategies."""
     by_key = {(row["row"], row["strategy"]): row for row in rows}
-
-    def column(row: int, figure: str) -> dict[str, float]:
-        return {name: by_key[row, name][figure] for name in PAPER}
-
-    a_1, a_2, a_3 = (column(row, "A") for row in (1, 2, 3))
-    b_1, b_2, b_3 = (column(row, "B") for row in (1, 2, 3))
-    seconds = {name: sum(column(row, "seconds")[name] for row in (1, 2, 3)) for name in PAPER}
-    return {
-        "affine needs fewer renderings than non-affine": all(
-            max(a_2[name], a_3[name]) < a_1[name] for name in PAPER
-        ),
-        "affine overlaps more than non-affine": all(
-            min(b_2[name], b_3[name]) > b_1[name] for name in PAPER
-        ),
-        "more peaks, more renderings": all(a_3[name] > a_2[name] for name in PAPER),
-        "lpov is best for two peaks": min(a_3, key=lambda name: a_3[name]) == "lpov",
-        "lpov overlaps least with the affine model": all(
-            min(b, key=lambda name: b[name]) == "lpov" for b in (b_2, b_3)
-        ),
-        "sov overlaps most": all(
-            max(b, key=lambda name: b[name]) == "sov" for b in (b_1, b_2, b_3)
-        ),
-        "rov costs most": max(seconds, key=lambda name: seconds[name]) == "rov",
-        "hov costs least": min(seconds, key=lambda name: seconds[name]) == "hov",
+    names = np.array(list(STRATEGIES))
+    a, b, seconds = (
+        np.array([[by_key[row, name][figure] for name in names] for row in (1, 2, 3)])
+        for figure in ("A", "B", "seconds")
+    )
+    holds = {
+        "affine needs fewer renderings than non-affine": a[1:].max(axis=0) < a[0],
+        "affine overlaps more than non-affine": b[1:].min(axis=0) > b[0],
+        "more peaks, more renderings": a[2] > a[1],
+        "lpov is best for two peaks": names[a[2].argmin()] == "lpov",
+        "lpov overlaps least with the affine model": names[b[1:].argmin(axis=1)] == "lpov",
+        "sov overlaps most": names[b.argmax(axis=1)] == "sov",
+        "rov costs most": names[seconds.sum(axis=0).argmax()] == "rov",
+        "hov costs least": names[seconds.sum(axis=0).argmin()] == "hov",
     }
+    return {said: bool(np.all(each)) for said, each in holds.items()}

@@ -90,7 +90,7 @@ def mutated(data: bytes, generator: np.random.Generator) -> bytes:
 
     first, length = place(), int(2.0 ** generator.uniform(0.0, 12.0))
     last = min(first + length, len(changed))
-    match int(generator.integers(6)):
+    match int(generator.integers(8)):
         case 0:
             for _ in range(int(generator.integers(1, 30))):
                 changed[place()] ^= 1 << int(generator.integers(8))
@@ -103,6 +103,10 @@ def mutated(data: bytes, generator: np.random.Generator) -> bytes:
         case 4:
             other = int(generator.integers(len(changed) - (last - first) + 1))
             changed[first:last] = changed[other : other + last - first]
+        case 5:
+            changed[first:first] = generator.bytes(length)
+        case 6:
+            del changed[first:last]
         case _:
             del changed[place() :]
     return bytes(changed)

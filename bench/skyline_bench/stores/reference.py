@@ -2,6 +2,7 @@
 
 import json
 import logging
+import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import Float32Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
 from skyline.paper.planning.plan import PlanConfig
@@ -41,27 +42,17 @@ _SECONDS = ("build_s", "build_cpu_s")
 
 @dataclass(frozen=True, slots=True)
 class ReferenceStore:
-    """A store and what it cost.
-
-    Attributes
-    ----------
-    name : str
-    path : Path
-    holds : str
-        Renderings or places.
-    rows, size_bytes : int
-    build_s, build_cpu_s : float or None
-        By the clock and of processor time, over all the runs it was built in; None where that
-        was not noted.
-    """
+    """A store and what it cost."""
 
     name: str
     path: Path
-    holds: str
+    holds: str  # Renderings or places
     rows: int
     size_bytes: int
-    build_s: float | None
-    build_cpu_s: float | None
+    # By the clock and of processor time, over all the runs it was built in; NaN where that was not
+    # noted.
+    build_s: float
+    build_cpu_s: float
 
     @property
     def renderings(self) -> int:
@@ -77,13 +68,7 @@ class ReferenceStore:
 def check_spacing(
     terrain: HeightField, spacing_m: float | None, bounds_deg: MapBounds | None
 ) -> None:
-    """Refuse a uniform grid that does not fit an area; without a spacing there is none.
-
-    Raises
-    ------
-    InputError
-        A spacing that is not positive, or wider than the area.
-    """
+    """Refuse a uniform grid that does not fit an area; without a spacing there is none."""
     bounds = map_bounds(terrain, bounds_deg)
     if spacing_m is None:
         return
@@ -103,13 +88,7 @@ def uniform_store(
     bounds_deg: MapBounds | None,
     config: RenderConfig,
 ) -> ReferenceStore:
-    """Return a uniform store of renderings in a folder, built as far as it is not there yet.
-
-    Raises
-    ------
-    StoreMismatchError
-        The folder has one of that name from another DEM, area or configuration.
-    """
+    """Return a uniform store of renderings in a folder, built as far as it is not there yet."""
     name, layout = f"uniform-{spacing_m:g}", Layout(spacing_m, bounds_deg=bounds_deg)
     path = folder / f"{name}.h5"
     return _built(name, path, lambda: build_store(terrain, path, layout, config))
@@ -142,24 +121,11 @@ def planned_store(
 
     It is named by its strategy and, where it has one, its budget. A plan that was followed to its
     end is not worked out again.
-
-    Raises
-    ------
-    InputError
-        An area that cannot be planned.
-    StoreMismatchError
-        The folder has one of that name from another DEM, area or configuration.
     """
     name = planned.strategy + (f"-{planned.budget}" if planned.budget else "")
     path = folder / f"{name}.h5"
-    asked = _as_read(
-        {
-            "dem": terrain.digest,
-            "bounds_deg": bounds_deg,
-            "plan": asdict(planned),
-            "render": asdict(config),
-        }
-    )
+    settings = [terrain.digest, bounds_deg, asdict(planned), asdict(config)]
+    asked = json.loads(json.dumps(settings))
     if path.exists() and _noted(path).get("followed") == asked:
         return _reference(name, path)
     return _built(
@@ -179,61 +145,40 @@ def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) 
         there = store.eyes()
     # The headings of one location share its eye.
     eyes = np.unique(np.stack([there.easting_m, there.northing_m, there.eye_elevation_m]), axis=1)
-    apart_m = np.asarray(cKDTree(eyes[:2].T).query(eyes[:2].T, k=[2])[0])[:, 0]
-    path = folder / f"{planned.name}-places.h5"
-    viewpoints = Viewpoints(*np.ascontiguousarray(eyes))
-    built = _built(
-        planned.name, path, lambda: _render_places(terrain, viewpoints, apart_m / 2.0, path)
-    )
-    return replace(
-        built,
-        build_s=_sum(planned.build_s, built.build_s),
-        build_cpu_s=_sum(planned.build_cpu_s, built.build_cpu_s),
-    )
-
-
-def _render_places(
-    terrain: HeightField, viewpoints: Viewpoints, tolerance_m: Float64Array, path: Path
-) -> BuildResult:
-    """Render viewpoints as places into a store, each with its own tolerance (N,)."""
-    tolerances = tolerance_m.astype(np.float32).tolist()
-    of_eye = dict(zip(_eyes(viewpoints), tolerances, strict=True))
+    tree = cKDTree(eyes[:2].T)
 
     def tolerance(some: Viewpoints) -> Float32Array:
-        return np.array([of_eye[eye] for eye in _eyes(some)], dtype=np.float32)
+        apart_m = np.asarray(tree.query(np.stack([some.easting_m, some.northing_m], 1), k=[2])[0])
+        return (apart_m[:, 0] / 2.0).astype(np.float32)
 
-    config = PlaceConfig()
-    renderer = place_renderer(terrain, config)
-    header = store_header(terrain, renderer.description, config, {"planner": "viewpoints"})
-    with PlaceRows(renderer, header, tolerance) as rows:
-        return render_missing(path, rows, viewpoints)
+    def render() -> BuildResult:
+        config = PlaceConfig()
+        renderer = place_renderer(terrain, config)
+        header = store_header(terrain, renderer.description, config, {"planner": "viewpoints"})
+        with PlaceRows(renderer, header, tolerance) as rows:
+            return render_missing(path, rows, Viewpoints(*np.ascontiguousarray(eyes)))
 
-
-def _eyes(viewpoints: Viewpoints) -> list[complex]:
-    eyes: list[complex] = (viewpoints.easting_m + 1j * viewpoints.northing_m).tolist()
-    return eyes
+    path = folder / f"{planned.name}-places.h5"
+    built = _built(planned.name, path, render)
+    return replace(
+        built,
+        build_s=planned.build_s + built.build_s,
+        build_cpu_s=planned.build_cpu_s + built.build_cpu_s,
+    )
 
 
 def _built(
     name: str, path: Path, build: Callable[[], BuildResult], **about: object
 ) -> ReferenceStore:
     """Build a store, note beside it what it took over all runs and what is given, and return it."""
-    was_there, noted = path.exists(), _noted(path)
+    before = _noted(path) if path.exists() else dict.fromkeys(_SECONDS, 0.0)
     cpu = time.process_time()
     built = build()
-    now = built.seconds, time.process_time() - cpu
-    taken: dict[str, float | None] = dict(zip(_SECONDS, now, strict=True))
+    now = (built.seconds, time.process_time() - cpu) if built.rendered else (0.0, 0.0)
+    taken = {key: before.get(key, math.nan) + new for key, new in zip(_SECONDS, now, strict=True)}
     _log.info("%s: %d of %d rows now", name, built.rendered, built.rows)
-    if was_there:
-        before = {key: noted.get(key) for key in _SECONDS}
-        both = {key: _sum(before[key], taken[key]) for key in _SECONDS}
-        taken = both if built.rendered else before
     path.with_suffix(_NOTE).write_text(json.dumps({**taken, **about}) + "\n", encoding="utf-8")
     return _reference(name, path)
-
-
-def _sum(one: float | None, other: float | None) -> float | None:
-    return None if one is None or other is None else one + other
 
 
 def _noted(path: Path) -> dict[str, Any]:
@@ -241,23 +186,8 @@ def _noted(path: Path) -> dict[str, Any]:
     return dict(json.loads(noted.read_text(encoding="utf-8"))) if noted.exists() else {}
 
 
-def _as_read(settings: dict[str, object]) -> dict[str, object]:
-    """Return settings as they come back from JSON."""
-    return dict(json.loads(json.dumps(settings)))
-
-
 def given_store(terrain: HeightField, path: Path) -> ReferenceStore:
-    """Return a store that is there already, under its file's name.
-
-    Raises
-    ------
-    MissingFileError
-        There is no such file.
-    InputError
-        It lies in another frame than the terrain, so that its places cannot be compared.
-    StoreError
-        It cannot be read.
-    """
+    """Return a store that is there already, under its file's name."""
     if not path.is_file():
         raise MissingFileError(f"{path} does not exist; give a store that `skyline build` made")
     with open_store(path) as store:
@@ -279,5 +209,5 @@ def _reference(name: str, path: Path) -> ReferenceStore:
             store.header.holds,
             store.committed,
             path.stat().st_size,
-            *(noted.get(key) for key in _SECONDS),
+            *(noted.get(key, math.nan) for key in _SECONDS),
         )

@@ -1,42 +1,27 @@
-"""What stands before mountains: trees, leaves, people, poles, wires, houses, a window's frame.
-
-Each function paints over a picture (H, W, 3) and marks what it covers in the labels (H, W).
-"""
+"""What stands before mountains: trees, leaves, people, poles, wires, houses, a window's frame."""
 
 import cv2
 import numpy as np
 
-from skyline.arrays import Float32Array, UInt8Array
+from skyline.arrays import Float32Array
 from skyline_bench.training.landscapes import fractal
-from skyline_bench.training.photo import COVER
+from skyline_bench.training.photo import COVER, Drawing
 
 
-def put_in_front(
-    rng: np.random.Generator, picture: Float32Array, label: UInt8Array, row: Float32Array
-) -> None:
+def put_in_front(drawing: Drawing) -> None:
     """Put things in front of the ridge."""
-    if rng.random() < 0.28:
-        for _ in range(rng.integers(1, 9)):
-            _conifer(rng, picture, label)
-    if rng.random() < 0.12:
-        _foliage(rng, picture, label)
-    if rng.random() < 0.12:
-        for _ in range(rng.integers(1, 4)):
-            _figure(rng, picture, label, row)
-    if rng.random() < 0.1:
-        for _ in range(rng.integers(1, 4)):
-            _lines(rng, picture, label)
-    if rng.random() < 0.07:
-        _houses(rng, picture, label)
-    if rng.random() < 0.08:
-        _window(rng, picture, label)
-
-
-def _paint(
-    picture: Float32Array, label: UInt8Array, opacity: Float32Array, rgb: Float32Array, mark: int
-) -> None:
-    picture += opacity[..., np.newaxis] * (rgb - picture)
-    label[opacity > 0.5] = mark
+    rng = drawing.rng
+    for chance, most, put in (
+        (0.28, 9, _conifer),
+        (0.12, 1, _foliage),
+        (0.12, 4, _figure),
+        (0.1, 4, _lines),
+        (0.07, 1, _houses),
+        (0.08, 1, _window),
+    ):
+        if rng.random() < chance:
+            for _ in range(rng.integers(1, most) if most > 1 else 1):
+                put(drawing)
 
 
 def dark(rng: np.random.Generator, high: float = 75.0) -> Float32Array:
@@ -51,8 +36,8 @@ def _grain(rng: np.random.Generator, shape: tuple[int, ...], share: float) -> Fl
     ]
 
 
-def _conifer(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
-    height, width = label.shape
+def _conifer(drawing: Drawing) -> None:
+    rng, (height, width) = drawing.rng, drawing.size
     centre = (
         rng.uniform(0, 1) if rng.random() < 0.5 else abs(rng.choice([0, 1]) - rng.exponential(0.1))
     )
@@ -63,13 +48,13 @@ def _conifer(rng: np.random.Generator, picture: Float32Array, label: UInt8Array)
     whorls = 0.4 * np.sin((rows - top) / tall * rng.uniform(25, 80))
     ragged = 1.0 + whorls + 0.45 * fractal(rng, (height, width), rng.uniform(0.3, 0.8))
     opacity = np.clip(reach * ragged - np.abs(columns - centre * width), 0, 1) * (rows > top)
-    colour = dark(rng) * _grain(rng, label.shape, 0.3) * np.array([0.95, 1.1, 0.85])
-    _paint(picture, label, opacity.astype(np.float32), colour.astype(np.float32), COVER)
+    colour = dark(rng) * _grain(rng, (height, width), 0.3) * np.array([0.95, 1.1, 0.85])
+    drawing.paint(opacity, colour, COVER)
 
 
-def _foliage(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
+def _foliage(drawing: Drawing) -> None:
     """Leaves or twigs that hang in from a side."""
-    height, width = label.shape
+    rng, (height, width) = drawing.rng, drawing.size
     column, row = rng.choice([0.0, 1.0, rng.random()]) * width, rng.uniform(-0.1, 1.1) * height
     across = (np.arange(width) - column) / (rng.uniform(0.08, 0.3) * width)
     down = (np.arange(height)[:, np.newaxis] - row) / (rng.uniform(0.08, 0.35) * height)
@@ -77,20 +62,18 @@ def _foliage(rng: np.random.Generator, picture: Float32Array, label: UInt8Array)
         1.0 - np.hypot(across, down) + 0.6 * fractal(rng, (height, width), rng.uniform(0.5, 1.3))
     )
     opacity = np.clip(density / 0.15, 0, 1).astype(np.float32)
-    colour = dark(rng, 110.0) * _grain(rng, label.shape, 0.4) * np.array([1.0, 1.15, 0.7])
-    _paint(picture, label, opacity, colour.astype(np.float32), COVER)
+    colour = dark(rng, 110.0) * _grain(rng, (height, width), 0.4) * np.array([1.0, 1.15, 0.7])
+    drawing.paint(opacity, colour, COVER)
 
 
-def _figure(
-    rng: np.random.Generator, picture: Float32Array, label: UInt8Array, row: Float32Array
-) -> None:
+def _figure(drawing: Drawing) -> None:
     """A person, seen from behind: head, shoulders, legs or hem."""
-    height, width = label.shape
+    rng, (height, width) = drawing.rng, drawing.size
     size = np.exp(rng.uniform(-4.5, -2.2)) * height
     at = int(rng.uniform(0.03, 0.97) * (width - 1))
-    ridge = row[at] if np.isfinite(row[at]) else 0.4 * height
+    ridge = drawing.row[at] if np.isfinite(drawing.row[at]) else 0.4 * height
     top = ridge + rng.uniform(-7.0, 2.0) * size
-    mask = np.zeros(label.shape, np.uint8)
+    mask = np.zeros((height, width), np.uint8)
     centre = (at, int(top + size))
     cv2.ellipse(mask, centre, (max(1, int(0.7 * size)), max(1, int(size))), 0, 0, 360, 255, -1)
     broad = rng.uniform(1.3, 2.2) * size
@@ -111,14 +94,14 @@ def _figure(
         hand = (int(at + rng.uniform(-5, 5) * size), int(top + rng.uniform(-2, 4) * size))
         cv2.line(mask, (at, int(top + 2.6 * size)), hand, 255, max(1, int(0.6 * size)))
     opacity = cv2.blur(mask, (2, 2)).astype(np.float32) / 255.0
-    colour = rng.uniform(5, 235, 3) * rng.uniform(0.1, 1.0) * _grain(rng, label.shape, 0.12)
-    _paint(picture, label, opacity, colour.astype(np.float32), COVER)
+    colour = rng.uniform(5, 235, 3) * rng.uniform(0.1, 1.0) * _grain(rng, (height, width), 0.12)
+    drawing.paint(opacity, colour, COVER)
 
 
-def _lines(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
+def _lines(drawing: Drawing) -> None:
     """A pole, or a wire that sags."""
-    height, width = label.shape
-    mask = np.zeros(label.shape, np.uint8)
+    rng, (height, width) = drawing.rng, drawing.size
+    mask = np.zeros((height, width), np.uint8)
     if rng.random() < 0.5:
         at, top = int(rng.uniform(0, width)), int(rng.uniform(-0.1, 0.6) * height)
         lean = int(rng.normal(0, 0.02) * width)
@@ -131,15 +114,15 @@ def _lines(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -
         sag = (rng.uniform(0.0, 0.6) + 0.06 * x**2 + rng.uniform(-0.3, 0.3) * x) * height
         points = np.stack([(x + 1) / 2 * width, sag], axis=1).astype(np.int32)
         cv2.polylines(mask, [points], False, int(rng.integers(120, 256)), 1, cv2.LINE_AA)
-    _paint(picture, label, mask.astype(np.float32) / 255.0, dark(rng, 140.0), COVER)
+    drawing.paint(mask.astype(np.float32) / 255.0, dark(rng, 140.0), COVER)
 
 
-def _houses(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
-    height, width = label.shape
+def _houses(drawing: Drawing) -> None:
+    rng, (height, width) = drawing.rng, drawing.size
     for _ in range(rng.integers(1, 6)):
         wide, tall = (rng.uniform(0.04, 0.3, 2) * (width, height)).astype(int)
         left, top = int(rng.uniform(-0.1, 1.0) * width), int(rng.uniform(0.2, 0.85) * height)
-        mask = np.zeros(label.shape, np.uint8)
+        mask = np.zeros((height, width), np.uint8)
         roof = int(rng.choice([0.0, 0.5]) * tall)
         corners = [
             (left, top),
@@ -155,13 +138,13 @@ def _houses(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) 
         for y in range(top + step, min(height, top + max(tall, step)), 2 * step):
             for x in range(left + step // 2, left + wide - step // 2, step):
                 cv2.rectangle(colour, (x, y), (x + step // 2, y + step), panes.tolist(), -1)
-        _paint(picture, label, mask.astype(np.float32) / 255.0, colour, COVER)
+        drawing.paint(mask.astype(np.float32) / 255.0, colour, COVER)
 
 
-def _window(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
+def _window(drawing: Drawing) -> None:
     """Look out of a car, a door or a tent: dark all round an opening."""
-    height, width = label.shape
-    mask = np.full(label.shape, 255, np.uint8)
+    rng, (height, width) = drawing.rng, drawing.size
+    mask = np.full((height, width), 255, np.uint8)
     reach = rng.uniform(-0.12, 0.25, 4)
     left, top, right, bottom = reach * (width, height, width, height)
     jitter = rng.uniform(-0.08, 0.08, (4, 2)) * (width, height)
@@ -188,4 +171,4 @@ def _window(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) 
     opacity = cv2.blur(mask, (3, 3)).astype(np.float32) / 255.0
     shade = 1.0 + 0.5 * fractal(rng, (height, width), 2.0)[..., np.newaxis]
     colour = np.clip(dark(rng, 60.0) * np.maximum(shade, 0.0), 0, 255)
-    _paint(picture, label, opacity, np.asarray(colour, np.float32), COVER)
+    drawing.paint(opacity, colour, COVER)

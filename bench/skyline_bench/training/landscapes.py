@@ -22,19 +22,11 @@ _NEAREST_M, _FARTHEST_M = 40.0, 38_000.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """Ground before any sky, (H, W).
+    """Ground before any sky, (H, W)."""
 
-    Attributes
-    ----------
-    rgb : (H, W, 3) float32
-    is_ground : (H, W) bool
-        Below the skyline.
-    row_px : (W,) float32
-        First row of the ground; below 0 where it lies above the picture, H where there is none.
-    """
-
-    rgb: Float32Array
-    is_ground: BoolArray
+    rgb: Float32Array  # (H, W, 3)
+    is_ground: BoolArray  # (H, W); below the skyline
+    # (W,); first row of the ground; below 0 where it lies above the picture, H where there is none.
     row_px: Float32Array
 
 

@@ -13,7 +13,7 @@ from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.drawn_photos import CONDITIONS, draw_recipe
 from skyline_bench.training.covers import dark, put_in_front
 from skyline_bench.training.landscapes import draw_landscape, draw_sky, fractal
-from skyline_bench.training.photo import GROUND, SKY, UNKNOWN, TrainingPhoto
+from skyline_bench.training.photo import GROUND, SKY, UNKNOWN, Drawing, TrainingPhoto
 from skyline_bench.training.views import draw_view
 
 _SIZE_PX = (400, 304)
@@ -79,18 +79,19 @@ def draw_training_photo(seed: tuple[int, ...], width: int, height: int) -> Train
         label = land.is_ground.astype(np.uint8)
         inside = (land.row_px > 1) & (land.row_px < height - 1)
         row = np.where(inside, land.row_px, row)
+    drawing = Drawing(rng, picture, label, row, haze)
     if kind != "ground" and rng.random() < _FAR_RIDGES_CHANCE:
-        row = _far_ridges(rng, picture, label, row, haze)
+        _far_ridges(drawing)
     if rng.random() < _NEAR_SLOPE_CHANCE:
-        row = _near_slope(rng, picture, label, row, haze)
+        _near_slope(drawing)
     if rng.random() < 0.12:
-        _mirror(rng, picture, label)
+        _mirror(drawing)
     if rng.random() < 0.2:
-        _banks(rng, picture, label, row, haze)
-    put_in_front(rng, picture, label, row)
-    image = _developed(rng, picture)
+        _banks(drawing)
+    put_in_front(drawing)
+    image = _developed(rng, drawing.picture)
     _written(rng, image)
-    return TrainingPhoto(image, label, _seen(row, label, image))
+    return TrainingPhoto(image, label, _seen(drawing.row, label, image))
 
 
 def _seen(row: Float32Array, label: UInt8Array, image: UInt8Array) -> Float32Array:
@@ -108,42 +109,33 @@ def _seen(row: Float32Array, label: UInt8Array, image: UInt8Array) -> Float32Arr
     return np.asarray(np.where(free, row, np.nan), dtype=np.float32)
 
 
-def _far_ridges(
-    rng: np.random.Generator,
-    picture: Float32Array,
-    label: UInt8Array,
-    row: Float32Array,
-    haze: Float32Array,
-) -> Float32Array:
-    """Put pale ridges behind the mountains, one before another; return the skyline of all."""
-    height, width = label.shape
+def _far_ridges(drawing: Drawing) -> None:
+    """Put pale ridges behind the mountains, one before another."""
+    rng, (height, width), row, haze = drawing.rng, drawing.size, drawing.row, drawing.haze
     known = row[np.isfinite(row)]
     line = float(np.median(known)) if known.size else 0.5 * height
     rows = np.arange(height)[:, np.newaxis] + 0.5
-    free = label == SKY
+    free = drawing.label == SKY
     dark_rgb = haze * rng.uniform(0.2, 0.8) + rng.normal(0.0, 6.0, 3)
     for left in np.sort(rng.uniform(0.06, 0.7, rng.integers(1, 4))):
         swing = rng.uniform(0.01, 0.08) * height
         ridge = line + swing * fractal(rng, (1, width), rng.uniform(1.3, 2.0), 1.0, width / 2)[0]
         share = np.clip(rows - ridge, 0.0, 1.0) * free
-        picture += share[..., np.newaxis] * (haze + left * (dark_rgb - haze) - picture)
-        label[share > 0.5] = GROUND
+        pale = haze + left * (dark_rgb - haze)
+        drawing.picture += share[..., np.newaxis] * (pale - drawing.picture)
+        drawing.label[share > 0.5] = GROUND
         row = np.fmin(row, np.where((ridge > 1) & (ridge < height - 1), ridge, np.nan))
         line += rng.uniform(0.0, 0.08) * height
-    return np.asarray(row, dtype=np.float32)
+    drawing.row = np.asarray(row, dtype=np.float32)
 
 
-def _near_slope(
-    rng: np.random.Generator,
-    picture: Float32Array,
-    label: UInt8Array,
-    row: Float32Array,
-    haze: Float32Array,
-) -> Float32Array:
-    """Put a dark slope before mountains, often veiled; return the skyline of both."""
-    height, width = label.shape
+def _near_slope(drawing: Drawing) -> None:
+    """Put a dark slope before mountains, often veiled."""
+    rng, (height, width), row, label = drawing.rng, drawing.size, drawing.row, drawing.label
     veil = rng.choice([0.0, rng.uniform(0.2, 0.88)])
-    picture += (veil * (label == GROUND))[..., np.newaxis] * (haze - picture)
+    drawing.picture += (veil * (label == GROUND))[..., np.newaxis] * (
+        drawing.haze - drawing.picture
+    )
     across = np.linspace(0.0, 1.0, width)
     known = row[np.isfinite(row)]
     line = float(known.mean()) if known.size else 0.4 * height
@@ -156,31 +148,26 @@ def _near_slope(
     share = np.clip(np.arange(height)[:, np.newaxis] + 0.5 - near, 0.0, 1.0)[..., np.newaxis]
     texture = fractal(rng, (height, width), rng.uniform(0.4, 1.2))
     shade = 1.0 + rng.uniform(0.1, 0.45) * texture[..., np.newaxis]
-    picture += share * (dark(rng, 85.0) * np.maximum(shade, 0.1) - picture)
+    drawing.picture += share * (dark(rng, 85.0) * np.maximum(shade, 0.1) - drawing.picture)
     label[share[..., 0] > 0.5] = GROUND
     higher = np.where(np.isfinite(row), np.minimum(row, near), np.where(label[0] == SKY, near, row))
-    return np.asarray(np.where((higher > 1) & (higher < height - 1), higher, np.nan), np.float32)
+    inside = (higher > 1) & (higher < height - 1)
+    drawing.row = np.asarray(np.where(inside, higher, np.nan), np.float32)
 
 
-def _mirror(rng: np.random.Generator, picture: Float32Array, label: UInt8Array) -> None:
-    height = len(picture)
-    deepest = int((label == GROUND).argmax(axis=0).max())
+def _mirror(drawing: Drawing) -> None:
+    rng, (height, _), picture = drawing.rng, drawing.size, drawing.picture
+    deepest = int((drawing.label == GROUND).argmax(axis=0).max())
     shore = max(int(rng.uniform(0.55, 0.85) * height), min(deepest + 4, height - 2))
     deep = min(height - shore, shore)
     water = ndimage.gaussian_filter(picture[shore - deep : shore][::-1], (2.0, 0.5, 0.0))
     picture[shore : shore + deep] = rng.uniform(0.6, 0.98) * water
-    label[shore:] = GROUND
+    drawing.label[shore:] = GROUND
 
 
-def _banks(
-    rng: np.random.Generator,
-    picture: Float32Array,
-    label: UInt8Array,
-    row: Float32Array,
-    haze: Float32Array,
-) -> None:
+def _banks(drawing: Drawing) -> None:
     """Lay clouds on the ridge: they hide it, and where they end is no skyline."""
-    height, width = label.shape
+    rng, (height, width), row = drawing.rng, drawing.size, drawing.row
     known = np.flatnonzero(np.isfinite(row))
     if not known.size:
         return
@@ -189,16 +176,13 @@ def _banks(
         at = row[column] + rng.uniform(-0.04, 0.06) * height
         across = (np.arange(width) - column) / (rng.uniform(0.06, 0.3) * width)
         down = (np.arange(height)[:, np.newaxis] - at) / (rng.uniform(0.02, 0.1) * height)
-        density = (
-            1.0
-            - np.hypot(across, down)
-            + rng.uniform(0.3, 0.8) * fractal(rng, (height, width), 1.5, 1.7)
-        )
+        rough = rng.uniform(0.3, 0.8) * fractal(rng, (height, width), 1.5, 1.7)
+        density = 1.0 - np.hypot(across, down) + rough
         opacity = rng.uniform(0.85, 1.0) * np.clip(density / rng.uniform(0.1, 0.8), 0, 1)
-        white = np.clip(haze * rng.uniform(0.8, 1.2) + rng.uniform(0, 60), 0, 255)
+        white = np.clip(drawing.haze * rng.uniform(0.8, 1.2) + rng.uniform(0, 60), 0, 255)
         shade = 1.0 + 0.06 * fractal(rng, (height, width), 1.3)[..., np.newaxis]
-        picture += opacity[..., np.newaxis] * (white * shade - picture)
-        label[(opacity > 0.5)] = SKY
+        drawing.picture += opacity[..., np.newaxis] * (white * shade - drawing.picture)
+        drawing.label[opacity > 0.5] = SKY
 
 
 def _developed(rng: np.random.Generator, picture: Float32Array) -> UInt8Array:
@@ -245,15 +229,7 @@ def _written(rng: np.random.Generator, image: UInt8Array) -> None:
             (x + (y // 40 % 2) * 60, y) for y in range(10, height, 40) for x in range(0, width, 120)
         ]
     for spot in spots:
-        cv2.putText(
-            over,
-            words,
-            spot,
-            cv2.FONT_HERSHEY_SIMPLEX,
-            size,
-            ink,
-            1 if kind == "rows" else 2,
-            cv2.LINE_AA,
-        )
+        thick = 1 if kind == "rows" else 2
+        cv2.putText(over, words, spot, cv2.FONT_HERSHEY_SIMPLEX, size, ink, thick, cv2.LINE_AA)
     share = rng.uniform(0.08, 0.3) if kind == "rows" else rng.uniform(0.5, 1.0)
     image[:] = cv2.addWeighted(over, share, image, 1.0 - share, 0.0)

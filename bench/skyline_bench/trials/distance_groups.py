@@ -13,20 +13,11 @@ _NAMES = (CLOSE, MEDIUM, FAR)
 
 @dataclass(frozen=True, slots=True)
 class DistanceGroup:
-    """Queries whose skylines are about as far off.
+    """Queries whose skylines are about as far off."""
 
-    Attributes
-    ----------
-    name : str
-        ``close``, ``medium``, ``far`` or ``all``.
-    queries : tuple of int
-        Their numbers, increasing.
-    from_m, to_m : float
-        Least and greatest median distance of their skylines; NaN where none is known.
-    """
-
-    name: str
-    queries: tuple[int, ...]
+    name: str  # ``close``, ``medium``, ``far`` or ``all``
+    queries: tuple[int, ...]  # Their numbers, increasing
+    # Least and greatest median distance of their skylines; NaN where none is known.
     from_m: float
     to_m: float
 
@@ -36,11 +27,6 @@ def distance_groups(distance_m: ArrayLike) -> tuple[DistanceGroup, ...]:
 
     Groups differ by at most one query. A query without any skyline in its image, of distance NaN,
     is among the close: what fills its image stands right before it.
-
-    Raises
-    ------
-    InputError
-        Fewer queries than groups.
     """
     distance = np.asarray(distance_m, dtype=np.float64)
     if len(distance) < len(_NAMES):

@@ -1,24 +1,19 @@
-"""Trials kept in a folder, so that a measurement that was stopped goes on where it was."""
+"""Results kept in a file, so that a measurement that was stopped goes on where it was."""
 
+import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import skyline
 import skyline_bench
-from skyline.files import write_with_folders
-from skyline.matching import Candidate
 from skyline.render.shaders import SHADER_FOLDERS
-from skyline_bench.measuring.digests import code_files, files_digest
-from skyline_bench.queries.synthetic import SyntheticQuery
-from skyline_bench.trials.trials import Trial
 
-Key = Mapping[str, object]
-"""What a result depends on, as JSON holds it."""
+T = TypeVar("T")
 
 MEASURED_CODE: Mapping[ModuleType, Sequence[str]] = {
     skyline: (
@@ -33,60 +28,68 @@ MEASURED_CODE: Mapping[ModuleType, Sequence[str]] = {
 """By package: code that an answer depends on; shaders beside it."""
 
 
-def save_trials(path: Path, key: Key, trials: Sequence[Trial]) -> None:
-    """Write trials, whole or not at all; of the candidates the best is kept."""
-    kept = [
-        {
-            "best": asdict(trial.candidates[0]) if trial.candidates else None,
-            "answered_within_m": trial.answered_within_m,
-            "error_m": trial.error_m,
-            "heading_error_deg": trial.heading_error_deg,
-            "seconds": trial.seconds,
-        }
-        for trial in trials
-    ]
-    write_with_folders(path, json.dumps({"key": key, "trials": kept}) + "\n")
+class Kept(Generic[T]):
+    """Results kept in a file, a line each as they come; those of an earlier run are read.
 
+    A line that a kill cut short is left out.
 
-def kept_trials(path: Path, key: Key, queries: Sequence[SyntheticQuery]) -> list[Trial] | None:
-    """Return the trials of these queries that were kept under a key; None where there are none.
-
-    A file that holds others, or cannot be read, counts as none: it will be written again.
+    Parameters
+    ----------
+    path : Path
+        Begins the file's name; what is not there is made.
+    depends : object
+        All that results depend on but their keys, as JSON: others are kept in another file.
+    read : callable
+        Makes a result, a dataclass, of its fields.
     """
-    try:
-        held = json.loads(path.read_text(encoding="utf-8"))
-        if held["key"] != json.loads(json.dumps(key)):
-            return None
-        return [
-            Trial(
-                index,
-                query.truth,
-                query.distance_m,
-                () if kept["best"] is None else (_candidate(kept["best"]),),
-                kept["answered_within_m"],
-                kept["error_m"],
-                kept["heading_error_deg"],
-                kept["seconds"],
-            )
-            for index, (query, kept) in enumerate(zip(queries, held["trials"], strict=True))
-        ]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+
+    def __init__(self, path: Path, depends: object, read: Callable[..., T]) -> None:
+        whole = [skyline.__version__, measured_code_digest(), depends]
+        digest = hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
+        self._path = path.with_name(f"{path.name}-{digest[:12]}.jsonl")
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self.found: dict[str, T] = {}
+        text = self._path.read_text(encoding="utf-8") if self._path.exists() else ""
+        for line in text.splitlines():
+            try:
+                key = (held := json.loads(line)).pop("key")
+                self.found[key] = read(**held)
+            except (ValueError, KeyError, TypeError, AttributeError):
+                continue
+        if text and not text.endswith("\n"):
+            self._append("")
+
+    def keep(self, key: str, result: T) -> None:
+        """Add a result, also to the file."""
+        self.found[key] = result
+        fields: dict[str, Any] = asdict(result)  # type: ignore[call-overload]
+        self._append(json.dumps({"key": key, **fields}))
+
+    def _append(self, line: str) -> None:
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(line + "\n")
 
 
-def _candidate(kept: dict[str, Any]) -> Candidate:
-    covariance = kept.pop("covariance_m2")
-    return Candidate(**kept, covariance_m2=covariance and tuple(map(tuple, covariance)))
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @cache
 def measured_code_digest() -> str:
-    """Return a SHA-256 of the `measured_files`."""
-    return files_digest(measured_files())
+    """Return a SHA-256 of the `measured_files`, their names and their folders' names included."""
+    told = hashlib.sha256()
+    for file in measured_files():
+        told.update(f"{file.parent.name}/{file.name}\0".encode() + file.read_bytes())
+    return told.hexdigest()
 
 
 def measured_files() -> list[Path]:
     """Return the files that an answer depends on: code, learned models and shaders."""
-    shaders = sorted(file for folder in SHADER_FOLDERS for file in folder.glob("*.*"))
-    code = [file for package, names in MEASURED_CODE.items() for file in code_files(package, names)]
-    return code + shaders
+    code: list[Path] = []
+    for package, names in MEASURED_CODE.items():
+        roots = [Path(folder) / name for folder in package.__path__ for name in names]
+        files = [file for root in roots for file in ([root] if root.is_file() else root.rglob("*"))]
+        code += sorted(file for file in files if file.suffix in (".py", ".json"))
+    return code + sorted(file for folder in SHADER_FOLDERS for file in folder.glob("*.*"))

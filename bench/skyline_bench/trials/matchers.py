@@ -1,11 +1,10 @@
 """The matchers that are compared: the paper's, plain correlation, and ours without and with all."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from skyline.errors import InputError
 from skyline.matching.match_config import MatchConfig
 from skyline.pipeline import FULL, MATCHERS, Matcher
 from skyline.store.header import RENDERINGS
@@ -37,10 +36,3 @@ def open_matcher(name: str, store: Path, terrain: HeightField) -> Matcher:
     if searched_by(name) == RENDERINGS:
         return Matcher(store, terrain, name, MATCHING)
     return Matcher(store, terrain, FULL, replace(MATCHING, refine=name == FULL))
-
-
-def check_matchers(names: Iterable[str]) -> None:
-    """Raise `InputError` for the name of no matcher."""
-    for name in names:
-        if name not in WHAT:
-            raise InputError(f"matcher is {name!r}; expected one of {', '.join(WHAT)}")

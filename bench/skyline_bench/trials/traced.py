@@ -31,28 +31,17 @@ _TOP = 5
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one query in one search.
+    """What became of one query in one search."""
 
-    Attributes
-    ----------
-    error_m : float or None
-        Of the best candidate; None without any.
-    confidence : float or None
-        Its own.
-    answered_within_m : float or None
-        How near the matcher says that it is; None where it does not stand by it.
-    seconds, cpu_s : float
-        By the clock, and processor time of all threads.
-    screened, fitted, retrieved, refined : bool
-        Whether a pose within one spacing of the truth, looking within 10 degrees of the right
-        way, was there after each of the `STAGES`.
-    """
-
-    error_m: float | None = None
-    confidence: float | None = None
+    error_m: float | None = None  # Of the best candidate; None without any
+    confidence: float | None = None  # Its own
+    # How near the matcher says that it is; None where it does not stand by it.
     answered_within_m: float | None = None
+    # By the clock, and processor time of all threads.
     seconds: float = 0.0
     cpu_s: float = 0.0
+    # Whether a pose within one spacing of the truth, looking within 10 degrees of the right way,
+    # was there after each of the `STAGES`.
     screened: bool = False
     fitted: bool = False
     retrieved: bool = False
@@ -60,18 +49,7 @@ class Outcome:
 
 
 class Traced:
-    """The full matcher on places, whose stages can be looked at.
-
-    Parameters
-    ----------
-    places : PlaceSource
-    ground : callable
-        Heights of the terrain; see `Retriever`.
-    scene : Scene
-        What refinement renders.
-    frame : Frame
-        Of the places.
-    """
+    """The full matcher on places, whose stages can be looked at."""
 
     def __init__(self, places: PlaceSource, ground: Ground, scene: Scene, frame: Frame) -> None:
         self._frame = frame

@@ -8,7 +8,7 @@ import dataclasses
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
@@ -49,18 +49,11 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """What the skylines of a scene should be.
+    """What the skylines of a scene should be."""
 
-    Attributes
-    ----------
-    views : Views
-        float64.
-    slack_px : float
-        How far the elevation_tan of ``views`` may be from the exact surface's: 0 from the
-        oracle, the discretization of the terrain for a closed form.
-    """
-
-    views: Views
+    views: Views  # float64
+    # How far the elevation_tan of ``views`` may be from the exact surface's: 0 from the oracle, the
+    # discretization of the terrain for a closed form.
     slack_px: float = 0.0
 
 
@@ -69,39 +62,17 @@ def oracle_truth(scene: Scene) -> Truth:
     return Truth(oracle.skyline(scene.field, scene.viewpoints, scene.width, scene.curvature))
 
 
-class Renderer(Protocol):
-    """Anything that renders skylines."""
-
-    def render(self, viewpoints: Viewpoints) -> Views:
-        """Return 4 N views; the four headings of a viewpoint follow one another."""
-        ...
-
-
-class RendererFactory(Protocol):
-    """Makes a renderer of one field, released on leaving its context."""
-
-    def __call__(
-        self, field: HeightField, width: int, curvature: Curvature | None, /
-    ) -> AbstractContextManager[Renderer]:
-        """Return the renderer's context manager."""
-        ...
+Renderers = Callable[[HeightField, int, Curvature | None], AbstractContextManager[Any]]
+"""Makes a renderer of one field; its ``render`` gives four views a viewpoint."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Agreement:
-    """Rendered skylines against the truth, both (N, W).
+    """Rendered skylines against the truth, both (N, W)."""
 
-    Attributes
-    ----------
-    error_px : float64
-        Infinite where only one of the two meets data; 0 where the path cannot be held to it.
-    bound_px : float64
-        What the path's arithmetic allows.
-    flags_agree : bool
-    """
-
+    # Infinite where only one of the two meets data; 0 where the path cannot be held to it.
     error_px: Float64Array
-    bound_px: Float64Array
+    bound_px: Float64Array  # What the path's arithmetic allows
     flags_agree: BoolArray
 
     @property
@@ -112,24 +83,18 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class RenderPath:
-    """A way to render skylines, and what it promises.
-
-    Attributes
-    ----------
-    name : str
-    factory : RendererFactory
-    agreement : callable
-        Compares rendered views of a scene with the truth.
-    """
+    """A way to render skylines, and what it promises."""
 
     name: str
-    factory: RendererFactory
+    factory: Renderers
+    # Compares rendered views of a scene with the truth.
     agreement: Callable[[Scene, Views, Truth], Agreement]
 
     def render(self, scene: Scene) -> Views:
         """Render a scene with a renderer of its own."""
         with self.factory(scene.field, scene.width, scene.curvature) as renderer:
-            return renderer.render(scene.viewpoints)
+            views: Views = renderer.render(scene.viewpoints)
+            return views
 
 
 def exact_agreement(scene: Scene, views: Views, truth: Truth) -> Agreement:
@@ -237,7 +202,6 @@ def undecided_columns(scene: Scene, bound_px: Float64Array) -> tuple[BoolArray, 
 
     Parameters
     ----------
-    scene : Scene
     bound_px : (N, W) float64
         Bound on the error of v.
 

@@ -8,8 +8,9 @@ front of the eye is looked at; nothing is culled.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,6 @@ def skyline(
 
     Parameters
     ----------
-    field : HeightField
     viewpoints : Viewpoints
         N eyes, at or above the surface.
     width : int
@@ -79,58 +79,35 @@ def skyline_at(
 
     Parameters
     ----------
-    field : HeightField
     viewpoints : Viewpoints
         N eyes, at or above the surface.
     u : (W,) float64
         Abscissas of the columns, increasing, of magnitude at most 1.
-    curvature : Curvature
 
     Returns
     -------
     Views
         4 N views; the four headings of a viewpoint follow one another.
     """
-    width = len(u)
-    triangles = Triangles.of(field.heights_m)
-    shape = (len(viewpoints), len(HEADINGS), width)
-    tan, depth = np.full(shape, -np.inf), np.full(shape, np.nan)
-    flags = np.zeros(shape, dtype=np.uint8)
-    for index in range(len(viewpoints)):
-        scene = _Scene(field, triangles, viewpoints, index, curvature)
-        for heading in HEADINGS:
-            directions = directions_at(heading, u)
-            tan[index, heading], depth[index, heading], flags[index, heading] = scene.skyline(
-                directions
-            )
-    rows = (-1, width)
+    kinds = (np.float64, np.float64, np.uint8)
     return Views(
         np.repeat(viewpoints.easting_m, 4),
         np.repeat(viewpoints.northing_m, 4),
         np.repeat(viewpoints.eye_elevation_m, 4),
         np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints)),
-        tan.reshape(rows),
-        depth.reshape(rows),
-        flags.reshape(rows),
+        *_seen(field, viewpoints, u, curvature, _Scene.skyline, kinds),
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rivals:
-    """What decides a column's flags, (N, W) each; N views, the four headings of an eye together.
+    """What decides a column's flags, (N, W) each; N views, the four headings of an eye together."""
 
-    Attributes
-    ----------
-    inner_tan, border_tan : float64
-        Greatest v over the crossings beyond which the surface goes on, and over those where it
-        ends; -inf where there are none. The greater of the two is the skyline.
-    hole : bool
-        Whether the column passes over a hole with data behind it.
-    """
-
+    # Greatest v over the crossings beyond which the surface goes on, and over those where it ends;
+    # -inf where there are none. The greater of the two is the skyline.
     inner_tan: Float64Array
     border_tan: Float64Array
-    hole: BoolArray
+    hole: BoolArray  # Whether the column passes over a hole with data behind it
 
 
 def rivals(
@@ -140,23 +117,30 @@ def rivals(
 
     Parameters
     ----------
-    field : HeightField
-    viewpoints : Viewpoints
     u : (W,) float64
         Abscissas of the columns, increasing, of magnitude at most 1.
-    curvature : Curvature
     """
+    kinds = (np.float64, np.float64, np.bool_)
+    return Rivals(*_seen(field, viewpoints, u, curvature, _Scene.rivals, kinds))
+
+
+def _seen(
+    field: HeightField,
+    viewpoints: Viewpoints,
+    u: Float64Array,
+    curvature: Curvature,
+    look: Callable[["_Scene", Float64Array], tuple[NDArray[Any], ...]],
+    kinds: Sequence[type[np.generic]],
+) -> list[NDArray[Any]]:
+    """Return what is seen in every column of the four headings of each eye, (4 N, W) each."""
     triangles = Triangles.of(field.heights_m)
-    shape = (len(viewpoints), len(HEADINGS), len(u))
-    inner, border, hole = np.empty(shape), np.empty(shape), np.empty(shape, dtype=bool)
+    seen = [np.empty((4 * len(viewpoints), len(u)), dtype=kind) for kind in kinds]
     for index in range(len(viewpoints)):
         scene = _Scene(field, triangles, viewpoints, index, curvature)
         for heading in HEADINGS:
-            inner[index, heading], border[index, heading], hole[index, heading] = scene.rivals(
-                directions_at(heading, u)
-            )
-    rows = (-1, len(u))
-    return Rivals(inner.reshape(rows), border.reshape(rows), hole.reshape(rows))
+            for whole, part in zip(seen, look(scene, directions_at(heading, u)), strict=True):
+                whole[4 * index + heading] = part
+    return seen
 
 
 class _Scene:
@@ -172,7 +156,6 @@ class _Scene:
     ) -> None:
         self.field = field
         self.triangles = triangles
-        self.has_holes = field.has_holes
         row, col = field.to_grid(viewpoints.easting_m[index], viewpoints.northing_m[index])
         self.eye_row, self.eye_col = float(row), float(col)
         north = (self.eye_row - np.arange(field.rows)) * field.spacing_north_m
@@ -194,21 +177,15 @@ class _Scene:
         width = len(directions)
         tan, depth = np.full(width, -np.inf), np.full(width, np.nan)
         truncated, hole = np.zeros(width, dtype=bool), np.zeros(width, dtype=bool)
-        # Grid steps per metre of depth; columns head east, rows south, diagonals col - row.
-        col_rate = directions[:, 0] / self.field.spacing_east_m
-        row_rate = -directions[:, 1] / self.field.spacing_north_m
-        for start, stop in _runs(col_rate, row_rate, self.field.rows + self.field.cols):
-            part = slice(start, stop)
-            for crossings in self._families(col_rate[part], row_rate[part]):
-                best, v = self._greatest(crossings)
-                raised = v > tan[part]
-                tan[part] = np.where(raised, v, tan[part])
-                rays = np.arange(stop - start)
-                depth[part] = np.where(raised, crossings.depth_m[rays, best], depth[part])
-                truncated[part] = np.where(raised, ~crossings.far[rays, best], truncated[part])
-                if self.has_holes:
-                    entered = (~crossings.near & crossings.far).any(axis=1)
-                    hole[part] |= entered
+        for part, crossings in self._crossings(directions):
+            v = self._v(crossings)
+            rays, best = np.arange(len(v)), v.argmax(axis=1)
+            raised = v[rays, best] > tan[part]
+            tan[part] = np.where(raised, v[rays, best], tan[part])
+            depth[part] = np.where(raised, crossings.depth_m[rays, best], depth[part])
+            truncated[part] = np.where(raised, ~crossings.far[rays, best], truncated[part])
+            if self.field.has_holes:
+                hole[part] |= (~crossings.near & crossings.far).any(axis=1)
         missing = np.isnan(depth)
         tan[missing] = np.nan
         flags = (
@@ -220,20 +197,24 @@ class _Scene:
 
     def rivals(self, directions: Float64Array) -> tuple[Float64Array, Float64Array, BoolArray]:
         """Return the fields of `Rivals` for the columns with these ground directions."""
-        width = len(directions)
-        inner, border = np.full((2, width), -np.inf)
-        hole = np.zeros(width, dtype=bool)
+        inner, border = np.full((2, len(directions)), -np.inf)
+        hole = np.zeros(len(directions), dtype=bool)
+        for part, crossings in self._crossings(directions):
+            v = self._v(crossings)
+            for best, among in ((inner, crossings.far), (border, ~crossings.far)):
+                greatest = np.where(among, v, -np.inf).max(axis=1)
+                best[part] = np.maximum(best[part], greatest)
+            hole[part] |= (~crossings.near & crossings.far).any(axis=1)
+        return inner, border, hole
+
+    def _crossings(self, directions: Float64Array) -> Iterator[tuple[slice, _Crossings]]:
+        """Yield spans of columns with these ground directions, and their crossings by family."""
+        # Grid steps per metre of depth; columns head east, rows south, diagonals col - row.
         col_rate = directions[:, 0] / self.field.spacing_east_m
         row_rate = -directions[:, 1] / self.field.spacing_north_m
-        for start, stop in _runs(col_rate, row_rate, self.field.rows + self.field.cols):
-            part = slice(start, stop)
+        for part in _runs(col_rate, row_rate, self.field.rows + self.field.cols):
             for crossings in self._families(col_rate[part], row_rate[part]):
-                v = self._v(crossings)
-                for best, among in ((inner, crossings.far), (border, ~crossings.far)):
-                    greatest = np.where(among, v, -np.inf).max(axis=1)
-                    best[part] = np.maximum(best[part], greatest)
-                hole[part] |= (~crossings.near & crossings.far).any(axis=1)
-        return inner, border, hole
+                yield part, crossings
 
     def _families(self, col_rate: Float64Array, row_rate: Float64Array) -> Iterator[_Crossings]:
         """Yield the crossings with each family; the rays' rates must not differ in sign."""
@@ -264,22 +245,9 @@ class _Scene:
             depth = (lines - (self.eye_col - self.eye_row)) / across[:, np.newaxis]
             row, fraction = _split(self.eye_row + depth * row_rate[:, np.newaxis], rows)
             col = np.clip(row + lines, -1, cols - 1)
-            north_eastern, south_western = (
-                north_east[row + 1, col + 1],
-                south_west[row + 1, col + 1],
-            )
-            near, far = (
-                (south_western, north_eastern)
-                if across[0] > 0.0
-                else (north_eastern, south_western)
-            )
+            beyond, before = north_east[row + 1, col + 1], south_west[row + 1, col + 1]
+            near, far = (before, beyond) if across[0] > 0.0 else (beyond, before)
             yield _Crossings(depth, row, col, fraction, 1, 1, near, far)
-
-    def _greatest(self, crossings: _Crossings) -> tuple[Int64Array, Float64Array]:
-        """Return, for each ray, the index of its highest crossing and that crossing's v."""
-        v = self._v(crossings)
-        best = v.argmax(axis=1)
-        return best, v[np.arange(len(v)), best]
 
     def _v(self, crossings: _Crossings) -> Float64Array:
         """Return v of every crossing, -inf where there is no edge."""
@@ -314,7 +282,7 @@ def _lines_ahead(eye: float, rate: Float64Array, first: int, stop: int) -> Int64
     return np.arange(0)
 
 
-def _runs(col_rate: Float64Array, row_rate: Float64Array, lines: int) -> Iterator[tuple[int, int]]:
+def _runs(col_rate: Float64Array, row_rate: Float64Array, lines: int) -> Iterator[slice]:
     """Yield spans of columns whose rays head the same way, short enough for one evaluation."""
     way = np.sign(np.stack([col_rate, row_rate, col_rate - row_rate]))
     turns = np.flatnonzero((np.diff(way, axis=1) != 0.0).any(axis=0)) + 1
@@ -322,4 +290,4 @@ def _runs(col_rate: Float64Array, row_rate: Float64Array, lines: int) -> Iterato
     longest = max(1, _CROSSINGS_AT_ONCE // lines)
     for start, end in itertools.pairwise(bounds):
         for begin in range(start, end, longest):
-            yield begin, min(begin + longest, end)
+            yield slice(begin, min(begin + longest, end))

@@ -17,35 +17,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import BoolArray, Float32Array, Int64Array
+from skyline.arrays import Float32Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, columns_u, pixel_size
 from skyline.paper.planning.coverage import CandidateGrid, Coverage, Problem, Strategy
 
 _CURVE_POINTS = 513
 _FEWEST_POINTS = 3
+_SOURCES = 8
+"""How many rendered views, the nearest, a prediction is made from."""
 _NEAREST_DEPTH_SHARE = 0.05
 """A skyline point this much nearer than it was is taken to be passed: no warp reaches it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One row of the paper's Table 1.
-
-    Attributes
-    ----------
-    peaks : int
-    rotation_deg : float
-    threshold_px : float
-    coverage : float
-    affine : bool
-        Whether the reprojection error is taken after the affine warp of Equation 4.
-    """
+    """One row of the paper's Table 1."""
 
     peaks: int
     rotation_deg: float
     threshold_px: float
     coverage: float
-    affine: bool
+    affine: bool  # Whether the reprojection error is taken after the affine warp of Equation 4
 
 
 TABLE_1 = (
@@ -57,33 +49,15 @@ TABLE_1 = (
 
 @dataclass(frozen=True, slots=True)
 class Mountain:
-    """The model's free parameters, in candidates; one set for all rows and strategies.
+    """The model's free parameters, in candidates; one set for all rows and strategies."""
 
-    Attributes
-    ----------
-    distance : float
-        From the front row of candidates to the mountain's near end.
-    width : float
-        Of the mountain, end to end.
-    height : float
-        Of the peaks above the eyes.
-    setback : float
-        How far behind the foot the peaks stand.
-    size : int
-        Rows and columns of candidates.
-    reach : int
-        Of a tolerance area, to either side.
-    columns : int
-        Of the view's 640 columns, how many are looked at, evenly spread.
-    """
-
-    distance: float = 9.0
-    width: float = 150.0
-    height: float = 17.0
-    setback: float = 18.0
-    size: int = 100
-    reach: int = 15
-    columns: int = 64
+    distance: float = 9.0  # From the front row of candidates to the mountain's near end
+    width: float = 150.0  # Of the mountain, end to end
+    height: float = 17.0  # Of the peaks above the eyes
+    setback: float = 18.0  # How far behind the foot the peaks stand
+    size: int = 100  # Rows and columns of candidates
+    reach: int = 15  # Of a tolerance area, to either side
+    columns: int = 64  # Of the view's 640 columns, how many are looked at, evenly spread
 
     def curve(self, row: Row) -> Float32Array:
         """Return the skyline of the mountain in space, (P, 3): right, up, forward."""
@@ -150,10 +124,6 @@ class Simulation:
             ]
         )
 
-    def area(self, seen: Seen) -> BoolArray:
-        """Return the tolerance areas of views, (N, K, K)."""
-        return self.measure(seen) <= self.row.threshold_px
-
     def _eyes(self, candidates: Int64Array) -> Float32Array:
         """Return right, up, forward of eyes; row 0 is the front, the square is centred."""
         row, col = self.grid.row_col(candidates)
@@ -166,17 +136,10 @@ class SimulatedModel:
 
     A predicted view is the upper envelope, seen from the candidate, of what the nearest rendered
     views saw. Nothing that no view has seen enters.
-
-    Parameters
-    ----------
-    simulation : Simulation
-    sources : int
-        How many rendered views, the nearest, a prediction is made from.
     """
 
-    def __init__(self, simulation: Simulation, sources: int = 8) -> None:
+    def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
-        self._sources = sources
         self._viewpoints = np.zeros(0, dtype=np.int64)
         columns = simulation.mountain.columns
         self._points = np.zeros((0, columns + 1, 3), dtype=np.float32)
@@ -192,7 +155,7 @@ class SimulatedModel:
     def predict_errors(self, candidates: Int64Array) -> Float32Array:
         """Return predicted reprojection errors of views at candidates (N), (N, K, K) px."""
         simulation = self._simulation
-        nearest, _ = simulation.grid.nearest(candidates, self._viewpoints, self._sources)
+        nearest, _ = simulation.grid.nearest(candidates, self._viewpoints, _SOURCES)
         points = self._points[nearest].reshape(len(candidates), -1, 3)
         return simulation.measure(simulation.see(candidates, points))
 
@@ -265,8 +228,6 @@ def reprojection_errors(
     ----------
     u, v, depth : (Q,) float32
         The view's skyline, NaN where there is none; depth in candidates.
-    reach : int
-    affine : bool
 
     Returns
     -------
@@ -317,15 +278,11 @@ class Run:
     ----------
     viewpoints : (A,) int64
         In the order rendered, corners first.
-    coverage : Coverage
-    progress : (A - 3,) float64
-        Coverage after the corners and after each rendering.
-    seconds : float
-        Processor time of the strategy with all it asked for: renderings, areas, predictions.
     """
 
     coverage: Coverage
-    progress: NDArray[np.float64]
+    progress: NDArray[np.float64]  # Coverage after the corners and after each rendering
+    # Processor time of the strategy with all it asked for: renderings, areas, predictions.
     seconds: float
 
 
