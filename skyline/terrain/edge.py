@@ -43,14 +43,16 @@ class DataEdge:
     def of(cls, terrain: HeightField, curvature: Curvature) -> Self:
         """Return the edge of a DEM; beyond, ranges go on as high as they are inside."""
         northward = terrain.heights_m[::-1]
-        deep = ceil(_REACH_M / terrain.spacing_east_m), ceil(_REACH_M / terrain.spacing_north_m)
-        sides = (
-            (northward[:, : deep[0]], 1, deep[1]),
-            (northward[: deep[1]], 0, deep[0]),
-            (northward[:, -deep[0] :], 1, deep[1]),
-            (northward[-deep[1] :], 0, deep[0]),
+        cols = ceil(_REACH_M / terrain.spacing_east_m)
+        rows = ceil(_REACH_M / terrain.spacing_north_m)
+        highest_m = np.stack(
+            [
+                _highest(northward[:, :cols].T, rows),
+                _highest(northward[:rows], cols),
+                _highest(northward[:, -cols:].T, rows),
+                _highest(northward[-rows:], cols),
+            ]
         )
-        highest_m = np.stack([_highest(np.fmax.reduce(*side), reach) for *side, reach in sides])
         known = np.where(np.isfinite(highest_m), highest_m, terrain.height_range_m[1])
         return cls(terrain.bounds_m, known, curvature)
 
@@ -99,11 +101,14 @@ class DataEdge:
         return np.maximum(distance_m, _LEAST_M), self.highest_m[side, part]
 
 
-def _highest(height_m: NDArray[np.floating], reach: int) -> Float64Array:
-    """Return the greatest of heights (N,) within a reach of each of P parts; NaN is below all."""
+def _highest(band_m: NDArray[np.floating], reach: int) -> Float64Array:
+    """Return the greatest height of a band (D, N) within a reach of each of P parts of its N.
+
+    It is -inf where the band has no data.
+    """
     from scipy.ndimage import maximum_filter1d  # noqa: PLC0415  (slow to load)
 
-    known = np.where(np.isnan(height_m), -np.inf, height_m).astype(np.float64)
-    widened = maximum_filter1d(known, 2 * reach + 1, mode="nearest")
-    middle = (np.arange(_PARTS) + 0.5) * len(known) / _PARTS
+    along_m = np.fmax.reduce(band_m, axis=0, initial=-np.inf)
+    widened = maximum_filter1d(along_m, 2 * reach + 1, mode="nearest")
+    middle = (np.arange(_PARTS) + 0.5) * len(along_m) / _PARTS
     return np.asarray(widened[middle.astype(np.intp)])
