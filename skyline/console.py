@@ -16,12 +16,13 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
+from typer.core import TyperGroup
 
 from skyline import __version__
 from skyline.errors import InputError, SkylineError
 from skyline.logs import ENVIRONMENT_VARIABLE, JSON, as_json, start_logging
-from skyline.pipeline import Progress, local_runner, remote_runner
-from skyline.pipeline.jobs import Runner
+from skyline.pipeline.cluster import local_runner, remote_runner
+from skyline.pipeline.jobs import Progress, Runner
 
 # Typer brings click under one name or another, by its version; this one name is public in all.
 _UsageError: Any = typer.BadParameter.__base__
@@ -96,16 +97,12 @@ Tolerance = Annotated[
 ]
 
 
-def command_line(name: str, about: str) -> typer.Typer:
+def command_line(name: str, about: str, commands: type[TyperGroup] | None = None) -> typer.Typer:
     """Return a command line that says, without a command, its help or the version.
 
-    Parameters
-    ----------
-    name : str
-    about : str
-        What its help says first.
+    Its help says first what it is ``about``; ``commands`` may be a group of its own kind.
     """
-    app = typer.Typer(name=name, pretty_exceptions_enable=False)
+    app = typer.Typer(name=name, cls=commands, pretty_exceptions_enable=False)
 
     @app.callback(invoke_without_command=True, help=about)
     def options(
@@ -125,11 +122,7 @@ def command_line(name: str, about: str) -> typer.Typer:
 def run_app(app: typer.Typer, stopped: str) -> None:
     """Run a command line; every error is one line, exit code 2 for bad input, 1 for failure.
 
-    Parameters
-    ----------
-    app : typer.Typer
-    stopped : str
-        What to say after Ctrl-C.
+    After Ctrl-C it says what ``stopped`` has to say.
     """
     start_logging()
     try:

@@ -10,15 +10,15 @@ from skyline.fetch import SOURCES, HttpOptions, fetch_dem
 
 _HTTP = HttpOptions()
 
-app = typer.Typer(name="dem", help="Elevation data for an area.", no_args_is_help=True)
+dem = typer.Typer(name="dem", help="Elevation data for an area.", no_args_is_help=True)
 
 
-@app.callback()
-def dem() -> None:
-    """Elevation data for an area."""
+@dem.callback()
+def _group() -> None:
+    """Keep `fetch` a command of its own, though it is the only one."""
 
 
-@app.command()
+@dem.command()
 def fetch(
     bbox: Annotated[str, typer.Option(metavar="W,S,E,N", help="The box, in degrees (WGS 84).")],
     folder: Annotated[

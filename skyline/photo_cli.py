@@ -23,7 +23,11 @@ from skyline.errors import InputError, SkylineError
 from skyline.matching import Narrowing
 from skyline.matching.match_config import MatchConfig
 from skyline.photo import Projection, QuerySkyline, extract_photo, write_overlay, write_trace
-from skyline.pipeline import FULL, MATCHERS, Matcher, MatchResult, Query, listed, match_many
+from skyline.pipeline.batch import match_many
+from skyline.pipeline.match import Matcher
+from skyline.pipeline.matchers import FULL, MATCHERS
+from skyline.pipeline.queries import Query, listed
+from skyline.pipeline.results import MatchResult
 from skyline.report.exports import EXPORTS, check_export
 from skyline.report.peaks import read_peaks
 from skyline.report.results import RESULTS

@@ -2,7 +2,6 @@
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Generic, Protocol, Self, TypeVar
@@ -14,6 +13,7 @@ from skyline import report
 from skyline.camera import HEADINGS
 from skyline.features import polyline_keypoints
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
+from skyline.pipeline.jobs import Progress
 from skyline.planning.adaptive import Blocks
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
@@ -23,9 +23,6 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.scene import SceneNeeds, scene_needs
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
-
-Progress = Callable[[int, int], None]
-"""Called with how much is done and how much there is to do."""
 
 
 @dataclass(frozen=True, slots=True)

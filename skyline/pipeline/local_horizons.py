@@ -10,7 +10,7 @@ from skyline.camera import MAX_WIDTH
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.horizons import Horizons
-from skyline.pipeline.build import Progress
+from skyline.pipeline.jobs import Progress
 from skyline.pipeline.opened import Dem
 from skyline.render.panorama import PanoramaRenderer
 from skyline.solar import LocalHorizons

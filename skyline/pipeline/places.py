@@ -10,8 +10,9 @@ from typing import Any
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
-from skyline.pipeline.build import BuildResult, Progress, RowRenderer, render_missing, view_rows
+from skyline.pipeline.build import BuildResult, RowRenderer, render_missing, view_rows
 from skyline.pipeline.config import BuildConfig, PlaceConfig, RenderConfig, store_header
+from skyline.pipeline.jobs import Progress
 from skyline.pipeline.layout import DEFAULT_LOSS, Layout
 from skyline.places import BINS, Places
 from skyline.planning.adaptive import AdaptivePlanner, Blocks, price_of, spread_over

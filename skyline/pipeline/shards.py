@@ -21,15 +21,9 @@ from typing import Self
 import numpy as np
 
 from skyline.errors import InputError, StoreError, StoreMismatchError
-from skyline.pipeline.build import (
-    BuildResult,
-    Progress,
-    missing,
-    render_missing,
-    rows_each,
-)
+from skyline.pipeline.build import BuildResult, missing, render_missing, rows_each
 from skyline.pipeline.config import BuildConfig, RenderConfig, store_header
-from skyline.pipeline.jobs import Runner, collect, run_here
+from skyline.pipeline.jobs import Progress, Runner, collect, run_here
 from skyline.pipeline.layout import Layout
 from skyline.pipeline.places import refuse_empty, rows_of
 from skyline.planning.adaptive import Blocks

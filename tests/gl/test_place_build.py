@@ -9,14 +9,12 @@ from scenes import fractal, write_dem
 
 from skyline import RenderConfig, build_uniform, read_dem, stand_on
 from skyline.errors import InputError, StoreMismatchError
-from skyline.pipeline import (
-    Layout,
-    PlaceConfig,
-    build_places,
-    build_sharded,
-    places,
-    remote_runner,
-)
+from skyline.pipeline import places
+from skyline.pipeline.cluster import remote_runner
+from skyline.pipeline.config import PlaceConfig
+from skyline.pipeline.layout import Layout
+from skyline.pipeline.places import build_places
+from skyline.pipeline.shards import build_sharded
 from skyline.places import BINS, Places
 from skyline.planning.uniform import uniform_grid
 from skyline.render.panorama import PanoramaRenderer

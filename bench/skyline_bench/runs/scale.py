@@ -22,9 +22,10 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.narrowing import Narrowed, Narrowing
-from skyline.pipeline import Matcher, PlaceConfig, Progress
-from skyline.pipeline.config import mapped_area_m
+from skyline.pipeline.config import PlaceConfig, mapped_area_m
+from skyline.pipeline.jobs import Progress
 from skyline.pipeline.layout import DEFAULT_LOSS
+from skyline.pipeline.match import Matcher
 from skyline.pipeline.scene import RenderedScene
 from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.store import open_store

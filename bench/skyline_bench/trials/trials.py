@@ -11,7 +11,7 @@ from skyline.errors import InputError
 from skyline.matching import Candidate
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.photo import QuerySkyline
-from skyline.pipeline import MatchResult
+from skyline.pipeline.results import MatchResult
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 
 _RESAMPLES = 2000
