@@ -92,8 +92,6 @@ def fetch_dem(
         A name of `SOURCES` or a template, see `TileSource`.
     folder : str or Path
         Made where it does not exist. Files are named by their tile: ``N46E009.tif``.
-    options : HttpOptions, optional
-    progress : callable, optional
 
     Raises
     ------

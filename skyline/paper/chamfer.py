@@ -80,7 +80,6 @@ def nearest_patches(
         Of `mean_squared_px2`; infinite for pairs not to be compared.
     step_px : float
         Distance between neighbouring samples.
-    shortlist : int
 
     Returns
     -------

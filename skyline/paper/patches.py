@@ -30,7 +30,6 @@ class QueryCurve:
         Those points.
     patches : (Q, S) float32
         Local skylines relative to their keypoints; NaN where unknown.
-    pitch_deg, roll_deg : float
     """
 
     points_px: Float64Array

@@ -40,7 +40,6 @@ class _Work:
         When the store was written.
     matcher : tuple
         What a `Matcher` is made of.
-    top : int
     """
 
     stamp: int
@@ -78,7 +77,6 @@ def match_many(
         paths.
     matcher : tuple
         What a `Matcher` is made of, in order: the store's path first.
-    queries : sequence of Query
     top : int
         As of `Matcher.match`.
     """

@@ -38,7 +38,6 @@ class RenderConfig:
         Eye above ground, where a viewpoint does not say.
     keypoint_tolerance_px : float
         How far a skyline may be from the polyline whose vertices are its keypoints.
-    curvature : Curvature
     rows : str
         "compact" (skylines within 0.005 px, depths within 0.1 %, a fifth of the bytes) or "exact".
 
@@ -71,7 +70,6 @@ class PlaceConfig:
     tolerance_deg : float
         How far a skyline may fall short of the exact one, degrees of elevation; 0 is exact but
         for float32.
-    curvature : Curvature
     """
 
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
@@ -113,7 +111,6 @@ def read_dem_of(header: StoreHeader, paths: Sequence[str | Path] = ()) -> Height
 
     Parameters
     ----------
-    header : StoreHeader
     paths : sequence of paths, optional
         Where the DEM lies now; by default where it lay.
 

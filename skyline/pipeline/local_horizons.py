@@ -36,7 +36,6 @@ def horizon(
 
     Parameters
     ----------
-    terrain : HeightField
     lon, lat : array_like, degrees (WGS 84), broadcast to N places
     eye_height_m : array_like, metres above ground
     step_deg : float

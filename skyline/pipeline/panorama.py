@@ -66,14 +66,12 @@ def save_panorama(
 
     Parameters
     ----------
-    terrain : HeightField
     lon, lat : float
         Degrees (WGS 84).
     path : str or Path
         ``.png``, ``.svg`` or ``.pdf``.
     peaks : Peaks, optional
         `skyline.read_peaks`.
-    config : PanoramaConfig, optional
     surface : path, paths or HeightField, optional
         A surface or canopy model: how far trees and houses may rise is drawn as a green line.
 

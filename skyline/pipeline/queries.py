@@ -5,13 +5,13 @@ import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 from skyline.errors import InputError, MissingFileError
 from skyline.matching.narrowing import Narrowing
 from skyline.matching.screening import Alike
 from skyline.photo import Lens, Projection, QuerySkyline, check_fov, load_sky_model, read_query
-from skyline.photo.sky_model import SkySession
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.results import MatchResult
 
@@ -25,6 +25,9 @@ _PICTURES = (
 """What is taken of a folder."""
 _TOGETHER = (("lon", "lat", "radius_km"), ("heading_deg", "heading_slack_deg"))
 
+_sky_model = lru_cache(maxsize=1)(load_sky_model)
+"""Once for all the queries of a process."""
+
 
 @dataclass(frozen=True, slots=True)
 class Query:
@@ -32,15 +35,12 @@ class Query:
 
     Attributes
     ----------
-    path : str
     fov_deg : float, optional
         By default what the file says.
     fov_slack : float, optional
         Deviation of a field of view that is given, as a share of it; by default the matcher's.
-    projection : Projection, optional
     sky_model : Path, optional
         Loaded once a process.
-    narrowing : Narrowing
     """
 
     path: str
@@ -66,7 +66,7 @@ class Query:
 
     def read(self) -> QuerySkyline:
         """Find the skyline; raises as `skyline.photo.read_query`."""
-        model = None if self.sky_model is None else _model(self.sky_model.absolute())
+        model = None if self.sky_model is None else _sky_model(self.sky_model.absolute())
         query = read_query(self.path, self.fov_deg, projection=self.projection, sky_model=model)
         if self.fov_deg is None or self.fov_slack is None:
             return query
@@ -83,8 +83,6 @@ class Query:
 
         Parameters
         ----------
-        matcher : Matcher
-        top : int
         skyline : QuerySkyline, optional
             What `read` has returned before.
         screened : Alike, optional
@@ -105,7 +103,6 @@ def listed(paths: Iterable[Path], one: Query) -> Iterator[Query]:
 
     Parameters
     ----------
-    paths : iterable of Path
     one : Query
         What is known of all; its path is not used.
 
@@ -200,14 +197,3 @@ def finite_number(where: str, column: str, text: str) -> float:
     if not math.isfinite(value):
         raise InputError(f"{where}: {column} is {text!r}; expected a number")
     return value
-
-
-_models: dict[Path, SkySession] = {}
-"""The model that this process has loaded."""
-
-
-def _model(path: Path) -> SkySession:
-    if path not in _models:
-        _models.clear()
-        _models[path] = load_sky_model(path)
-    return _models[path]

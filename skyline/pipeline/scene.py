@@ -27,8 +27,6 @@ class RenderedScene:
 
     Parameters
     ----------
-    terrain : HeightField
-    config : RenderConfig
     thread : RenderThread, optional
         Renders; by default the thread that calls does, and no other may.
     surface : HeightField, optional
@@ -73,7 +71,6 @@ class RenderedScene:
 
         Parameters
         ----------
-        viewpoints : Viewpoints
         headings : (N,) array_like of int
         urgent : bool
             Whether it goes before what others wait for, where a thread renders for all.

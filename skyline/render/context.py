@@ -60,7 +60,6 @@ class Attempt:
         What was asked, in words.
     said : str
         The OpenGL version and renderer, or the reason of the failure.
-    worked : bool
     """
 
     backend: str
@@ -78,7 +77,6 @@ class GlContext:
 
     Attributes
     ----------
-    ctx : moderngl.Context
     backend : str
         "egl" or "osmesa".
     device, vendor, renderer, version : str

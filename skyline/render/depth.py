@@ -57,7 +57,6 @@ class DepthRenderer:
 
     Parameters
     ----------
-    field : HeightField
     width : int
         Columns and rows W of a depth image.
     curvature : Curvature, optional

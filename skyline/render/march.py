@@ -53,7 +53,6 @@ class March:
 
     Attributes
     ----------
-    heading : int
     double : bool
         Compute crossings in float64, where the OpenGL has it.
     first : bool
@@ -77,7 +76,6 @@ class Settings:
         How far v may fall short of the skyline's in each column; 0 is exact but for float32.
     spacing_m : (float, float)
         East, north.
-    drop_per_m2 : float
     """
 
     u: Float64Array

@@ -29,7 +29,6 @@ def save_coverage_map(plan: Plan, path: Path) -> None:
 
     Parameters
     ----------
-    plan : Plan
     path : Path
         A PNG.
 

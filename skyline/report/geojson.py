@@ -29,7 +29,6 @@ def match_collection(matches: Iterable[Matched], frame: Frame) -> Json:
 
     Parameters
     ----------
-    matches : iterable of Matched
     frame : Frame
         Of the candidates.
 

@@ -68,10 +68,8 @@ class Table:
 
     Attributes
     ----------
-    columns : sequence of str
     rows : sequence of sequence of object
         One value a column; None is a dash, floats have six digits unless they are text already.
-    caption : str
     """
 
     columns: Sequence[str]
@@ -155,10 +153,8 @@ class Page:
 
     Attributes
     ----------
-    title : str
     lead : str
         What the report is about, in a sentence or two.
-    sections : sequence of Section
     foot : str
         What made it, and when.
     """

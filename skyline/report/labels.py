@@ -12,7 +12,6 @@ class Placed:
     ----------
     index : int
         Which label.
-    anchor_px, left_px, right_px : float
     row : int
         0 is the lowest, next to the picture.
     """

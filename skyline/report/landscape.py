@@ -73,7 +73,6 @@ class Landscape:
 
         Parameters
         ----------
-        blocks : Blocks
         place_m : (float, float)
             Easting and northing.
         eye_height_m : float
@@ -125,7 +124,6 @@ class Landscape:
 
         Parameters
         ----------
-        columns : slice
         elevation_deg : (E,) float64
         """
         begins = self.begins[columns.start : columns.stop + 1]

@@ -49,8 +49,6 @@ def write_match_report(
     ----------
     folder : Path
         Made if need be; files of the same names are replaced.
-    matches : sequence of Matched
-    surroundings : Surroundings
     made_by : str
         The program and its version.
 

@@ -41,7 +41,6 @@ class Overlay:
 
     Attributes
     ----------
-    query : QuerySkyline
     photo : (H, W, 3) uint8, optional
         RGB, of the query's size; None draws on a blank canvas.
     candidate : Candidate, optional

@@ -21,7 +21,6 @@ class Ellipse:
     ----------
     easting_m, northing_m : float
         Centre.
-    semi_major_m, semi_minor_m : float
     azimuth_deg : float
         Grid azimuth of the major axis, in [0, 180).
     """

@@ -31,7 +31,6 @@ class Sighting:
 
     Attributes
     ----------
-    label : str
     easting_m, northing_m, surface_m : float
         The summit on the terrain.
     azimuth_deg : float
@@ -60,11 +59,8 @@ def visible_peaks(
 
     Parameters
     ----------
-    terrain : HeightField
     eye : Viewpoints
         One.
-    peaks : Peaks
-    curvature : Curvature
     """
     seen = [
         sighting

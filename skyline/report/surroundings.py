@@ -33,7 +33,6 @@ class Surroundings:
         How the candidates' skylines are made; goes with ``terrain``.
     peaks : Peaks, optional
         Names to put to summits.
-    curvature : Curvature
     """
 
     frame: Frame

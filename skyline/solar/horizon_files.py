@@ -21,7 +21,6 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
 
     Parameters
     ----------
-    horizons : LocalHorizons
     path : Path
         ``.csv`` and ``.json`` hold any number of places; ``.txt`` (the horizon file of PVGIS:
         elevation angles clockwise from north, one a line, none below 0) and ``.png``, ``.svg`` and

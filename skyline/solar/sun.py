@@ -30,7 +30,6 @@ def sun_above(
         The horizon by azimuths from true north, increasing.
     eye : (float, float, float)
         Longitude and latitude in degrees, metres above the sea.
-    day : date
 
     Returns
     -------

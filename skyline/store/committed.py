@@ -30,7 +30,6 @@ class CommittedRows:
 
     Attributes
     ----------
-    header : StoreHeader
     count : int
         Number of complete rows when it was opened.
     """

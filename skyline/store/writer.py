@@ -200,7 +200,6 @@ def create_store(
     ----------
     path : path-like
         Its folder must exist.
-    header : StoreHeader
     overwrite : bool
         Replace a file that is there already.
 
@@ -234,7 +233,6 @@ def open_for_append(path: str | os.PathLike[str], header: StoreHeader) -> StoreW
 
     Parameters
     ----------
-    path : path-like
     header : StoreHeader
         What the new rows are built from and how. What it holds, the frame, DEM digest, config,
         width, number of keypoints and coding must equal the store's; its other fields are kept.

@@ -24,7 +24,6 @@ class Blocks:
 
     Attributes
     ----------
-    frame : Frame
     west_m, north_m, spacing_east_m, spacing_north_m : float
         Of the samples, as `HeightField` has them.
     highest_m : (R, C) float32

@@ -124,7 +124,6 @@ def read_dem(
         Rasters of one band, virtual rasters and STAC items among them; ``https://`` addresses of
         the same; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a grid; where
         they overlap the first named gives the height, what none covers is a hole.
-    options : DemOptions
 
     Returns
     -------
@@ -211,7 +210,6 @@ class _Raster:
     ----------
     source : str
         What errors call it.
-    crs : CRS
     grid : Grid
         In the units of the CRS.
     files : tuple of str
@@ -292,7 +290,6 @@ def clean(
         What errors and warnings call it.
     spacing_m : float
         The coarser of the two sample spacings, metres on the ground.
-    options : DemOptions
 
     Returns
     -------

@@ -71,8 +71,6 @@ class HeightField:
         Easting of column 0 and northing of row 0, at the samples (pixel centres).
     spacing_east_m, spacing_north_m : float
         Distance between neighbouring samples.
-    frame : Frame
-    provenance : Provenance
     """
 
     heights_m: NDArray[np.floating]
@@ -137,7 +135,6 @@ class HeightField:
         ----------
         dataset : rasterio dataset
             Open to read, of one band: a file, a `MemoryFile`, a `WarpedVRT`.
-        options : DemOptions, optional
 
         Returns
         -------
@@ -168,7 +165,6 @@ class HeightField:
             dimensions have one entry. The CRS is that of its grid mapping (CF, as rioxarray
             writes it), else ``options.crs``. ``_FillValue``, ``missing_value``, ``scale_factor``,
             ``add_offset`` and ``units`` among its attributes are heeded.
-        options : DemOptions, optional
 
         Returns
         -------

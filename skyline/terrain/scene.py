@@ -25,7 +25,6 @@ class CoarserStep:
 
     Attributes
     ----------
-    step : int
     deviation_m : float
         How far it is from the full surface at most in a block of `BLOCK_CELLS` cells, the median.
     share : float
@@ -51,7 +50,6 @@ class SceneNeeds:
         Distance beyond which not even the highest sample rises over the dip horizon.
     beyond_sight : float
         Share of the samples that lie farther.
-    steps : tuple of CoarserStep
     """
 
     data_reach_m: float
@@ -72,12 +70,10 @@ def scene_needs(
 
     Parameters
     ----------
-    field : HeightField
     eye : Viewpoints
         One viewpoint.
     width : int
         Columns W, which px are of.
-    tolerance_px : float
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
 
@@ -122,7 +118,6 @@ def coarser_deviation_m(field: HeightField, step: int) -> Float64Array:
 
     Parameters
     ----------
-    field : HeightField
     step : int
         2, 4, 8 or 16.
 

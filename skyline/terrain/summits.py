@@ -60,10 +60,8 @@ def keep_summits(
     ----------
     warped_m : (rows, cols) float32
         On ``target``.
-    target : Grid
     heights_m : (rows, cols) float32
         The source's, on ``grid``.
-    grid : Grid
     to_target : Transformer
         From the source's CRS to the target's.
     """

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -62,29 +63,14 @@ def read_surface(
 
         highest = maximum_filter(np.nan_to_num(above_m, nan=-np.inf), wide)
         above_m = np.where(np.isinf(highest), np.nan, highest)
-    rise = HeightField(
-        above_m,
-        paths.west_m,
-        paths.north_m,
-        paths.spacing_east_m,
-        paths.spacing_north_m,
-        paths.frame,
-    )
+    rise = replace(paths, heights_m=above_m)
     heights_m = np.empty_like(terrain.heights_m)
     for rows in strips(heights_m):
         over_m = rise.height_at(*_samples(terrain, rows, paths))
         over_m = np.where(np.isnan(over_m), UNKNOWN_M, np.maximum(over_m, 0.0))
         heights_m[rows] = terrain.heights_m[rows] + over_m
     heights_m.setflags(write=False)
-    return HeightField(
-        heights_m,
-        terrain.west_m,
-        terrain.north_m,
-        terrain.spacing_east_m,
-        terrain.spacing_north_m,
-        terrain.frame,
-        paths.provenance,
-    )
+    return replace(terrain, heights_m=heights_m, provenance=paths.provenance)
 
 
 def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:

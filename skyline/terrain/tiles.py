@@ -99,7 +99,6 @@ class Tile:
     ----------
     source : str
         What rasterio opens: an absolute path, or a GDAL name such as ``netcdf:/data/t.nc:dem``.
-    crs : CRS
     grid : Grid
         North-up, whichever way the file runs.
     flip_rows, flip_cols : bool

@@ -88,12 +88,10 @@ class Warp:
     ----------
     heights_m : (rows, cols) float32
         On ``grid``, in the units of ``crs``; NaN marks holes.
-    grid : Grid
     crs : CRS
         The source's.
     frame : Frame
         The target's.
-    spacing_m : float
 
     Attributes
     ----------

@@ -31,7 +31,6 @@ class Given:
 
     Attributes
     ----------
-    store : Path
     dem : tuple of str
         Where the store's DEM lies now; empty where it lies where it lay.
     photos : tuple of Path

@@ -35,10 +35,8 @@ class Guard:
 
     Parameters
     ----------
-    app : ASGI application
     host : str
         What the server listens on.
-    port : int
     """
 
     def __init__(self, app: App, host: str, port: int) -> None:

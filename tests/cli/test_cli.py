@@ -20,6 +20,7 @@ from skyline.pipeline.places import build_store
 from skyline.store import open_store
 from skyline_bench.truth import oracle
 
+LISTED = {path.split(".")[1]: about for some in COMMANDS.values() for path, about in some.items()}
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
@@ -223,7 +224,7 @@ def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(run, dem, tmp
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(places.PlaceRows, "at_a_time", 512)
+        patch.setattr(places, "PLACES_AT_A_TIME", 512)
         patch.setattr(
             build_cli,
             "build_store",

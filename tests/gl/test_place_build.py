@@ -54,7 +54,7 @@ def test_places_are_what_was_rendered(terrain, built):
 
 def test_an_interrupted_build_goes_on(terrain, built, tmp_path, monkeypatch):
     path = tmp_path / "s.h5"
-    monkeypatch.setattr(places.PlaceRows, "at_a_time", 500)
+    monkeypatch.setattr(places, "PLACES_AT_A_TIME", 500)
 
     def stop(done, _total):
         if done >= 1000:

@@ -196,7 +196,7 @@ def die_once(flag, work, shard):
             Path(flag).write_text(str(writer.committed))
             os.kill(os.getpid(), signal.SIGKILL)
 
-    build.ViewRows.at_a_time = 9
+    build.VIEWPOINTS_AT_A_TIME = 9
     StoreWriter.append = append_and_die
     return work(shard)
 

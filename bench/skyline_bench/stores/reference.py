@@ -18,7 +18,7 @@ from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline.build import BuildResult, render_missing
 from skyline.pipeline.config import PlaceConfig, RenderConfig, store_header
 from skyline.pipeline.layout import DEFAULT_LOSS, Layout
-from skyline.pipeline.places import PlaceRows, build_store, place_renderer
+from skyline.pipeline.places import build_store, place_renderer, place_rows
 from skyline.pipeline.planned import build_planned
 from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
 from skyline.store import open_store
@@ -198,7 +198,7 @@ def _render_places(
     config = PlaceConfig()
     renderer = place_renderer(terrain, config)
     header = store_header(terrain, renderer.description, config, {"planner": "viewpoints"})
-    with PlaceRows(renderer, header, tolerance) as rows:
+    with place_rows(renderer, header, tolerance) as rows:
         return render_missing(path, rows, viewpoints)
 
 

@@ -66,7 +66,6 @@ class CandidateMap:
 
     Attributes
     ----------
-    field : HeightField
     grid : CandidateGrid
         Valid where an eye can stand off the holes and off the map's border.
     easting_m : (cols,) float64
@@ -76,7 +75,6 @@ class CandidateMap:
         Which square of the coarse grid a candidate lies in.
     coarse : (N,) int64
         The valid candidates on the coarse grid.
-    eye_height_m : float
     """
 
     field: HeightField

@@ -190,7 +190,6 @@ class Problem:
     ----------
     coverage : Coverage
         Kept up to date by whoever drives the strategy; strategies of one heading may share it.
-    model : AreaModel
     threshold_px : float
         A location is in a tolerance area when its reprojection error is at most this.
     target : float

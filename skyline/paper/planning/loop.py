@@ -61,9 +61,6 @@ def plan(
 
     Parameters
     ----------
-    terrain : HeightField
-    oracles : Oracles
-    config : PlanConfig, optional
     bounds_m : tuple, optional
         West, south, east, north of the area, by default all of the terrain.
     rendered : Views, optional

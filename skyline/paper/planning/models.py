@@ -39,7 +39,6 @@ class InterpolatedModel:
 
     Parameters
     ----------
-    candidates : CandidateMap
     nearest : int
         How many views an error is interpolated from.
     """
@@ -99,10 +98,6 @@ class PredictedModel:
 
     Parameters
     ----------
-    candidates : CandidateMap
-    heading : int
-    predict : Predict
-    measure : Measure
     archive : Archive
         The views rendered in all headings.
     """

@@ -35,13 +35,10 @@ class PlanConfig:
     ----------
     strategy : str
         A name of `skyline.paper.planning.strategies.STRATEGIES`.
-    spacing : Spacing
     threshold_px : float
         A location is covered where some view's skyline is predicted within this.
     coverage : float
         Share of the candidates to cover in each heading, in (0, 1].
-    eye_height_m : float
-    seed : int
     budget : int, optional
         At most so many renderings, and nearly as many where the terrain allows it: the threshold
         is raised, or lowered as far as ``threshold_px``, to what they can cover.
@@ -74,7 +71,6 @@ class Oracles:
 
     Attributes
     ----------
-    render : Render
     measure : Measure
         Tolerance areas of rendered and of predicted views.
     predict : Predict, optional
@@ -99,7 +95,6 @@ class PlanProgress:
         Views so far, those handed in at the start included.
     overlap : int
         Inclusions in tolerance areas less covered candidates, over all headings.
-    renderings_per_s : float
     batches : int
         So far.
     """
@@ -117,7 +112,6 @@ class Plan:
 
     Attributes
     ----------
-    candidates : CandidateMap
     coverages : tuple of Coverage
         One a heading: its viewpoints and their tolerance areas.
     threshold_px : float

@@ -47,7 +47,6 @@ def predict(stored: Views, source: NDArray[np.integer], targets: Viewpoints) -> 
 
     Parameters
     ----------
-    stored : Views
     source : (M,) int
         The stored view that each prediction is made from; it gives the heading.
     targets : Viewpoints
@@ -161,8 +160,6 @@ def polylines(views: Views, view: int, sides: IntArray, reach_m: float) -> Polyl
 
     Parameters
     ----------
-    views : Views
-    view : int
     sides : (2,) int
         The views to its left and right; see `flanks`.
     reach_m : float
@@ -201,7 +198,6 @@ def seen_from(
 
     Parameters
     ----------
-    lines : Polylines
     displacements_m : (C, 3) floating
         Right, up, forward; an eye with a NaN sees nothing.
     columns : int

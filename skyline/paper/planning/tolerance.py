@@ -61,7 +61,6 @@ class ToleranceMeter:
     ----------
     ground : callable
         Heights at map coordinates: `HeightField.height_at`.
-    neighbourhood : Neighbourhood
     predictor : Reprojection
         The paper's by default.
     eye_height_m : float

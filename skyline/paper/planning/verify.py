@@ -29,7 +29,6 @@ class Verification:
         Of the sample, within the threshold of some stored view after the best affine warp.
     low, high : float
         95 % interval of the share (Wilson).
-    sampled : int
     predicted : float
         The coverage the plan predicts.
     """
@@ -52,10 +51,8 @@ class Checks:
 
     Attributes
     ----------
-    render : Render
     stored : Render
         Returns stored views at viewpoints along headings, in any order.
-    errors : TrueErrors
     """
 
     render: Render
