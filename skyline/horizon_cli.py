@@ -43,8 +43,7 @@ def horizon(
     dem: Dems,
     at: At = None,
     points: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="Places as CSV: lon,lat[,eye_height_m]."),
+        Path | None, typer.Option(metavar="FILE.csv", help="Places as CSV: lon,lat[,eye_height_m].")
     ] = None,
     eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
     step_deg: Annotated[

@@ -16,7 +16,7 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
+from skyline.errors import InputError, StoreError
 from skyline.store.coding import RowCoding
 from skyline.store.digest import row_checksums
 from skyline.store.explain import explained
@@ -27,8 +27,8 @@ from skyline.store.header import (
     check_holds,
 )
 from skyline.store.integrity import Damage, whole_rows
-from skyline.store.lock import complete_or_absent, writer_lock
-from skyline.store.mismatch import differences
+from skyline.store.lock import complete_or_absent, new_store
+from skyline.store.mismatch import refuse_mismatch
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns, stored_rows, views_of
 from skyline.store.writer import block_rows, write_rows
@@ -79,7 +79,13 @@ def merge_stores(
         raise InputError("no stores to merge; name one or more")
     stores = [_looked_at(path) for path in paths]
     for store in stores[1:]:
-        _refuse_mismatch(stores[0], store)
+        one, other = stores[0].path, store.path
+        refuse_mismatch(
+            (stores[0].header, f"in {one.name}"),
+            (store.header, f"in {other.name}"),
+            f"stores {one} and {other} were built otherwise",
+            "merge stores of one DEM and configuration",
+        )
     return _copy(stores, _joint_header(stores), Path(out))
 
 
@@ -141,18 +147,6 @@ def _looked_at(path: str | os.PathLike[str]) -> Store:
     """Return a store that is closed again: there may be more of them than files can be open."""
     with open_store(path) as store:
         return store
-
-
-def _refuse_mismatch(one: Store, other: Store) -> None:
-    said = [
-        f"{name} is {was!r} in {one.path.name}, {now!r} in {other.path.name}"
-        for name, was, now in differences(one.header, other.header)
-    ]
-    if said:
-        raise StoreMismatchError(
-            f"stores {one.path} and {other.path} were built otherwise: {'; '.join(said)}; "
-            "merge stores of one DEM and configuration"
-        )
 
 
 def _joint_header(stores: Sequence[Store]) -> StoreHeader:
@@ -245,15 +239,5 @@ def _chosen(rows: NDArray[np.void], header: StoreHeader) -> NDArray[np.intp]:
 def _new_file(out: Path) -> Iterator[Path]:
     """Yield a name for a new store, which takes the name ``out`` when it is complete."""
     out = out.resolve()
-    if not out.parent.is_dir():
-        raise MissingFileError(
-            f"store {out} cannot be created: folder {out.parent} does not exist; make it first"
-        )
-    with writer_lock(out):
-        if out.exists():
-            raise StoreError(
-                f"store {out} cannot be created: it exists already; remove it, or choose another "
-                "name"
-            )
-        with complete_or_absent(out) as partial:
-            yield partial
+    with new_store(out, "remove it, or choose another name"), complete_or_absent(out) as partial:
+        yield partial

@@ -14,9 +14,7 @@ import h5py
 import numpy as np
 
 from skyline.errors import (
-    MissingFileError,
     StoreError,
-    StoreMismatchError,
 )
 from skyline.places import Places
 from skyline.store.digest import row_checksums
@@ -29,8 +27,8 @@ from skyline.store.header import (
     check_holds,
 )
 from skyline.store.layout import open_to_write, write_empty
-from skyline.store.lock import complete_or_absent, writer_lock
-from skyline.store.mismatch import differences
+from skyline.store.lock import complete_or_absent, new_store, writer_lock
+from skyline.store.mismatch import refuse_mismatch
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns, stored_places, stored_rows
 from skyline.views import Views
@@ -211,17 +209,9 @@ def create_store(
         The file exists, is being written by another process, or the folder is not writable.
     """
     path = Path(path).resolve()
-    if not path.parent.is_dir():
-        raise MissingFileError(
-            f"store {path} cannot be created: folder {path.parent} does not exist; make it first"
-        )
+    advice = "resume it by opening it for append, remove it, or choose another name"
     with ExitStack() as resources:
-        resources.enter_context(writer_lock(path))
-        if path.is_dir() or (path.exists() and not overwrite):
-            raise StoreError(
-                f"store {path} cannot be created: it exists already; resume it by opening it for "
-                "append, remove it, or choose another name"
-            )
+        resources.enter_context(new_store(path, advice, overwrite=overwrite))
         with complete_or_absent(path) as partial:
             write_empty(partial, header)
         file = resources.enter_context(open_to_write(path, header))
@@ -252,24 +242,17 @@ def open_for_append(path: str | os.PathLike[str], header: StoreHeader) -> StoreW
         resources.enter_context(writer_lock(path))
         with open_store(path) as store:
             stored = store.header
-            _refuse_mismatch(path, stored, header)
+            refuse_mismatch(
+                (stored, "there"),
+                (header, "here"),
+                f"store {path} was built otherwise",
+                "repeat its settings or write to another file",
+            )
             if store.in_use:  # by nobody, since the lock was free
                 _log.warning("store %s: its writer was killed; keeping %d rows", path, len(store))
                 _rewrite(path, store)
         file = resources.enter_context(open_to_write(path, stored))
         return StoreWriter(path, stored, file, resources.pop_all())
-
-
-def _refuse_mismatch(path: Path, stored: StoreHeader, wanted: StoreHeader) -> None:
-    """Raise `StoreMismatchError` where rows of ``wanted`` do not belong into the store."""
-    said = [
-        f"{name} is {was!r} there, {now!r} here" for name, was, now in differences(stored, wanted)
-    ]
-    if said:
-        raise StoreMismatchError(
-            f"store {path} was built otherwise: {'; '.join(said)}; "
-            "repeat its settings or write to another file"
-        )
 
 
 def amend_config(path: str | os.PathLike[str], settings: Mapping[str, object]) -> None:
