@@ -59,17 +59,14 @@ class DegreeTile:
 class TileSource:
     """A template of addresses.
 
+    Raises `InputError` for what is no http(s) address, or a field that is none of these.
+
     Attributes
     ----------
     template : str
         An http or https address. ``{lat}``, ``{lon}`` are the whole degrees, without sign, of a
         tile's south-west corner, ``{ns}``, ``{ew}`` its hemispheres (N or S, E or W); numbers take
         a format, as in ``{lat:02d}``. Without any of them the address is one file over all.
-
-    Raises
-    ------
-    InputError
-        Not an http(s) address, or a field that is none of these.
     """
 
     template: str
@@ -111,10 +108,8 @@ class TileSource:
     def tiles(self, bounds_deg: Bounds) -> list[DegreeTile]:
         """Return the tiles that bounds need, from the south-west, row by row.
 
-        Raises
-        ------
-        InputError
-            Bounds that are not numbers in order, or that need more than `MAX_TILES`.
+        Raises `InputError` for bounds that are not numbers in order, or that need more than
+        `MAX_TILES`.
         """
         west, south, east, north = check_bounds(bounds_deg)
         if not self.tiled:

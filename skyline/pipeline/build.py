@@ -123,10 +123,8 @@ def render_missing(
 ) -> BuildResult:
     """Render what a store lacks of some work; the store is made where there is none.
 
-    Raises
-    ------
-    StoreMismatchError
-        The store at ``path`` was built from another DEM or with another configuration.
+    Raises `StoreMismatchError` where the store at ``path`` was built from another DEM or with
+    another configuration.
     """
     if not Path(path).exists():
         with create_store(path, rows.header) as writer:

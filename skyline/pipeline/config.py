@@ -109,10 +109,7 @@ def store_header(
 def read_dem_of(header: StoreHeader, paths: Sequence[str | Path] = ()) -> HeightField:
     """Read the DEM a store was built from, as it was read then.
 
-    Parameters
-    ----------
-    paths : sequence of paths, optional
-        Where the DEM lies now; by default where it lay.
+    ``paths`` say where it lies now; by default where it lay.
 
     Raises
     ------
@@ -139,10 +136,7 @@ def check_dem(header: StoreHeader, terrain: HeightField) -> None:
 def curvature_of(header: StoreHeader) -> Curvature:
     """Return the curvature a store was rendered with; the default where it does not say.
 
-    Raises
-    ------
-    StoreError
-        It says what is no curvature.
+    Raises `StoreError` where it says what is no curvature.
     """
     stored = header.config.get("curvature")
     if not isinstance(stored, dict):

@@ -52,11 +52,8 @@ def rows_of(terrain: HeightField, config: BuildConfig, layout: Layout) -> RowRen
     A place of a grid stands for half the spacing around it; places that are planned lose no more
     than a share of the views.
 
-    Raises
-    ------
-    InputError
-        A loss outside (0, 1), or less than the densest places would lose, or an area of holes;
-        renderings without a spacing.
+    Raises `InputError` for a loss outside (0, 1), or less than the densest places would lose, or an
+    area of holes; renderings without a spacing.
     """
     spacing_m = layout.spacing_m
     if isinstance(config, RenderConfig):

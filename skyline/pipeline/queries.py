@@ -101,15 +101,13 @@ def listed(paths: Iterable[Path], one: Query) -> Iterator[Query]:
     whose header begins with ``path``. Paths count from the list's folder, and what a row leaves
     empty is as for all.
 
+    Raises `InputError` for a list with a column that is not known, or a value that is none; a
+    folder without pictures.
+
     Parameters
     ----------
     one : Query
         What is known of all; its path is not used.
-
-    Raises
-    ------
-    InputError
-        A list with a column that is not known, or a value that is none; a folder without pictures.
     """
     for path in _expanded(paths):
         rows = _rows(path) if path.suffix.lower() == ".csv" and path.is_file() else None

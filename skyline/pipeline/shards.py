@@ -123,10 +123,7 @@ def _build(folder: Path, rows: RowRenderer[Any], shard: Shard) -> BuildResult:
 def cut_into_shards(work: Viewpoints | Blocks, tile_m: float) -> list[Shard]:
     """Cut work into squares, from the north-west row by row; what is in one keeps its order.
 
-    Raises
-    ------
-    InputError
-        A size that is not positive.
+    Raises `InputError` for a size that is not positive.
     """
     if not (np.isfinite(tile_m) and tile_m > 0.0):
         raise InputError(f"tile size is {tile_m} m; expected a positive number of metres")

@@ -207,10 +207,7 @@ def release_context() -> None:
 
     Runs by itself when the process exits. A later `acquire_context` makes a new context.
 
-    Raises
-    ------
-    ContextError
-        The context belongs to another thread that still lives.
+    Raises `ContextError` where the context belongs to another thread that still lives.
     """
     _shared.release()
 
@@ -225,10 +222,7 @@ def _release_at_exit() -> None:
 def describe_context() -> dict[str, str | bool | list[str]]:
     """Return what was chosen and why, ready to print or for JSON; makes the context if needed.
 
-    Raises
-    ------
-    ContextError, InputError
-        As `acquire_context`.
+    Raises as `acquire_context`.
     """
     context = acquire_context()
     return {

@@ -106,10 +106,7 @@ class EglDisplay:
 class Egl:
     """The EGL library.
 
-    Raises
-    ------
-    ContextError
-        The library cannot be loaded.
+    Raises `ContextError` where the library cannot be loaded.
     """
 
     def __init__(self) -> None:
@@ -199,10 +196,8 @@ class EglContext:
 
     The display is never terminated: EGL shares it with every other user in the process.
 
-    Raises
-    ------
-    ContextError
-        The display, or a context of OpenGL 3.3 or newer on it, cannot be had.
+    Raises `ContextError` where the display, or a context of OpenGL 3.3 or newer on it, cannot be
+    had.
     """
 
     def __init__(self, egl: Egl, display: EglDisplay) -> None:
@@ -272,10 +267,8 @@ class EglContext:
 class OsMesaContext:
     """A core-profile context of Mesa's off-screen library, current once made.
 
-    Raises
-    ------
-    ContextError
-        The library cannot be loaded, or has no core profile of OpenGL 3.3 or newer.
+    Raises `ContextError` where the library cannot be loaded, or has no core profile of OpenGL 3.3
+    or newer.
     """
 
     def __init__(self) -> None:

@@ -166,10 +166,7 @@ def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
 def upload(ctx: moderngl.Context, values: NDArray[np.generic], dtype: str) -> moderngl.Texture:
     """Upload (rows, columns, components), columns padded to a pitch that is no power of two.
 
-    Raises
-    ------
-    ContextError
-        OpenGL refuses the texture. Without this check the texture would read as zeros.
+    Raises `ContextError` where OpenGL refuses the texture, which would read as zeros.
     """
     columns = (-(-values.shape[1] // _TEXELS_A_LINE) | 1) * _TEXELS_A_LINE
     padded = np.zeros((values.shape[0], columns, values.shape[2]), values.dtype)

@@ -71,6 +71,8 @@ class Landscape:
     ) -> Self:
         """Look at the terrain.
 
+        Raises `OffMapError` where the place is off the map or on a hole.
+
         Parameters
         ----------
         place_m : (float, float)
@@ -81,11 +83,6 @@ class Landscape:
             From true north, in equal steps, at least two.
         curvature : Curvature, optional
             Defaults to the Earth's with k = 0.13.
-
-        Raises
-        ------
-        OffMapError
-            The place is off the map or on a hole.
         """
         near_m, *farther_m = (samples * blocks.spacing_m for samples in _RINGS_SAMPLES)
         from_m = np.hypot(*blocks.around_m(*place_m)) - blocks.radius_m

@@ -72,17 +72,15 @@ class Results(Protocol):
 def open_results(path: Path, search: str) -> tuple[Results, set[str]]:
     """Open a file of results, which is made if need be; return it and the queries it has.
 
+    Raises `InputError` for another suffix, a file that is none or of another search, or one that
+    cannot be written.
+
     Parameters
     ----------
     path : Path
         Its suffix is ``.csv`` or ``.gpkg``.
     search : str
         What tells searches apart: a file holds the results of one.
-
-    Raises
-    ------
-    InputError
-        Another suffix, a file that is none or of another search, or one that cannot be written.
     """
     kind = RESULTS.get(path.suffix.lower())
     if kind is None:

@@ -56,11 +56,6 @@ def visible_peaks(
     """Return the peaks one eye sees, highest above the datum first.
 
     Peaks off the terrain are left out, since nothing says what hides them.
-
-    Parameters
-    ----------
-    eye : Viewpoints
-        One.
     """
     seen = [
         sighting

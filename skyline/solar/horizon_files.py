@@ -19,17 +19,15 @@ _HEADER = "lon,lat,azimuth_deg,elevation_deg,distance_m"
 def write_horizons(horizons: LocalHorizons, path: Path) -> None:
     """Write horizons to a file of the kind that its suffix says.
 
+    Raises `InputError` for another suffix, several places in a file for one, or a file that cannot
+    be written.
+
     Parameters
     ----------
     path : Path
         ``.csv`` and ``.json`` hold any number of places; ``.txt`` (the horizon file of PVGIS:
         elevation angles clockwise from north, one a line, none below 0) and ``.png``, ``.svg`` and
         ``.pdf`` (a polar plot) hold one.
-
-    Raises
-    ------
-    InputError
-        Another suffix, several places in a file for one, or a file that cannot be written.
     """
     write_whole(path, named("the kind of file", path.suffix.lower(), _KINDS)(horizons, path))
 

@@ -123,10 +123,7 @@ def compact_store(
 def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> CopyReport:
     """Write the undamaged rows of a store into a new one, in their order.
 
-    Raises
-    ------
-    StoreError
-        Nothing can be saved, or the new store cannot be written or exists.
+    Raises `StoreError` where nothing can be saved, or the new store cannot be written or exists.
     """
     damage: list[Damage] = []
     kept = 0

@@ -282,6 +282,8 @@ def clean(
 ) -> tuple[int, int, int, int]:
     """Void what is fill, remove spikes and fill small voids, in place, as `read_dem` does.
 
+    Raises `InputError` where there is no height at all.
+
     Parameters
     ----------
     heights : (rows, cols) float32
@@ -295,11 +297,6 @@ def clean(
     -------
     filled, hollow, despiked, undeclared : int
         As `Provenance` counts them.
-
-    Raises
-    ------
-    InputError
-        No height at all.
     """
     if not any(np.isfinite(heights[rows]).any() for rows in strips(heights)):
         raise InputError(

@@ -25,10 +25,8 @@ _log = logging.getLogger(__name__)
 def mosaic_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
     """Return the common grid of tiles and the row and column each one's first sample has on it.
 
-    Raises
-    ------
-    InputError
-        Tiles of different CRS or spacing, off the first one's grid, or too far apart.
+    Raises `InputError` for tiles of different CRS or spacing, off the first one's grid, or too far
+    apart.
     """
     first = tiles[0]
     offsets = []

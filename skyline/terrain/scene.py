@@ -68,6 +68,8 @@ def scene_needs(
 ) -> SceneNeeds:
     """Return what the skyline of one viewpoint needs.
 
+    Raises `InputError` for any number of viewpoints but one.
+
     Parameters
     ----------
     eye : Viewpoints
@@ -76,11 +78,6 @@ def scene_needs(
         Columns W, which px are of.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
-
-    Raises
-    ------
-    InputError
-        Not exactly one viewpoint.
     """
     if len(eye) != 1:
         raise InputError(f"{len(eye)} viewpoints given; expected one")

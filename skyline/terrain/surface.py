@@ -27,6 +27,9 @@ def read_surface(
 ) -> HeightField:
     """Read a surface or canopy model as an upper bound for what stands on a terrain.
 
+    Raises `InputError` where the model is not over the terrain, or its heights have another datum;
+    or as `read_dem`.
+
     Parameters
     ----------
     paths : path, paths or HeightField
@@ -41,11 +44,6 @@ def read_surface(
     HeightField
         On the terrain's samples, nowhere lower: the ground and the greatest height above the ground
         that the model has within a sample's distance, or 40 m where the model has none.
-
-    Raises
-    ------
-    InputError
-        The model is not over the terrain, or its heights have another datum; or as `read_dem`.
     """
     if not isinstance(paths, HeightField):
         crs = DemOptions.from_json(terrain.provenance.options).crs

@@ -264,10 +264,7 @@ def crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
 def grid_of(source: str, transform: Affine, shape: tuple[int, int]) -> tuple[Grid, bool, bool]:
     """Return the north-up grid of a raster, and whether its rows and its columns are flipped.
 
-    Raises
-    ------
-    InputError
-        No georeference, or a rotated grid.
+    Raises `InputError` for a raster without a georeference, or with a rotated grid.
     """
     if transform.is_identity:
         raise InputError(

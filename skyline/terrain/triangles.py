@@ -41,10 +41,7 @@ class Triangles:
     def entries(self, north: bool, east: bool) -> BoolArray:
         """Return the samples of edges by which a ray may come upon the surface, (rows, cols).
 
-        Parameters
-        ----------
-        north, east : bool
-            Whether the ray goes north rather than south, and east rather than west.
+        ``north`` and ``east`` say that the ray goes there rather than south and west.
         """
         north_east, south_west = self.north_east, self.south_west
         # By edges along rows, along columns, and diagonals: the triangles to either side.

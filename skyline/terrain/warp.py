@@ -84,6 +84,8 @@ class Warp:
     A target sample whose nearest source sample is a hole is a hole; one that has a hole among its
     4 x 4 source samples but not nearest is interpolated bilinearly from those that are known.
 
+    Raises `InputError` for a source CRS that cannot be transformed, or a target too large.
+
     Parameters
     ----------
     heights_m : (rows, cols) float32
@@ -97,11 +99,6 @@ class Warp:
     ----------
     target : Grid
         In metres of the frame.
-
-    Raises
-    ------
-    InputError
-        A source CRS that cannot be transformed, or a target too large.
     """
 
     def __init__(

@@ -11,7 +11,6 @@ import numpy as np
 
 from skyline import (
     Matcher,
-    Peaks,
     ReliefTiles,
     RenderThread,
     SkylineError,
@@ -48,10 +47,7 @@ class Given:
 class Engine:
     """A store, opened for many people at a time.
 
-    Raises
-    ------
-    SkylineError
-        The store, its DEM or the gazetteer cannot be used.
+    Raises `SkylineError` where the store, its DEM or the gazetteer cannot be used.
     """
 
     def __init__(self, given: Given) -> None:
@@ -60,8 +56,8 @@ class Engine:
         try:
             self.matcher = Matcher(given.store, given.dem or None, render_thread=self.thread)
             peaks = given.peaks and read_peaks(given.peaks, self.matcher.frame)
-            self.viewer = self._viewer(peaks or None)
             terrain = self.matcher.terrain
+            self.viewer = None if terrain is None else Viewer(self.matcher, peaks or None)
             self.relief = None if terrain is None else ReliefTiles(terrain)
         except SkylineError:
             self.thread.close()
@@ -70,9 +66,6 @@ class Engine:
             name: ThreadPoolExecutor(count, thread_name_prefix=name)
             for name, count in _WORKERS.items()
         }
-
-    def _viewer(self, peaks: Peaks | None) -> Viewer | None:
-        return None if self.matcher.terrain is None else Viewer(self.matcher, peaks)
 
     async def work(self, kind: str, task: Callable[..., T], *arguments: Any) -> T:
         """Run a task on one of the threads for its kind of work."""

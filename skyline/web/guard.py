@@ -33,10 +33,7 @@ _POLICY = {
 class Guard:
     """Refuses requests under a foreign host or from a foreign origin.
 
-    Parameters
-    ----------
-    host : str
-        What the server listens on.
+    ``host`` and ``port`` are what the server listens on.
     """
 
     def __init__(self, app: App, host: str, port: int) -> None:

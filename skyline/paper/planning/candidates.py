@@ -18,6 +18,8 @@ _MOST_CANDIDATES = 20_000_000
 class Spacing:
     """Distances between viewpoints, metres.
 
+    Raises `InputError` for distances that are not positive or do not fit each other.
+
     Attributes
     ----------
     coarse_m : float
@@ -26,11 +28,6 @@ class Spacing:
         Of the candidates.
     reach_m : float
         How far a tolerance area may extend from its view.
-
-    Raises
-    ------
-    InputError
-        Distances that are not positive or do not fit each other.
     """
 
     coarse_m: float = 1000.0
@@ -99,10 +96,7 @@ def lay_out(
 ) -> CandidateMap:
     """Lay candidates over an area.
 
-    Raises
-    ------
-    InputError
-        A spacing larger than the area, or an area wholly in holes.
+    Raises `InputError` for a spacing larger than the area, or an area wholly in holes.
     """
     west, south, east, north = bounds_m or field.bounds_m
     if spacing.coarse_m > max(east - west, north - south):

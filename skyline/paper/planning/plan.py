@@ -31,6 +31,9 @@ Place = tuple[float, float, int]
 class PlanConfig:
     """What to plan.
 
+    Raises `InputError` for a strategy that is not known, a coverage outside (0, 1], a threshold
+    that is not positive, or a budget that does not suffice for one location.
+
     Attributes
     ----------
     strategy : str
@@ -42,12 +45,6 @@ class PlanConfig:
     budget : int, optional
         At most so many renderings, and nearly as many where the terrain allows it: the threshold
         is raised, or lowered as far as ``threshold_px``, to what they can cover.
-
-    Raises
-    ------
-    InputError
-        No such strategy, a coverage outside (0, 1], a threshold that is not positive, or a budget
-        that does not suffice for one location.
     """
 
     strategy: str = "lpov"
@@ -153,10 +150,7 @@ def rows_by_place(views: Views) -> dict[Place, int]:
 def as_asked(views: Views, asked: list[Place]) -> Views:
     """Return views in the order they were asked for, some of them more than once perhaps.
 
-    Raises
-    ------
-    InputError
-        A view that was asked for is not there.
+    Raises `InputError` where a view that was asked for is not there.
     """
     row = rows_by_place(views)
     missing = [place for place in asked if place not in row]

@@ -45,6 +45,8 @@ def predict(stored: Views, source: NDArray[np.integer], targets: Viewpoints) -> 
 
     Stored views of the two neighbouring headings from the same eye add what they know.
 
+    Raises `InputError` for sources and targets that differ in number, or a source that is no row.
+
     Parameters
     ----------
     source : (M,) int
@@ -56,11 +58,6 @@ def predict(stored: Views, source: NDArray[np.integer], targets: Viewpoints) -> 
     -------
     Views
         M views in order. A column of which nothing is known is NaN and flagged `FLAG_NO_DATA`.
-
-    Raises
-    ------
-    InputError
-        Sources and targets that differ in number, or a source that is no row.
     """
     source = np.asarray(source)
     _check(stored, source, targets)

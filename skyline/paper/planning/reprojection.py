@@ -220,6 +220,8 @@ class Reprojection:
     def errors_px(self, views: Views, displacements_m: FloatArray) -> Float32Array:
         """Return reprojection errors of candidates.
 
+        Raises `InputError` for displacements of another shape.
+
         Parameters
         ----------
         views : Views
@@ -232,11 +234,6 @@ class Reprojection:
         (N, C) float32
             Mean distance in px (2 / W in v); inf where the view predicts nothing: no warp, too
             little of the skyline in frame, no eye.
-
-        Raises
-        ------
-        InputError
-            Displacements of another shape.
         """
         check_displacements(views, displacements_m)
         candidates = displacements_m.shape[1]

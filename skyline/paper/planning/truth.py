@@ -28,6 +28,8 @@ def true_errors_px(stored: Views, rendered: Views) -> Float32Array:
     The warp is bounded as `WarpFit` says; the distance is vertical, over the columns that land
     in frame, which must be half of them.
 
+    Raises `InputError` for views that differ in number, width or heading.
+
     Parameters
     ----------
     stored, rendered : Views
@@ -37,11 +39,6 @@ def true_errors_px(stored: Views, rendered: Views) -> Float32Array:
     -------
     (N,) float32
         Mean distance in px; inf where too few columns land in frame.
-
-    Raises
-    ------
-    InputError
-        Views that differ in number, width or heading.
     """
     if len(stored) != len(rendered) or stored.width != rendered.width:
         raise InputError(

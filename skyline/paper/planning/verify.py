@@ -68,10 +68,7 @@ def verify_coverage(
     A location that was rendered itself counts as any other. Of the views whose tolerance areas
     hold a location, up to four, the nearest, are tried.
 
-    Raises
-    ------
-    InputError
-        A sample below 1, or a plan that covers nothing.
+    Raises `InputError` for a sample below 1, or a plan that covers nothing.
     """
     heading, location = _draw(plan, sample)
     rendered = _views(checks.render, plan, location, heading)
