@@ -6,7 +6,9 @@ from typing import Annotated
 import typer
 
 from skyline.console import parse_bounds, progress_bar
-from skyline.fetch import SOURCES, HttpOptions, fetch_dem
+from skyline.fetch.remote import HttpOptions
+from skyline.fetch.sources import SOURCES
+from skyline.fetch.tiles import fetch_dem
 
 _HTTP = HttpOptions()
 

@@ -19,7 +19,7 @@ Facts = dict[str, object]
 def describe_terrain(field: HeightField) -> Facts:
     """Return the facts of a height field."""
     west, south, east, north = field.bounds_m
-    lon, lat = field.frame.to_lonlat([west, east, west, east], [south, south, north, north])
+    bounds_deg = field.frame.box_deg([west, east, west, east], [south, south, north, north])
     low, high = field.height_range_m
     centre = (west + east) / 2.0, (south + north) / 2.0
     return {
@@ -31,7 +31,7 @@ def describe_terrain(field: HeightField) -> Facts:
         "samples": f"{field.cols} x {field.rows}",
         "spacing_m": [field.spacing_east_m, field.spacing_north_m],
         "bounds_m": [west, south, east, north],
-        "bounds_deg": [float(v) for v in (lon.min(), lat.min(), lon.max(), lat.max())],
+        "bounds_deg": list(bounds_deg),
         "height_range_m": [low, high],
         "convergence_deg": float(field.frame.convergence_deg(*centre)),
         "filled": field.provenance.filled,
@@ -98,14 +98,13 @@ def describe_store(path: str) -> Facts:
             "schema_version": SCHEMA_VERSION,
         }
         if store.committed:
-            lon, lat = frame.to_lonlat(eyes.easting_m, eyes.northing_m)
             facts["locations"] = len(np.unique(eyes.easting_m + 1j * eyes.northing_m))
             if header.holds == PLACES:
                 spacing_m = 2.0 * np.concatenate(
                     [block.tolerance_m for block in store.places().blocks()]
                 )
                 facts["spacing_m"] = [float(v) for v in np.quantile(spacing_m, [0.0, 0.5, 1.0])]
-            facts["bounds_deg"] = [float(v) for v in (lon.min(), lat.min(), lon.max(), lat.max())]
+            facts["bounds_deg"] = list(frame.box_deg(eyes.easting_m, eyes.northing_m))
         return facts
 
 

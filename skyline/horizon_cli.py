@@ -21,7 +21,8 @@ from skyline.console import (
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizons_of
-from skyline.solar import SUFFIXES, LocalHorizons, horizon_csv, write_horizons
+from skyline.solar.horizon_files import SUFFIXES, horizon_csv, write_horizons
+from skyline.solar.local_horizons import LocalHorizons
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import read_surface

@@ -11,11 +11,10 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.horizons import Horizons
 from skyline.pipeline.jobs import Progress
-from skyline.pipeline.opened import Dem
 from skyline.render.panorama import PanoramaRenderer
-from skyline.solar import LocalHorizons
+from skyline.solar.local_horizons import LocalHorizons
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.surface import read_surface
+from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
 
 DEFAULT_STEP_DEG = 0.5

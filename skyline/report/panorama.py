@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import map_coordinates
 
 from skyline.arrays import Float64Array, UInt8Array
+from skyline.geodesy import degrees_in_words
 from skyline.report.labels import place_labels
 from skyline.report.landscape import Landscape
 from skyline.report.sightings import Sighting
@@ -316,7 +317,7 @@ def _title(view: PanoramaView) -> str:
     )
     ground_m = float(view.landscape.terrain.height_at(eye.easting_m, eye.northing_m)[0])
     return (
-        f"{abs(lat):.5f}° {'N' if lat >= 0 else 'S'}, {abs(lon):.5f}° {'E' if lon >= 0 else 'W'}, "
+        f"{degrees_in_words(lat, 'NS')}, {degrees_in_words(lon, 'EW')}, "
         f"{ground_m:.0f} m, seen from {eye.eye_elevation_m[0] - ground_m:.1f} m above ground; "
         "azimuths from true north"
         + ("; green: how far trees and houses may rise" if view.surface_deg is not None else "")

@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import rasterio
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from skyline.arrays import BoolArray, Float32Array
 from skyline.errors import InputError
 from skyline.files import is_file
-from skyline.geodesy import Frame, is_metric
+from skyline.geodesy import Frame, is_metric, parse_crs
 from skyline.terrain.blocks import Blocks
 from skyline.terrain.cleaning import (
     STEEPEST,
@@ -257,15 +256,7 @@ def _warp(
 
 
 def _parse_crs(text: str | None) -> CRS | None:
-    if text is None:
-        return None
-    try:
-        return CRS.from_user_input(text)
-    except CRSError as error:
-        raise InputError(
-            f"coordinate reference system {text!r} is not understood "
-            f"({' '.join(str(error).split())}); give an EPSG code such as EPSG:32632 or WKT"
-        ) from error
+    return None if text is None else parse_crs(text)
 
 
 def _check_kind(tile: Tile) -> None:

@@ -111,8 +111,7 @@ class HeightField:
 
     def _repr_html_(self) -> str:
         west, south, east, north = self.bounds_m
-        lon, lat = self.frame.to_lonlat([west, east, west, east], [south, south, north, north])
-        corners = (lon.min(), lat.min(), lon.max(), lat.max())
+        corners = self.frame.box_deg([west, east, west, east], [south, south, north, north])
         facts = self._facts() | {"W, S, E, N": ", ".join(f"{v:.4f}" for v in corners)}
         if not np.isnan(self.heights_m).all():
             facts["heights"] = "{:.0f} to {:.0f} m".format(*self.height_range_m)

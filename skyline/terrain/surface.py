@@ -22,9 +22,11 @@ _OFFSET_M = (-10.0, 60.0)
 """Median height of a surface above the ground, lowest and highest."""
 
 
-def read_surface(
-    paths: str | Path | Sequence[str | Path] | HeightField, terrain: HeightField
-) -> HeightField:
+Dem = str | Path | Sequence[str | Path] | HeightField
+"""A model's file, its tiles, or what was read of them."""
+
+
+def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
     """Read a surface or canopy model as an upper bound for what stands on a terrain.
 
     Raises `InputError` where the model is not over the terrain, or its heights have another datum;

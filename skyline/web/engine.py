@@ -75,12 +75,10 @@ class Engine:
     def about(self) -> dict[str, Any]:
         """Return what a page shows of the store."""
         eyes = self.matcher.viewpoints
-        lon, lat = self.matcher.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
-        area = [float(edge) for edge in (lon.min(), lat.min(), lon.max(), lat.max())]
         return {
             "store": self.given.store.name,
             "places": self.matcher.rows,
-            "area": area,
+            "area": list(self.matcher.frame.box_deg(eyes.easting_m, eyes.northing_m)),
             "terrain": self.relief and list(self.relief.bounds_deg),
             "rendering": self.viewer is not None,
             "peaks": self.given.peaks is not None,
