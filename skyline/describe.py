@@ -1,17 +1,19 @@
 """What a DEM, a store or a scene is, as facts to print or to parse."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from skyline.camera import pixel_size
 from skyline.geodesy import Frame
+from skyline.pipeline.build import render_views
 from skyline.pipeline.config import RenderConfig
 from skyline.store import StoreHeader, open_store
 from skyline.store.header import PLACES, SCHEMA_VERSION
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.products import model_of
-from skyline.terrain.scene import SceneNeeds
+from skyline.terrain.scene import scene_needs
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import Views
 
 Facts = dict[str, object]
 
@@ -42,16 +44,14 @@ def describe_terrain(field: HeightField) -> Facts:
     }
 
 
-def describe_scene(eye: Viewpoints, config: RenderConfig, needs: SceneNeeds, views: Views) -> Facts:
-    """Return what was modelled for one viewpoint, what was left out, and at what cost.
-
-    ``views`` are its four views at tolerance 0, and then the same as configured.
-    """
-    curved = config.curvature.enabled
-    full, given = views.elevation_tan[:4], views.elevation_tan[4:]
-    short_px = np.nanmax(full - given, initial=0.0) / pixel_size(config.width)
-    depth_m = views.depth_m[:4]
-    flagged = float((views.flags[:4] != 0).mean())
+def describe_scene(terrain: HeightField, eye: Viewpoints, config: RenderConfig) -> Facts:
+    """Return what is modelled for one viewpoint, what is left out, and at what cost."""
+    # What the tolerance leaves out shows only in skylines that were rendered without it.
+    exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
+    given = render_views(terrain, eye, config)
+    needs = scene_needs(terrain, eye, config.width, config.tolerance_px, config.curvature)
+    short = np.nanmax(exact.elevation_tan - given.elevation_tan, initial=0.0)
+    depth_m = exact.depth_m
     facts: Facts = {
         "easting_m": float(eye.easting_m[0]),
         "northing_m": float(eye.northing_m[0]),
@@ -61,14 +61,14 @@ def describe_scene(eye: Viewpoints, config: RenderConfig, needs: SceneNeeds, vie
         "skyline_depth_m": [float(v) for v in np.nanquantile(depth_m, [0.0, 0.5, 1.0])]
         if np.isfinite(depth_m).any()
         else [],
-        "flagged_columns": flagged,
+        "flagged_columns": float((exact.flags != 0).mean()),
         "data_reach_m": needs.data_reach_m,
         "sight_m": needs.sight_m,
         "samples_beyond_sight": needs.beyond_sight,
-        "curvature": "modelled" if curved else "left out (--no-curvature)",
+        "curvature": "modelled" if config.curvature.enabled else "left out (--no-curvature)",
         "curvature_bound_px": needs.curvature_px,
         "passed_over_bound_px": config.tolerance_px,
-        "passed_over_measured_px": float(short_px),
+        "passed_over_measured_px": float(short / pixel_size(config.width)),
     }
     for step in needs.steps:
         facts[f"every_{step.step}_samples"] = (

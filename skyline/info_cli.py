@@ -9,7 +9,6 @@ from skyline.console import Crs, Dems, NoCurvature, RefractionK, Reproject, Tole
 from skyline.describe import describe_scene, describe_store, describe_terrain
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.pipeline.build import explain_scene
 from skyline.pipeline.config import RenderConfig
 from skyline.render.context import describe_context
 from skyline.store import is_store
@@ -66,8 +65,7 @@ def explain(
     pair = _parse_pair(at)
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
     eye = stand_on(terrain, *_place_m(terrain, pair), config.eye_height_m)
-    needs, views = explain_scene(terrain, eye, config)
-    _say_facts(describe_scene(eye, config, needs, views), as_json)
+    _say_facts(describe_scene(terrain, eye, config), as_json)
 
 
 def _parse_pair(text: str) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, Self, TypeVar
 
@@ -20,7 +20,6 @@ from skyline.render.horizon import ColumnRenderer
 from skyline.store import StoreHeader, StoreWriter, create_store, open_for_append, open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.scene import SceneNeeds, scene_needs
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
@@ -101,21 +100,6 @@ def render_views(
     config = config or RenderConfig()
     with make_renderer(terrain, config) as renderer:
         return renderer.render(viewpoints)
-
-
-def explain_scene(
-    terrain: HeightField, eye: Viewpoints, config: RenderConfig | None = None
-) -> tuple[SceneNeeds, Views]:
-    """Return what one viewpoint's skyline needs, and its views at tolerance 0 and as configured.
-
-    The four exact views come first, the four of the configuration after them.
-    """
-    config = config or RenderConfig()
-    # What the tolerance leaves out shows only in skylines that were rendered without it.
-    exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
-    given = render_views(terrain, eye, config)
-    needs = scene_needs(terrain, eye, config.width, config.tolerance_px, config.curvature)
-    return needs, Views.concatenate([exact, given])
 
 
 def render_missing(

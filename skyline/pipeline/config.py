@@ -1,15 +1,13 @@
 """How skylines are rendered, and the renderer and the store header that this asks for."""
 
-import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from skyline.camera import DEFAULT_WIDTH
 from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
-from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.panorama import DEFAULT_TOLERANCE_DEG
 from skyline.store import RowCoding, StoreHeader
@@ -17,8 +15,6 @@ from skyline.store.header import PLACES
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
-
-_log = logging.getLogger(__name__)
 
 ROWS = ("compact", "exact")
 """How a store may hold its rows."""
@@ -148,21 +144,3 @@ def curvature_of(header: StoreHeader) -> Curvature:
         raise StoreError(
             f"the store's curvature is {stored!r}, which is none ({error}); build it anew"
         ) from error
-
-
-def mapped_area_m(header: StoreHeader, terrain: HeightField) -> MapBounds | None:
-    """Return the part of a terrain that a store was built for; None where it does not say.
-
-    Bounds that are no box on the terrain count as unsaid, with a warning.
-    """
-    if "bounds_deg" not in header.config:
-        return None
-    bounds_deg = header.config["bounds_deg"]
-    if bounds_deg is None:
-        return map_bounds(terrain, None)
-    try:
-        west, south, east, north = (float(degrees) for degrees in cast(list[float], bounds_deg))
-        return map_bounds(terrain, (west, south, east, north))
-    except (TypeError, ValueError) as error:
-        _log.warning("the store's own bounds_deg, %r, are of no use: %s", bounds_deg, error)
-        return None

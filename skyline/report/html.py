@@ -2,7 +2,7 @@
 
 import base64
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 from numbers import Real
@@ -75,11 +75,6 @@ class Table:
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
     caption: str = ""
-
-    @classmethod
-    def of_facts(cls, facts: Mapping[str, object]) -> "Table":
-        """Make a table of named facts, one a row."""
-        return cls(("", ""), [[name, str(value)] for name, value in facts.items()])
 
     def html(self) -> str:
         """Return the table's HTML."""

@@ -22,7 +22,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.narrowing import Narrowed, Narrowing
-from skyline.pipeline.config import PlaceConfig, mapped_area_m
+from skyline.pipeline.config import PlaceConfig
 from skyline.pipeline.jobs import Progress
 from skyline.pipeline.layout import DEFAULT_LOSS
 from skyline.pipeline.match import Matcher
@@ -33,6 +33,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.memory import own_bytes, peak_bytes, reset_peak
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth, make_queries
 from skyline_bench.runs.matching import BoundsDeg, middle_deg
+from skyline_bench.stores.area import mapped_area_m
 from skyline_bench.stores.reference import (
     ReferenceStore,
     check_spacing,
