@@ -27,16 +27,11 @@ _ARC_SECOND_BYTES = 4 * 3600**2
 
 @dataclass(frozen=True, slots=True, order=True)
 class DegreeTile:
-    """A square degree, named by its south-west corner.
-
-    Attributes
-    ----------
-    lat, lon : int
-        Degrees; north and east are positive.
-    """
+    """A square degree, named by its south-west corner."""
 
     lat: int
     lon: int
+    """``lat``, ``lon``: degrees; north and east are positive."""
 
     @property
     def name(self) -> str:
@@ -60,16 +55,12 @@ class TileSource:
     """A template of addresses.
 
     Raises `InputError` for what is no http(s) address, or a field that is none of these.
-
-    Attributes
-    ----------
-    template : str
-        An http or https address. ``{lat}``, ``{lon}`` are the whole degrees, without sign, of a
-        tile's south-west corner, ``{ns}``, ``{ew}`` its hemispheres (N or S, E or W); numbers take
-        a format, as in ``{lat:02d}``. Without any of them the address is one file over all.
     """
 
     template: str
+    """An http or https address. ``{lat}``, ``{lon}`` are the whole degrees, without sign, of a
+    tile's south-west corner, ``{ns}``, ``{ew}`` its hemispheres (N or S, E or W); numbers take a
+    format, as in ``{lat:02d}``. Without any of them the address is one file over all."""
 
     def __post_init__(self) -> None:
         try:

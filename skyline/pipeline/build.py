@@ -49,24 +49,16 @@ VIEWPOINTS_AT_A_TIME = 64
 
 @dataclass(frozen=True)
 class RowRenderer(Generic[Work]):
-    """Renders viewpoints, or what a planner makes of blocks, as rows of one kind of store.
-
-    Attributes
-    ----------
-    renderer : ColumnRenderer
-        Released at the end of a ``with`` block.
-    header : StoreHeader
-        Of the store that the rows are for.
-    at_a_time : int
-        How much of the work to do between two looks at the progress.
-    render_into : callable
-        Appends the rows of some work to a store.
-    """
+    """Renders viewpoints, or what a planner makes of blocks, as rows of one kind of store."""
 
     renderer: ColumnRenderer
+    """Released at the end of a ``with`` block."""
     header: StoreHeader
+    """Of the store that the rows are for."""
     at_a_time: int
+    """How much of the work to do between two looks at the progress."""
     render_into: Callable[[StoreWriter, Work], None]
+    """Appends the rows of some work to a store."""
 
     def __enter__(self) -> Self:
         return self

@@ -37,17 +37,12 @@ _REACHED = "reached_px"
 
 @dataclass(frozen=True, slots=True)
 class PlannedResult:
-    """What a planned build did.
-
-    Attributes
-    ----------
-    verification : Verification
-        The predicted coverage held to renderings.
-    """
+    """What a planned build did."""
 
     built: BuildResult
     plan: Plan
     verification: Verification
+    """The predicted coverage held to renderings."""
 
 
 def build_planned(

@@ -31,23 +31,16 @@ _sky_model = lru_cache(maxsize=1)(load_sky_model)
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """One photo, mask or trace, how it is read, and what is known of where it was taken.
-
-    Attributes
-    ----------
-    fov_deg : float, optional
-        By default what the file says.
-    fov_slack : float, optional
-        Deviation of a field of view that is given, as a share of it; by default the matcher's.
-    sky_model : Path, optional
-        Loaded once a process.
-    """
+    """One photo, mask or trace, how it is read, and what is known of where it was taken."""
 
     path: str
     fov_deg: float | None = None
+    """By default what the file says."""
     fov_slack: float | None = None
+    """Deviation of a field of view that is given, as a share of it; by default the matcher's."""
     projection: Projection | None = None
     sky_model: Path | None = None
+    """Loaded once a process."""
     narrowing: Narrowing = Narrowing()  # noqa: RUF009  (it is frozen)
 
     def check(self) -> None:

@@ -36,39 +36,27 @@ from skyline.terrain.viewpoints import Viewpoints
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shard:
-    """A tile of the lattice.
-
-    Attributes
-    ----------
-    name : str
-        The tile's size and place: ``10000m_59_517`` spans eastings from 590 km to under 600 km and
-        northings from 5170 km to under 5180 km.
-    work : Viewpoints or Blocks
-        In the tile.
-    """
+    """A tile of the lattice."""
 
     name: str
+    """The tile's size and place: ``10000m_59_517`` spans eastings from 590 km to under 600 km and
+    northings from 5170 km to under 5180 km."""
     work: Viewpoints | Blocks
+    """In the tile."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShardSettings:
-    """What all jobs of a build share; a few hundred bytes that are sent with each.
-
-    Attributes
-    ----------
-    dem_files : tuple of str
-        Absolute paths, the same wherever a job runs.
-    folder : str
-        Absolute path of the shards.
-    """
+    """What all jobs of a build share; a few hundred bytes that are sent with each."""
 
     dem_files: tuple[str, ...]
+    """Absolute paths, the same wherever a job runs."""
     dem_digest: str
     dem_options: DemOptions
     layout: Layout
     config: BuildConfig
     folder: str
+    """Absolute path of the shards."""
 
     def read_terrain(self) -> HeightField:
         """Read the DEM; raises `StoreMismatchError` where another one lies there."""

@@ -50,21 +50,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """One way to a context that was tried, and what it said.
-
-    Attributes
-    ----------
-    backend : str
-        "egl" or "osmesa".
-    device : str
-        What was asked, in words.
-    said : str
-        The OpenGL version and renderer, or the reason of the failure.
-    """
+    """One way to a context that was tried, and what it said."""
 
     backend: str
+    """"egl" or "osmesa"."""
     device: str
+    """What was asked, in words."""
     said: str
+    """The OpenGL version and renderer, or the reason of the failure."""
     worked: bool
 
     def __str__(self) -> str:
@@ -73,28 +66,21 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GlContext:
-    """The process's OpenGL context, and how it came to be.
-
-    Attributes
-    ----------
-    backend : str
-        "egl" or "osmesa".
-    device, vendor, renderer, version : str
-        What it runs on; the driver's GL_VENDOR, GL_RENDERER and GL_VERSION.
-    attempts : tuple of Attempt
-        All that was tried, in order.
-    forced : bool
-        Whether ``SKYLINE_GL`` named the backend.
-    """
+    """The process's OpenGL context, and how it came to be."""
 
     ctx: moderngl.Context
     backend: str
+    """"egl" or "osmesa"."""
     device: str
     vendor: str
     renderer: str
     version: str
+    """``device``, ``vendor``, ``renderer``, ``version``: what it runs on; the driver's GL_VENDOR,
+    GL_RENDERER and GL_VERSION."""
     attempts: tuple[Attempt, ...]
+    """All that was tried, in order."""
     forced: bool
+    """Whether ``SKYLINE_GL`` named the backend."""
 
     @property
     def version_code(self) -> int:

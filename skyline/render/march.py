@@ -50,38 +50,26 @@ _Compiler = Callable[[dict[str, str]], _Program]
 
 @dataclass(frozen=True, slots=True)
 class March:
-    """What to look for, for eyes that face one way.
-
-    Attributes
-    ----------
-    double : bool
-        Compute crossings in float64, where the OpenGL has it.
-    first : bool
-        Whether nothing was marched for these results before.
-    """
+    """What to look for, for eyes that face one way."""
 
     heading: int
     double: bool
+    """Compute crossings in float64, where the OpenGL has it."""
     first: bool
+    """Whether nothing was marched for these results before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settings:
-    """What all marches of a renderer share.
-
-    Attributes
-    ----------
-    u : (W,) float64
-        Abscissas of the columns, of magnitude at most 1.
-    tolerance : (W,) float64
-        How far v may fall short of the skyline's in each column; 0 is exact but for float32.
-    spacing_m : (float, float)
-        East, north.
-    """
+    """What all marches of a renderer share."""
 
     u: Float64Array
+    """(W,) float64. Abscissas of the columns, of magnitude at most 1."""
     tolerance: Float64Array
+    """(W,) float64. How far v may fall short of the skyline's in each column; 0 is exact but for
+    float32."""
     spacing_m: tuple[float, float]
+    """East, north."""
     drop_per_m2: float
 
     @property

@@ -89,18 +89,12 @@ def gl_string(context: OffscreenContext, name: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class EglDisplay:
-    """A place where EGL may make contexts.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    handle : callable
-        Returns the ``EGLDisplay``, or None where EGL has none.
-    """
+    """A place where EGL may make contexts."""
 
     name: str
+    """For people."""
     handle: Callable[[], int | None]
+    """Returns the ``EGLDisplay``, or None where EGL has none."""
 
 
 class Egl:

@@ -51,18 +51,13 @@ class HeightCode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trees:
-    """A texture with the trees of all headings.
-
-    Attributes
-    ----------
-    texture : moderngl.Texture
-        A texel holds the eight slabs of a band, for one bin of slopes and block of columns.
-    levels : 4 tuples of `MAX_LEVELS` (int, int, int)
-        By heading and level: first row in the texture, rows a bin, blocks before column 0.
-    """
+    """A texture with the trees of all headings."""
 
     texture: moderngl.Texture
+    """A texel holds the eight slabs of a band, for one bin of slopes and block of columns."""
     levels: tuple[tuple[tuple[int, int, int], ...], ...]
+    """4 tuples of `MAX_LEVELS` (int, int, int). By heading and level: first row in the texture,
+    rows a bin, blocks before column 0."""
 
     @classmethod
     def of_heights(

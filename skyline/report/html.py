@@ -64,16 +64,11 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of plain values under named columns; numbers are set to the right.
-
-    Attributes
-    ----------
-    rows : sequence of sequence of object
-        One value a column; None is a dash, floats have six digits unless they are text already.
-    """
+    """Rows of plain values under named columns; numbers are set to the right."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
+    """One value a column; None is a dash, floats have six digits unless they are text already."""
     caption: str = ""
 
     def html(self) -> str:
@@ -144,20 +139,14 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A report: any text in it, file names among them, is shown as it is and never as HTML.
-
-    Attributes
-    ----------
-    lead : str
-        What the report is about, in a sentence or two.
-    foot : str
-        What made it, and when.
-    """
+    """A report: any text in it, file names among them, is shown as it is and never as HTML."""
 
     title: str
     lead: str
+    """What the report is about, in a sentence or two."""
     sections: Sequence[Section]
     foot: str = ""
+    """What made it, and when."""
 
     def html(self) -> str:
         """Return the whole page."""

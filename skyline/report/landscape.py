@@ -32,33 +32,22 @@ _NOTHING_DEG = -90.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """What one eye sees in C columns: P points, by column and outwards in each.
-
-    Attributes
-    ----------
-    terrain : HeightField
-        What is hidden from the eye may be missing.
-    eye : Viewpoints
-        One.
-    azimuth_deg : (C,) float64
-        From true north, increasing.
-    begins : (C + 1,) int64
-        The points of column c are ``begins[c]`` to ``begins[c + 1]``.
-    distance_m : (P,) float64
-        Horizontal, increasing in each column.
-    elevation_deg : (P,) float32
-        Elevation angle, increasing in each column.
-    is_ridge : (P,) bool
-        Whether the terrain behind a point drops out of sight.
-    """
+    """What one eye sees in C columns: P points, by column and outwards in each."""
 
     terrain: HeightField
+    """What is hidden from the eye may be missing."""
     eye: Viewpoints
+    """One."""
     azimuth_deg: Float64Array
+    """(C,) float64. From true north, increasing."""
     begins: Int64Array
+    """(C + 1,) int64. The points of column c are ``begins[c]`` to ``begins[c + 1]``."""
     distance_m: Float64Array
+    """(P,) float64. Horizontal, increasing in each column."""
     elevation_deg: Float32Array
+    """(P,) float32. Elevation angle, increasing in each column."""
     is_ridge: BoolArray
+    """(P,) bool. Whether the terrain behind a point drops out of sight."""
 
     @classmethod
     def of(

@@ -42,25 +42,18 @@ _POINTS = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PanoramaView:
-    """What a panorama shows.
-
-    Attributes
-    ----------
-    landscape : Landscape
-        Its columns are the picture's, `picture_azimuths_deg`.
-    sightings : sequence of Sighting
-        Summits that the eye sees, the most important first.
-    start_deg, fov_deg : float
-        The azimuth from true north at the left border, and how far the picture goes on.
-    surface_deg : (C,) float64, optional
-        How far trees and houses may rise in each column of the landscape.
-    """
+    """What a panorama shows."""
 
     landscape: Landscape
+    """Its columns are the picture's, `picture_azimuths_deg`."""
     sightings: Sequence[Sighting]
+    """Summits that the eye sees, the most important first."""
     start_deg: float
     fov_deg: float
+    """``start_deg``, ``fov_deg``: the azimuth from true north at the left border, and how far the
+    picture goes on."""
     surface_deg: Float64Array | None = None
+    """(C,) float64. How far trees and houses may rise in each column of the landscape."""
 
     @property
     def convergence_deg(self) -> float:
@@ -118,21 +111,15 @@ def draw_panorama(view: PanoramaView) -> Figure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Row:
-    """One row of the picture: its azimuths, elevation angles and names.
-
-    Attributes
-    ----------
-    columns : slice
-        Of the landscape.
-    ends_deg, span_deg : (float, float)
-    names : list of (label, azimuth_deg, summit_deg, wide_in, high_in)
-        Wide and high as the label is written lying.
-    """
+    """One row of the picture: its azimuths, elevation angles and names."""
 
     columns: slice
+    """Of the landscape."""
     ends_deg: tuple[float, float]
     span_deg: tuple[float, float]
     names: list[tuple[str, float, float, float, float]]
+    """(label, azimuth_deg, summit_deg, wide_in, high_in) of each; wide and high as the label is
+    written lying."""
 
     @classmethod
     def of(cls, view: PanoramaView, row: int, figure: Figure) -> "_Row":

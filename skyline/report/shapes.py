@@ -15,21 +15,15 @@ _ELLIPSE_POINTS = 72
 
 @dataclass(frozen=True, slots=True)
 class Ellipse:
-    """The area that holds the true position with 95 % probability, were the errors normal.
-
-    Attributes
-    ----------
-    easting_m, northing_m : float
-        Centre.
-    azimuth_deg : float
-        Grid azimuth of the major axis, in [0, 180).
-    """
+    """The area that holds the true position with 95 % probability, were the errors normal."""
 
     easting_m: float
     northing_m: float
+    """``easting_m``, ``northing_m``: centre."""
     semi_major_m: float
     semi_minor_m: float
     azimuth_deg: float
+    """Grid azimuth of the major axis, in [0, 180)."""
 
     @classmethod
     def of(cls, candidate: Candidate) -> "Ellipse | None":

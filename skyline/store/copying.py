@@ -36,24 +36,16 @@ from skyline.store.writer import block_rows, write_rows
 
 @dataclass(frozen=True, slots=True)
 class CopyReport:
-    """What a new store was made of.
-
-    Attributes
-    ----------
-    rows : int
-        In the new store.
-    holds : str
-        What they are: "renderings" or "places".
-    duplicates : int
-        Rows left out because the same view or place is there already.
-    damage : tuple of Damage
-        Rows left out because they are damaged (`repair_store` alone).
-    """
+    """What a new store was made of."""
 
     rows: int
+    """In the new store."""
     holds: str
+    """What they are: "renderings" or "places"."""
     duplicates: int
+    """Rows left out because the same view or place is there already."""
     damage: tuple[Damage, ...] = ()
+    """Rows left out because they are damaged (`repair_store` alone)."""
 
 
 def merge_stores(

@@ -203,22 +203,15 @@ def dem_of_array(data_array: Any, options: DemOptions) -> HeightField:
 
 @dataclass(frozen=True, slots=True)
 class _Raster:
-    """Where heights come from.
-
-    Attributes
-    ----------
-    source : str
-        What errors call it.
-    grid : Grid
-        In the units of the CRS.
-    files : tuple of str
-        It can be read from again.
-    """
+    """Where heights come from."""
 
     source: str
+    """What errors call it."""
     crs: CRS
     grid: Grid
+    """In the units of the CRS."""
     files: tuple[str, ...]
+    """It can be read from again."""
 
 
 def _is_kept(raster: _Raster, options: DemOptions) -> bool:

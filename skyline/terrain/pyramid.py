@@ -39,18 +39,13 @@ _SLACK_CELLS = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlabLevel:
-    """One level of the tree.
-
-    Attributes
-    ----------
-    maxima : (bins, bands, blocks, SLABS)
-        Greatest value; `EMPTY` (0 of marks) where a ray meets no sample.
-    first_block : int
-        Blocks left of the one that begins at column 0.
-    """
+    """One level of the tree."""
 
     maxima: Samples
+    """(bins, bands, blocks, SLABS). Greatest value; `EMPTY` (0 of marks) where a ray meets no
+    sample."""
     first_block: int
+    """Blocks left of the one that begins at column 0."""
 
 
 def level_count(strips: int) -> int:

@@ -21,41 +21,27 @@ COARSER_STEPS = (2, 4, 8)
 
 @dataclass(frozen=True, slots=True)
 class CoarserStep:
-    """A surface of every n-th sample.
-
-    Attributes
-    ----------
-    deviation_m : float
-        How far it is from the full surface at most in a block of `BLOCK_CELLS` cells, the median.
-    share : float
-        Of the blocks, those that could be drawn with it within the tolerance.
-    """
+    """A surface of every n-th sample."""
 
     step: int
     deviation_m: float
+    """How far it is from the full surface at most in a block of `BLOCK_CELLS` cells, the median."""
     share: float
+    """Of the blocks, those that could be drawn with it within the tolerance."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneNeeds:
-    """What a viewpoint's skyline needs of the model.
-
-    Attributes
-    ----------
-    data_reach_m : float
-        Distance of the farthest sample.
-    curvature_px : float
-        What leaving curvature out can cost at most.
-    sight_m : float
-        Distance beyond which not even the highest sample rises over the dip horizon.
-    beyond_sight : float
-        Share of the samples that lie farther.
-    """
+    """What a viewpoint's skyline needs of the model."""
 
     data_reach_m: float
+    """Distance of the farthest sample."""
     curvature_px: float
+    """What leaving curvature out can cost at most."""
     sight_m: float
+    """Distance beyond which not even the highest sample rises over the dip horizon."""
     beyond_sight: float
+    """Share of the samples that lie farther."""
     steps: tuple[CoarserStep, ...]
 
 

@@ -93,23 +93,17 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """One raster file that has been looked at but not read.
-
-    Attributes
-    ----------
-    source : str
-        What rasterio opens: an absolute path, or a GDAL name such as ``netcdf:/data/t.nc:dem``.
-    grid : Grid
-        North-up, whichever way the file runs.
-    flip_rows, flip_cols : bool
-        Whether the file runs from south to north, from east to west.
-    """
+    """One raster file that has been looked at but not read."""
 
     source: str
+    """What rasterio opens: an absolute path, or a GDAL name such as ``netcdf:/data/t.nc:dem``."""
     crs: CRS
     grid: Grid
+    """North-up, whichever way the file runs."""
     flip_rows: bool
     flip_cols: bool
+    """``flip_rows``, ``flip_cols``: whether the file runs from south to north, from east to
+    west."""
 
 
 @dataclass(frozen=True, slots=True)

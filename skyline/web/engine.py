@@ -26,22 +26,15 @@ _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What the page is opened on.
-
-    Attributes
-    ----------
-    dem : tuple of str
-        Where the store's DEM lies now; empty where it lies where it lay.
-    photos : tuple of Path
-        Photos that everybody's list begins with.
-    peaks : Path, optional
-        A gazetteer.
-    """
+    """What the page is opened on."""
 
     store: Path
     dem: tuple[str, ...] = ()
+    """Where the store's DEM lies now; empty where it lies where it lay."""
     photos: tuple[Path, ...] = ()
+    """Photos that everybody's list begins with."""
     peaks: Path | None = None
+    """A gazetteer."""
 
 
 class Engine:

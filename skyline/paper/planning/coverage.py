@@ -25,17 +25,12 @@ class CandidateGrid:
     """Where viewpoints may be placed.
 
     Raises `InputError` where no candidate is valid, or the reach is below 1.
-
-    Attributes
-    ----------
-    valid : (rows, cols) bool
-        False where no eye can stand: holes, the map's border.
-    reach : int
-        How far a tolerance area may extend, in candidates.
     """
 
     valid: BoolArray
+    """(rows, cols) bool. False where no eye can stand: holes, the map's border."""
     reach: int
+    """How far a tolerance area may extend, in candidates."""
 
     def __post_init__(self) -> None:
         if self.valid.ndim != 2 or not self.valid.any():
@@ -202,24 +197,17 @@ class Problem:
     """What a strategy is given.
 
     Raises `InputError` for a target outside (0, 1] or a threshold that is not positive.
-
-    Attributes
-    ----------
-    coverage : Coverage
-        Kept up to date by whoever drives the strategy; strategies of one heading may share it.
-    threshold_px : float
-        A location is in a tolerance area when its reprojection error is at most this.
-    target : float
-        The share of the region's valid candidates to cover, in (0, 1].
-    region : (rows, cols) bool
-        The candidates this strategy is to cover and may choose.
     """
 
     coverage: Coverage
+    """Kept up to date by whoever drives the strategy; strategies of one heading may share it."""
     model: AreaModel
     threshold_px: float
+    """A location is in a tolerance area when its reprojection error is at most this."""
     target: float
+    """The share of the region's valid candidates to cover, in (0, 1]."""
     region: BoolArray
+    """(rows, cols) bool. The candidates this strategy is to cover and may choose."""
 
     def __post_init__(self) -> None:
         check_target(self.target)

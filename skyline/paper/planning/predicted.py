@@ -134,20 +134,14 @@ def flanks(views: Views) -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Polylines:
-    """M points of some polylines, one after the other, in the axes of one view.
-
-    Attributes
-    ----------
-    right_m, up_m, forward_m : (M,) float32
-        From the eye.
-    joined : (M,) bool
-        Whether a point is joined to the next one; the last is not.
-    """
+    """M points of some polylines, one after the other, in the axes of one view."""
 
     right_m: Float32Array
     up_m: Float32Array
     forward_m: Float32Array
+    """``right_m``, ``up_m``, ``forward_m``: (M,) float32. From the eye."""
     joined: BoolArray
+    """(M,) bool. Whether a point is joined to the next one; the last is not."""
 
 
 def polylines(views: Views, view: int, sides: IntArray, reach_m: float) -> Polylines:
@@ -222,27 +216,21 @@ class Image:
     """Where the segments of polylines pass column centres in the images of C displaced eyes.
 
     There are P passing segments, and S places where one passes a column.
-
-    Attributes
-    ----------
-    start : (P,) intp
-        The segment's first point: its eye times M plus its index.
-    segment : (S,) intp
-        Which of the segments passes.
-    eye, column : (S,) intp
-    along : (S,) float32
-        How far along the segment, in the image.
-    height_tan, nearness_per_m : (C, M) float32
-        Image-plane ordinate and inverse depth of the points.
     """
 
     start: IntArray
+    """(P,) intp. The segment's first point: its eye times M plus its index."""
     segment: IntArray
+    """(S,) intp. Which of the segments passes."""
     eye: IntArray
     column: IntArray
+    """``eye``, ``column``: (S,) intp."""
     along: Float32Array
+    """(S,) float32. How far along the segment, in the image."""
     height_tan: Float32Array
     nearness_per_m: Float32Array
+    """``height_tan``, ``nearness_per_m``: (C, M) float32. Image-plane ordinate and inverse depth of
+    the points."""
 
     @classmethod
     def of(cls, lines: Polylines, displacements_m: FloatArray, columns: int) -> "Image":

@@ -154,26 +154,19 @@ def least_squares(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projected:
-    """P skyline points of N views and their images at C displaced eyes.
-
-    Attributes
-    ----------
-    points_uv : (N, P, 2) float64
-        Abscissa and ordinate in the view, NaN where it has no skyline.
-    there_uv : (N, C, P, 2) float64
-        The same from the displaced eyes; finite where usable.
-    usable : (N, C, P) bool
-        Whether a point is safely in front of the displaced eye and in its frame. A frame has
-        sides, but neither top nor bottom.
-    depth_m : (N, P) float64
-    displacements_m : (N, C, 3) float64
-    """
+    """P skyline points of N views and their images at C displaced eyes."""
 
     points_uv: Float64Array
+    """(N, P, 2) float64. Abscissa and ordinate in the view, NaN where it has no skyline."""
     there_uv: Float64Array
+    """(N, C, P, 2) float64. The same from the displaced eyes; finite where usable."""
     usable: BoolArray
+    """(N, C, P) bool. Whether a point is safely in front of the displaced eye and in its frame. A
+    frame has sides, but neither top nor bottom."""
     depth_m: Float64Array
+    """(N, P) float64."""
     displacements_m: Float64Array
+    """(N, C, 3) float64."""
 
     @classmethod
     def of(cls, views: Views, displacements_m: FloatArray, columns: int) -> "Projected":
@@ -201,21 +194,14 @@ Warp = Callable[[Projected], Float64Array]
 
 @dataclass(frozen=True, slots=True)
 class Reprojection:
-    """Mean distance between warped points and their true images, over those in front and in frame.
-
-    Attributes
-    ----------
-    warp : callable
-        Returns the warps (N, C, 2, 3), NaN where there is none.
-    columns : int
-        At most so many points a view, evenly spread. On Davos, 80 decide as 640 do.
-    min_points : int
-        Fewer in frame are no answer.
-    """
+    """Mean distance of warped points from their true images, over those in front and in frame."""
 
     warp: Warp
+    """Returns the warps (N, C, 2, 3), NaN where there is none."""
     columns: int = 80
+    """At most so many points a view, evenly spread. On Davos, 80 decide as 640 do."""
     min_points: int = 3
+    """Fewer in frame are no answer."""
 
     def errors_px(self, views: Views, displacements_m: FloatArray) -> Float32Array:
         """Return reprojection errors of candidates.

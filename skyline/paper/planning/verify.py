@@ -21,23 +21,16 @@ _VIEWS_TRIED = 4
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """How much of a sample of covered locations is truly covered.
-
-    Attributes
-    ----------
-    share : float
-        Of the sample, within the threshold of some stored view after the best affine warp.
-    low, high : float
-        95 % interval of the share (Wilson).
-    predicted : float
-        The coverage the plan predicts.
-    """
+    """How much of a sample of covered locations is truly covered."""
 
     share: float
+    """Of the sample, within the threshold of some stored view after the best affine warp."""
     low: float
     high: float
+    """``low``, ``high``: 95 % interval of the share (Wilson)."""
     sampled: int
     predicted: float
+    """The coverage the plan predicts."""
 
     @property
     def verified(self) -> float:
@@ -47,16 +40,11 @@ class Verification:
 
 @dataclass(frozen=True, slots=True)
 class Checks:
-    """What verification asks others for.
-
-    Attributes
-    ----------
-    stored : Render
-        Returns stored views at viewpoints along headings, in any order.
-    """
+    """What verification asks others for."""
 
     render: Render
     stored: Render
+    """Returns stored views at viewpoints along headings, in any order."""
     errors: TrueErrors
 
 
