@@ -120,6 +120,19 @@ class _SharedContext:
         self._thread = threading.current_thread()
 
     def acquire(self) -> GlContext:
+        """Return the process's OpenGL context, current in this thread; make it on first use.
+
+        Calling again is cheap, and makes the context current again where other code has put its
+        own in place.
+
+        Raises
+        ------
+        ContextError
+            Nothing works (the message names what was tried and the packages that mend it), or the
+            context belongs to another thread or to the process that this one was forked from.
+        InputError
+            ``SKYLINE_GL`` names no backend.
+        """
         # Before the lock: another thread of the parent may have held it during the fork.
         if self._process not in (None, os.getpid()):
             raise ContextError(
@@ -156,6 +169,11 @@ class _SharedContext:
         )
 
     def release(self) -> None:
+        """Release the context if there is one; whatever was made in it is gone.
+
+        Runs by itself when the process exits. A later `acquire_context` makes a new context.
+        Raises `ContextError` where the context belongs to another thread that still lives.
+        """
         # What a forked child inherited is the parent's to release.
         if self._process != os.getpid():
             return
@@ -171,31 +189,7 @@ class _SharedContext:
 _shared = _SharedContext()
 
 
-def acquire_context() -> GlContext:
-    """Return the process's OpenGL context, current in this thread; make it on first use.
-
-    Calling again is cheap, and makes the context current again where other code has put its own
-    in place.
-
-    Raises
-    ------
-    ContextError
-        Nothing works (the message names what was tried and the packages that mend it), or the
-        context belongs to another thread or to the process that this one was forked from.
-    InputError
-        ``SKYLINE_GL`` names no backend.
-    """
-    return _shared.acquire()
-
-
-def release_context() -> None:
-    """Release the context if there is one; whatever was made in it is gone.
-
-    Runs by itself when the process exits. A later `acquire_context` makes a new context.
-
-    Raises `ContextError` where the context belongs to another thread that still lives.
-    """
-    _shared.release()
+acquire_context, release_context = _shared.acquire, _shared.release
 
 
 @atexit.register
