@@ -53,7 +53,7 @@ class Attempt:
     """One way to a context that was tried, and what it said."""
 
     backend: str
-    """"egl" or "osmesa"."""
+    """``egl`` or ``osmesa``."""
     device: str
     """What was asked, in words."""
     said: str
@@ -70,7 +70,7 @@ class GlContext:
 
     ctx: moderngl.Context
     backend: str
-    """"egl" or "osmesa"."""
+    """``egl`` or ``osmesa``."""
     device: str
     vendor: str
     renderer: str

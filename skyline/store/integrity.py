@@ -66,7 +66,7 @@ class StoreReport:
     damage: tuple[Damage, ...]
     """Empty for a whole store."""
     holds: str = "rows"
-    """"renderings" or "places"; "rows" where it cannot be opened."""
+    """``renderings`` or ``places``; ``rows`` where it cannot be opened."""
 
     @property
     def whole(self) -> bool:
