@@ -53,7 +53,7 @@ def rows_of(terrain: HeightField, config: BuildConfig, layout: Layout) -> RowRen
     than a share of the views.
 
     Raises `InputError` for a loss outside (0, 1), or less than the densest places would lose, or an
-    area of holes; renderings without a spacing.
+    area of holes, and for renderings without a spacing.
     """
     spacing_m = layout.spacing_m
     if isinstance(config, RenderConfig):
