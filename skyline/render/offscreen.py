@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from ctypes import POINTER, c_char_p, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from skyline.errors import ContextError
 
@@ -61,30 +61,6 @@ _OSMESA_PROFILE = 0x33
 _OSMESA_CORE_PROFILE = 0x34
 _OSMESA_CONTEXT_MAJOR_VERSION = 0x36
 _OSMESA_CONTEXT_MINOR_VERSION = 0x37
-
-
-class OffscreenContext(Protocol):
-    """A native context as moderngl takes it; current once made."""
-
-    @property
-    def device(self) -> str:
-        """What it runs on, in words."""
-
-    def load_opengl_function(self, name: str) -> int:
-        """Return the address of an OpenGL function, 0 where there is none."""
-
-    def __enter__(self) -> object: ...
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def release(self) -> None:
-        """Destroy the context; harmless when repeated."""
-
-
-def gl_string(context: OffscreenContext, name: int) -> str:
-    """Return ``glGetString(name)`` of a current context, empty where the driver has none."""
-    get_string = ctypes.CFUNCTYPE(c_char_p, c_uint)(context.load_opengl_function("glGetString"))
-    return (get_string(name) or b"").decode(errors="replace")
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,6 +290,16 @@ class OsMesaContext:
                 self._make_current(None, None, _GL_UNSIGNED_BYTE, 0, 0)
             self._destroy(self._context)
             self._context = None
+
+
+OffscreenContext = EglContext | OsMesaContext
+"""A native context as moderngl takes it; current once made."""
+
+
+def gl_string(context: OffscreenContext, name: int) -> str:
+    """Return ``glGetString(name)`` of a current context, empty where the driver has none."""
+    get_string = ctypes.CFUNCTYPE(c_char_p, c_uint)(context.load_opengl_function("glGetString"))
+    return (get_string(name) or b"").decode(errors="replace")
 
 
 def _load(names: tuple[str, ...]) -> ctypes.CDLL:
