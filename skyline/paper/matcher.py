@@ -258,12 +258,8 @@ def _corresponding_points(
 ) -> tuple[Float64Array, Float64Array]:
     """Return the points in px that each correspondence puts on top of each other.
 
-    Besides the keypoint these are a point of the local skyline to either side of it.
-
-    Parameters
-    ----------
-    shift : (C, Q) int
-        Stored minus query bin.
+    Besides the keypoint these are a point of the local skyline to either side of it; shifts (C, Q)
+    are stored minus query bin.
 
     Returns
     -------

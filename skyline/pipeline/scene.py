@@ -67,13 +67,9 @@ class RenderedScene:
         return cls(terrain, rendering, thread, surface)
 
     def render(self, viewpoints: Viewpoints, headings: ArrayLike, urgent: bool = False) -> Views:
-        """Render one view an eye, each along its heading, in order.
+        """Render one view an eye, each along its heading (N,), in order.
 
-        Parameters
-        ----------
-        headings : (N,) array_like of int
-        urgent : bool
-            Whether it goes before what others wait for, where a thread renders for all.
+        What is ``urgent`` goes before what others wait for, where a thread renders for all.
         """
         return self._rendered(self._renderers[0], viewpoints, headings, urgent)
 

@@ -110,13 +110,7 @@ class DepthRenderer:
         return f"depth {self.width} px; {self._context.renderer}"
 
     def render(self, viewpoints: Viewpoints) -> Views:
-        """Render the skylines of N viewpoints in all four headings.
-
-        Returns
-        -------
-        Views
-            4 N views; the four headings of a viewpoint follow one another.
-        """
+        """Render the skylines of N viewpoints, 4 N views: the four headings of each in turn."""
         parts = [Views.empty(self.width)]
         for start in range(0, len(viewpoints), _VIEWPOINTS_A_READ):
             parts.append(self._render_batch(viewpoints[start : start + _VIEWPOINTS_A_READ]))

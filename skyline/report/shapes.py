@@ -56,10 +56,8 @@ class Ellipse:
 def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:
     """Return what a candidate looks at, out to ``reach_m``: its field of view from above.
 
-    Returns
-    -------
-    (P, 2) float64
-        Easting and northing, counter-clockwise and closed; the first point is the camera.
+    The outline (P, 2), easting and northing, is counter-clockwise and closed; it begins at the
+    camera.
     """
     steps = max(2, int(np.ceil(candidate.fov_deg / _ARC_STEP_DEG)) + 1)
     half = candidate.fov_deg / 2.0

@@ -266,6 +266,7 @@ def clean(
 ) -> tuple[int, int, int, int]:
     """Void what is fill, remove spikes and fill small voids, in place, as `read_dem` does.
 
+    Returns how many are filled, hollow, despiked and undeclared, as `Provenance` counts them.
     Raises `InputError` where there is no height at all.
 
     Parameters
@@ -276,11 +277,6 @@ def clean(
         What errors and warnings call it.
     spacing_m : float
         The coarser of the two sample spacings, metres on the ground.
-
-    Returns
-    -------
-    filled, hollow, despiked, undeclared : int
-        As `Provenance` counts them.
     """
     if not any(np.isfinite(heights[rows]).any() for rows in strips(heights)):
         raise InputError(

@@ -62,15 +62,11 @@ def mosaic_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
 def read_mosaic(
     tiles: Sequence[Tile], grid: Grid, offsets: Sequence[tuple[int, int]]
 ) -> Float32Array:
-    """Read tiles onto their common grid.
+    """Read tiles onto their common grid, in metres.
 
-    Where tiles overlap, the first that has a height gives it; a warning says by how much they
-    disagree if that is more than `AGREEMENT_M`.
-
-    Returns
-    -------
-    (rows, cols) float32
-        Metres; NaN marks voids, -inf undeclared ones, +inf samples that no tile covers.
+    NaN marks voids, -inf undeclared ones, +inf samples that no tile covers. Where tiles
+    overlap, the first that has a height gives it; a warning says by how much they disagree if that
+    is more than `AGREEMENT_M`.
     """
     heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
     for tile, (row, col) in zip(tiles, offsets, strict=True):

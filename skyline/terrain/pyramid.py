@@ -67,10 +67,6 @@ def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[
         Increasing bounds of the bins of rays' slopes, columns a line.
     levels : int
         As `level_count` says for the longer axis.
-
-    Yields
-    ------
-    SlabLevel
     """
     slab = LEAF_STRIPS
     source = _Maxima(_slab_maxima(values, slab), 0)

@@ -97,18 +97,10 @@ def sight_range_m(field: HeightField, eye_elevation_m: float, drop_per_m2: float
 
 
 def coarser_deviation_m(field: HeightField, step: int) -> Float64Array:
-    """Return how far the surface of every ``step``-th sample is from the samples, by block.
+    """Return how far the surface of every ``step``-th sample (2, 4, 8 or 16) is from the samples.
 
-    Parameters
-    ----------
-    step : int
-        2, 4, 8 or 16.
-
-    Returns
-    -------
-    (block rows, block columns) float64
-        The greatest deviation in each whole block of `BLOCK_CELLS` cells, metres; 0 where holes
-        leave nothing to compare.
+    That is the greatest deviation in each whole block of `BLOCK_CELLS` cells (block rows, block
+    columns), metres; 0 where holes leave nothing to compare.
     """
     rows, cols = ((count - 1) // BLOCK_CELLS * BLOCK_CELLS for count in (field.rows, field.cols))
     heights = field.heights_m[: rows + 1, : cols + 1].astype(np.float64)

@@ -43,7 +43,8 @@ _POINTS_AT_ONCE = 1 << 18
 def predict(stored: Views, source: NDArray[np.integer], targets: Viewpoints) -> Views:
     """Predict the views of other eyes along the headings of stored views.
 
-    Stored views of the two neighbouring headings from the same eye add what they know.
+    Stored views of the two neighbouring headings from the same eye add what they know. A column of
+    which nothing is known is NaN and flagged `FLAG_NO_DATA`.
 
     Raises `InputError` for sources and targets that differ in number, or a source that is no row.
 
@@ -52,12 +53,7 @@ def predict(stored: Views, source: NDArray[np.integer], targets: Viewpoints) -> 
     source : (M,) int
         The stored view that each prediction is made from; it gives the heading.
     targets : Viewpoints
-        M eyes.
-
-    Returns
-    -------
-    Views
-        M views in order. A column of which nothing is known is NaN and flagged `FLAG_NO_DATA`.
+        M eyes; their views are in this order.
     """
     source = np.asarray(source)
     _check(stored, source, targets)
@@ -115,13 +111,10 @@ def reach_m(displacements_m: NDArray[np.floating]) -> float:
 
 
 def flanks(views: Views) -> IntArray:
-    """Return the views that look left and right from the same eye.
+    """Return the views (N, 2) that look left and right from the same eye.
 
-    Returns
-    -------
-    (N, 2) intp
-        Index of the view with heading - 1 and of that with heading + 1, `NO_VIEW` where there is
-        none. Of several, the first.
+    These are the rows of the views with heading - 1 and heading + 1, of several the first, and
+    `NO_VIEW` where there is none.
     """
     eyes = np.stack([views.easting_m, views.northing_m, views.eye_elevation_m], axis=1)
     eye = np.unique(eyes, axis=0, return_inverse=True)[1].reshape(-1)

@@ -34,19 +34,9 @@ _ROTATIONS = np.stack([rotation(heading) for heading in HEADINGS])
 def displacements_m(
     views: Views, easting_m: ArrayLike, northing_m: ArrayLike, eye_elevation_m: ArrayLike
 ) -> Float64Array:
-    """Return where other eyes are, seen from each view, in the view's own axes.
+    """Return where C other eyes (N, C) are, seen from each of N views, in the view's own axes.
 
-    Parameters
-    ----------
-    views : Views
-        N views.
-    easting_m, northing_m, eye_elevation_m : (N, C) array_like
-        C other eyes a view, in the views' frame.
-
-    Returns
-    -------
-    (N, C, 3) float64
-        Right, up, forward, metres.
+    These are right, up and forward, (N, C, 3), metres.
     """
     own = (views.easting_m, views.eye_elevation_m, views.northing_m)
     other = (easting_m, eye_elevation_m, northing_m)
@@ -123,7 +113,7 @@ def median_depth_m(depth_m: FloatArray) -> Float64Array:
 def least_squares(
     points_uv: Float64Array, there_uv: Float64Array, usable: BoolArray
 ) -> Float64Array:
-    """Return the warps that take points nearest to their images elsewhere.
+    """Return the warps (N, C, 2, 3) that take points nearest to their images elsewhere.
 
     Where the points lie on a line, or are fewer than three, the one of the many that is nearest
     to the identity.
@@ -134,10 +124,6 @@ def least_squares(
     there_uv : (N, C, P, 2) float64
         Finite where usable.
     usable : (N, C, P) bool
-
-    Returns
-    -------
-    (N, C, 2, 3) float64
     """
     design = np.concatenate([points_uv, np.ones((*points_uv.shape[:2], 1))], axis=2)
     design = np.nan_to_num(design)
