@@ -5,15 +5,7 @@ from typing import Annotated
 
 import typer
 
-from skyline.console import (
-    Crs,
-    Dems,
-    Reproject,
-    Surfaces,
-    parse_bounds,
-    parse_place,
-    patience,
-)
+from skyline.console import Crs, Dems, Reproject, Surfaces, parse_bounds, parse_place, patience
 from skyline.fetch.overpass import fetch_peaks
 from skyline.fetch.remote import HttpOptions
 from skyline.pipeline.panorama import PanoramaConfig, save_panorama_of

@@ -21,13 +21,7 @@ from skyline.render.rims import RimColumns, RimFinder
 from skyline.render.shaders import compile_program
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import (
-    FLAG_HOLE,
-    FLAG_NO_DATA,
-    FLAG_OUT_OF_IMAGE,
-    FLAG_TRUNCATED,
-    Views,
-)
+from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 
 TILE_CELLS = 64
 """Cells along a side of the tiles that are drawn or skipped as a whole."""

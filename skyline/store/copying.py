@@ -20,12 +20,7 @@ from skyline.errors import InputError, StoreError
 from skyline.store.coding import RowCoding
 from skyline.store.digest import row_checksums
 from skyline.store.explain import explained
-from skyline.store.header import (
-    KEYPOINTS,
-    RENDERINGS,
-    StoreHeader,
-    check_holds,
-)
+from skyline.store.header import KEYPOINTS, RENDERINGS, StoreHeader, check_holds
 from skyline.store.integrity import Damage, whole_rows
 from skyline.store.lock import complete_or_absent, new_store
 from skyline.store.mismatch import refuse_mismatch

@@ -16,13 +16,7 @@ from skyline.errors import InputError
 from skyline.files import is_file
 from skyline.geodesy import Frame, is_metric, parse_crs
 from skyline.terrain.blocks import Blocks
-from skyline.terrain.cleaning import (
-    STEEPEST,
-    count_voids,
-    fill_voids,
-    remove_spikes,
-    strips,
-)
+from skyline.terrain.cleaning import STEEPEST, count_voids, fill_voids, remove_spikes, strips
 from skyline.terrain.fill import void_undeclared
 from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance

@@ -9,14 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from skyline import (
-    Matcher,
-    ReliefTiles,
-    RenderThread,
-    SkylineError,
-    Viewer,
-    read_peaks,
-)
+from skyline import Matcher, ReliefTiles, RenderThread, SkylineError, Viewer, read_peaks
 
 T = TypeVar("T")
 
