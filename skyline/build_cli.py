@@ -18,6 +18,7 @@ from skyline.console import (
     Tolerance,
     Width,
     Workers,
+    panel,
     parse_bounds,
     progress_bar,
     runner_of,
@@ -26,20 +27,12 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.paper.planning.plan import PlanConfig, PlanProgress
 from skyline.paper.planning.strategies import STRATEGIES
-from skyline.pipeline import (
-    BuildResult,
-    Layout,
-    PlaceConfig,
-    PlannedResult,
-    RenderConfig,
-    build_planned,
-    build_sharded,
-    build_store,
-    render_to_store,
-    save_depth_pictures,
-)
-from skyline.pipeline.config import ROWS
-from skyline.pipeline.layout import DEFAULT_LOSS, DEFAULT_TILE_M
+from skyline.pipeline.build import BuildResult, render_to_store, save_depth_pictures
+from skyline.pipeline.config import ROWS, PlaceConfig, RenderConfig
+from skyline.pipeline.layout import DEFAULT_LOSS, DEFAULT_TILE_M, Layout
+from skyline.pipeline.places import build_store
+from skyline.pipeline.planned import PlannedResult, build_planned
+from skyline.pipeline.shards import build_sharded
 from skyline.places import Places
 from skyline.planning.uniform import uniform_grid
 from skyline.store import open_store
@@ -54,7 +47,7 @@ Output = Annotated[Path, typer.Option("--output", "-o", help="The store to write
 Bounds = Annotated[
     str | None, typer.Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
 ]
-_RENDERINGS = "Renderings, for the paper's matcher"
+_renderings = panel("Renderings, for the paper's matcher")
 _OF_PLANNERS = ("candidate_spacing", "threshold_px", "coverage", "budget", "seed")
 """What only the paper's planners are told."""
 
@@ -145,56 +138,34 @@ def build(
     reproject: Reproject = False,
     planner: Annotated[
         str | None,
-        typer.Option(
+        _renderings(
             help="Store renderings instead of places, for the paper's matcher. The planner "
-            f"chooses their viewpoints: uniform, {', '.join(STRATEGIES)}.",
-            rich_help_panel=_RENDERINGS,
+            f"chooses their viewpoints: uniform, {', '.join(STRATEGIES)}."
         ),
     ] = None,
     candidate_spacing: Annotated[
-        float,
-        typer.Option(help="Metres between candidates.", rich_help_panel=_RENDERINGS),
+        float, _renderings(help="Metres between candidates.")
     ] = _PLANNED.spacing.candidate_m,
     threshold_px: Annotated[
         float,
-        typer.Option(
-            "--threshold-px",
-            help="Pixels by which the skyline of a covered location may differ.",
-            rich_help_panel=_RENDERINGS,
+        _renderings(
+            "--threshold-px", help="Pixels by which the skyline of a covered location may differ."
         ),
     ] = _PLANNED.threshold_px,
     coverage: Annotated[
-        float,
-        typer.Option(help="Share of the candidates to cover.", rich_help_panel=_RENDERINGS),
+        float, _renderings(help="Share of the candidates to cover.")
     ] = _PLANNED.coverage,
     budget: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Number of renderings; the threshold is raised to fit.",
-            rich_help_panel=_RENDERINGS,
-        ),
+        _renderings(metavar="N", help="Number of renderings; the threshold is raised to fit."),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(help="Seed of its random choices.", rich_help_panel=_RENDERINGS)
-    ] = _PLANNED.seed,
-    width: Annotated[
-        int, typer.Option(help="Columns of a 90 degree view.", rich_help_panel=_RENDERINGS)
-    ] = _DEFAULTS.width,
+    seed: Annotated[int, _renderings(help="Seed of its random choices.")] = _PLANNED.seed,
+    width: Annotated[int, _renderings(help="Columns of a 90 degree view.")] = _DEFAULTS.width,
     tolerance_px: Annotated[
-        float,
-        typer.Option(
-            "--tolerance-px",
-            help="Pixels by which a skyline may lie too low.",
-            rich_help_panel=_RENDERINGS,
-        ),
+        float, _renderings("--tolerance-px", help="Pixels by which a skyline may lie too low.")
     ] = _DEFAULTS.tolerance_px,
     rows: Annotated[
-        str,
-        typer.Option(
-            help=f"How the store holds renderings, {' or '.join(ROWS)}.",
-            rich_help_panel=_RENDERINGS,
-        ),
+        str, _renderings(help=f"How the store holds renderings, {' or '.join(ROWS)}.")
     ] = _DEFAULTS.rows,
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""

@@ -78,7 +78,6 @@ def project_points(offsets_m: Float64Array, heading: int) -> tuple[Float64Array,
     ----------
     offsets_m : (..., 3) float64
         East, up, north of each point minus the eye, metres.
-    heading : int
 
     Returns
     -------

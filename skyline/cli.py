@@ -1,106 +1,78 @@
 """The command line: ``skyline COMMAND``."""
 
-import json
-from typing import Annotated
+from importlib import import_module
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
-from skyline import build_cli, dem_cli, horizon_cli, page_cli, panorama_cli, photo_cli
-from skyline.console import (
-    Crs,
-    Dems,
-    NoCurvature,
-    RefractionK,
-    Reproject,
-    Tolerance,
-    Width,
-    command_line,
-    run_app,
-)
-from skyline.describe import (
-    describe_gl,
-    describe_scene,
-    describe_store,
-    describe_terrain,
-)
-from skyline.errors import InputError
-from skyline.pipeline import (
-    RenderConfig,
-    explain_scene,
-)
-from skyline.store import is_store
-from skyline.store_cli import store_app
-from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import stand_on
+from skyline.console import command_line, run_app
 
-_DEFAULTS = RenderConfig()
-
-app = command_line("skyline", "A photo of mountains in, a place on the map out.")
-
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-
-
-_COMMANDS = {
-    "Photos": (photo_cli.match, photo_cli.extract, page_cli.serve),
-    "Stores": (build_cli.build, build_cli.render),
-    "Views from a place": (horizon_cli.horizon, horizon_cli.sun, panorama_cli.panorama),
-    "Data": (panorama_cli.peaks,),
+COMMANDS = {
+    "Photos": {
+        "photo_cli.match": "Find where photos were taken and in which direction the camera looked.",
+        "photo_cli.extract": "Find the skyline in a photo and write it as a trace that a person "
+        "can correct.",
+        "page_cli.serve": "Open a page in the browser: drop photos, mend skylines, find places, "
+        "fit by hand.",
+    },
+    "Stores": {
+        "build_cli.build": "Build the store that `match` searches. After Ctrl-C, the same command "
+        "continues.",
+        "build_cli.render": "Render the skylines of given viewpoints, to grid north, east, south, "
+        "west, into a store.",
+        "store_cli.store": "Check, repair, merge, compact and export stores.",
+    },
+    "Views from a place": {
+        "horizon_cli.horizon": "Give the horizon round places: elevation angle and distance by "
+        "azimuth from true north.",
+        "horizon_cli.sun": "Say when the sun is above the mountains on a day: CSV of times in UTC "
+        "(extra `sun`).",
+        "panorama_cli.panorama": "Draw what is seen from a place, with the names of the peaks that "
+        "are seen.",
+    },
+    "Data": {
+        "panorama_cli.peaks": "Fetch the named peaks of a box from an Overpass server, for "
+        "`--peaks`.",
+        "info_cli.info": "Describe a DEM, a store, or the OpenGL in use.",
+        "info_cli.explain": "Show which terrain a skyline depends on, what is left out, and what "
+        "that costs.",
+        "dem_cli.dem": "Elevation data for an area.",
+    },
 }
-for subject, commands in _COMMANDS.items():
-    for command in commands:
-        app.command(rich_help_panel=subject)(command)
-app.add_typer(store_app, name="store", rich_help_panel="Stores")
-app.add_typer(dem_cli.app, rich_help_panel="Data")
+"""Commands by subject: the module and the name of each, and the first line of its own help."""
+
+_MODULES = {
+    name: module
+    for commands in COMMANDS.values()
+    for module, name in (path.split(".") for path in commands)
+}
 
 
-@app.command(rich_help_panel="Data")
-def info(
-    path: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[DEM...|STORE]", help="The files of a DEM, or a store."),
-    ] = None,
-    gl: Annotated[bool, typer.Option("--gl", help="Say which OpenGL is used and why.")] = False,
-    as_json: AsJson = False,
-    crs: Crs = None,
-    reproject: Reproject = False,
-) -> None:
-    """Describe a DEM, a store, or the OpenGL in use."""
-    if not path and not gl:
-        raise InputError("nothing to describe; name a DEM or a store, or give --gl")
-    facts: dict[str, object] = describe_gl() if gl else {}
-    if path:
-        if len(path) == 1 and is_store(path[0]):
-            facts |= describe_store(path[0])
-        else:
-            facts |= describe_terrain(read_dem(path, DemOptions(crs=crs, reproject=reproject)))
-    _say_facts(facts, as_json)
+class _Commands(TyperGroup):
+    """Commands that are loaded when they are called: what some of them need takes a second."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the name of a command, the command, which is loaded here, and its arguments."""
+        name, known, rest = super().resolve_command(ctx, args)
+        return name, known and loaded(str(known.name)), rest
 
 
-@app.command(rich_help_panel="Data")
-def explain(
-    dem: Dems,
-    at: Annotated[
-        str,
-        typer.Option(
-            metavar="LON,LAT", help="Degrees (WGS 84), or easting and northing in metres."
-        ),
-    ],
-    width: Width = _DEFAULTS.width,
-    tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
-    k: RefractionK = _DEFAULTS.curvature.refraction_k,
-    no_curvature: NoCurvature = False,
-    crs: Crs = None,
-    reproject: Reproject = False,
-    as_json: AsJson = False,
-) -> None:
-    """Show which terrain a skyline depends on, what is left out, and what that costs."""
-    config = build_cli.render_config(width, tolerance_px, k, no_curvature)
-    pair = _parse_pair(at)
-    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-    eye = stand_on(terrain, *_place_m(terrain, pair), config.eye_height_m)
-    needs, views = explain_scene(terrain, eye, config)
-    _say_facts(describe_scene(eye, config, needs, views), as_json)
+def loaded(name: str) -> Any:
+    """Load a command, or a group of them."""
+    found = getattr(import_module(f"skyline.{_MODULES[name]}"), name)
+    if isinstance(found, typer.Typer):
+        return typer.main.get_group(found)
+    alone = typer.Typer(add_completion=False)
+    alone.command(name)(found)
+    return typer.main.get_command(alone)
+
+
+app = command_line("skyline", "A photo of mountains in, a place on the map out.", _Commands)
+
+for subject, commands in COMMANDS.items():
+    for path, about in commands.items():
+        app.command(path.partition(".")[2], help=about, rich_help_panel=subject)(lambda: None)
 
 
 def main() -> None:
@@ -108,34 +80,3 @@ def main() -> None:
     run_app(
         app, "stopped; what was built or fetched is kept, and the same command continues from there"
     )
-
-
-def _parse_pair(text: str) -> tuple[float, float]:
-    try:
-        first, second = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(
-            f"--at is `{text}`; expected LON,LAT in degrees, or easting and northing in metres"
-        ) from error
-    return first, second
-
-
-def _place_m(terrain: HeightField, pair: tuple[float, float]) -> tuple[float, float]:
-    """Return easting and northing of degrees that lie on the map; other numbers are metres."""
-    if abs(pair[0]) <= 180.0 and abs(pair[1]) <= 90.0:
-        east, north = (float(value) for value in terrain.frame.from_lonlat(*pair))
-        low_east, low_north, high_east, high_north = terrain.bounds_m
-        if low_east <= east <= high_east and low_north <= north <= high_north:
-            return east, north
-    return pair
-
-
-def _say_facts(facts: dict[str, object], as_json: bool) -> None:
-    if as_json:
-        typer.echo(json.dumps(facts))
-        return
-    for name, value in facts.items():
-        values = value if isinstance(value, list) else [value]
-        for line, item in enumerate(values):
-            shown = f"{item:.9g}" if isinstance(item, float) else item
-            typer.echo(f"{name if line == 0 else '':<24} {shown}")

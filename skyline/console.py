@@ -8,20 +8,22 @@ import os
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import partial
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
+from typer.core import TyperGroup
 
 from skyline import __version__
 from skyline.errors import InputError, SkylineError
 from skyline.logs import ENVIRONMENT_VARIABLE, JSON, as_json, start_logging
-from skyline.pipeline import Progress, local_runner, remote_runner
-from skyline.pipeline.jobs import Runner
+from skyline.pipeline.cluster import local_runner, remote_runner
+from skyline.pipeline.jobs import Progress, Runner
 
 # Typer brings click under one name or another, by its version; this one name is public in all.
 _UsageError: Any = typer.BadParameter.__base__
@@ -34,24 +36,20 @@ _TOLD_EACH_S = 1.0
 
 _log = logging.getLogger(__name__)
 
-# Groups of options in the help of commands that have many.
-_TERRAIN, _SPREAD = "Terrain and rendering", "Many processors"
+
+def panel(title: str) -> Callable[..., Any]:
+    """Return what makes an option that stands under a title in the help."""
+    return partial(typer.Option, rich_help_panel=title)
+
+
+_terrain, _spread = panel("Terrain and rendering"), panel("Many processors")
 
 Workers = Annotated[
-    int | None,
-    typer.Option(
-        metavar="N",
-        help="Spread the work over N processes of this machine.",
-        rich_help_panel=_SPREAD,
-    ),
+    int | None, _spread(metavar="N", help="Spread the work over N processes of this machine.")
 ]
 Scheduler = Annotated[
     str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="Spread the work over a dask cluster, e.g. tcp://host:8786.",
-        rich_help_panel=_SPREAD,
-    ),
+    _spread(metavar="ADDRESS", help="Spread the work over a dask cluster, e.g. tcp://host:8786."),
 ]
 
 Dems = Annotated[
@@ -59,53 +57,29 @@ Dems = Annotated[
 ]
 Surfaces = Annotated[
     list[str] | None,
-    typer.Option(
+    _terrain(
         "--surface",
         metavar="FILE",
         help="A surface or canopy model: how far trees and houses may rise above the bare skyline; "
         "repeat for each tile.",
-        rich_help_panel=_TERRAIN,
     ),
 ]
-RefractionK = Annotated[
-    float, typer.Option("--k", help="Refraction coefficient.", rich_help_panel=_TERRAIN)
-]
-NoCurvature = Annotated[
-    bool, typer.Option("--no-curvature", help="Take the Earth as flat.", rich_help_panel=_TERRAIN)
-]
-Crs = Annotated[
-    str | None,
-    typer.Option(
-        help="CRS of a DEM whose files name none, e.g. EPSG:32632.", rich_help_panel=_TERRAIN
-    ),
-]
-Reproject = Annotated[
-    bool,
-    typer.Option(
-        "--reproject", help="Warp a DEM whose CRS is not conformal.", rich_help_panel=_TERRAIN
-    ),
-]
-Width = Annotated[int, typer.Option(help="Columns of a 90 degree view.", rich_help_panel=_TERRAIN)]
+RefractionK = Annotated[float, _terrain("--k", help="Refraction coefficient.")]
+NoCurvature = Annotated[bool, _terrain("--no-curvature", help="Take the Earth as flat.")]
+Crs = Annotated[str | None, _terrain(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")]
+Reproject = Annotated[bool, _terrain("--reproject", help="Warp a DEM whose CRS is not conformal.")]
+Width = Annotated[int, _terrain(help="Columns of a 90 degree view.")]
 Tolerance = Annotated[
-    float,
-    typer.Option(
-        "--tolerance-px",
-        help="Pixels by which a skyline may lie too low; 0 is exact.",
-        rich_help_panel=_TERRAIN,
-    ),
+    float, _terrain("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact.")
 ]
 
 
-def command_line(name: str, about: str) -> typer.Typer:
+def command_line(name: str, about: str, commands: type[TyperGroup] | None = None) -> typer.Typer:
     """Return a command line that says, without a command, its help or the version.
 
-    Parameters
-    ----------
-    name : str
-    about : str
-        What its help says first.
+    Its help says first what it is ``about``; ``commands`` may be a group of its own kind.
     """
-    app = typer.Typer(name=name, pretty_exceptions_enable=False)
+    app = typer.Typer(name=name, cls=commands, pretty_exceptions_enable=False)
 
     @app.callback(invoke_without_command=True, help=about)
     def options(
@@ -125,11 +99,7 @@ def command_line(name: str, about: str) -> typer.Typer:
 def run_app(app: typer.Typer, stopped: str) -> None:
     """Run a command line; every error is one line, exit code 2 for bad input, 1 for failure.
 
-    Parameters
-    ----------
-    app : typer.Typer
-    stopped : str
-        What to say after Ctrl-C.
+    After Ctrl-C it says what ``stopped`` has to say.
     """
     start_logging()
     try:

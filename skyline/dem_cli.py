@@ -6,19 +6,21 @@ from typing import Annotated
 import typer
 
 from skyline.console import parse_bounds, progress_bar
-from skyline.fetch import SOURCES, HttpOptions, fetch_dem
+from skyline.fetch.remote import HttpOptions
+from skyline.fetch.sources import SOURCES
+from skyline.fetch.tiles import fetch_dem
 
 _HTTP = HttpOptions()
 
-app = typer.Typer(name="dem", help="Elevation data for an area.", no_args_is_help=True)
+dem = typer.Typer(name="dem", help="Elevation data for an area.", no_args_is_help=True)
 
 
-@app.callback()
-def dem() -> None:
-    """Elevation data for an area."""
+@dem.callback()
+def _group() -> None:
+    """Keep `fetch` a command of its own, though it is the only one."""
 
 
-@app.command()
+@dem.command()
 def fetch(
     bbox: Annotated[str, typer.Option(metavar="W,S,E,N", help="The box, in degrees (WGS 84).")],
     folder: Annotated[

@@ -17,6 +17,8 @@ DEFAULT_MAX_KEYPOINTS = 128
 def polyline_keypoints(views: Views, tolerance_px: float) -> NDArray[np.uint16]:
     """Return the columns of the polyline vertices of each skyline: the paper's key features.
 
+    Raises `InputError` where the tolerance is not a finite number of at least 0.
+
     Parameters
     ----------
     views : Views
@@ -29,11 +31,6 @@ def polyline_keypoints(views: Views, tolerance_px: float) -> NDArray[np.uint16]:
     (N, DEFAULT_MAX_KEYPOINTS) uint16
         Ascending columns, padded with `NO_KEYPOINT`; see `polyline_vertices` for which are kept of
         more.
-
-    Raises
-    ------
-    InputError
-        The tolerance is not a finite number of at least 0.
     """
     return polyline_vertices(views.elevation_tan, tolerance_px * pixel_size(views.width))
 
@@ -53,6 +50,9 @@ def polyline_vertices(
     splits, so what stays is the polyline of a coarser tolerance (and misses the curve by more
     than the one asked for). The ends of runs come first, those of longer runs before others.
 
+    Raises `InputError` where the tolerance is not a finite number of at least 0, or
+    ``max_vertices`` is below 2.
+
     Parameters
     ----------
     curves : (N, W) floating
@@ -66,11 +66,6 @@ def polyline_vertices(
     -------
     (N, max_vertices) uint16
         Ascending columns, padded with `NO_KEYPOINT`.
-
-    Raises
-    ------
-    InputError
-        The tolerance is not a finite number of at least 0, or ``max_vertices`` is below 2.
     """
     if not (np.isfinite(tolerance) and tolerance >= 0.0):
         raise InputError(f"polyline tolerance is {tolerance}; expected a finite number, at least 0")

@@ -8,10 +8,7 @@ from skyline.errors import InputError
 def write_whole(path: Path, content: bytes | str) -> None:
     """Write a file at once; a failure leaves what was there before.
 
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    Raises `InputError` where the file cannot be written.
     """
     partial = path.with_name(path.name + ".partial")
     try:

@@ -80,10 +80,26 @@ def check_bounds(bounds_deg: Bounds) -> Bounds:
     return bounds_deg
 
 
+def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
+    """Return a longitude or latitude without a sign, with one of two names such as EW instead."""
+    return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
+
+
 def is_metric(crs: CRS) -> bool:
     """Whether a CRS is projected and in metres, so that it can be a frame."""
     units = [axis.unit_conversion_factor for axis in crs.axis_info[:2]]
     return bool(crs.is_projected and np.allclose(units, 1.0, rtol=0.0, atol=1e-9))
+
+
+def parse_crs(crs: object) -> CRS:
+    """Return the CRS of anything pyproj understands; raises `InputError` for what it does not."""
+    try:
+        return CRS.from_user_input(crs)
+    except CRSError as error:
+        raise InputError(
+            f"coordinate reference system {crs!r} is not understood "
+            f"({' '.join(str(error).split())}); give an EPSG code such as EPSG:32632 or WKT"
+        ) from error
 
 
 @dataclass(frozen=True)
@@ -95,13 +111,7 @@ class Frame:
     @classmethod
     def from_crs(cls, crs: object) -> "Frame":
         """Make a frame of anything pyproj understands; raises `InputError` unless metric."""
-        try:
-            parsed = CRS.from_user_input(crs)
-        except CRSError as error:
-            raise InputError(
-                f"coordinate reference system {crs!r} is not understood ({error}); "
-                "give an EPSG code such as EPSG:32632 or a WKT string"
-            ) from error
+        parsed = parse_crs(crs)
         if not is_metric(parsed):
             raise InputError(
                 f"frame {parsed.name!r} is not metric; a projected CRS in metres is needed"
@@ -143,6 +153,11 @@ class Frame:
         """Return longitude and latitude in degrees (WGS 84) of map coordinates in metres."""
         lon, lat = self._to_lonlat.transform(easting_m, northing_m)
         return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
+
+    def box_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Bounds:
+        """Return the box in degrees around places; none lies across the antimeridian."""
+        lon, lat = self.to_lonlat(easting_m, northing_m)
+        return float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max())
 
     def from_lonlat(
         self, lon_deg: ArrayLike, lat_deg: ArrayLike

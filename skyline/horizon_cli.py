@@ -20,8 +20,9 @@ from skyline.console import (
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.pipeline import DEFAULT_STEP_DEG, horizons_of
-from skyline.solar import SUFFIXES, LocalHorizons, horizon_csv, write_horizons
+from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizons_of
+from skyline.solar.horizon_files import SUFFIXES, horizon_csv, write_horizons
+from skyline.solar.local_horizons import LocalHorizons
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import read_surface
@@ -43,8 +44,7 @@ def horizon(
     dem: Dems,
     at: At = None,
     points: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.csv", help="Places as CSV: lon,lat[,eye_height_m]."),
+        Path | None, typer.Option(metavar="FILE.csv", help="Places as CSV: lon,lat[,eye_height_m].")
     ] = None,
     eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
     step_deg: Annotated[
@@ -80,7 +80,8 @@ def horizon(
         else:
             eyes = _eyes(terrain, at or [], eye_height)
         over = read_surface(surface, terrain) if surface else None
-        found = horizons_of(terrain, eyes, step_deg, _curvature(k, no_curvature), progress, over)
+        curvature = Curvature(refraction_k=k, enabled=not no_curvature)
+        found = horizons_of(terrain, eyes, step_deg, curvature, progress, over)
     if output is None:
         typer.echo(horizon_csv(found), nl=False)
     else:
@@ -115,10 +116,6 @@ def sun(
 def _eyes(terrain: HeightField, at: list[str], eye_height_m: float) -> Viewpoints:
     lon, lat = np.transpose([parse_place(text) for text in at])
     return stand_on(terrain, *terrain.frame.from_lonlat(lon, lat), eye_height_m)
-
-
-def _curvature(k: float, no_curvature: bool) -> Curvature:
-    return Curvature(refraction_k=k, enabled=not no_curvature)
 
 
 def _warn(found: LocalHorizons) -> None:

@@ -37,27 +37,20 @@ def quadrant_azimuths_rad(bins: int) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Horizons(Rows):
-    """The skylines of N eyes in B bins of azimuth, `bin_azimuths_rad` unless other were asked for.
-
-    Attributes
-    ----------
-    easting_m, northing_m, eye_elevation_m : (N,) float64
-        The eye, in the DEM's frame and above its datum.
-    elevation_tan : (N, B) float32
-        Tangent of the skyline's elevation angle: up over horizontal distance. NaN where an
-        azimuth meets no data.
-    distance_m : (N, B) float32
-        Horizontal distance of the skyline; NaN where an azimuth meets no data.
-    flags : (N, B) uint8
-        The bits of `skyline.views`: truncated, hole, no data.
-    """
+    """The skylines of N eyes in B bins of azimuth: `bin_azimuths_rad`, unless others were asked."""
 
     easting_m: Float64Array
     northing_m: Float64Array
     eye_elevation_m: Float64Array
+    """``easting_m``, ``northing_m``, ``eye_elevation_m``: (N,) float64. The eye, in the DEM's frame
+    and above its datum."""
     elevation_tan: Float32Array
+    """(N, B) float32. Tangent of the skyline's elevation angle: up over horizontal distance. NaN
+    where an azimuth meets no data."""
     distance_m: Float32Array
+    """(N, B) float32. Horizontal distance of the skyline; NaN where an azimuth meets no data."""
     flags: NDArray[np.uint8]
+    """(N, B) uint8. The bits of `skyline.views`: truncated, hole, no data."""
 
     def __len__(self) -> int:
         return len(self.easting_m)

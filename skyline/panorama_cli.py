@@ -5,16 +5,9 @@ from typing import Annotated
 
 import typer
 
-from skyline.console import (
-    Crs,
-    Dems,
-    Reproject,
-    Surfaces,
-    parse_bounds,
-    parse_place,
-    patience,
-)
-from skyline.fetch import HttpOptions, fetch_peaks
+from skyline.console import Crs, Dems, Reproject, Surfaces, parse_bounds, parse_place, patience
+from skyline.fetch.overpass import fetch_peaks
+from skyline.fetch.remote import HttpOptions
 from skyline.pipeline.panorama import PanoramaConfig, save_panorama_of
 from skyline.report.peaks import read_peaks
 from skyline.terrain.blocks import Blocks

@@ -15,6 +15,7 @@ from skyline.console import (
     Surfaces,
     Workers,
     complain,
+    panel,
     parse_bounds,
     patience,
     runner_of,
@@ -23,7 +24,11 @@ from skyline.errors import InputError, SkylineError
 from skyline.matching import Narrowing
 from skyline.matching.match_config import MatchConfig
 from skyline.photo import Projection, QuerySkyline, extract_photo, write_overlay, write_trace
-from skyline.pipeline import FULL, MATCHERS, Matcher, MatchResult, Query, listed, match_many
+from skyline.pipeline.batch import match_many
+from skyline.pipeline.match import Matcher
+from skyline.pipeline.matchers import FULL, MATCHERS
+from skyline.pipeline.queries import Query, listed
+from skyline.pipeline.results import MatchResult
 from skyline.report.exports import EXPORTS, check_export
 from skyline.report.peaks import read_peaks
 from skyline.report.results import RESULTS
@@ -32,8 +37,8 @@ from skyline.terrain.tiles import absolute_name
 _DEFAULTS = MatchConfig()
 
 # Groups of options in the help, after those that most people need.
-_PHOTOS, _CAMERA = "The photos", "Where the camera stood, and how"
-_SEARCH, _OUTPUT = "The search", "More files to write"
+_photos, _camera = panel("The photos"), panel("Where the camera stood, and how")
+_search, _output = panel("The search"), panel("More files to write")
 
 FieldOfView = Annotated[
     float | None,
@@ -41,16 +46,9 @@ FieldOfView = Annotated[
 ]
 PhotoProjection = Annotated[
     Projection | None,
-    typer.Option(
-        "--projection",
-        help="Projection of a panorama, usually cylindrical.",
-        rich_help_panel=_PHOTOS,
-    ),
+    _photos("--projection", help="Projection of a panorama, usually cylindrical."),
 ]
-SkyModel = Annotated[
-    Path | None,
-    typer.Option(metavar="ONNX", help="Your own sky segmentation model.", rich_help_panel=_PHOTOS),
-]
+SkyModel = Annotated[Path | None, _photos(metavar="ONNX", help="Your own sky segmentation model.")]
 
 
 def match(
@@ -77,98 +75,64 @@ def match(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     projection: PhotoProjection = None,
     bounds: Annotated[
-        str | None,
-        typer.Option(
-            metavar="W,S,E,N", help="Search only in this box, in degrees.", rich_help_panel=_CAMERA
-        ),
+        str | None, _camera(metavar="W,S,E,N", help="Search only in this box, in degrees.")
     ] = None,
     heading: Annotated[
         str | None,
-        typer.Option(
-            metavar="DEG,SLACK",
-            help="Camera heading from true north, within SLACK degrees.",
-            rich_help_panel=_CAMERA,
-        ),
+        _camera(metavar="DEG,SLACK", help="Camera heading from true north, within SLACK degrees."),
     ] = None,
     elevation: Annotated[
         str | None,
-        typer.Option(
-            metavar="LOW,HIGH",
-            help="The camera stood between these elevations, in metres.",
-            rich_help_panel=_CAMERA,
-        ),
+        _camera(metavar="LOW,HIGH", help="The camera stood between these elevations, in metres."),
     ] = None,
     eye_height: Annotated[
-        float | None,
-        typer.Option(
-            metavar="M",
-            help="Camera above the ground; by default it is found.",
-            rich_help_panel=_CAMERA,
-        ),
+        float | None, _camera(metavar="M", help="Camera above the ground; by default it is found.")
     ] = None,
     fov_slack: Annotated[
-        float,
-        typer.Option(
-            help="Standard deviation of the field of view, as a share of it.",
-            rich_help_panel=_PHOTOS,
-        ),
+        float, _photos(help="Standard deviation of the field of view, as a share of it.")
     ] = _DEFAULTS.fov_slack,
     use_gps: Annotated[
         bool,
-        typer.Option(
-            "--use-gps",
-            help="Let each photo's own GPS position draw its search, never bind it.",
-            rich_help_panel=_CAMERA,
+        _camera(
+            "--use-gps", help="Let each photo's own GPS position draw its search, never bind it."
         ),
     ] = False,
     same_place: Annotated[
         bool,
-        typer.Option(
-            "--same-place",
-            help="The photos were taken at one place: find it from all of them.",
-            rich_help_panel=_PHOTOS,
+        _photos(
+            "--same-place", help="The photos were taken at one place: find it from all of them."
         ),
     ] = False,
     surface: Surfaces = None,
-    matcher: Annotated[
-        str, typer.Option(help=f"One of {', '.join(MATCHERS)}.", rich_help_panel=_SEARCH)
-    ] = FULL,
+    matcher: Annotated[str, _search(help=f"One of {', '.join(MATCHERS)}.")] = FULL,
     no_refine: Annotated[
-        bool,
-        typer.Option(
-            "--no-refine", help="Skip refinement: faster, less exact.", rich_help_panel=_SEARCH
-        ),
+        bool, _search("--no-refine", help="Skip refinement: faster, less exact.")
     ] = False,
     sky_model: SkyModel = None,
     min_confidence: Annotated[
-        float, typer.Option(help="Least confidence for an answer.", rich_help_panel=_SEARCH)
+        float, _search(help="Least confidence for an answer.")
     ] = _DEFAULTS.min_confidence,
-    top: Annotated[
-        int, typer.Option(help="Number of candidates to print.", rich_help_panel=_SEARCH)
-    ] = 5,
+    top: Annotated[int, _search(help="Number of candidates to print.")] = 5,
     results: Annotated[
         Path | None,
-        typer.Option(
+        _output(
             metavar="FILE",
             help=f"Write a row a photo as it is done ({', '.join(RESULTS)}). Photos that the file "
             "has are not matched again.",
-            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     export: Annotated[
         list[Path] | None,
-        typer.Option(
+        _output(
             metavar="FILE",
             help=f"Write the candidates, by the suffix: {', '.join(EXPORTS)}; may be repeated.",
-            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     peaks: Annotated[
         Path | None,
-        typer.Option(
+        _output(
             metavar="FILE",
             help="Peaks to name in the report: GeoJSON, or CSV with name,lon,lat[,height_m].",
-            rich_help_panel=_OUTPUT,
         ),
     ] = None,
     workers: Workers = None,

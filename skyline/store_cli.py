@@ -22,15 +22,15 @@ from skyline.store.header import RENDERINGS, check_holds
 
 _DAMAGED = 2
 
-store_app = typer.Typer(
-    help="Check, repair, merge, compact and export stores.", no_args_is_help=True
+store = typer.Typer(
+    name="store", help="Check, repair, merge, compact and export stores.", no_args_is_help=True
 )
 
 StoreFile = Annotated[Path, typer.Argument(metavar="STORE")]
 NewStore = Annotated[Path, typer.Option("--output", "-o", help="The new store; must not exist.")]
 
 
-@store_app.command()
+@store.command()
 def check(
     store: StoreFile,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
@@ -48,7 +48,7 @@ def check(
     typer.echo("; ".join([f"{store}: {report.committed:,} {report.holds}, whole", *notes]))
 
 
-@store_app.command()
+@store.command()
 def repair(store: StoreFile, output: NewStore) -> None:
     """Save the undamaged rows of a store in a new store, in their order."""
     report = repair_store(store, output)
@@ -58,7 +58,7 @@ def repair(store: StoreFile, output: NewStore) -> None:
         typer.echo(f"  left out {rows}: {damage.what}")
 
 
-@store_app.command()
+@store.command()
 def merge(
     stores: Annotated[list[Path], typer.Argument(metavar="STORE...")], output: NewStore
 ) -> None:
@@ -66,7 +66,7 @@ def merge(
     _say_copied(merge_stores(stores, output), output)
 
 
-@store_app.command()
+@store.command()
 def compact(
     store: StoreFile,
     output: NewStore,
@@ -92,7 +92,7 @@ def compact(
     _say_copied(compact_store(store, output, coding), output)
 
 
-@store_app.command()
+@store.command()
 def export(
     store: StoreFile,
     output: Annotated[

@@ -20,7 +20,9 @@ _AGAIN = (429, 500, 502, 503, 504)
 
 
 def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, options: HttpOptions) -> int:
-    """Write the named peaks and volcanoes of a box as GeoJSON, as `skyline.read_peaks` reads it.
+    """Write the named peaks and volcanoes of a box as GeoJSON; return how many there are.
+
+    `skyline.read_peaks` reads it.
 
     Parameters
     ----------
@@ -32,11 +34,6 @@ def fetch_peaks(bounds_deg: Bounds, server: str, path: Path, options: HttpOption
         Written whole or not at all.
     options : HttpOptions
         An answer must be there whole within its timeout.
-
-    Returns
-    -------
-    int
-        How many there are.
 
     Raises
     ------

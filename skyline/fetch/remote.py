@@ -24,21 +24,14 @@ _AGAIN = re.compile(r"HTTP response code: (429|5\d\d)|CURL error|[Rr]ead (error|
 
 @dataclass(frozen=True, slots=True)
 class HttpOptions:
-    """How patient a fetch is.
-
-    Attributes
-    ----------
-    retries : int
-        How often a request that failed is made again.
-    retry_delay_s : float
-        Seconds before the first time; twice as long before each further one.
-    timeout_s : int
-        Seconds without an answer, or with less than 1 kB a second, after which a request failed.
-    """
+    """How patient a fetch is."""
 
     retries: int = 4
+    """How often a request that failed is made again."""
     retry_delay_s: float = 1.0
+    """Seconds before the first time; twice as long before each further one."""
     timeout_s: int = 30
+    """Seconds without an answer, or with less than 1 kB a second, after which a request failed."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.retries <= 100:

@@ -27,16 +27,11 @@ _ARC_SECOND_BYTES = 4 * 3600**2
 
 @dataclass(frozen=True, slots=True, order=True)
 class DegreeTile:
-    """A square degree, named by its south-west corner.
-
-    Attributes
-    ----------
-    lat, lon : int
-        Degrees; north and east are positive.
-    """
+    """A square degree, named by its south-west corner."""
 
     lat: int
     lon: int
+    """``lat``, ``lon``: degrees; north and east are positive."""
 
     @property
     def name(self) -> str:
@@ -59,20 +54,13 @@ class DegreeTile:
 class TileSource:
     """A template of addresses.
 
-    Attributes
-    ----------
-    template : str
-        An http or https address. ``{lat}``, ``{lon}`` are the whole degrees, without sign, of a
-        tile's south-west corner, ``{ns}``, ``{ew}`` its hemispheres (N or S, E or W); numbers take
-        a format, as in ``{lat:02d}``. Without any of them the address is one file over all.
-
-    Raises
-    ------
-    InputError
-        Not an http(s) address, or a field that is none of these.
+    Raises `InputError` for what is no http(s) address, or a field that is none of these.
     """
 
     template: str
+    """An http or https address. ``{lat}``, ``{lon}`` are the whole degrees, without sign, of a
+    tile's south-west corner, ``{ns}``, ``{ew}`` its hemispheres (N or S, E or W); numbers take a
+    format, as in ``{lat:02d}``. Without any of them the address is one file over all."""
 
     def __post_init__(self) -> None:
         try:
@@ -111,10 +99,8 @@ class TileSource:
     def tiles(self, bounds_deg: Bounds) -> list[DegreeTile]:
         """Return the tiles that bounds need, from the south-west, row by row.
 
-        Raises
-        ------
-        InputError
-            Bounds that are not numbers in order, or that need more than `MAX_TILES`.
+        Raises `InputError` for bounds that are not numbers in order, or that need more than
+        `MAX_TILES`.
         """
         west, south, east, north = check_bounds(bounds_deg)
         if not self.tiled:

@@ -38,21 +38,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class FetchResult:
-    """What a fetch left in its folder.
-
-    Attributes
-    ----------
-    files : tuple of Path
-        All tiles, from the south-west, row by row.
-    fetched : int
-        Of these, the ones fetched now; the others were there already.
-    missing : tuple of str
-        Tiles that the source does not have: as a rule, sea.
-    """
+    """What a fetch left in its folder."""
 
     files: tuple[Path, ...]
+    """All tiles, from the south-west, row by row."""
     fetched: int
+    """Of these, the ones fetched now; the others were there already."""
     missing: tuple[str, ...]
+    """Tiles that the source does not have: as a rule, sea."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +85,6 @@ def fetch_dem(
         A name of `SOURCES` or a template, see `TileSource`.
     folder : str or Path
         Made where it does not exist. Files are named by their tile: ``N46E009.tif``.
-    options : HttpOptions, optional
-    progress : callable, optional
 
     Raises
     ------

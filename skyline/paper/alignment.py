@@ -21,7 +21,7 @@ def align_curves(
     bin_px: float,
     outlier_px: float,
 ) -> Float64Array:
-    """Improve affine maps from one curve to each of C closed curves.
+    """Return better affine maps (C, 2, 3) from one curve to each of C closed curves.
 
     Damped Gauss-Newton on the vertical distance between the warped points and the curve at the
     azimuth they land on. A point farther off than about ``outlier_px`` counts less and less.
@@ -38,10 +38,6 @@ def align_curves(
         Width of a bin.
     outlier_px : float
         Scale of the Cauchy weights.
-
-    Returns
-    -------
-    (C, 2, 3) float64
     """
     count, bins = y_px.shape
     slope = (np.roll(y_px, -1, axis=1) - np.roll(y_px, 1, axis=1)) / np.float32(2.0 * bin_px)

@@ -11,11 +11,12 @@ _FAR_PX = np.float32(1e6)
 
 
 def chamfer_px(a: Float32Array, b: Float32Array, step_px: float) -> Float32Array:
-    """Return the symmetric Chamfer distance of pairs of patches.
+    """Return the symmetric Chamfer distances (M,) of pairs of patches.
 
     The samples of a patch are points (step_px * i, value). The distance is the mean over the
     points of either patch of the distance to the nearest point of the other, the two means
-    averaged. Only offsets at which both patches are known take part.
+    averaged. Only offsets at which both patches are known take part; it is infinite for a pair
+    without any.
 
     Parameters
     ----------
@@ -23,11 +24,6 @@ def chamfer_px(a: Float32Array, b: Float32Array, step_px: float) -> Float32Array
         Patches in px, NaN where unknown.
     step_px : float
         Distance between neighbouring samples.
-
-    Returns
-    -------
-    (M,) float32
-        Infinite for a pair without a common offset.
     """
     return np.concatenate(
         [np.zeros(0, dtype=np.float32)]
@@ -80,7 +76,6 @@ def nearest_patches(
         Of `mean_squared_px2`; infinite for pairs not to be compared.
     step_px : float
         Distance between neighbouring samples.
-    shortlist : int
 
     Returns
     -------
@@ -103,7 +98,9 @@ def nearest_patches(
 
 
 def mean_squared_px2(query: Float32Array, stored: Float32Array, min_known: int) -> Float32Array:
-    """Return the mean squared vertical difference of every query patch with every stored one.
+    """Return mean squared vertical differences (C, Q, K) of query patches with stored ones, px2.
+
+    They are taken over common offsets, and infinite where there are too few.
 
     Parameters
     ----------
@@ -113,11 +110,6 @@ def mean_squared_px2(query: Float32Array, stored: Float32Array, min_known: int) 
         The patches of C locations, NaN where unknown, all NaN where a location has fewer.
     min_known : int
         Pairs with fewer common offsets are not compared.
-
-    Returns
-    -------
-    (C, Q, K) float32, px squared
-        Over common offsets; infinite where there are too few.
     """
     query_known, stored_known = np.isfinite(query), np.isfinite(stored)
     m, n = query_known.astype(np.float32), stored_known.astype(np.float32)

@@ -38,57 +38,39 @@ _REACH_TURNS = 1.0 / 32.0
 
 @dataclass(frozen=True, slots=True)
 class PaperMatcher:
-    """The paper's matcher over whole 360 degree profiles.
-
-    Attributes
-    ----------
-    attitudes : Attitudes
-        Assumed pitches and rolls; the affine map takes up what lies between.
-    tolerance_px : float
-        Of the query's polyline; best that of the store's.
-    max_keypoints : int
-        Of the query.
-    patch_half_px, patch_step_px : float
-        Reach of a local skyline to either side of its keypoint and distance of its samples.
-    shortlist_poses : int or None
-        Pairs of a location and an assumed attitude that are looked at closely, by Chamfer
-        distance, RANSAC and warping: those `skyline.paper.shortlist` finds most alike. None
-        looks at all.
-    shortlist : int
-        Stored patches a query patch is compared with by Chamfer distance.
-    directions : int
-        Directions tried at a location: those that most correspondences agree on.
-    inlier_px : float
-        RANSAC's threshold.
-    iterations : int
-        Samples RANSAC draws.
-    min_inliers : int
-        Fewer are no fit; at least 3.
-    max_scale : float
-        Singular values of the map must lie between 1 / max_scale and max_scale.
-    max_turn_deg : float
-        Greatest turn of the map in the image.
-    min_overlap : float
-        Least share of the query's weight that must land on known profile, in (0, 1].
-    separation_m : float
-        Candidates are at least this far apart.
-    """
+    """The paper's matcher over whole 360 degree profiles."""
 
     attitudes: Attitudes = field(default_factory=Attitudes)
+    """Assumed pitches and rolls; the affine map takes up what lies between."""
     tolerance_px: float = 1.0
+    """Of the query's polyline; best that of the store's."""
     max_keypoints: int = 64
+    """Of the query."""
     patch_half_px: float = 40.0
     patch_step_px: float = 4.0
+    """``patch_half_px``, ``patch_step_px``: reach of a local skyline to either side of its keypoint
+    and distance of its samples."""
     shortlist_poses: int | None = 100
+    """Pairs of a location and an assumed attitude that are looked at closely, by Chamfer distance,
+    RANSAC and warping: those `skyline.paper.shortlist` finds most alike. None looks at all."""
     shortlist: int = 4
+    """Stored patches a query patch is compared with by Chamfer distance."""
     directions: int = 3
+    """Directions tried at a location: those that most correspondences agree on."""
     inlier_px: float = 4.0
+    """RANSAC's threshold."""
     iterations: int = 100
+    """Samples RANSAC draws."""
     min_inliers: int = 3
+    """Fewer are no fit; at least 3."""
     max_scale: float = 1.25
+    """Singular values of the map must lie between 1 / max_scale and max_scale."""
     max_turn_deg: float = 15.0
+    """Greatest turn of the map in the image."""
     min_overlap: float = 0.8
+    """Least share of the query's weight that must land on known profile, in (0, 1]."""
     separation_m: float = 0.0
+    """Candidates are at least this far apart."""
 
     def __post_init__(self) -> None:
         if self.min_inliers < 3:
@@ -276,12 +258,8 @@ def _corresponding_points(
 ) -> tuple[Float64Array, Float64Array]:
     """Return the points in px that each correspondence puts on top of each other.
 
-    Besides the keypoint these are a point of the local skyline to either side of it.
-
-    Parameters
-    ----------
-    shift : (C, Q) int
-        Stored minus query bin.
+    Besides the keypoint these are a point of the local skyline to either side of it; shifts (C, Q)
+    are stored minus query bin.
 
     Returns
     -------

@@ -13,33 +13,22 @@ from skyline.matching.query import QueryCurves
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QueryCurve:
-    """The query at one assumed attitude: R points of its skyline and Q keypoints, in px.
-
-    Attributes
-    ----------
-    points_px : (R, 2) float64
-        x from the optical axis, and y.
-    weight : (R,) float64
-    point_bins : (R,) intp
-        Bin B / 2 is straight ahead.
-    bins : (Q,) intp
-        Of the keypoints.
-    local_bins : (3,) intp
-        Points of a local skyline, relative to its keypoint.
-    local_px : (Q, 3, 2) float64
-        Those points.
-    patches : (Q, S) float32
-        Local skylines relative to their keypoints; NaN where unknown.
-    pitch_deg, roll_deg : float
-    """
+    """The query at one assumed attitude: R points of its skyline and Q keypoints, in px."""
 
     points_px: Float64Array
+    """(R, 2) float64. x from the optical axis, and y."""
     weight: Float64Array
+    """(R,) float64."""
     point_bins: IntArray
+    """(R,) intp. Bin B / 2 is straight ahead."""
     bins: IntArray
+    """(Q,) intp. Of the keypoints."""
     local_bins: IntArray
+    """(3,) intp. Points of a local skyline, relative to its keypoint."""
     local_px: Float64Array
+    """(Q, 3, 2) float64. Those points."""
     patches: Float32Array
+    """(Q, S) float32. Local skylines relative to their keypoints; NaN where unknown."""
     pitch_deg: float
     roll_deg: float
 
@@ -79,24 +68,17 @@ class QueryCurve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredCurves:
-    """C locations of a store: skylines and, padded to the most, K keypoints each, in px.
-
-    Attributes
-    ----------
-    y_px : (C, B) float32
-        NaN where unknown.
-    bins : (C, K) intp
-        Of the keypoints; 0 where padded.
-    patches : (C, K, S) float32
-        Local skylines relative to their keypoints; NaN where unknown and where padded.
-    bin_px : float
-        Width of a bin.
-    """
+    """C locations of a store: skylines and, padded to the most, K keypoints each, in px."""
 
     y_px: Float32Array
+    """(C, B) float32. NaN where unknown."""
     bins: IntArray
+    """(C, K) intp. Of the keypoints; 0 where padded."""
     patches: Float32Array
+    """(C, K, S) float32. Local skylines relative to their keypoints; NaN where unknown and where
+    padded."""
     bin_px: float
+    """Width of a bin."""
 
     @classmethod
     def of(cls, profiles: Profiles, rows: IntArray, offsets: IntArray) -> Self:

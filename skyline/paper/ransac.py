@@ -13,27 +13,18 @@ _JUDGED = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Ransac:
-    """How maps are drawn and which are taken.
-
-    Attributes
-    ----------
-    iterations : int
-        Samples drawn, each of three correspondences; equal input has equal output.
-    inlier_px : float
-        A correspondence agrees with a map that puts its point this near.
-    min_inliers : int
-        A map with fewer is none.
-    max_scale : float
-        Singular values of a map must lie between 1 / max_scale and max_scale.
-    max_turn_deg : float
-        Greatest turn of a map.
-    """
+    """How maps are drawn and which are taken."""
 
     iterations: int
+    """Samples drawn, each of three correspondences; equal input has equal output."""
     inlier_px: float
+    """A correspondence agrees with a map that puts its point this near."""
     min_inliers: int
+    """A map with fewer is none."""
     max_scale: float
+    """Singular values of a map must lie between 1 / max_scale and max_scale."""
     max_turn_deg: float
+    """Greatest turn of a map."""
 
     def maps(self, source: Float64Array, target: Float64Array, used: BoolArray) -> Float64Array:
         """Return the plausible maps that most correspondences agree on.

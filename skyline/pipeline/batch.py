@@ -32,19 +32,12 @@ _Asked = tuple[Hashable, ...]
 
 @dataclass(frozen=True, slots=True)
 class _Work:
-    """What all jobs of a batch share.
-
-    Attributes
-    ----------
-    stamp : int
-        When the store was written.
-    matcher : tuple
-        What a `Matcher` is made of.
-    top : int
-    """
+    """What all jobs of a batch share."""
 
     stamp: int
+    """When the store was written."""
     matcher: _Asked
+    """What a `Matcher` is made of."""
     top: int
 
     def screen(self, job: _Job) -> Alike | None:
@@ -78,7 +71,6 @@ def match_many(
         paths.
     matcher : tuple
         What a `Matcher` is made of, in order: the store's path first.
-    queries : sequence of Query
     top : int
         As of `Matcher.match`.
     """

@@ -1,11 +1,10 @@
 """Rendering viewpoints: into memory, into a store, onto pictures."""
 
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Generic, Protocol, Self, TypeVar
+from typing import Generic, Self, TypeVar
 
 import cv2
 import numpy as np
@@ -14,18 +13,15 @@ from skyline import report
 from skyline.camera import HEADINGS
 from skyline.features import polyline_keypoints
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
+from skyline.pipeline.jobs import Progress
 from skyline.planning.adaptive import Blocks
 from skyline.render.depth import DepthRenderer
-from skyline.render.horizon import HorizonRenderer
+from skyline.render.horizon import ColumnRenderer
 from skyline.store import StoreHeader, StoreWriter, create_store, open_for_append, open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.scene import SceneNeeds, scene_needs
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
-
-Progress = Callable[[int, int], None]
-"""Called with how much is done and how much there is to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +34,6 @@ class BuildResult:
         Renderings or places in the store.
     rendered : int
         Of these, the ones added now; the others were there already.
-    seconds : float
     """
 
     rows: int
@@ -46,63 +41,48 @@ class BuildResult:
     seconds: float
 
 
-class _Renderer(Protocol):
-    def release(self) -> None: ...
-
-
 Work = TypeVar("Work", Viewpoints, Blocks)
 """What is rendered: viewpoints, or blocks of the map whose viewpoints are planned."""
 
+VIEWPOINTS_AT_A_TIME = 64
+
 
 @dataclass(frozen=True)
-class RowRenderer(ABC, Generic[Work]):
-    """Renders viewpoints, or what a planner makes of blocks, as rows of one kind of store.
+class RowRenderer(Generic[Work]):
+    """Renders viewpoints, or what a planner makes of blocks, as rows of one kind of store."""
 
-    Attributes
-    ----------
-    at_a_time : int
-        How many of them to render between two looks at the progress.
-    renderer
-    header : StoreHeader
-        Of the store that the rows are for.
-    """
-
-    at_a_time: ClassVar[int]
-
-    renderer: _Renderer
+    renderer: ColumnRenderer
+    """Released at the end of a ``with`` block."""
     header: StoreHeader
-
-    @abstractmethod
-    def render_into(self, writer: StoreWriter, work: Work) -> None:
-        """Append the rows of some work to a store."""
+    """Of the store that the rows are for."""
+    at_a_time: int
+    """How much of the work to do between two looks at the progress."""
+    render_into: Callable[[StoreWriter, Work], None]
+    """Appends the rows of some work to a store."""
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Let go of the renderer."""
         self.renderer.release()
 
 
-@dataclass(frozen=True)
-class ViewRows(RowRenderer[Viewpoints]):
-    """Renders viewpoints in all four headings, views and their keypoints."""
-
-    at_a_time = 64
-
-    renderer: HorizonRenderer
-    config: RenderConfig
-
-    def render_into(self, writer: StoreWriter, work: Viewpoints) -> None:
-        """See `RowRenderer.render_into`."""
-        views = self.renderer.render(work)
-        writer.append(views, polyline_keypoints(views, self.config.keypoint_tolerance_px))
-
-
-def view_rows(terrain: HeightField, config: RenderConfig, plan: dict[str, object]) -> ViewRows:
-    """Return what renders views as a configuration asks, for a store made by a plan."""
+def view_rows(
+    terrain: HeightField, config: RenderConfig, plan: dict[str, object]
+) -> RowRenderer[Viewpoints]:
+    """Return what renders views in all four headings, and their keypoints, by a configuration."""
     renderer = make_renderer(terrain, config)
-    return ViewRows(renderer, store_header(terrain, renderer.description, config, plan), config)
+
+    def render_into(writer: StoreWriter, viewpoints: Viewpoints) -> None:
+        append_views(writer, renderer.render(viewpoints), config)
+
+    header = store_header(terrain, renderer.description, config, plan)
+    return RowRenderer(renderer, header, VIEWPOINTS_AT_A_TIME, render_into)
+
+
+def append_views(writer: StoreWriter, views: Views, config: RenderConfig) -> None:
+    """Append views to a store, with their keypoints."""
+    writer.append(views, polyline_keypoints(views, config.keypoint_tolerance_px))
 
 
 def render_views(
@@ -114,30 +94,13 @@ def render_views(
         return renderer.render(viewpoints)
 
 
-def explain_scene(
-    terrain: HeightField, eye: Viewpoints, config: RenderConfig | None = None
-) -> tuple[SceneNeeds, Views]:
-    """Return what one viewpoint's skyline needs, and its views at tolerance 0 and as configured.
-
-    The four exact views come first, the four of the configuration after them.
-    """
-    config = config or RenderConfig()
-    # What the tolerance leaves out shows only in skylines that were rendered without it.
-    exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
-    given = render_views(terrain, eye, config)
-    needs = scene_needs(terrain, eye, config.width, config.tolerance_px, config.curvature)
-    return needs, Views.concatenate([exact, given])
-
-
 def render_missing(
     path: str | Path, rows: RowRenderer[Work], work: Work, progress: Progress | None = None
 ) -> BuildResult:
     """Render what a store lacks of some work; the store is made where there is none.
 
-    Raises
-    ------
-    StoreMismatchError
-        The store at ``path`` was built from another DEM or with another configuration.
+    Raises `StoreMismatchError` where the store at ``path`` was built from another DEM or with
+    another configuration.
     """
     if not Path(path).exists():
         with create_store(path, rows.header) as writer:

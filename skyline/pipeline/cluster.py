@@ -42,10 +42,7 @@ _job_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="skyline-jobs
 def local_runner(workers: int) -> Iterator[Runner]:
     """Start worker processes on this machine for the block; yields a `Runner`.
 
-    Raises
-    ------
-    InputError
-        Fewer than one worker, or dask is not installed.
+    Raises `InputError` for fewer than one worker, or where dask is not installed.
     """
     with local_cluster(workers) as cluster, _distributed().Client(cluster) as client:
         yield partial(_run, client)
@@ -85,10 +82,7 @@ def remote_runner(address: str) -> Iterator[Runner]:
 
     What dask sends is pickled, both ways: connect to a scheduler that you trust alone.
 
-    Raises
-    ------
-    InputError
-        Nothing answers at the address, or dask is not installed.
+    Raises `InputError` where nothing answers at the address, or dask is not installed.
     """
     distributed = _distributed()
     try:

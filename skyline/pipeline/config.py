@@ -1,15 +1,13 @@
 """How skylines are rendered, and the renderer and the store header that this asks for."""
 
-import logging
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from skyline.camera import DEFAULT_WIDTH
 from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.geodesy import Curvature
-from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.panorama import DEFAULT_TOLERANCE_DEG
 from skyline.store import RowCoding, StoreHeader
@@ -17,8 +15,6 @@ from skyline.store.header import PLACES
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
-
-_log = logging.getLogger(__name__)
 
 ROWS = ("compact", "exact")
 """How a store may hold its rows."""
@@ -38,7 +34,6 @@ class RenderConfig:
         Eye above ground, where a viewpoint does not say.
     keypoint_tolerance_px : float
         How far a skyline may be from the polyline whose vertices are its keypoints.
-    curvature : Curvature
     rows : str
         "compact" (skylines within 0.005 px, depths within 0.1 %, a fifth of the bytes) or "exact".
 
@@ -71,7 +66,6 @@ class PlaceConfig:
     tolerance_deg : float
         How far a skyline may fall short of the exact one, degrees of elevation; 0 is exact but
         for float32.
-    curvature : Curvature
     """
 
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
@@ -111,11 +105,7 @@ def store_header(
 def read_dem_of(header: StoreHeader, paths: Sequence[str | Path] = ()) -> HeightField:
     """Read the DEM a store was built from, as it was read then.
 
-    Parameters
-    ----------
-    header : StoreHeader
-    paths : sequence of paths, optional
-        Where the DEM lies now; by default where it lay.
+    ``paths`` say where it lies now; by default where it lay.
 
     Raises
     ------
@@ -142,10 +132,7 @@ def check_dem(header: StoreHeader, terrain: HeightField) -> None:
 def curvature_of(header: StoreHeader) -> Curvature:
     """Return the curvature a store was rendered with; the default where it does not say.
 
-    Raises
-    ------
-    StoreError
-        It says what is no curvature.
+    Raises `StoreError` where it says what is no curvature.
     """
     stored = header.config.get("curvature")
     if not isinstance(stored, dict):
@@ -157,21 +144,3 @@ def curvature_of(header: StoreHeader) -> Curvature:
         raise StoreError(
             f"the store's curvature is {stored!r}, which is none ({error}); build it anew"
         ) from error
-
-
-def mapped_area_m(header: StoreHeader, terrain: HeightField) -> MapBounds | None:
-    """Return the part of a terrain that a store was built for; None where it does not say.
-
-    Bounds that are no box on the terrain count as unsaid, with a warning.
-    """
-    if "bounds_deg" not in header.config:
-        return None
-    bounds_deg = header.config["bounds_deg"]
-    if bounds_deg is None:
-        return map_bounds(terrain, None)
-    try:
-        west, south, east, north = (float(degrees) for degrees in cast(list[float], bounds_deg))
-        return map_bounds(terrain, (west, south, east, north))
-    except (TypeError, ValueError) as error:
-        _log.warning("the store's own bounds_deg, %r, are of no use: %s", bounds_deg, error)
-        return None

@@ -9,6 +9,9 @@ from skyline.errors import BuildError, SkylineError
 T = TypeVar("T")
 R = TypeVar("R")
 
+Progress = Callable[[int, int], None]
+"""Called with how much is done and how much there is to do."""
+
 _NAMED = 5
 
 _log = logging.getLogger(__name__)

@@ -16,24 +16,16 @@ DEFAULT_TILE_M = 10_000.0
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where viewpoints are, and how the area is cut where it is built by tiles.
-
-    Attributes
-    ----------
-    spacing_m : float or None
-        Between viewpoints of a uniform grid; None for places that are planned.
-    tile_m : float
-        Side of the square tiles, which lie at whole multiples of it.
-    bounds_deg : tuple, optional
-        W, S, E, N in degrees; by default all of the terrain.
-    loss : float
-        Of places that are planned: the share of the views, 60 degrees wide, that may be lost.
-    """
+    """Where viewpoints are, and how the area is cut where it is built by tiles."""
 
     spacing_m: float | None = None
+    """Between viewpoints of a uniform grid; None for places that are planned."""
     tile_m: float = DEFAULT_TILE_M
+    """Side of the square tiles, which lie at whole multiples of it."""
     bounds_deg: tuple[float, float, float, float] | None = None
+    """W, S, E, N in degrees; by default all of the terrain."""
     loss: float = DEFAULT_LOSS
+    """Of places that are planned: the share of the views, 60 degrees wide, that may be lost."""
 
     @property
     def record(self) -> dict[str, object]:

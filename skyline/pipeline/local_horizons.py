@@ -10,12 +10,11 @@ from skyline.camera import MAX_WIDTH
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.horizons import Horizons
-from skyline.pipeline.build import Progress
-from skyline.pipeline.opened import Dem
+from skyline.pipeline.jobs import Progress
 from skyline.render.panorama import PanoramaRenderer
-from skyline.solar import LocalHorizons
+from skyline.solar.local_horizons import LocalHorizons
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.surface import read_surface
+from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
 
 DEFAULT_STEP_DEG = 0.5
@@ -36,7 +35,6 @@ def horizon(
 
     Parameters
     ----------
-    terrain : HeightField
     lon, lat : array_like, degrees (WGS 84), broadcast to N places
     eye_height_m : array_like, metres above ground
     step_deg : float

@@ -1,7 +1,7 @@
 """An open store and its terrain, as matchers want them."""
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -20,13 +20,12 @@ from skyline.store import Store, StoreHeader
 from skyline.store.header import PLACES
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground, HeightField
+from skyline.terrain.surface import Dem as Dem  # noqa: PLC0414  (it is had from here too)
 from skyline.terrain.surface import read_surface
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
 _log = logging.getLogger(__name__)
-
-Dem = str | Path | Sequence[str | Path] | HeightField
 
 
 class OpenedSource:

@@ -11,12 +11,11 @@ from skyline.errors import InputError
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
 from skyline.pipeline.local_horizons import horizons_of
-from skyline.pipeline.opened import Dem
 from skyline.report.peaks import Peaks
 from skyline.report.sightings import visible_peaks
 from skyline.terrain.blocks import Blocks
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.surface import read_surface
+from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
@@ -66,14 +65,12 @@ def save_panorama(
 
     Parameters
     ----------
-    terrain : HeightField
     lon, lat : float
         Degrees (WGS 84).
     path : str or Path
         ``.png``, ``.svg`` or ``.pdf``.
     peaks : Peaks, optional
         `skyline.read_peaks`.
-    config : PanoramaConfig, optional
     surface : path, paths or HeightField, optional
         A surface or canopy model: how far trees and houses may rise is drawn as a green line.
 

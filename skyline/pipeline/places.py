@@ -4,64 +4,46 @@ A store of renderings, for the paper's matcher, is built on a grid too, or as `p
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
-from skyline.pipeline.build import BuildResult, Progress, RowRenderer, render_missing, view_rows
+from skyline.pipeline.build import BuildResult, RowRenderer, render_missing, view_rows
 from skyline.pipeline.config import BuildConfig, PlaceConfig, RenderConfig, store_header
+from skyline.pipeline.jobs import Progress
 from skyline.pipeline.layout import DEFAULT_LOSS, Layout
 from skyline.places import BINS, Places
 from skyline.planning.adaptive import AdaptivePlanner, Blocks, price_of, spread_over
 from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.render.panorama import PanoramaRenderer
-from skyline.store import StoreWriter
+from skyline.store import StoreHeader, StoreWriter
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
-
-@dataclass(frozen=True)
-class PlaceRows(RowRenderer[Viewpoints]):
-    """Renders viewpoints as places.
-
-    Attributes
-    ----------
-    tolerance_m : callable
-        How far from their eyes, east and north, the places of viewpoints stand for.
-    """
-
-    at_a_time = 2048
-
-    renderer: PanoramaRenderer
-    tolerance_m: Callable[[Viewpoints], float | Float32Array]
-
-    def render_into(self, writer: StoreWriter, work: Viewpoints) -> None:
-        """See `RowRenderer.render_into`."""
-        rendered = self.renderer.render(work)
-        writer.append_places(Places.of(rendered, self.tolerance_m(work)))
-
-
-@dataclass(frozen=True)
-class PlannedRows(RowRenderer[Blocks]):
-    """Plans blocks and renders their places; each is stored whole, in the order of the blocks."""
-
-    at_a_time = 1
-
-    renderer: PanoramaRenderer
-    planner: AdaptivePlanner
-
-    def render_into(self, writer: StoreWriter, work: Blocks) -> None:
-        """See `RowRenderer.render_into`."""
-        places = self.planner.places(work)
-        if places is not None:
-            writer.append_places(places, all_or_none=True)
+PLACES_AT_A_TIME = 2048
 
 
 def place_renderer(terrain: HeightField, config: PlaceConfig) -> PanoramaRenderer:
     """Return the renderer a configuration asks for."""
     return PanoramaRenderer(terrain, BINS, config.curvature, config.tolerance_deg)
+
+
+def place_rows(
+    renderer: PanoramaRenderer,
+    header: StoreHeader,
+    tolerance_m: Callable[[Viewpoints], float | Float32Array],
+) -> RowRenderer[Viewpoints]:
+    """Return what renders viewpoints as places.
+
+    ``tolerance_m`` says how far from their eyes, east and north, the places stand for.
+    """
+
+    def render_into(writer: StoreWriter, viewpoints: Viewpoints) -> None:
+        rendered = renderer.render(viewpoints)
+        writer.append_places(Places.of(rendered, tolerance_m(viewpoints)))
+
+    return RowRenderer(renderer, header, PLACES_AT_A_TIME, render_into)
 
 
 def rows_of(terrain: HeightField, config: BuildConfig, layout: Layout) -> RowRenderer[Any]:
@@ -70,11 +52,8 @@ def rows_of(terrain: HeightField, config: BuildConfig, layout: Layout) -> RowRen
     A place of a grid stands for half the spacing around it; places that are planned lose no more
     than a share of the views.
 
-    Raises
-    ------
-    InputError
-        A loss outside (0, 1), or less than the densest places would lose, or an area of holes;
-        renderings without a spacing.
+    Raises `InputError` for a loss outside (0, 1), or less than the densest places would lose, or an
+    area of holes, and for renderings without a spacing.
     """
     spacing_m = layout.spacing_m
     if isinstance(config, RenderConfig):
@@ -84,14 +63,21 @@ def rows_of(terrain: HeightField, config: BuildConfig, layout: Layout) -> RowRen
     if spacing_m is not None:
         renderer = place_renderer(terrain, config)
         header = store_header(terrain, renderer.description, config, layout.record)
-        return PlaceRows(renderer, header, lambda _: spacing_m / 2.0)
+        return place_rows(renderer, header, lambda _: spacing_m / 2.0)
     area = map_bounds(terrain, layout.bounds_deg)
     spread = spread_over(terrain, area, config.eye_height_m)
     renderer = place_renderer(terrain, config)
     header = store_header(terrain, renderer.description, config, layout.record)
     price = price_of(layout.loss, renderer.render(spread))
     planner = AdaptivePlanner(terrain, renderer.render, area, price, config.eye_height_m)
-    return PlannedRows(renderer, header, planner)
+
+    def render_into(writer: StoreWriter, blocks: Blocks) -> None:
+        # A block is stored whole, in the order of the blocks.
+        places = planner.places(blocks)
+        if places is not None:
+            writer.append_places(places, all_or_none=True)
+
+    return RowRenderer(renderer, header, 1, render_into)
 
 
 def build_store(
@@ -134,7 +120,6 @@ def build_places(
 
     Parameters
     ----------
-    terrain : HeightField
     path : str or Path
         The store.
     spacing_m : float, optional
@@ -142,7 +127,6 @@ def build_places(
         are near, and sparsely where they are far; see `skyline.planning.adaptive`.
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
-    config : PlaceConfig, optional
     progress : callable, optional
         Called with how much of the area is done, and with how much there is.
     loss : float

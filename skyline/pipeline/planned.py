@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from skyline.features import polyline_keypoints
 from skyline.paper.planning.budget import check_coarse, spaced_for
 from skyline.paper.planning.candidates import lay_out
 from skyline.paper.planning.loop import plan
@@ -16,7 +15,7 @@ from skyline.paper.planning.predicted import predict
 from skyline.paper.planning.tolerance import Neighbourhood, ToleranceMeter
 from skyline.paper.planning.truth import true_errors_px
 from skyline.paper.planning.verify import Checks, Verification, verify_coverage
-from skyline.pipeline.build import BuildResult
+from skyline.pipeline.build import BuildResult, append_views
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
 from skyline.planning.uniform import map_bounds
 from skyline.render.horizon import HorizonRenderer
@@ -38,19 +37,12 @@ _REACHED = "reached_px"
 
 @dataclass(frozen=True, slots=True)
 class PlannedResult:
-    """What a planned build did.
-
-    Attributes
-    ----------
-    built : BuildResult
-    plan : Plan
-    verification : Verification
-        The predicted coverage held to renderings.
-    """
+    """What a planned build did."""
 
     built: BuildResult
     plan: Plan
     verification: Verification
+    """The predicted coverage held to renderings."""
 
 
 def build_planned(
@@ -70,13 +62,10 @@ def build_planned(
 
     Parameters
     ----------
-    terrain : HeightField
     path : str or Path
         The store.
-    planned : PlanConfig
     bounds_deg : tuple, optional
         W, S, E, N in degrees; by default all of the terrain.
-    config : RenderConfig, optional
     progress : callable, optional
         Called after each batch.
 
@@ -143,6 +132,6 @@ def _render_and_keep(
     heading: Headings,
 ) -> Views:
     views = renderer.render(viewpoints, heading)
-    writer.append(views, polyline_keypoints(views, config.keypoint_tolerance_px))
+    append_views(writer, views, config)
     # A plan that is followed again from the store must see what this one saw.
     return as_stored(writer.header, views)

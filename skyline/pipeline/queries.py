@@ -5,13 +5,13 @@ import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 
 from skyline.errors import InputError, MissingFileError
 from skyline.matching.narrowing import Narrowing
 from skyline.matching.screening import Alike
 from skyline.photo import Lens, Projection, QuerySkyline, check_fov, load_sky_model, read_query
-from skyline.photo.sky_model import SkySession
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.results import MatchResult
 
@@ -25,29 +25,22 @@ _PICTURES = (
 """What is taken of a folder."""
 _TOGETHER = (("lon", "lat", "radius_km"), ("heading_deg", "heading_slack_deg"))
 
+_sky_model = lru_cache(maxsize=1)(load_sky_model)
+"""Once for all the queries of a process."""
+
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """One photo, mask or trace, how it is read, and what is known of where it was taken.
-
-    Attributes
-    ----------
-    path : str
-    fov_deg : float, optional
-        By default what the file says.
-    fov_slack : float, optional
-        Deviation of a field of view that is given, as a share of it; by default the matcher's.
-    projection : Projection, optional
-    sky_model : Path, optional
-        Loaded once a process.
-    narrowing : Narrowing
-    """
+    """One photo, mask or trace, how it is read, and what is known of where it was taken."""
 
     path: str
     fov_deg: float | None = None
+    """By default what the file says."""
     fov_slack: float | None = None
+    """Deviation of a field of view that is given, as a share of it; by default the matcher's."""
     projection: Projection | None = None
     sky_model: Path | None = None
+    """Loaded once a process."""
     narrowing: Narrowing = Narrowing()  # noqa: RUF009  (it is frozen)
 
     def check(self) -> None:
@@ -66,7 +59,7 @@ class Query:
 
     def read(self) -> QuerySkyline:
         """Find the skyline; raises as `skyline.photo.read_query`."""
-        model = None if self.sky_model is None else _model(self.sky_model.absolute())
+        model = None if self.sky_model is None else _sky_model(self.sky_model.absolute())
         query = read_query(self.path, self.fov_deg, projection=self.projection, sky_model=model)
         if self.fov_deg is None or self.fov_slack is None:
             return query
@@ -83,8 +76,6 @@ class Query:
 
         Parameters
         ----------
-        matcher : Matcher
-        top : int
         skyline : QuerySkyline, optional
             What `read` has returned before.
         screened : Alike, optional
@@ -103,16 +94,13 @@ def listed(paths: Iterable[Path], one: Query) -> Iterator[Query]:
     whose header begins with ``path``. Paths count from the list's folder, and what a row leaves
     empty is as for all.
 
+    Raises `InputError` for a list with a column that is not known, or a value that is none; a
+    folder without pictures.
+
     Parameters
     ----------
-    paths : iterable of Path
     one : Query
         What is known of all; its path is not used.
-
-    Raises
-    ------
-    InputError
-        A list with a column that is not known, or a value that is none; a folder without pictures.
     """
     for path in _expanded(paths):
         rows = _rows(path) if path.suffix.lower() == ".csv" and path.is_file() else None
@@ -200,14 +188,3 @@ def finite_number(where: str, column: str, text: str) -> float:
     if not math.isfinite(value):
         raise InputError(f"{where}: {column} is {text!r}; expected a number")
     return value
-
-
-_models: dict[Path, SkySession] = {}
-"""The model that this process has loaded."""
-
-
-def _model(path: Path) -> SkySession:
-    if path not in _models:
-        _models.clear()
-        _models[path] = load_sky_model(path)
-    return _models[path]

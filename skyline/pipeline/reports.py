@@ -30,14 +30,12 @@ def report_matches(
 
     Parameters
     ----------
-    folder : Path
     matcher : Matcher
         That made the matches.
     matches : iterable of Matched
         See `matched`.
     terrain : HeightField, optional
         Of the matcher's store, for relief and for the candidates' skylines.
-    peaks : Peaks, optional
 
     Raises
     ------
@@ -67,7 +65,6 @@ def matched(
     ----------
     path : str or Path
         The query's file.
-    result : MatchResult
     done : sequence of str
         What was done, a sentence each.
     with_photo : bool

@@ -7,6 +7,7 @@ from typing import Any
 from skyline.matching import Candidate
 from skyline.photo import QuerySkyline
 from skyline.pipeline.tables import to_geodataframe
+from skyline.report.beyond import beyond_said
 from skyline.report.claims import claim_said
 from skyline.report.records import confidence_within
 
@@ -51,6 +52,11 @@ class MatchResult:
         """Where the photo says that it was taken, against the best candidate; empty without."""
         best = next(iter(self.candidates), None)
         return claim_said(self.query.noted, best, self.answer is not None)
+
+    @property
+    def beyond(self) -> str | None:
+        """How much of the skyline may be of terrain past the model's edge; None if little."""
+        return beyond_said(self.candidates)
 
     def __repr__(self) -> str:
         return f"MatchResult({_in_short(self)}; candidates: {len(self.candidates)})"

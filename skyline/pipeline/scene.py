@@ -28,8 +28,6 @@ class RenderedScene:
 
     Parameters
     ----------
-    terrain : HeightField
-    config : RenderConfig
     thread : RenderThread, optional
         Renders; by default the thread that calls does, and no other may.
     surface : HeightField, optional
@@ -71,14 +69,9 @@ class RenderedScene:
         return cls(terrain, rendering, thread, surface)
 
     def render(self, viewpoints: Viewpoints, headings: ArrayLike, urgent: bool = False) -> Views:
-        """Render one view an eye, each along its heading, in order.
+        """Render one view an eye, each along its heading (N,), in order.
 
-        Parameters
-        ----------
-        viewpoints : Viewpoints
-        headings : (N,) array_like of int
-        urgent : bool
-            Whether it goes before what others wait for, where a thread renders for all.
+        What is ``urgent`` goes before what others wait for, where a thread renders for all.
         """
         return self._rendered(self._renderers[0], viewpoints, headings, urgent)
 

@@ -16,20 +16,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Self
+from typing import Any
 
 import numpy as np
 
 from skyline.errors import InputError, StoreError, StoreMismatchError
-from skyline.pipeline.build import (
-    BuildResult,
-    Progress,
-    missing,
-    render_missing,
-    rows_each,
-)
+from skyline.pipeline.build import BuildResult, RowRenderer, missing, render_missing, rows_each
 from skyline.pipeline.config import BuildConfig, RenderConfig, store_header
-from skyline.pipeline.jobs import Runner, collect, run_here
+from skyline.pipeline.jobs import Progress, Runner, collect, run_here
 from skyline.pipeline.layout import Layout
 from skyline.pipeline.places import refuse_empty, rows_of
 from skyline.planning.adaptive import Blocks
@@ -42,43 +36,27 @@ from skyline.terrain.viewpoints import Viewpoints
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shard:
-    """A tile of the lattice.
-
-    Attributes
-    ----------
-    name : str
-        The tile's size and place: ``10000m_59_517`` spans eastings from 590 km to under 600 km and
-        northings from 5170 km to under 5180 km.
-    work : Viewpoints or Blocks
-        In the tile.
-    """
+    """A tile of the lattice."""
 
     name: str
+    """The tile's size and place: ``10000m_59_517`` spans eastings from 590 km to under 600 km and
+    northings from 5170 km to under 5180 km."""
     work: Viewpoints | Blocks
+    """In the tile."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShardSettings:
-    """What all jobs of a build share; a few hundred bytes that are sent with each.
-
-    Attributes
-    ----------
-    dem_files : tuple of str
-        Absolute paths, the same wherever a job runs.
-    dem_digest : str
-    dem_options : DemOptions
-    layout : Layout
-    config : RenderConfig or PlaceConfig
-    folder : str
-        Absolute path of the shards.
-    """
+    """What all jobs of a build share; a few hundred bytes that are sent with each."""
 
     dem_files: tuple[str, ...]
+    """Absolute paths, the same wherever a job runs."""
     dem_digest: str
     dem_options: DemOptions
     layout: Layout
     config: BuildConfig
     folder: str
+    """Absolute path of the shards."""
 
     def read_terrain(self) -> HeightField:
         """Read the DEM; raises `StoreMismatchError` where another one lies there."""
@@ -92,66 +70,48 @@ class ShardSettings:
         return terrain
 
 
-class Workplace:
-    """A terrain and its renderer, with which a process does one job after another."""
-
-    def __init__(self, settings: ShardSettings, terrain: HeightField | None = None) -> None:
-        """Read the terrain unless it is given; raises as `ShardSettings.read_terrain`."""
-        self._settings = settings
-        terrain = terrain or settings.read_terrain()
-        self._rows = rows_of(terrain, settings.config, settings.layout)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._rows.__exit__()
-
-    def build(self, shard: Shard) -> BuildResult:
-        """Render what a shard lacks; one that is whole is only looked at.
-
-        Raises
-        ------
-        StoreError
-            A shard that cannot be written, or that another process is writing.
-        StoreMismatchError
-            A shard of another build.
-        """
-        path = Path(self._settings.folder) / f"{shard.name}.h5"
-        Path(self._settings.folder).mkdir(parents=True, exist_ok=True)
-        done = render_missing(path, self._rows, shard.work)
-        if isinstance(shard.work, Viewpoints):
-            due = rows_each(self._rows.header) * len(shard.work)
-            if done.rows != due:
-                raise StoreError(
-                    f"shard {path} holds {done.rows} {self._rows.header.holds} of what should be "
-                    f"{due}; remove it and give the same command"
-                )
-        return done
-
-
-_here: dict[ShardSettings, Workplace] = {}
+_here: dict[ShardSettings, RowRenderer[Any]] = {}
+"""What this process renders with."""
 
 
 def build_shard(settings: ShardSettings, shard: Shard) -> BuildResult:
     """Do one job in a worker process, which keeps terrain and renderer for the next one.
 
-    All calls in a process must come from one thread, the OpenGL context's; raises as `Workplace`.
+    All calls in a process must come from one thread, the OpenGL context's.
+
+    Raises
+    ------
+    StoreError
+        A shard that cannot be written, or that another process is writing.
+    StoreMismatchError
+        A shard of another build, or another DEM than the build's.
     """
     if settings not in _here:
         while _here:
             _here.popitem()[1].__exit__()
-        _here[settings] = Workplace(settings)
-    return _here[settings].build(shard)
+        _here[settings] = rows_of(settings.read_terrain(), settings.config, settings.layout)
+    return _build(Path(settings.folder), _here[settings], shard)
+
+
+def _build(folder: Path, rows: RowRenderer[Any], shard: Shard) -> BuildResult:
+    """Render what a shard lacks; one that is whole is only looked at."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{shard.name}.h5"
+    done = render_missing(path, rows, shard.work)
+    if isinstance(shard.work, Viewpoints):
+        due = rows_each(rows.header) * len(shard.work)
+        if done.rows != due:
+            raise StoreError(
+                f"shard {path} holds {done.rows} {rows.header.holds} of what should be {due}; "
+                "remove it and give the same command"
+            )
+    return done
 
 
 def cut_into_shards(work: Viewpoints | Blocks, tile_m: float) -> list[Shard]:
     """Cut work into squares, from the north-west row by row; what is in one keeps its order.
 
-    Raises
-    ------
-    InputError
-        A size that is not positive.
+    Raises `InputError` for a size that is not positive.
     """
     if not (np.isfinite(tile_m) and tile_m > 0.0):
         raise InputError(f"tile size is {tile_m} m; expected a positive number of metres")
@@ -185,8 +145,6 @@ def build_sharded(
     ----------
     terrain : HeightField
         Read from files, unless ``runner`` works in this process.
-    path : str or Path
-    layout : Layout
     config : RenderConfig or PlaceConfig, optional
         What is rendered and how; by default renderings.
     runner : Runner, optional
@@ -248,8 +206,9 @@ def _run_all(
     if progress:
         progress(0, len(shards))
     if runner is None:
-        with Workplace(settings, terrain) as here:
-            return collect(run_here(here.build, shards, names), names, tell)
+        with rows_of(terrain, settings.config, settings.layout) as rows:
+            work = partial(_build, Path(settings.folder), rows)
+            return collect(run_here(work, shards, names), names, tell)
     if not settings.dem_files:
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
     return collect(runner(partial(build_shard, settings), shards, names), names, tell)

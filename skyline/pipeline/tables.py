@@ -20,10 +20,6 @@ _FIELDS = (
 def to_geodataframe(results: Iterable["MatchResult"]) -> Any:
     """Return the candidates of results as points, one row each.
 
-    Parameters
-    ----------
-    results : iterable of MatchResult
-
     Returns
     -------
     geopandas.GeoDataFrame

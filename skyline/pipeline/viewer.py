@@ -58,14 +58,7 @@ class Sight:
 
 @dataclass(frozen=True, slots=True)
 class SeenPeak:
-    """A summit in a photo.
-
-    Attributes
-    ----------
-    label : str
-    column_px, row_px : float
-    distance_m : float
-    """
+    """A summit in a photo."""
 
     label: str
     column_px: float

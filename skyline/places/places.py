@@ -9,12 +9,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.horizons import Horizons
-from skyline.places.coding import (
-    decode_distance,
-    decode_rises,
-    encode_distance,
-    encode_rises,
-)
+from skyline.places.coding import decode_distance, decode_rises, encode_distance, encode_rises
 from skyline.places.phases import encode_phases
 from skyline.rows import Rows
 

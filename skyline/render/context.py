@@ -50,22 +50,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Attempt:
-    """One way to a context that was tried, and what it said.
-
-    Attributes
-    ----------
-    backend : str
-        "egl" or "osmesa".
-    device : str
-        What was asked, in words.
-    said : str
-        The OpenGL version and renderer, or the reason of the failure.
-    worked : bool
-    """
+    """One way to a context that was tried, and what it said."""
 
     backend: str
+    """``egl`` or ``osmesa``."""
     device: str
+    """What was asked, in words."""
     said: str
+    """The OpenGL version and renderer, or the reason of the failure."""
     worked: bool
 
     def __str__(self) -> str:
@@ -74,29 +66,21 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GlContext:
-    """The process's OpenGL context, and how it came to be.
-
-    Attributes
-    ----------
-    ctx : moderngl.Context
-    backend : str
-        "egl" or "osmesa".
-    device, vendor, renderer, version : str
-        What it runs on; the driver's GL_VENDOR, GL_RENDERER and GL_VERSION.
-    attempts : tuple of Attempt
-        All that was tried, in order.
-    forced : bool
-        Whether ``SKYLINE_GL`` named the backend.
-    """
+    """The process's OpenGL context, and how it came to be."""
 
     ctx: moderngl.Context
     backend: str
+    """``egl`` or ``osmesa``."""
     device: str
     vendor: str
     renderer: str
     version: str
+    """``device``, ``vendor``, ``renderer``, ``version``: what it runs on; the driver's GL_VENDOR,
+    GL_RENDERER and GL_VERSION."""
     attempts: tuple[Attempt, ...]
+    """All that was tried, in order."""
     forced: bool
+    """Whether ``SKYLINE_GL`` named the backend."""
 
     @property
     def version_code(self) -> int:
@@ -136,6 +120,19 @@ class _SharedContext:
         self._thread = threading.current_thread()
 
     def acquire(self) -> GlContext:
+        """Return the process's OpenGL context, current in this thread; make it on first use.
+
+        Calling again is cheap, and makes the context current again where other code has put its
+        own in place.
+
+        Raises
+        ------
+        ContextError
+            Nothing works (the message names what was tried and the packages that mend it), or the
+            context belongs to another thread or to the process that this one was forked from.
+        InputError
+            ``SKYLINE_GL`` names no backend.
+        """
         # Before the lock: another thread of the parent may have held it during the fork.
         if self._process not in (None, os.getpid()):
             raise ContextError(
@@ -172,6 +169,11 @@ class _SharedContext:
         )
 
     def release(self) -> None:
+        """Release the context if there is one; whatever was made in it is gone.
+
+        Runs by itself when the process exits. A later `acquire_context` makes a new context.
+        Raises `ContextError` where the context belongs to another thread that still lives.
+        """
         # What a forked child inherited is the parent's to release.
         if self._process != os.getpid():
             return
@@ -187,34 +189,7 @@ class _SharedContext:
 _shared = _SharedContext()
 
 
-def acquire_context() -> GlContext:
-    """Return the process's OpenGL context, current in this thread; make it on first use.
-
-    Calling again is cheap, and makes the context current again where other code has put its own
-    in place.
-
-    Raises
-    ------
-    ContextError
-        Nothing works (the message names what was tried and the packages that mend it), or the
-        context belongs to another thread or to the process that this one was forked from.
-    InputError
-        ``SKYLINE_GL`` names no backend.
-    """
-    return _shared.acquire()
-
-
-def release_context() -> None:
-    """Release the context if there is one; whatever was made in it is gone.
-
-    Runs by itself when the process exits. A later `acquire_context` makes a new context.
-
-    Raises
-    ------
-    ContextError
-        The context belongs to another thread that still lives.
-    """
-    _shared.release()
+acquire_context, release_context = _shared.acquire, _shared.release
 
 
 @atexit.register
@@ -227,10 +202,7 @@ def _release_at_exit() -> None:
 def describe_context() -> dict[str, str | bool | list[str]]:
     """Return what was chosen and why, ready to print or for JSON; makes the context if needed.
 
-    Raises
-    ------
-    ContextError, InputError
-        As `acquire_context`.
+    Raises as `acquire_context`.
     """
     context = acquire_context()
     return {

@@ -21,13 +21,7 @@ from skyline.render.rims import RimColumns, RimFinder
 from skyline.render.shaders import compile_program
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import (
-    FLAG_HOLE,
-    FLAG_NO_DATA,
-    FLAG_OUT_OF_IMAGE,
-    FLAG_TRUNCATED,
-    Views,
-)
+from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 
 TILE_CELLS = 64
 """Cells along a side of the tiles that are drawn or skipped as a whole."""
@@ -57,7 +51,6 @@ class DepthRenderer:
 
     Parameters
     ----------
-    field : HeightField
     width : int
         Columns and rows W of a depth image.
     curvature : Curvature, optional
@@ -111,13 +104,7 @@ class DepthRenderer:
         return f"depth {self.width} px; {self._context.renderer}"
 
     def render(self, viewpoints: Viewpoints) -> Views:
-        """Render the skylines of N viewpoints in all four headings.
-
-        Returns
-        -------
-        Views
-            4 N views; the four headings of a viewpoint follow one another.
-        """
+        """Render the skylines of N viewpoints, 4 N views: the four headings of each in turn."""
         parts = [Views.empty(self.width)]
         for start in range(0, len(viewpoints), _VIEWPOINTS_A_READ):
             parts.append(self._render_batch(viewpoints[start : start + _VIEWPOINTS_A_READ]))

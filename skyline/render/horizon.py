@@ -49,12 +49,10 @@ class ColumnRenderer:
 
     Parameters
     ----------
-    field : HeightField
     u, tolerance : (W,) float64
         Of the columns: abscissas of magnitude at most 1, and how far v may fall short.
     near_error : float
         What rounding may cost v near the eye before float64 is used.
-    curvature : Curvature
 
     Raises
     ------
@@ -180,7 +178,6 @@ class HorizonRenderer(ColumnRenderer):
 
     Parameters
     ----------
-    field : HeightField
     width : int
         Columns W of a view.
     curvature : Curvature, optional

@@ -4,10 +4,11 @@ Both read the same windows and eyes and give the same skylines: `horizon_march.g
 """
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -49,40 +50,26 @@ _Compiler = Callable[[dict[str, str]], _Program]
 
 @dataclass(frozen=True, slots=True)
 class March:
-    """What to look for, for eyes that face one way.
-
-    Attributes
-    ----------
-    heading : int
-    double : bool
-        Compute crossings in float64, where the OpenGL has it.
-    first : bool
-        Whether nothing was marched for these results before.
-    """
+    """What to look for, for eyes that face one way."""
 
     heading: int
     double: bool
+    """Compute crossings in float64, where the OpenGL has it."""
     first: bool
+    """Whether nothing was marched for these results before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settings:
-    """What all marches of a renderer share.
-
-    Attributes
-    ----------
-    u : (W,) float64
-        Abscissas of the columns, of magnitude at most 1.
-    tolerance : (W,) float64
-        How far v may fall short of the skyline's in each column; 0 is exact but for float32.
-    spacing_m : (float, float)
-        East, north.
-    drop_per_m2 : float
-    """
+    """What all marches of a renderer share."""
 
     u: Float64Array
+    """(W,) float64. Abscissas of the columns, of magnitude at most 1."""
     tolerance: Float64Array
+    """(W,) float64. How far v may fall short of the skyline's in each column; 0 is exact but for
+    float32."""
     spacing_m: tuple[float, float]
+    """East, north."""
     drop_per_m2: float
 
     @property
@@ -105,41 +92,51 @@ class Results:
     flags: NDArray[np.uint8]
 
 
-class RayMarcher(Protocol):
+class RayMarcher(ABC):
     """Holds rows of results on the GPU and raises them by marches."""
 
     max_rows: int
 
+    def __init__(self, context: GlContext, settings: Settings) -> None:
+        self._ctx, self._settings = context.ctx, settings
+        self._programs = _Programs(context, settings, self._compile)
+
+    @abstractmethod
     def begin(self, rows: int) -> None:
         """Make room for results; the first march of each row writes it all."""
 
+    @abstractmethod
     def run(
         self, march: March, window: WindowTextures, eyes: NDArray[np.void], first_row: int
     ) -> None:
         """March over a window from every eye; the first eye's result is in ``first_row``."""
 
+    @abstractmethod
     def read(self) -> Results:
         """Return the results."""
 
+    @abstractmethod
+    def _compile(self, defines: dict[str, str]) -> _Program: ...
+
     def release(self) -> None:
         """Free what is held on the GPU."""
+        self._programs.release()
 
 
-class ComputeMarcher:
+class ComputeMarcher(RayMarcher):
     """Marches in compute shaders: a lane is a column, many columns a lane."""
 
     def __init__(self, context: GlContext, settings: Settings) -> None:
+        super().__init__(context, settings)
         self.max_rows = _MAX_RESULT_BYTES // (12 * settings.width)
-        self._ctx, self._settings = context.ctx, settings
         # On a CPU eight lanes fill a vector register and a long run makes good first bounds; a
         # GPU has its warps of 32 and wants many of them.
         self._lanes, self._long_run = (8, 80) if context.software else (32, 5)
-        self._programs = _Programs(context, settings, self._compile)
         self._results: list[moderngl.Buffer] = []
         self._rows = 0
 
     def begin(self, rows: int) -> None:
-        """Make room for results; the first march of each row writes it all."""
+        """See `RayMarcher.begin`."""
         self._free()
         self._rows = rows
         cells = rows * self._settings.width
@@ -149,7 +146,7 @@ class ComputeMarcher:
     def run(
         self, march: March, window: WindowTextures, eyes: NDArray[np.void], first_row: int
     ) -> None:
-        """March over a window from every eye; the first eye's result is in ``first_row``."""
+        """See `RayMarcher.run`."""
         program = self._programs.ready(march, window, eyes)
         buffer = self._ctx.buffer(eyes.tobytes())
         for binding, bound in enumerate((buffer, *self._results)):
@@ -169,7 +166,7 @@ class ComputeMarcher:
         buffer.release()
 
     def read(self) -> Results:
-        """Return the results."""
+        """See `RayMarcher.read`."""
         shape = (self._rows, self._settings.width)
         size = 4 * self._rows * self._settings.width
         tan, depth, flags = (result.read()[:size] for result in self._results)
@@ -180,9 +177,9 @@ class ComputeMarcher:
         )
 
     def release(self) -> None:
-        """Free what is held on the GPU."""
+        """See `RayMarcher.release`."""
         self._free()
-        self._programs.release()
+        super().release()
 
     def _run(self, eyes: int) -> int:
         # With a tolerance the first bounds show in the result, which must not depend on the batch.
@@ -200,27 +197,26 @@ class ComputeMarcher:
         return compile_compute(self._ctx, "horizon.comp", {"LANES": str(self._lanes), **defines})
 
 
-class FragmentMarcher:
+class FragmentMarcher(RayMarcher):
     """Marches in fragment shaders: a fragment is a column, a row of the target a view.
 
     Results wait in main memory, and go to the GPU and back for each march.
     """
 
     def __init__(self, context: GlContext, settings: Settings) -> None:
+        super().__init__(context, settings)
         largest = int(context.ctx.info["GL_MAX_TEXTURE_SIZE"])
         self.max_rows = min(_MAX_RESULT_BYTES // (12 * settings.width), largest)
-        self._ctx, self._settings = context.ctx, settings
-        self._programs = _Programs(context, settings, self._compile)
         self._results = _no_rows(0, settings.width)
 
     def begin(self, rows: int) -> None:
-        """Make room for results; the first march of each row writes it all."""
+        """See `RayMarcher.begin`."""
         self._results = _no_rows(rows, self._settings.width)
 
     def run(
         self, march: March, window: WindowTextures, eyes: NDArray[np.void], first_row: int
     ) -> None:
-        """March over a window from every eye; the first eye's result is in ``first_row``."""
+        """See `RayMarcher.run`."""
         program = self._programs.ready(march, window, eyes)
         texels = np.concatenate(
             [*(eyes[name] for name in EYE_DTYPE.names or ()), np.zeros((len(eyes), 2))],
@@ -249,12 +245,8 @@ class FragmentMarcher:
             results.flags[rows] = bits.reshape(len(eyes), -1)
 
     def read(self) -> Results:
-        """Return the results."""
+        """See `RayMarcher.read`."""
         return self._results
-
-    def release(self) -> None:
-        """Free what is held on the GPU."""
-        self._programs.release()
 
     def _draw(self, program: moderngl.Program, targets: list[moderngl.Texture]) -> None:
         """Cover two targets of the same size with fragments."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from ctypes import POINTER, c_char_p, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 from skyline.errors import ContextError
 
@@ -63,53 +63,20 @@ _OSMESA_CONTEXT_MAJOR_VERSION = 0x36
 _OSMESA_CONTEXT_MINOR_VERSION = 0x37
 
 
-class OffscreenContext(Protocol):
-    """A native context as moderngl takes it; current once made."""
-
-    @property
-    def device(self) -> str:
-        """What it runs on, in words."""
-
-    def load_opengl_function(self, name: str) -> int:
-        """Return the address of an OpenGL function, 0 where there is none."""
-
-    def __enter__(self) -> object: ...
-
-    def __exit__(self, *_: object) -> None: ...
-
-    def release(self) -> None:
-        """Destroy the context; harmless when repeated."""
-
-
-def gl_string(context: OffscreenContext, name: int) -> str:
-    """Return ``glGetString(name)`` of a current context, empty where the driver has none."""
-    get_string = ctypes.CFUNCTYPE(c_char_p, c_uint)(context.load_opengl_function("glGetString"))
-    return (get_string(name) or b"").decode(errors="replace")
-
-
 @dataclass(frozen=True, slots=True)
 class EglDisplay:
-    """A place where EGL may make contexts.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    handle : callable
-        Returns the ``EGLDisplay``, or None where EGL has none.
-    """
+    """A place where EGL may make contexts."""
 
     name: str
+    """For people."""
     handle: Callable[[], int | None]
+    """Returns the ``EGLDisplay``, or None where EGL has none."""
 
 
 class Egl:
     """The EGL library.
 
-    Raises
-    ------
-    ContextError
-        The library cannot be loaded.
+    Raises `ContextError` where the library cannot be loaded.
     """
 
     def __init__(self) -> None:
@@ -199,10 +166,8 @@ class EglContext:
 
     The display is never terminated: EGL shares it with every other user in the process.
 
-    Raises
-    ------
-    ContextError
-        The display, or a context of OpenGL 3.3 or newer on it, cannot be had.
+    Raises `ContextError` where the display, or a context of OpenGL 3.3 or newer on it, cannot be
+    had.
     """
 
     def __init__(self, egl: Egl, display: EglDisplay) -> None:
@@ -272,10 +237,8 @@ class EglContext:
 class OsMesaContext:
     """A core-profile context of Mesa's off-screen library, current once made.
 
-    Raises
-    ------
-    ContextError
-        The library cannot be loaded, or has no core profile of OpenGL 3.3 or newer.
+    Raises `ContextError` where the library cannot be loaded, or has no core profile of OpenGL 3.3
+    or newer.
     """
 
     def __init__(self) -> None:
@@ -327,6 +290,16 @@ class OsMesaContext:
                 self._make_current(None, None, _GL_UNSIGNED_BYTE, 0, 0)
             self._destroy(self._context)
             self._context = None
+
+
+OffscreenContext = EglContext | OsMesaContext
+"""A native context as moderngl takes it; current once made."""
+
+
+def gl_string(context: OffscreenContext, name: int) -> str:
+    """Return ``glGetString(name)`` of a current context, empty where the driver has none."""
+    get_string = ctypes.CFUNCTYPE(c_char_p, c_uint)(context.load_opengl_function("glGetString"))
+    return (get_string(name) or b"").decode(errors="replace")
 
 
 def _load(names: tuple[str, ...]) -> ctypes.CDLL:

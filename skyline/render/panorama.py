@@ -25,7 +25,6 @@ class PanoramaRenderer(ColumnRenderer):
 
     Parameters
     ----------
-    field : HeightField
     bins : int
         Steps B of azimuth to a turn, a multiple of 8; `skyline.horizons.bin_azimuths_rad`.
     curvature : Curvature, optional
@@ -76,7 +75,6 @@ class PanoramaRenderer(ColumnRenderer):
 
         Parameters
         ----------
-        viewpoints : Viewpoints
         first_azimuth_rad : (N,) array_like, optional
             Grid azimuth of each eye's bin 0, from which the others go on clockwise: the negative
             of the meridian convergence makes azimuths count from true north. By default that of

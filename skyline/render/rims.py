@@ -19,18 +19,12 @@ from skyline.terrain.viewpoints import Viewpoints
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RimColumns:
-    """What the columns of one view meet of the rims; arrays are (W,).
-
-    Attributes
-    ----------
-    border_tan : float64
-        Greatest v over the rims behind which the data end; -inf where there is none.
-    over_hole : bool
-        The column enters the surface again after having left it.
-    """
+    """What the columns of one view meet of the rims; arrays are (W,)."""
 
     border_tan: Float64Array
+    """Greatest v over the rims behind which the data end; -inf where there is none."""
     over_hole: BoolArray
+    """The column enters the surface again after having left it."""
 
     @property
     def meets_data(self) -> BoolArray:

@@ -48,7 +48,6 @@ def compile_program(
 
     Parameters
     ----------
-    ctx : moderngl.Context
     vertex, fragment : str
         Names of shader files.
     defines : mapping of str to str, optional

@@ -42,7 +42,6 @@ class RenderThread:
 
         Parameters
         ----------
-        task : callable
         urgent : bool
             Whether it goes before all tasks that are not.
 

@@ -51,18 +51,13 @@ class HeightCode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trees:
-    """A texture with the trees of all headings.
-
-    Attributes
-    ----------
-    texture : moderngl.Texture
-        A texel holds the eight slabs of a band, for one bin of slopes and block of columns.
-    levels : 4 tuples of `MAX_LEVELS` (int, int, int)
-        By heading and level: first row in the texture, rows a bin, blocks before column 0.
-    """
+    """A texture with the trees of all headings."""
 
     texture: moderngl.Texture
+    """A texel holds the eight slabs of a band, for one bin of slopes and block of columns."""
     levels: tuple[tuple[tuple[int, int, int], ...], ...]
+    """4 tuples of `MAX_LEVELS` (int, int, int). By heading and level: first row in the texture,
+    rows a bin, blocks before column 0."""
 
     @classmethod
     def of_heights(
@@ -166,10 +161,7 @@ def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
 def upload(ctx: moderngl.Context, values: NDArray[np.generic], dtype: str) -> moderngl.Texture:
     """Upload (rows, columns, components), columns padded to a pitch that is no power of two.
 
-    Raises
-    ------
-    ContextError
-        OpenGL refuses the texture. Without this check the texture would read as zeros.
+    Raises `ContextError` where OpenGL refuses the texture, which would read as zeros.
     """
     columns = (-(-values.shape[1] // _TEXELS_A_LINE) | 1) * _TEXELS_A_LINE
     padded = np.zeros((values.shape[0], columns, values.shape[2]), values.dtype)

@@ -67,7 +67,6 @@ class WindowTextures:
         float32 metres with an apron of one sample, `EMPTY` for holes and off the map.
     columns : 2 moderngl.Texture
         The samples again, for headings 0, 2 and 1, 3: a texel is three neighbours along the axis.
-    code : HeightCode
     slabs : Trees
         Upper bounds of the heights, in this code.
     rims : Trees or None

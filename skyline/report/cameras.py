@@ -22,10 +22,7 @@ def write_cameras(path: Path, matches: Sequence[Matched]) -> None:
     position)``, divided by its third component: columns to the right and rows down, the middle of
     the first pixel at 0.5, 0.5. A panorama has no matrix.
 
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    Raises `InputError` where the file cannot be written.
     """
     photos = [
         {

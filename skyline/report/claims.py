@@ -69,7 +69,6 @@ def claim_in_words(
 
     Parameters
     ----------
-    claim : ExifRecord
     best_heading_deg : float, optional
         Of the best candidate.
     is_answer : bool

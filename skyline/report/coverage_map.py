@@ -22,21 +22,12 @@ _OPACITY = 0.55
 
 
 def save_coverage_map(plan: Plan, path: Path) -> None:
-    """Save a map for each heading: the terrain shaded, viewpoints, and their tolerance areas.
+    """Save a map (PNG) for each heading: the terrain shaded, viewpoints, and their tolerance areas.
 
     A location has the colour of the largest tolerance area that holds it; the terrain is bare
     where none does.
 
-    Parameters
-    ----------
-    plan : Plan
-    path : Path
-        A PNG.
-
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    Raises `InputError` where the file cannot be written.
     """
     candidates = plan.candidates
     area = _area(candidates)

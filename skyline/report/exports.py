@@ -42,7 +42,6 @@ def export_matches(path: str | Path, matches: Sequence[Matched], frame: Frame) -
     ----------
     path : str or Path
         Folders that it needs are made.
-    matches : sequence of Matched
     frame : Frame
         Of the candidates: `Matcher.frame`.
 

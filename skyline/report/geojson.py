@@ -25,13 +25,7 @@ Json = dict[str, object]
 
 
 def match_collection(matches: Iterable[Matched], frame: Frame) -> Json:
-    """Return the candidates of queries as a FeatureCollection.
-
-    Parameters
-    ----------
-    matches : iterable of Matched
-    frame : Frame
-        Of the candidates.
+    """Return the candidates of queries, whose frame is given, as a FeatureCollection.
 
     Returns
     -------

@@ -26,7 +26,7 @@ INSERT INTO gpkg_contents (table_name, data_type, identifier) VALUES
 
 
 def write_geopackage(store: Store, path: Path) -> int:
-    """Write the places of a store as points, with their spacing and tolerance.
+    """Write the places of a store as points, with spacing and tolerance; return how many.
 
     Parameters
     ----------
@@ -34,11 +34,6 @@ def write_geopackage(store: Store, path: Path) -> int:
         Of places.
     path : Path
         Ends in ``.gpkg``; written whole or not at all.
-
-    Returns
-    -------
-    int
-        How many there are.
 
     Raises
     ------

@@ -5,9 +5,8 @@ from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 from skyline.files import write_with_folders
-from skyline.report.kml import described
+from skyline.report.kml import child, described, document
 from skyline.report.matched import Matched
-from skyline.report.xml import child, document
 
 _NAMESPACE = "http://www.topografix.com/GPX/1/1"
 
@@ -15,10 +14,7 @@ _NAMESPACE = "http://www.topografix.com/GPX/1/1"
 def write_gpx(path: Path, matches: Sequence[Matched]) -> None:
     """Write the candidates of matches as waypoints, best first.
 
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    Raises `InputError` where the file cannot be written.
     """
     root = document("gpx", _NAMESPACE, version="1.1", creator="skyline")
     for matched in matches:

@@ -2,7 +2,7 @@
 
 import base64
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from html import escape
 from numbers import Real
@@ -64,24 +64,12 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of plain values under named columns; numbers are set to the right.
-
-    Attributes
-    ----------
-    columns : sequence of str
-    rows : sequence of sequence of object
-        One value a column; None is a dash, floats have six digits unless they are text already.
-    caption : str
-    """
+    """Rows of plain values under named columns; numbers are set to the right."""
 
     columns: Sequence[str]
     rows: Sequence[Sequence[object]]
+    """One value a column; None is a dash, floats have six digits unless they are text already."""
     caption: str = ""
-
-    @classmethod
-    def of_facts(cls, facts: Mapping[str, object]) -> "Table":
-        """Make a table of named facts, one a row."""
-        return cls(("", ""), [[name, str(value)] for name, value in facts.items()])
 
     def html(self) -> str:
         """Return the table's HTML."""
@@ -151,22 +139,14 @@ class Section:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A report: any text in it, file names among them, is shown as it is and never as HTML.
-
-    Attributes
-    ----------
-    title : str
-    lead : str
-        What the report is about, in a sentence or two.
-    sections : sequence of Section
-    foot : str
-        What made it, and when.
-    """
+    """A report: any text in it, file names among them, is shown as it is and never as HTML."""
 
     title: str
     lead: str
+    """What the report is about, in a sentence or two."""
     sections: Sequence[Section]
     foot: str = ""
+    """What made it, and when."""
 
     def html(self) -> str:
         """Return the whole page."""

@@ -2,6 +2,7 @@
 
 import io
 import math
+import re
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,8 +18,9 @@ from skyline.photo import Projection, QuerySkyline
 from skyline.report.geojson import VIEW_REACH_M, lonlat_of
 from skyline.report.matched import Matched
 from skyline.report.shapes import view_wedge_m
-from skyline.report.xml import child, document
 
+_NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""What XML 1.0 has no way to say."""
 _QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 90]
 _NAMESPACE = "http://www.opengis.net/kml/2.2"
 _PHOTO_AT_M = 300.0
@@ -31,10 +33,7 @@ def write_kml(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     Each candidate is a place and a view of 2 km. The best of each query has a PhotoOverlay, whose
     picture is the photo's file beside the KML, or the photo in the KMZ.
 
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    Raises `InputError` where the file cannot be written.
     """
     packed = path.suffix.lower() == ".kmz"
     pictures: dict[str, UInt8Array] = {}
@@ -122,3 +121,16 @@ def described(candidate: Candidate) -> str:
         f"roll {candidate.roll_deg:.1f}°, field of view {candidate.fov_deg:.1f}°, eye "
         f"{candidate.eye_elevation_m:.0f} m above the datum{sure}"
     )
+
+
+def document(tag: str, namespace: str, **attributes: str) -> Xml.Element:
+    """Return the root of a document, all of whose elements are of one namespace."""
+    return Xml.Element(tag, {"xmlns": namespace, **attributes})
+
+
+def child(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
+    """Return a new last child of an element."""
+    element = Xml.SubElement(parent, tag, attributes)
+    if text:
+        element.text = _NOT_XML.sub("\ufffd", text)
+    return element

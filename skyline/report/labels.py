@@ -6,22 +6,15 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A label in a band of rows above a picture; its leader line falls from it at ``anchor_px``.
-
-    Attributes
-    ----------
-    index : int
-        Which label.
-    anchor_px, left_px, right_px : float
-    row : int
-        0 is the lowest, next to the picture.
-    """
+    """A label in a band of rows above a picture; its leader line falls from it at ``anchor_px``."""
 
     index: int
+    """Which label."""
     anchor_px: float
     left_px: float
     right_px: float
     row: int
+    """0 is the lowest, next to the picture."""
 
     def disturbs(self, other: "Placed") -> bool:
         """Whether two labels overlap, or the leader of one runs through the other."""

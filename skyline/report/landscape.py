@@ -32,33 +32,22 @@ _NOTHING_DEG = -90.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """What one eye sees in C columns: P points, by column and outwards in each.
-
-    Attributes
-    ----------
-    terrain : HeightField
-        What is hidden from the eye may be missing.
-    eye : Viewpoints
-        One.
-    azimuth_deg : (C,) float64
-        From true north, increasing.
-    begins : (C + 1,) int64
-        The points of column c are ``begins[c]`` to ``begins[c + 1]``.
-    distance_m : (P,) float64
-        Horizontal, increasing in each column.
-    elevation_deg : (P,) float32
-        Elevation angle, increasing in each column.
-    is_ridge : (P,) bool
-        Whether the terrain behind a point drops out of sight.
-    """
+    """What one eye sees in C columns: P points, by column and outwards in each."""
 
     terrain: HeightField
+    """What is hidden from the eye may be missing."""
     eye: Viewpoints
+    """One."""
     azimuth_deg: Float64Array
+    """(C,) float64. From true north, increasing."""
     begins: Int64Array
+    """(C + 1,) int64. The points of column c are ``begins[c]`` to ``begins[c + 1]``."""
     distance_m: Float64Array
+    """(P,) float64. Horizontal, increasing in each column."""
     elevation_deg: Float32Array
+    """(P,) float32. Elevation angle, increasing in each column."""
     is_ridge: BoolArray
+    """(P,) bool. Whether the terrain behind a point drops out of sight."""
 
     @classmethod
     def of(
@@ -71,9 +60,10 @@ class Landscape:
     ) -> Self:
         """Look at the terrain.
 
+        Raises `OffMapError` where the place is off the map or on a hole.
+
         Parameters
         ----------
-        blocks : Blocks
         place_m : (float, float)
             Easting and northing.
         eye_height_m : float
@@ -82,11 +72,6 @@ class Landscape:
             From true north, in equal steps, at least two.
         curvature : Curvature, optional
             Defaults to the Earth's with k = 0.13.
-
-        Raises
-        ------
-        OffMapError
-            The place is off the map or on a hole.
         """
         near_m, *farther_m = (samples * blocks.spacing_m for samples in _RINGS_SAMPLES)
         from_m = np.hypot(*blocks.around_m(*place_m)) - blocks.radius_m
@@ -125,7 +110,6 @@ class Landscape:
 
         Parameters
         ----------
-        columns : slice
         elevation_deg : (E,) float64
         """
         begins = self.begins[columns.start : columns.stop + 1]

@@ -33,7 +33,6 @@ def write_located(source: str | Path, path: str | Path, candidate: Candidate) ->
         The photo; it is not changed.
     path : str or Path
         The JPEG to write.
-    candidate : Candidate
 
     Raises
     ------

@@ -60,8 +60,6 @@ def draw_match_map(
     ----------
     candidates : sequence of Candidate
         Best first.
-    surroundings : Surroundings
-    area : Area
     sightings : sequence of Sighting
         Peaks that the best candidate sees.
     """

@@ -18,10 +18,8 @@ class Matched:
     ----------
     name : str
         What the user calls the query: its file.
-    query : QuerySkyline
     candidates : sequence of Candidate
         Best first.
-    seconds : float
     is_answered : bool
         Whether the best candidate is given as the answer.
     photo : (H, W, 3) uint8, optional

@@ -2,7 +2,6 @@
 
 import datetime
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -30,40 +29,22 @@ _DETAIL_SHARE = 0.4
 """A second map is drawn where it shows less than this share of the first one's side."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _BestView:
-    """What the best candidate sees."""
-
-    panorama: Panorama | None = None
-    sightings: Sequence[Sighting] = ()
-
-
 def write_match_report(
     folder: Path, matches: Sequence[Matched], surroundings: Surroundings, made_by: str = ""
 ) -> Path:
-    """Write ``index.html``, its pictures as files, and ``matches.geojson`` into a folder.
+    """Write ``index.html``, its pictures, and ``matches.geojson`` into a folder; return the page.
 
     The page holds its pictures itself, so that it can be sent as one file. A photo's own
     position, should it be in its EXIF, does not get into any of them.
+
+    Raises `InputError` where a file cannot be written.
 
     Parameters
     ----------
     folder : Path
         Made if need be; files of the same names are replaced.
-    matches : sequence of Matched
-    surroundings : Surroundings
     made_by : str
         The program and its version.
-
-    Returns
-    -------
-    Path
-        The page.
-
-    Raises
-    ------
-    InputError
-        A file cannot be written.
     """
     sections = [
         _section(folder, number, matched, surroundings)
@@ -112,15 +93,15 @@ def _about(surroundings: Surroundings) -> str:
 
 def _section(folder: Path, number: int, matched: Matched, surroundings: Surroundings) -> Section:
     best = matched.candidates[0] if matched.candidates else None
-    view = _BestView() if best is None else _view_of(best, surroundings)
-    overlay = Overlay(matched.query, matched.photo, best, view.panorama, view.sightings)
+    panorama, sightings = (None, []) if best is None else _view_of(best, surroundings)
+    overlay = Overlay(matched.query, matched.photo, best, panorama, sightings)
     parts: list[Part] = [
         Text(_result(matched), is_result=True),
         Picture(
             _keep(folder / f"{number:02d}-overlay.jpg", overlay.jpeg()),
             _overlay_caption(overlay),
         ),
-        *_maps(folder, number, matched.candidates, surroundings, view),
+        *_maps(folder, number, matched.candidates, surroundings, sightings),
     ]
     if matched.candidates:
         parts.append(_candidate_table(matched.candidates))
@@ -139,12 +120,13 @@ def _keep(path: Path, picture: bytes) -> bytes:
     return picture
 
 
-def _view_of(best: Candidate, surroundings: Surroundings) -> _BestView:
+def _view_of(best: Candidate, surroundings: Surroundings) -> tuple[Panorama | None, list[Sighting]]:
     """Render what a candidate sees, as far as there is something to render it with."""
     eye = surroundings.eye_of(best)
     if eye is None or surroundings.terrain is None:
-        return _BestView()
-    panorama, sightings = None, []
+        return None, []
+    panorama: Panorama | None = None
+    sightings: list[Sighting] = []
     if surroundings.render is not None:
         four = eye[np.zeros(len(HEADINGS), dtype=np.intp)]
         panorama = Panorama.of(surroundings.render(four, HEADINGS))
@@ -152,7 +134,7 @@ def _view_of(best: Candidate, surroundings: Surroundings) -> _BestView:
         sightings = visible_peaks(
             surroundings.terrain, eye, surroundings.peaks, surroundings.curvature
         )
-    return _BestView(panorama, sightings)
+    return panorama, sightings
 
 
 def _maps(
@@ -160,7 +142,7 @@ def _maps(
     number: int,
     candidates: Sequence[Candidate],
     surroundings: Surroundings,
-    view: _BestView,
+    sightings: Sequence[Sighting],
 ) -> list[Picture]:
     """Draw all candidates, and the best one from nearby where that shows more."""
     whole = overview_area(candidates, surroundings)
@@ -172,7 +154,7 @@ def _maps(
             areas.append(("detail", near, f"The best candidate from nearby{ellipse}"))
     pictures = []
     for name, area, caption in areas:
-        figure = draw_match_map(candidates, surroundings, area, view.sightings)
+        figure = draw_match_map(candidates, surroundings, area, sightings)
         data = _keep(folder / f"{number:02d}-{name}.png", encode_figure(figure, dpi=_MAP_DPI))
         pictures.append(Picture(data, f"{caption}. The arrow points to true north.", wide=False))
     return pictures

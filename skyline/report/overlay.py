@@ -37,26 +37,17 @@ _HALO = [withStroke(linewidth=3.2, foreground="black", alpha=0.55)]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Overlay:
-    """What is drawn over one query's picture.
-
-    Attributes
-    ----------
-    query : QuerySkyline
-    photo : (H, W, 3) uint8, optional
-        RGB, of the query's size; None draws on a blank canvas.
-    candidate : Candidate, optional
-        The pose to draw from.
-    panorama : Panorama, optional
-        The rendered skyline of the candidate.
-    sightings : sequence of Sighting
-        Peaks that the candidate sees, most important first.
-    """
+    """What is drawn over one query's picture."""
 
     query: QuerySkyline
     photo: UInt8Array | None = None
+    """(H, W, 3) uint8. RGB, of the query's size; None draws on a blank canvas."""
     candidate: Candidate | None = None
+    """The pose to draw from."""
     panorama: Panorama | None = None
+    """The rendered skyline of the candidate."""
     sightings: Sequence[Sighting] = ()
+    """Peaks that the candidate sees, most important first."""
 
     @property
     def pose(self) -> PosedPicture | None:

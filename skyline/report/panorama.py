@@ -15,6 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.ndimage import map_coordinates
 
 from skyline.arrays import Float64Array, UInt8Array
+from skyline.geodesy import degrees_in_words
 from skyline.report.labels import place_labels
 from skyline.report.landscape import Landscape
 from skyline.report.sightings import Sighting
@@ -41,25 +42,18 @@ _POINTS = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PanoramaView:
-    """What a panorama shows.
-
-    Attributes
-    ----------
-    landscape : Landscape
-        Its columns are the picture's, `picture_azimuths_deg`.
-    sightings : sequence of Sighting
-        Summits that the eye sees, the most important first.
-    start_deg, fov_deg : float
-        The azimuth from true north at the left border, and how far the picture goes on.
-    surface_deg : (C,) float64, optional
-        How far trees and houses may rise in each column of the landscape.
-    """
+    """What a panorama shows."""
 
     landscape: Landscape
+    """Its columns are the picture's, `picture_azimuths_deg`."""
     sightings: Sequence[Sighting]
+    """Summits that the eye sees, the most important first."""
     start_deg: float
     fov_deg: float
+    """``start_deg``, ``fov_deg``: the azimuth from true north at the left border, and how far the
+    picture goes on."""
     surface_deg: Float64Array | None = None
+    """(C,) float64. How far trees and houses may rise in each column of the landscape."""
 
     @property
     def convergence_deg(self) -> float:
@@ -117,21 +111,15 @@ def draw_panorama(view: PanoramaView) -> Figure:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Row:
-    """One row of the picture: its azimuths, elevation angles and names.
-
-    Attributes
-    ----------
-    columns : slice
-        Of the landscape.
-    ends_deg, span_deg : (float, float)
-    names : list of (label, azimuth_deg, summit_deg, wide_in, high_in)
-        Wide and high as the label is written lying.
-    """
+    """One row of the picture: its azimuths, elevation angles and names."""
 
     columns: slice
+    """Of the landscape."""
     ends_deg: tuple[float, float]
     span_deg: tuple[float, float]
     names: list[tuple[str, float, float, float, float]]
+    """(label, azimuth_deg, summit_deg, wide_in, high_in) of each; wide and high as the label is
+    written lying."""
 
     @classmethod
     def of(cls, view: PanoramaView, row: int, figure: Figure) -> "_Row":
@@ -316,7 +304,7 @@ def _title(view: PanoramaView) -> str:
     )
     ground_m = float(view.landscape.terrain.height_at(eye.easting_m, eye.northing_m)[0])
     return (
-        f"{abs(lat):.5f}° {'N' if lat >= 0 else 'S'}, {abs(lon):.5f}° {'E' if lon >= 0 else 'W'}, "
+        f"{degrees_in_words(lat, 'NS')}, {degrees_in_words(lon, 'EW')}, "
         f"{ground_m:.0f} m, seen from {eye.eye_elevation_m[0] - ground_m:.1f} m above ground; "
         "azimuths from true north"
         + ("; green: how far trees and houses may rise" if view.surface_deg is not None else "")

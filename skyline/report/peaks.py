@@ -25,7 +25,6 @@ class Peaks:
 
     Attributes
     ----------
-    names : tuple of str
     easting_m, northing_m : (N,) float64
     height_m : (N,) float64
         As the gazetteer has it, for its label; NaN where it does not say.
@@ -50,7 +49,6 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
         ``ele``, as OpenStreetMap has them; features without a name or a point are left out. Else
         CSV: header ``name,lon,lat`` (degrees, WGS 84) or ``name,easting,northing`` (metres, in
         ``frame``), and optionally ``height_m``, which may be empty.
-    frame : Frame
 
     Raises
     ------

@@ -19,10 +19,7 @@ _INK_SHARE = 0.35
 def save_place_map(terrain: HeightField, places: Places, path: Path) -> None:
     """Save a map of places (N), coloured by the spacing that each has there.
 
-    Raises
-    ------
-    InputError
-        The file cannot be written.
+    Raises `InputError` where the file cannot be written.
     """
     spacing_m = 2.0 * places.tolerance_m
     easting_m, northing_m = places.easting_m, places.northing_m

@@ -53,21 +53,14 @@ class PosedPicture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Panorama:
-    """One eye's skyline by azimuth.
-
-    Attributes
-    ----------
-    azimuth_deg : (C,) float64
-        Grid azimuths, increasing, in [0, 360).
-    elevation_tan : (C,) float64
-        Tangent of the elevation angle; NaN where there is no data.
-    is_sure : (C,) bool
-        False where the data's border or a hole may hide what is farther.
-    """
+    """One eye's skyline by azimuth."""
 
     azimuth_deg: Float64Array
+    """(C,) float64. Grid azimuths, increasing, in [0, 360)."""
     elevation_tan: Float64Array
+    """(C,) float64. Tangent of the elevation angle; NaN where there is no data."""
     is_sure: NDArray[np.bool_]
+    """(C,) bool. False where the data's border or a hole may hide what is farther."""
 
     @classmethod
     def of(cls, views: Views) -> "Panorama":

@@ -10,7 +10,7 @@ from matplotlib.colors import LightSource, LinearSegmentedColormap, Normalize
 from matplotlib.offsetbox import AnchoredText
 from numpy.typing import ArrayLike, NDArray
 
-from skyline.geodesy import Frame
+from skyline.geodesy import Frame, degrees_in_words
 from skyline.report.tints import DARKEST, TINTS
 from skyline.terrain.heightfield import HeightField
 
@@ -143,15 +143,11 @@ def _draw_degrees(axis: Axes, frame: Frame, area: Area) -> None:
         axis.contour(easting, northing, degrees, levels, **lines)
         order = np.argsort(edge)
         ticks = np.interp(levels, edge[order], place[order])
-        way(ticks, [_degrees(level, step, names) for level in levels])
+        decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+        way(ticks, [degrees_in_words(level, names, decimals) for level in levels])
     axis.tick_params(axis="y", labelrotation=90.0)
     for label in axis.get_yticklabels():
         label.set_verticalalignment("center")
-
-
-def _degrees(value: float, step: float, names: str) -> str:
-    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
-    return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
 
 
 def _draw_scale(axis: Axes, frame: Frame, area: Area) -> None:

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from skyline.errors import InputError
 
@@ -57,20 +57,11 @@ CREATE TABLE photos (fid INTEGER PRIMARY KEY AUTOINCREMENT, geom POINT,
 """
 
 
-class Results(Protocol):
-    """A file of results."""
-
-    def rows(self) -> Iterator[Mapping[str, object]]:
-        """Yield the rows that are there."""
-        ...
-
-    def add(self, row: Row) -> None:
-        """Write a row; once this returns it is kept."""
-        ...
-
-
-def open_results(path: Path, search: str) -> tuple[Results, set[str]]:
+def open_results(path: Path, search: str) -> "tuple[Results, set[str]]":
     """Open a file of results, which is made if need be; return it and the queries it has.
+
+    Raises `InputError` for another suffix, a file that is none or of another search, or one that
+    cannot be written.
 
     Parameters
     ----------
@@ -78,11 +69,6 @@ def open_results(path: Path, search: str) -> tuple[Results, set[str]]:
         Its suffix is ``.csv`` or ``.gpkg``.
     search : str
         What tells searches apart: a file holds the results of one.
-
-    Raises
-    ------
-    InputError
-        Another suffix, a file that is none or of another search, or one that cannot be written.
     """
     kind = RESULTS.get(path.suffix.lower())
     if kind is None:
@@ -172,6 +158,9 @@ class _GeoPackage:
                 (_point(row["lon"], row["lat"]), *(row[name] for name in _TYPES)),
             )
 
+
+Results = _Csv | _GeoPackage
+"""A file of results: `rows` yields what is there, and a row that `add` has written is kept."""
 
 RESULTS: Mapping[str, type[_Csv] | type[_GeoPackage]] = {".csv": _Csv, ".gpkg": _GeoPackage}
 """Files of results by suffix."""

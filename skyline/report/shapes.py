@@ -15,22 +15,15 @@ _ELLIPSE_POINTS = 72
 
 @dataclass(frozen=True, slots=True)
 class Ellipse:
-    """The area that holds the true position with 95 % probability, were the errors normal.
-
-    Attributes
-    ----------
-    easting_m, northing_m : float
-        Centre.
-    semi_major_m, semi_minor_m : float
-    azimuth_deg : float
-        Grid azimuth of the major axis, in [0, 180).
-    """
+    """The area that holds the true position with 95 % probability, were the errors normal."""
 
     easting_m: float
     northing_m: float
+    """``easting_m``, ``northing_m``: centre."""
     semi_major_m: float
     semi_minor_m: float
     azimuth_deg: float
+    """Grid azimuth of the major axis, in [0, 180)."""
 
     @classmethod
     def of(cls, candidate: Candidate) -> "Ellipse | None":
@@ -63,10 +56,8 @@ class Ellipse:
 def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:
     """Return what a candidate looks at, out to ``reach_m``: its field of view from above.
 
-    Returns
-    -------
-    (P, 2) float64
-        Easting and northing, counter-clockwise and closed; the first point is the camera.
+    The outline (P, 2), easting and northing, is counter-clockwise and closed; it begins at the
+    camera.
     """
     steps = max(2, int(np.ceil(candidate.fov_deg / _ARC_STEP_DEG)) + 1)
     half = candidate.fov_deg / 2.0

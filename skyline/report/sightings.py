@@ -27,28 +27,19 @@ HIDDEN_DEG = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A peak as an eye sees it.
-
-    Attributes
-    ----------
-    label : str
-    easting_m, northing_m, surface_m : float
-        The summit on the terrain.
-    azimuth_deg : float
-        Grid azimuth.
-    elevation_tan : float
-        Tangent of the elevation angle: up over horizontal distance.
-    distance_m : float
-        Horizontal.
-    """
+    """A peak as an eye sees it."""
 
     label: str
     easting_m: float
     northing_m: float
     surface_m: float
+    """``easting_m``, ``northing_m``, ``surface_m``: the summit on the terrain."""
     azimuth_deg: float
+    """Grid azimuth."""
     elevation_tan: float
+    """Tangent of the elevation angle: up over horizontal distance."""
     distance_m: float
+    """Horizontal."""
 
 
 def visible_peaks(
@@ -57,14 +48,6 @@ def visible_peaks(
     """Return the peaks one eye sees, highest above the datum first.
 
     Peaks off the terrain are left out, since nothing says what hides them.
-
-    Parameters
-    ----------
-    terrain : HeightField
-    eye : Viewpoints
-        One.
-    peaks : Peaks
-    curvature : Curvature
     """
     seen = [
         sighting

@@ -19,28 +19,18 @@ Render = Callable[[Viewpoints, Sequence[int]], Views]
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """The place a store describes.
-
-    Attributes
-    ----------
-    frame : Frame
-        Of the store, and so of every candidate.
-    viewpoints : Viewpoints
-        The store's.
-    terrain : HeightField, optional
-        Without it there is no relief, no rendered skyline and no peak.
-    render : Render, optional
-        How the candidates' skylines are made; goes with ``terrain``.
-    peaks : Peaks, optional
-        Names to put to summits.
-    curvature : Curvature
-    """
+    """The place a store describes."""
 
     frame: Frame
+    """Of the store, and so of every candidate."""
     viewpoints: Viewpoints
+    """The store's."""
     terrain: HeightField | None = None
+    """Without it there is no relief, no rendered skyline and no peak."""
     render: Render | None = None
+    """How the candidates' skylines are made; goes with ``terrain``."""
     peaks: Peaks | None = None
+    """Names to put to summits."""
     curvature: Curvature = field(default_factory=Curvature)
 
     def eye_of(self, candidate: Candidate) -> Viewpoints | None:

@@ -43,8 +43,7 @@ class ReliefTiles:
         edge_north = south + (north - south) * np.concatenate(
             [0 * share, 0 * share + 1, share, share]
         )
-        lon, lat = terrain.frame.to_lonlat(edge_east, edge_north)
-        self.bounds_deg = float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max())
+        self.bounds_deg = terrain.frame.box_deg(edge_east, edge_north)
         """West, south, east, north of what there is, degrees."""
 
     def png(self, zoom: int, x: int, y: int) -> bytes:

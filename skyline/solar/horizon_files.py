@@ -11,6 +11,7 @@ import numpy as np
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError, named
 from skyline.files import write_whole
+from skyline.geodesy import degrees_in_words
 from skyline.solar.local_horizons import LocalHorizons
 
 _HEADER = "lon,lat,azimuth_deg,elevation_deg,distance_m"
@@ -19,18 +20,15 @@ _HEADER = "lon,lat,azimuth_deg,elevation_deg,distance_m"
 def write_horizons(horizons: LocalHorizons, path: Path) -> None:
     """Write horizons to a file of the kind that its suffix says.
 
+    Raises `InputError` for another suffix, several places in a file for one, or a file that cannot
+    be written.
+
     Parameters
     ----------
-    horizons : LocalHorizons
     path : Path
         ``.csv`` and ``.json`` hold any number of places; ``.txt`` (the horizon file of PVGIS:
         elevation angles clockwise from north, one a line, none below 0) and ``.png``, ``.svg`` and
         ``.pdf`` (a polar plot) hold one.
-
-    Raises
-    ------
-    InputError
-        Another suffix, several places in a file for one, or a file that cannot be written.
     """
     write_whole(path, named("the kind of file", path.suffix.lower(), _KINDS)(horizons, path))
 
@@ -127,7 +125,8 @@ def _plot(horizons: LocalHorizons, path: Path) -> bytes:
     names = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
     axis.set_thetagrids(np.arange(0, 360, 45), names)
     axis.set_title(
-        f"Horizon at {_degrees(horizons.lat[0], 'NS')}, {_degrees(horizons.lon[0], 'EW')}\n"
+        f"Horizon at {degrees_in_words(horizons.lat[0], 'NS')}, "
+        f"{degrees_in_words(horizons.lon[0], 'EW')}\n"
         f"eye at {horizons.eye_elevation_m[0]:.0f} m, "
         f"sky view factor {horizons.sky_view_factor()[0]:.3f}",
         fontsize=11,
@@ -135,10 +134,6 @@ def _plot(horizons: LocalHorizons, path: Path) -> bytes:
     picture = io.BytesIO()
     figure.savefig(picture, format=path.suffix[1:].lower(), dpi=150)
     return picture.getvalue()
-
-
-def _degrees(value: float, names: str) -> str:
-    return f"{abs(value):.5f}° {names[0] if value >= 0.0 else names[1]}"
 
 
 def _check_single(horizons: LocalHorizons, path: Path) -> None:

@@ -23,6 +23,9 @@ def sun_above(
 
     The day is the 24 hours about noon of the mean sun at the eye. Air refracts the sun's light as
     in the standard atmosphere at the eye's elevation. What lasts less than a minute may be missed.
+    Times are in UTC, to a tenth of a second.
+
+    Raises `InputError` where PyEphem is not installed, or the horizon is not known at some azimuth.
 
     Parameters
     ----------
@@ -30,17 +33,6 @@ def sun_above(
         The horizon by azimuths from true north, increasing.
     eye : (float, float, float)
         Longitude and latitude in degrees, metres above the sea.
-    day : date
-
-    Returns
-    -------
-    list of (datetime, datetime)
-        In UTC, to a tenth of a second; empty where the sun stays hidden.
-
-    Raises
-    ------
-    InputError
-        PyEphem is not installed, or the horizon is not known at some azimuth.
     """
     azimuth = np.asarray(azimuth_deg, dtype=np.float64)
     elevation = np.asarray(elevation_deg, dtype=np.float64)

@@ -30,20 +30,19 @@ class CommittedRows:
 
     Attributes
     ----------
-    header : StoreHeader
     count : int
         Number of complete rows when it was opened.
     """
 
     def __init__(self, path: Path, raw: WholeFile) -> None:
-        """Check and open the store; raises `StoreError`."""
-        self._path = path
+        """Check and open the store in an open file; raises `StoreError`."""
+        self.path = path
         self._raw = raw
         with explained(path, "it cannot be opened"), ExitStack() as resources:
             self._file = resources.enter_context(h5py.File(raw, "r"))
             self.header = read_header(path, self._file)
             # Counted before the datasets are opened: a writer at work may lengthen them.
-            self.count = read_committed(path, self._file)
+            self.committed = read_committed(path, self._file)
             self._datasets = self._open_datasets()
             self._check_committed()
             resources.pop_all()
@@ -63,7 +62,7 @@ class CommittedRows:
         self._file.close()
         self._raw.close()
 
-    def read(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
+    def _read(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
         """Return rows of a dataset in the order wanted; raises `StoreError`."""
         try:
             return self._reading(lambda: self._read_once(name, rows))
@@ -72,23 +71,23 @@ class CommittedRows:
                 raise
         # Places are appended to a last chunk where it lies. A kill that tears this leaves HDF5's
         # checksum of the chunk wrong, but committed rows as they were, which their own show.
-        columns = stored_places(self.header, self.map_places().take(rows))
+        columns = stored_places(self.header, self._map_places().take(rows))
         return columns[name] if name in columns else row_checksums(columns)
 
-    def map_places(self) -> PlaceMap:
+    def _map_places(self) -> PlaceMap:
         """Map the rows of a store of places; raises `StoreError`."""
         offsets = self._reading(self._chunk_offsets)
-        with explained(self._path, "it cannot be mapped"):
-            return PlaceMap(self._path, self._raw.fileno(), self.header, self.count, offsets)
+        with explained(self.path, "it cannot be mapped"):
+            return PlaceMap(self.path, self._raw.fileno(), self.header, self.committed, offsets)
 
-    def damaged(self, what: str) -> StoreError:
+    def _damaged(self, what: str) -> StoreError:
         """Return the error that says in which way the store is damaged."""
-        return StoreError(f"store {self._path} is damaged: {what}; {REBUILD}")
+        return StoreError(f"store {self.path} is damaged: {what}; {REBUILD}")
 
     def _reading(self, read: Callable[[], _T]) -> _T:
         """Return ``read()``, on a file opened anew where a writer has changed it meanwhile."""
         if self._raw.closed:
-            raise StoreError(f"store {self._path} is closed; open it again to read it")
+            raise StoreError(f"store {self.path} is closed; open it again to read it")
         try:
             return read()
         except StoreError:
@@ -96,7 +95,7 @@ class CommittedRows:
                 raise
 
         def read_anew() -> _T:
-            with explained(self._path, "it cannot be opened again"):
+            with explained(self.path, "it cannot be opened again"):
                 self._file.close()
                 self._file = h5py.File(self._raw, "r")
                 self._datasets = self._open_datasets()
@@ -105,7 +104,7 @@ class CommittedRows:
         return patiently(self._raw, read_anew)
 
     def _read_once(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
-        with explained(self._path, f"{name} cannot be read"):
+        with explained(self.path, f"{name} cannot be read"):
             dataset = self._datasets[name]
             if len(rows) == 0:
                 return np.zeros((0, *dataset.shape[1:]), dataset.dtype)
@@ -120,32 +119,32 @@ class CommittedRows:
         size = self.header.chunk_rows
         found = {}
         for name, dataset in self._datasets.items():
-            with explained(self._path, f"the chunks of {name} cannot be read"):
-                at = np.zeros(-(-self.count // size), dtype=np.int64)
+            with explained(self.path, f"the chunks of {name} cannot be read"):
+                at = np.zeros(-(-self.committed // size), dtype=np.int64)
                 for chunk, offset in _chunks(dataset, len(at)):
                     at[chunk] = offset
             # HDF5's own structures come first in a file.
             if not (at > 0).all():
                 lost = int(np.flatnonzero(at <= 0)[0]) * size
-                raise self.damaged(f"{name} holds no row {lost}, which is committed")
+                raise self._damaged(f"{name} holds no row {lost}, which is committed")
             found[name] = at
         return found
 
     def _open_datasets(self) -> dict[str, h5py.Dataset]:
         return {
-            name: checked_dataset(self._path, self._file, name, spec, self.header)
+            name: checked_dataset(self.path, self._file, name, spec, self.header)
             for name, spec in self.header.specs.items()
         }
 
     def _check_committed(self) -> None:
         # Not by what HDF5 says the datasets take: it visits every chunk that a damaged index names.
         rows = min(len(dataset) for dataset in self._datasets.values())
-        if self.count > min(rows, self._raw.size):
-            raise self.damaged(f"it says {self.count} rows are committed and holds {rows}")
+        if self.committed > min(rows, self._raw.size):
+            raise self._damaged(f"it says {self.committed} rows are committed and holds {rows}")
         for name, dataset in self._datasets.items():
-            place = (max(self.count - 1, 0),) + (0,) * (dataset.ndim - 1)
-            if self.count and dataset.id.get_chunk_info_by_coord(place).byte_offset is None:
-                raise self.damaged(f"{name} holds no row {place[0]}, which is committed")
+            place = (max(self.committed - 1, 0),) + (0,) * (dataset.ndim - 1)
+            if self.committed and dataset.id.get_chunk_info_by_coord(place).byte_offset is None:
+                raise self._damaged(f"{name} holds no row {place[0]}, which is committed")
 
 
 def patiently(raw: WholeFile, read: Callable[[], _T]) -> _T:

@@ -16,19 +16,14 @@ from typing import IO
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
+from skyline.errors import InputError, StoreError
 from skyline.store.coding import RowCoding
 from skyline.store.digest import row_checksums
 from skyline.store.explain import explained
-from skyline.store.header import (
-    KEYPOINTS,
-    RENDERINGS,
-    StoreHeader,
-    check_holds,
-)
+from skyline.store.header import KEYPOINTS, RENDERINGS, StoreHeader, check_holds
 from skyline.store.integrity import Damage, whole_rows
-from skyline.store.lock import complete_or_absent, writer_lock
-from skyline.store.mismatch import differences
+from skyline.store.lock import complete_or_absent, new_store
+from skyline.store.mismatch import refuse_mismatch
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns, stored_rows, views_of
 from skyline.store.writer import block_rows, write_rows
@@ -36,24 +31,16 @@ from skyline.store.writer import block_rows, write_rows
 
 @dataclass(frozen=True, slots=True)
 class CopyReport:
-    """What a new store was made of.
-
-    Attributes
-    ----------
-    rows : int
-        In the new store.
-    holds : str
-        What they are: "renderings" or "places".
-    duplicates : int
-        Rows left out because the same view or place is there already.
-    damage : tuple of Damage
-        Rows left out because they are damaged (`repair_store` alone).
-    """
+    """What a new store was made of."""
 
     rows: int
+    """In the new store."""
     holds: str
+    """What they are: "renderings" or "places"."""
     duplicates: int
+    """Rows left out because the same view or place is there already."""
     damage: tuple[Damage, ...] = ()
+    """Rows left out because they are damaged (`repair_store` alone)."""
 
 
 def merge_stores(
@@ -79,7 +66,13 @@ def merge_stores(
         raise InputError("no stores to merge; name one or more")
     stores = [_looked_at(path) for path in paths]
     for store in stores[1:]:
-        _refuse_mismatch(stores[0], store)
+        one, other = stores[0].path, store.path
+        refuse_mismatch(
+            (stores[0].header, f"in {one.name}"),
+            (store.header, f"in {other.name}"),
+            f"stores {one} and {other} were built otherwise",
+            "merge stores of one DEM and configuration",
+        )
     return _copy(stores, _joint_header(stores), Path(out))
 
 
@@ -117,10 +110,7 @@ def compact_store(
 def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> CopyReport:
     """Write the undamaged rows of a store into a new one, in their order.
 
-    Raises
-    ------
-    StoreError
-        Nothing can be saved, or the new store cannot be written or exists.
+    Raises `StoreError` where nothing can be saved, or the new store cannot be written or exists.
     """
     damage: list[Damage] = []
     kept = 0
@@ -141,18 +131,6 @@ def _looked_at(path: str | os.PathLike[str]) -> Store:
     """Return a store that is closed again: there may be more of them than files can be open."""
     with open_store(path) as store:
         return store
-
-
-def _refuse_mismatch(one: Store, other: Store) -> None:
-    said = [
-        f"{name} is {was!r} in {one.path.name}, {now!r} in {other.path.name}"
-        for name, was, now in differences(one.header, other.header)
-    ]
-    if said:
-        raise StoreMismatchError(
-            f"stores {one.path} and {other.path} were built otherwise: {'; '.join(said)}; "
-            "merge stores of one DEM and configuration"
-        )
 
 
 def _joint_header(stores: Sequence[Store]) -> StoreHeader:
@@ -245,15 +223,5 @@ def _chosen(rows: NDArray[np.void], header: StoreHeader) -> NDArray[np.intp]:
 def _new_file(out: Path) -> Iterator[Path]:
     """Yield a name for a new store, which takes the name ``out`` when it is complete."""
     out = out.resolve()
-    if not out.parent.is_dir():
-        raise MissingFileError(
-            f"store {out} cannot be created: folder {out.parent} does not exist; make it first"
-        )
-    with writer_lock(out):
-        if out.exists():
-            raise StoreError(
-                f"store {out} cannot be created: it exists already; remove it, or choose another "
-                "name"
-            )
-        with complete_or_absent(out) as partial:
-            yield partial
+    with new_store(out, "remove it, or choose another name"), complete_or_absent(out) as partial:
+        yield partial

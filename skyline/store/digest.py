@@ -22,10 +22,7 @@ _AT_ONCE_BYTES = 1 << 22
 def row_checksums(columns: Columns) -> NDArray[np.uint32]:
     """Return CRC-32s, (N,), over each row's little-endian bytes, datasets in order of name.
 
-    Parameters
-    ----------
-    columns : mapping of str to (N, ...) array
-        Stored rows by dataset; their checksums among them are passed over.
+    Columns are (N, ...) stored rows by dataset; their checksums among them are passed over.
     """
     names = [name for name in sorted(columns) if name not in (CHECKSUM, PLACE_CHECKSUM)]
     count = len(columns[names[0]])

@@ -45,41 +45,28 @@ json.dump(dataclasses.asdict(examine(pathlib.Path(sys.argv[1]))), sys.stdout)
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Something that is not as it was written.
-
-    Attributes
-    ----------
-    what : str
-        One line.
-    first_row, rows : int
-        Which rows it makes unreadable or wrong; no rows where it is the store as a whole.
-    """
+    """Something that is not as it was written."""
 
     what: str
+    """One line."""
     first_row: int = 0
     rows: int = 0
+    """``first_row``, ``rows``: which rows it makes unreadable or wrong; no rows where it is the
+    store as a whole."""
 
 
 @dataclass(frozen=True, slots=True)
 class StoreReport:
-    """What `check_store` found.
-
-    Attributes
-    ----------
-    committed : int
-        Rows that the store says it holds; 0 where it cannot be opened.
-    in_use : bool
-        A writer is at work, or was killed; the next build goes on from the committed rows.
-    damage : tuple of Damage
-        Empty for a whole store.
-    holds : str
-        "renderings" or "places"; "rows" where it cannot be opened.
-    """
+    """What `check_store` found."""
 
     committed: int
+    """Rows that the store says it holds; 0 where it cannot be opened."""
     in_use: bool
+    """A writer is at work, or was killed; the next build goes on from the committed rows."""
     damage: tuple[Damage, ...]
+    """Empty for a whole store."""
     holds: str = "rows"
+    """``renderings`` or ``places``; ``rows`` where it cannot be opened."""
 
     @property
     def whole(self) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from skyline.errors import StoreError
+from skyline.errors import MissingFileError, StoreError
 from skyline.store.explain import explained
 
 
@@ -62,3 +62,24 @@ def _lock_file(path: Path, lock: Path) -> int:
             os.close(descriptor)
             raise
         os.close(descriptor)
+
+
+@contextmanager
+def new_store(path: Path, advice: str, *, overwrite: bool = False) -> Iterator[None]:
+    """Hold the lock of a store that is to be made.
+
+    Raises
+    ------
+    MissingFileError
+        The folder does not exist.
+    StoreError
+        Something is there already, where that is not to be replaced, or somebody is writing it.
+    """
+    if not path.parent.is_dir():
+        raise MissingFileError(
+            f"store {path} cannot be created: folder {path.parent} does not exist; make it first"
+        )
+    with writer_lock(path):
+        if path.is_dir() or (path.exists() and not overwrite):
+            raise StoreError(f"store {path} cannot be created: it exists already; {advice}")
+        yield

@@ -1,10 +1,26 @@
 """What keeps the rows of two headers from being rows of one store."""
 
+from skyline.errors import StoreMismatchError
 from skyline.geodesy import Frame
 from skyline.store.header import StoreHeader
 
 
-def differences(one: StoreHeader, other: StoreHeader) -> list[tuple[str, object, object]]:
+def refuse_mismatch(
+    one: tuple[StoreHeader, str], other: tuple[StoreHeader, str], what: str, advice: str
+) -> None:
+    """Raise `StoreMismatchError` where rows of two headers do not belong into one store.
+
+    With each header comes where it is, for a message that begins with ``what``.
+    """
+    said = [
+        f"{name} is {was!r} {one[1]}, {now!r} {other[1]}"
+        for name, was, now in _differences(one[0], other[0])
+    ]
+    if said:
+        raise StoreMismatchError(f"{what}: {'; '.join(said)}; {advice}")
+
+
+def _differences(one: StoreHeader, other: StoreHeader) -> list[tuple[str, object, object]]:
     """Return what differs, by name and with both values; the files' places and makers may."""
     if one.holds != other.holds:
         return [("what it holds", one.holds, other.holds)]

@@ -27,7 +27,6 @@ from skyline.store.header import (
     RENDERINGS,
     VIEW_SPECS,
     KeypointColumns,
-    StoreHeader,
     check_holds,
 )
 from skyline.store.place_map import PlaceMap
@@ -52,17 +51,20 @@ class Locations(Viewpoints):
     heading: NDArray[np.uint8]
 
 
-class Store:
+class Store(CommittedRows):
     """The committed rows of a store; use it as a context manager. Made by `open_store`.
 
     Rows committed after it was opened are not seen: the rows of one `Store` never change.
-    """
 
-    def __init__(self, path: Path, raw: WholeFile) -> None:
-        """Check and open the store in an open file, which the store closes."""
-        self._path = path
-        self._held = CommittedRows(path, raw)
-        self._header = self._held.header
+    Attributes
+    ----------
+    path : Path
+        Where the store is.
+    header : StoreHeader
+        What the store was built from and how.
+    committed : int
+        Number of complete rows when the store was opened.
+    """
 
     def __enter__(self) -> Self:
         return self
@@ -71,52 +73,23 @@ class Store:
         self.close()
 
     def __len__(self) -> int:
-        return self._held.count
+        return self.committed
 
     def __repr__(self) -> str:
-        return f"Store({self._path.name}: {self._held.count} {self._header.holds})"
+        return f"Store({self.path.name}: {self.committed} {self.header.holds})"
 
     def _repr_html_(self) -> str:
-        header = self._header
+        header = self.header
         settings = header.config.items()
         facts = {
-            "store": str(self._path),
-            header.holds: f"{self._held.count:,}",
+            "store": str(self.path),
+            header.holds: f"{self.committed:,}",
             "frame": Frame(header.frame_wkt).name,
             "DEM": ", ".join(header.dem_files) or "no file",
             **{name: str(value) for name, value in settings if not isinstance(value, Mapping)},
             "made by": f"skyline {header.package_version}",
         }
         return facts_html(facts)
-
-    @property
-    def path(self) -> Path:
-        """Where the store is."""
-        return self._path
-
-    @property
-    def header(self) -> StoreHeader:
-        """What the store was built from and how."""
-        return self._header
-
-    @property
-    def committed(self) -> int:
-        """Number of complete rows when the store was opened."""
-        return self._held.count
-
-    @property
-    def longest(self) -> int:
-        """Rows of the longest dataset: more than are committed while a writer is at work."""
-        return self._held.longest
-
-    @property
-    def in_use(self) -> bool:
-        """Whether a writer had the store open when it was opened, or was killed at work."""
-        return self._held.in_use
-
-    def close(self) -> None:
-        """Let go of the file; closing twice is fine."""
-        self._held.close()
 
     def views(self, index: RowIndex = slice(None)) -> Views:
         """Read views.
@@ -133,46 +106,44 @@ class Store:
         StoreError
             Damaged data.
         """
-        check_holds(self._path, self._header, RENDERINGS)
-        views = views_of(self._header, self.stored(index))
+        check_holds(self.path, self.header, RENDERINGS)
+        views = views_of(self.header, self.stored(index))
         self._check_headings(views.heading)
         return views
 
     def stored(self, index: RowIndex = slice(None)) -> Columns:
         """Read rows of every dataset as they are stored, by the datasets' names; as `views`."""
         rows = self._rows(index)
-        return {name: self._held.read(name, rows) for name in self._header.specs}
+        return {name: self._read(name, rows) for name in self.header.specs}
 
     def iter_views(self, chunk_rows: int = 1024) -> Iterator[Views]:
         """Yield all views in order, ``chunk_rows`` at a time (the last time fewer)."""
         if chunk_rows < 1:
             raise InputError(f"chunk_rows is {chunk_rows}; expected at least 1")
-        for start in range(0, self._held.count, chunk_rows):
+        for start in range(0, self.committed, chunk_rows):
             yield self.views(slice(start, start + chunk_rows))
 
     def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
         """Read keypoints, (N, K) uint16, padded with `NO_KEYPOINT`; as `views` otherwise."""
-        check_holds(self._path, self._header, RENDERINGS)
-        columns = self._held.read(KEYPOINTS, self._rows(index))
-        if ((columns >= self._header.width) & (columns != NO_KEYPOINT)).any():
-            raise self._held.damaged(f"{KEYPOINTS} names columns beyond {self._header.width - 1}")
+        check_holds(self.path, self.header, RENDERINGS)
+        columns = self._read(KEYPOINTS, self._rows(index))
+        if ((columns >= self.header.width) & (columns != NO_KEYPOINT)).any():
+            raise self._damaged(f"{KEYPOINTS} names columns beyond {self.header.width - 1}")
         return columns
 
     def locations(self) -> Locations:
         """Read where all views are and look, without their skylines; raises as `views`."""
-        check_holds(self._path, self._header, RENDERINGS)
+        check_holds(self.path, self.header, RENDERINGS)
         eyes = self.eyes()
-        heading = self._held.read(VIEW_SPECS["heading"][0], self._rows(slice(None)))
+        heading = self._read(VIEW_SPECS["heading"][0], self._rows(slice(None)))
         self._check_headings(heading)
         return Locations(eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m, heading)
 
     def eyes(self) -> Viewpoints:
         """Read where the eye of every row is, whatever the store holds; raises as `stored`."""
-        specs = PLACE_SPECS if self._header.holds == PLACES else VIEW_SPECS
+        specs = PLACE_SPECS if self.header.holds == PLACES else VIEW_SPECS
         rows = self._rows(slice(None))
-        read = (
-            self._held.read(specs[name][0], rows).astype(np.float64, copy=False) for name in EYE
-        )
+        read = (self._read(specs[name][0], rows).astype(np.float64, copy=False) for name in EYE)
         return Viewpoints(*read)
 
     def places(self) -> PlaceMap:
@@ -185,8 +156,8 @@ class Store:
         StoreError
             Damaged data.
         """
-        check_holds(self._path, self._header, PLACES)
-        return self._held.map_places()
+        check_holds(self.path, self.header, PLACES)
+        return self._map_places()
 
     def to_xarray(self, index: RowIndex = slice(None)) -> Any:
         """Return rows as an `xarray.Dataset` (extra ``geo``), in memory.
@@ -213,8 +184,8 @@ class Store:
         StoreError
             Damaged data.
         """
-        rows, frame = self._rows(index), Frame(self._header.frame_wkt)
-        if self._header.holds == PLACES:
+        rows, frame = self._rows(index), Frame(self.header.frame_wkt)
+        if self.header.holds == PLACES:
             return dataset_of_places(self.places().take(rows), rows, frame)
         return dataset_of_views(self.views(index), rows, frame)
 
@@ -240,20 +211,20 @@ class Store:
         StoreError
             Damaged data.
         """
-        rows, frame = self._rows(index), Frame(self._header.frame_wkt)
+        rows, frame = self._rows(index), Frame(self.header.frame_wkt)
         return table_of_places(self.places().take(rows), rows, frame)
 
     def _rows(self, index: RowIndex) -> NDArray[np.intp]:
         try:
-            return np.atleast_1d(np.arange(self._held.count)[index])
+            return np.atleast_1d(np.arange(self.committed)[index])
         except IndexError as error:
             raise InputError(
-                f"{error}: store {self._path} has {self._held.count} committed rows"
+                f"{error}: store {self.path} has {self.committed} committed rows"
             ) from error
 
     def _check_headings(self, heading: NDArray[np.uint8]) -> None:
         if (heading > HEADINGS[-1]).any():
-            raise self._held.damaged(f"it has heading {heading.max()}, beyond {HEADINGS[-1]}")
+            raise self._damaged(f"it has heading {heading.max()}, beyond {HEADINGS[-1]}")
 
 
 def open_store(path: str | os.PathLike[str]) -> Store:

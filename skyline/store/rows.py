@@ -27,10 +27,7 @@ Columns = Mapping[str, NDArray[Any]]
 def stored_rows(header: StoreHeader, views: Views, keypoint_columns: KeypointColumns) -> Columns:
     """Return views as a store with ``header`` holds them.
 
-    Raises
-    ------
-    InputError
-        Shapes or values that do not fit the store.
+    Raises `InputError` for shapes or values that do not fit the store.
     """
     given = {name: getattr(views, field) for field, (name, _) in VIEW_SPECS.items()}
     given[KEYPOINTS] = keypoint_columns
@@ -60,10 +57,7 @@ def stored_rows(header: StoreHeader, views: Views, keypoint_columns: KeypointCol
 def stored_places(header: StoreHeader, places: Places) -> Columns:
     """Return places as a store with ``header`` holds them.
 
-    Raises
-    ------
-    InputError
-        Shapes that do not fit, or eyes and tolerances that are not numbers.
+    Raises `InputError` for shapes that do not fit, or eyes and tolerances that are not numbers.
     """
     columns = {}
     for field, (name, spec) in PLACE_SPECS.items():

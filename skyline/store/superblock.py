@@ -42,22 +42,15 @@ _MASK = 0xFFFFFFFF
 
 @dataclass(frozen=True, slots=True)
 class Superblock:
-    """What HDF5 keeps at the start of a file about the file as a whole.
-
-    Attributes
-    ----------
-    flags : int
-        Not 0 while a writer has the file open, and after it was killed.
-    end : int
-        Where the file ends, bytes. Lags behind while a writer is at work.
-    extension, root : int
-        Addresses in the file.
-    """
+    """What HDF5 keeps at the start of a file about the file as a whole."""
 
     flags: int
+    """Not 0 while a writer has the file open, and after it was killed."""
     end: int
+    """Where the file ends, bytes. Lags behind while a writer is at work."""
     extension: int
     root: int
+    """``extension``, ``root``: addresses in the file."""
 
     @property
     def in_use(self) -> bool:

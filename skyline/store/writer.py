@@ -1,5 +1,6 @@
 """Appending rows to a store so that a kill at any instant loses no committed one."""
 
+import io
 import logging
 import os
 import shutil
@@ -13,29 +14,42 @@ from typing import Self
 import h5py
 import numpy as np
 
-from skyline.errors import (
-    MissingFileError,
-    StoreError,
-    StoreMismatchError,
-)
+from skyline.errors import StoreError
 from skyline.places import Places
 from skyline.store.digest import row_checksums
 from skyline.store.explain import RESUME, explained
 from skyline.store.header import (
     PLACES,
     RENDERINGS,
+    SCHEMA,
+    SCHEMA_VERSION,
     KeypointColumns,
     StoreHeader,
     check_holds,
 )
-from skyline.store.layout import open_to_write, write_empty
-from skyline.store.lock import complete_or_absent, writer_lock
-from skyline.store.mismatch import differences
+from skyline.store.lock import complete_or_absent, new_store, writer_lock
+from skyline.store.mismatch import refuse_mismatch
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns, stored_places, stored_rows
 from skyline.views import Views
 
 _log = logging.getLogger(__name__)
+
+_LIBVER = ("v110", "v110")
+"""SWMR needs the file format of HDF5 1.10; pinned, so that every release since reads it."""
+
+_PACKING = {
+    "exact": {"shuffle": True, "compression": "gzip", "compression_opts": 1},
+    "compact": {"shuffle": True, "compression": "gzip", "compression_opts": 4},
+    "places": {},
+}
+"""Davos at W = 640, bytes of a skyline and its depths: exact 2.7 kB instead of 5.1 (level 4: 2 %
+less, half as fast to read); compact 0.55 kB (level 1: 7 % more, level 9: 4 % less at five times
+the cost). Packing takes 0.1 ms a row and unpacking 0.03 ms, less than rendering the row.
+Places are bytes already that would hardly pack, and plain chunks can be mapped."""
+
+_ALIGNED_BYTES, _ALIGNED_FROM = 64, 1024
+"""Chunks of places begin at whole cache lines, for half a byte a place."""
 
 
 class StoreWriter:
@@ -200,7 +214,6 @@ def create_store(
     ----------
     path : path-like
         Its folder must exist.
-    header : StoreHeader
     overwrite : bool
         Replace a file that is there already.
 
@@ -212,17 +225,9 @@ def create_store(
         The file exists, is being written by another process, or the folder is not writable.
     """
     path = Path(path).resolve()
-    if not path.parent.is_dir():
-        raise MissingFileError(
-            f"store {path} cannot be created: folder {path.parent} does not exist; make it first"
-        )
+    advice = "resume it by opening it for append, remove it, or choose another name"
     with ExitStack() as resources:
-        resources.enter_context(writer_lock(path))
-        if path.is_dir() or (path.exists() and not overwrite):
-            raise StoreError(
-                f"store {path} cannot be created: it exists already; resume it by opening it for "
-                "append, remove it, or choose another name"
-            )
+        resources.enter_context(new_store(path, advice, overwrite=overwrite))
         with complete_or_absent(path) as partial:
             write_empty(partial, header)
         file = resources.enter_context(open_to_write(path, header))
@@ -234,7 +239,6 @@ def open_for_append(path: str | os.PathLike[str], header: StoreHeader) -> StoreW
 
     Parameters
     ----------
-    path : path-like
     header : StoreHeader
         What the new rows are built from and how. What it holds, the frame, DEM digest, config,
         width, number of keypoints and coding must equal the store's; its other fields are kept.
@@ -254,24 +258,17 @@ def open_for_append(path: str | os.PathLike[str], header: StoreHeader) -> StoreW
         resources.enter_context(writer_lock(path))
         with open_store(path) as store:
             stored = store.header
-            _refuse_mismatch(path, stored, header)
+            refuse_mismatch(
+                (stored, "there"),
+                (header, "here"),
+                f"store {path} was built otherwise",
+                "repeat its settings or write to another file",
+            )
             if store.in_use:  # by nobody, since the lock was free
                 _log.warning("store %s: its writer was killed; keeping %d rows", path, len(store))
                 _rewrite(path, store)
         file = resources.enter_context(open_to_write(path, stored))
         return StoreWriter(path, stored, file, resources.pop_all())
-
-
-def _refuse_mismatch(path: Path, stored: StoreHeader, wanted: StoreHeader) -> None:
-    """Raise `StoreMismatchError` where rows of ``wanted`` do not belong into the store."""
-    said = [
-        f"{name} is {was!r} there, {now!r} here" for name, was, now in differences(stored, wanted)
-    ]
-    if said:
-        raise StoreMismatchError(
-            f"store {path} was built otherwise: {'; '.join(said)}; "
-            "repeat its settings or write to another file"
-        )
 
 
 def amend_config(path: str | os.PathLike[str], settings: Mapping[str, object]) -> None:
@@ -300,6 +297,55 @@ def _rewrite(path: Path, store: Store, header: StoreHeader | None = None) -> Non
     with complete_or_absent(path) as partial:
         write_rows(partial, header or store.header, blocks)
         shutil.copymode(path, partial)
+
+
+def write_empty(path: Path, header: StoreHeader) -> None:
+    """Write a new file that holds a store without rows."""
+    # HDF5 makes the file in memory, since it crashes the process at exit if it cannot write it.
+    image = io.BytesIO()
+    with h5py.File(image, "w", libver=_LIBVER) as file:
+        _lay_out(file, header)
+    with path.open("xb") as target:
+        target.write(image.getbuffer())
+        target.flush()
+        os.fsync(target.fileno())
+
+
+def _lay_out(file: h5py.File, header: StoreHeader) -> None:
+    file.attrs["schema"] = SCHEMA
+    file.attrs["schema_version"] = SCHEMA_VERSION
+    for name, text in header.attributes.items():
+        file.attrs[name] = text
+    file.attrs["header_digest"] = header.digest
+    for name, spec in header.specs.items():
+        shape = header.row_shape(spec.per_row)
+        file.create_dataset(
+            name,
+            shape=(0, *shape),
+            maxshape=(None, *shape),
+            chunks=(header.chunk_rows, *shape),
+            dtype=spec.dtype,
+            fletcher32=True,
+            **(_PACKING[header.rows] if shape else {}),
+        )
+    # A dataset, since SWMR writes no attributes.
+    file.create_dataset("committed", data=np.uint64(0))
+
+
+def open_to_write(path: Path, header: StoreHeader) -> h5py.File:
+    """Open in SWMR mode from the first byte.
+
+    To open for writing and then switch, as h5py does, leaves an instant at which a kill marks
+    the file as no reader's at all. The lock is ours, since HDF5 takes none in this mode.
+    """
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    access.set_libver_bounds(h5py.h5f.LIBVER_V110, h5py.h5f.LIBVER_V110)
+    access.set_file_locking(False, True)
+    if header.holds == PLACES:
+        access.set_alignment(_ALIGNED_FROM, _ALIGNED_BYTES)
+    flags = h5py.h5f.ACC_RDWR | h5py.h5f.ACC_SWMR_WRITE
+    with explained(path, "it cannot be opened for writing", "check that you may write it"):
+        return h5py.File(h5py.h5f.open(os.fsencode(path), flags, access))
 
 
 def block_rows(header: StoreHeader) -> int:

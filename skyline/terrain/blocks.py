@@ -20,26 +20,19 @@ BLOCK = 64
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
-    """R x C blocks of a height field; neighbours share the samples of their edge.
-
-    Attributes
-    ----------
-    frame : Frame
-    west_m, north_m, spacing_east_m, spacing_north_m : float
-        Of the samples, as `HeightField` has them.
-    highest_m : (R, C) float32
-        No height of a block is above it; -inf where there is none.
-    field : callable
-        From which blocks are wanted (R, C) to a field of these; others may be missing or NaN.
-    """
+    """R x C blocks of a height field; neighbours share the samples of their edge."""
 
     frame: Frame
     west_m: float
     north_m: float
     spacing_east_m: float
     spacing_north_m: float
+    """``west_m``, ``north_m``, ``spacing_east_m``, ``spacing_north_m``: of the samples, as
+    `HeightField` has them."""
     highest_m: Float32Array
+    """(R, C) float32. No height of a block is above it; -inf where there is none."""
     field: Callable[[BoolArray], HeightField]
+    """From which blocks are wanted (R, C) to a field of these; others may be missing or NaN."""
 
     @classmethod
     def of(cls, field: HeightField) -> Self:

@@ -47,7 +47,7 @@ def count_voids(heights_m: Float32Array) -> int:
 
 
 def remove_spikes(heights_m: Float32Array, spacing_m: float, spike_m: float) -> int:
-    """Turn spikes, upward and downward, into voids, in place.
+    """Turn spikes, upward and downward, into voids, in place; return how many samples those are.
 
     A sample is a spike if its height is absurd (beyond `ABSURD_M`), or if it is part of a clump of
     at most `MAX_SPIKE_SAMPLES` samples that
@@ -67,11 +67,6 @@ def remove_spikes(heights_m: Float32Array, spacing_m: float, spike_m: float) -> 
         The coarser of the two sample spacings, metres on the ground.
     spike_m : float
         The least height of a spike; infinity leaves only the absurd.
-
-    Returns
-    -------
-    int
-        Number of samples removed.
     """
     absurd = _remove_absurd(heights_m)
     threshold = max(spike_m, STEEPEST * spacing_m)
@@ -84,7 +79,7 @@ def remove_spikes(heights_m: Float32Array, spacing_m: float, spike_m: float) -> 
 
 
 def fill_voids(heights_m: Float32Array, max_void_samples: int) -> int:
-    """Fill the voids of at most so many connected samples from their rims, in place.
+    """Fill voids of at most so many connected samples from their rims, in place; return how many.
 
     The filling solves Laplace's equation with the rim as its boundary (the shape of a soap film):
     smooth, and never higher or lower than the rim, so that no skyline is invented. Samples are
@@ -96,11 +91,6 @@ def fill_voids(heights_m: Float32Array, max_void_samples: int) -> int:
         NaN marks voids, +inf samples that no file covers.
     max_void_samples : int
         Larger voids are left as they are.
-
-    Returns
-    -------
-    int
-        Number of samples filled.
     """
     voids = _small_voids(heights_m, max_void_samples)
     if voids.size == 0:

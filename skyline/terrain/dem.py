@@ -10,20 +10,13 @@ from typing import Any
 import numpy as np
 import rasterio
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
 from skyline.arrays import BoolArray, Float32Array
 from skyline.errors import InputError
 from skyline.files import is_file
-from skyline.geodesy import Frame, is_metric
+from skyline.geodesy import Frame, is_metric, parse_crs
 from skyline.terrain.blocks import Blocks
-from skyline.terrain.cleaning import (
-    STEEPEST,
-    count_voids,
-    fill_voids,
-    remove_spikes,
-    strips,
-)
+from skyline.terrain.cleaning import STEEPEST, count_voids, fill_voids, remove_spikes, strips
 from skyline.terrain.fill import void_undeclared
 from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
@@ -124,7 +117,6 @@ def read_dem(
         Rasters of one band, virtual rasters and STAC items among them; ``https://`` addresses of
         the same; or GDAL names such as ``netcdf:topo.nc:dem``. Tiles share a CRS and a grid; where
         they overlap the first named gives the height, what none covers is a hole.
-    options : DemOptions
 
     Returns
     -------
@@ -205,23 +197,15 @@ def dem_of_array(data_array: Any, options: DemOptions) -> HeightField:
 
 @dataclass(frozen=True, slots=True)
 class _Raster:
-    """Where heights come from.
-
-    Attributes
-    ----------
-    source : str
-        What errors call it.
-    crs : CRS
-    grid : Grid
-        In the units of the CRS.
-    files : tuple of str
-        It can be read from again.
-    """
+    """Where heights come from."""
 
     source: str
+    """What errors call it."""
     crs: CRS
     grid: Grid
+    """In the units of the CRS."""
     files: tuple[str, ...]
+    """It can be read from again."""
 
 
 def _is_kept(raster: _Raster, options: DemOptions) -> bool:
@@ -259,15 +243,7 @@ def _warp(
 
 
 def _parse_crs(text: str | None) -> CRS | None:
-    if text is None:
-        return None
-    try:
-        return CRS.from_user_input(text)
-    except CRSError as error:
-        raise InputError(
-            f"coordinate reference system {text!r} is not understood "
-            f"({' '.join(str(error).split())}); give an EPSG code such as EPSG:32632 or WKT"
-        ) from error
+    return None if text is None else parse_crs(text)
 
 
 def _check_kind(tile: Tile) -> None:
@@ -284,6 +260,9 @@ def clean(
 ) -> tuple[int, int, int, int]:
     """Void what is fill, remove spikes and fill small voids, in place, as `read_dem` does.
 
+    Returns how many are filled, hollow, despiked and undeclared, as `Provenance` counts them.
+    Raises `InputError` where there is no height at all.
+
     Parameters
     ----------
     heights : (rows, cols) float32
@@ -292,17 +271,6 @@ def clean(
         What errors and warnings call it.
     spacing_m : float
         The coarser of the two sample spacings, metres on the ground.
-    options : DemOptions
-
-    Returns
-    -------
-    filled, hollow, despiked, undeclared : int
-        As `Provenance` counts them.
-
-    Raises
-    ------
-    InputError
-        No height at all.
     """
     if not any(np.isfinite(heights[rows]).any() for rows in strips(heights)):
         raise InputError(

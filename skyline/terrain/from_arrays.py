@@ -27,17 +27,14 @@ _NODATA = ("_FillValue", "missing_value")
 def read_array(array: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]:
     """Read a DataArray.
 
+    Raises `InputError` for more than one band, dimensions that are not understood, coordinates that
+    are missing or not even, no (understood) CRS.
+
     Returns
     -------
     tile : Tile
     heights_m : (rows, cols) float32
         On the tile's grid, north up; NaN marks voids, -inf undeclared ones.
-
-    Raises
-    ------
-    InputError
-        More than one band, dimensions that are not understood, coordinates that are missing or
-        not even, no (understood) CRS.
     """
     source = "the DataArray" if array.name is None else f"the DataArray {array.name!r}"
     y, x = _dims_of(source, array)

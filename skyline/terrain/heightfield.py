@@ -71,8 +71,6 @@ class HeightField:
         Easting of column 0 and northing of row 0, at the samples (pixel centres).
     spacing_east_m, spacing_north_m : float
         Distance between neighbouring samples.
-    frame : Frame
-    provenance : Provenance
     """
 
     heights_m: NDArray[np.floating]
@@ -113,8 +111,7 @@ class HeightField:
 
     def _repr_html_(self) -> str:
         west, south, east, north = self.bounds_m
-        lon, lat = self.frame.to_lonlat([west, east, west, east], [south, south, north, north])
-        corners = (lon.min(), lat.min(), lon.max(), lat.max())
+        corners = self.frame.box_deg([west, east, west, east], [south, south, north, north])
         facts = self._facts() | {"W, S, E, N": ", ".join(f"{v:.4f}" for v in corners)}
         if not np.isnan(self.heights_m).all():
             facts["heights"] = "{:.0f} to {:.0f} m".format(*self.height_range_m)
@@ -137,7 +134,6 @@ class HeightField:
         ----------
         dataset : rasterio dataset
             Open to read, of one band: a file, a `MemoryFile`, a `WarpedVRT`.
-        options : DemOptions, optional
 
         Returns
         -------
@@ -168,7 +164,6 @@ class HeightField:
             dimensions have one entry. The CRS is that of its grid mapping (CF, as rioxarray
             writes it), else ``options.crs``. ``_FillValue``, ``missing_value``, ``scale_factor``,
             ``add_offset`` and ``units`` among its attributes are heeded.
-        options : DemOptions, optional
 
         Returns
         -------

@@ -25,10 +25,8 @@ _log = logging.getLogger(__name__)
 def mosaic_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
     """Return the common grid of tiles and the row and column each one's first sample has on it.
 
-    Raises
-    ------
-    InputError
-        Tiles of different CRS or spacing, off the first one's grid, or too far apart.
+    Raises `InputError` for tiles of different CRS or spacing, off the first one's grid, or too far
+    apart.
     """
     first = tiles[0]
     offsets = []
@@ -64,15 +62,11 @@ def mosaic_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
 def read_mosaic(
     tiles: Sequence[Tile], grid: Grid, offsets: Sequence[tuple[int, int]]
 ) -> Float32Array:
-    """Read tiles onto their common grid.
+    """Read tiles onto their common grid, in metres.
 
-    Where tiles overlap, the first that has a height gives it; a warning says by how much they
-    disagree if that is more than `AGREEMENT_M`.
-
-    Returns
-    -------
-    (rows, cols) float32
-        Metres; NaN marks voids, -inf undeclared ones, +inf samples that no tile covers.
+    NaN marks voids, -inf undeclared ones, +inf samples that no tile covers. Where tiles
+    overlap, the first that has a height gives it; a warning says by how much they disagree if that
+    is more than `AGREEMENT_M`.
     """
     heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
     for tile, (row, col) in zip(tiles, offsets, strict=True):

@@ -29,16 +29,8 @@ _PRODUCTS = (
 def model_of(files: Sequence[str]) -> str:
     """Return whether a DEM is a model of the surface or of the bare ground, as far as it says.
 
-    Parameters
-    ----------
-    files : sequence of str
-        Its files. Their names and tags are looked at.
-
-    Returns
-    -------
-    str
-        `SURFACE` or `GROUND`, with the product where it is known, or `UNKNOWN`: also where
-        files differ.
+    The names and tags of its files are looked at. It is `SURFACE` or `GROUND`, with the product
+    where that is known, or `UNKNOWN`: also where files differ.
     """
     models = {_model_of_file(file) for file in files}
     return models.pop() if len(models) == 1 else UNKNOWN

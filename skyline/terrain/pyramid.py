@@ -39,18 +39,13 @@ _SLACK_CELLS = 0.02
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlabLevel:
-    """One level of the tree.
-
-    Attributes
-    ----------
-    maxima : (bins, bands, blocks, SLABS)
-        Greatest value; `EMPTY` (0 of marks) where a ray meets no sample.
-    first_block : int
-        Blocks left of the one that begins at column 0.
-    """
+    """One level of the tree."""
 
     maxima: Samples
+    """(bins, bands, blocks, SLABS). Greatest value; `EMPTY` (0 of marks) where a ray meets no
+    sample."""
     first_block: int
+    """Blocks left of the one that begins at column 0."""
 
 
 def level_count(strips: int) -> int:
@@ -72,10 +67,6 @@ def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[
         Increasing bounds of the bins of rays' slopes, columns a line.
     levels : int
         As `level_count` says for the longer axis.
-
-    Yields
-    ------
-    SlabLevel
     """
     slab = LEAF_STRIPS
     source = _Maxima(_slab_maxima(values, slab), 0)

@@ -21,43 +21,27 @@ COARSER_STEPS = (2, 4, 8)
 
 @dataclass(frozen=True, slots=True)
 class CoarserStep:
-    """A surface of every n-th sample.
-
-    Attributes
-    ----------
-    step : int
-    deviation_m : float
-        How far it is from the full surface at most in a block of `BLOCK_CELLS` cells, the median.
-    share : float
-        Of the blocks, those that could be drawn with it within the tolerance.
-    """
+    """A surface of every n-th sample."""
 
     step: int
     deviation_m: float
+    """How far it is from the full surface at most in a block of `BLOCK_CELLS` cells, the median."""
     share: float
+    """Of the blocks, those that could be drawn with it within the tolerance."""
 
 
 @dataclass(frozen=True, slots=True)
 class SceneNeeds:
-    """What a viewpoint's skyline needs of the model.
-
-    Attributes
-    ----------
-    data_reach_m : float
-        Distance of the farthest sample.
-    curvature_px : float
-        What leaving curvature out can cost at most.
-    sight_m : float
-        Distance beyond which not even the highest sample rises over the dip horizon.
-    beyond_sight : float
-        Share of the samples that lie farther.
-    steps : tuple of CoarserStep
-    """
+    """What a viewpoint's skyline needs of the model."""
 
     data_reach_m: float
+    """Distance of the farthest sample."""
     curvature_px: float
+    """What leaving curvature out can cost at most."""
     sight_m: float
+    """Distance beyond which not even the highest sample rises over the dip horizon."""
     beyond_sight: float
+    """Share of the samples that lie farther."""
     steps: tuple[CoarserStep, ...]
 
 
@@ -70,21 +54,16 @@ def scene_needs(
 ) -> SceneNeeds:
     """Return what the skyline of one viewpoint needs.
 
+    Raises `InputError` for any number of viewpoints but one.
+
     Parameters
     ----------
-    field : HeightField
     eye : Viewpoints
         One viewpoint.
     width : int
         Columns W, which px are of.
-    tolerance_px : float
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
-
-    Raises
-    ------
-    InputError
-        Not exactly one viewpoint.
     """
     if len(eye) != 1:
         raise InputError(f"{len(eye)} viewpoints given; expected one")
@@ -118,19 +97,10 @@ def sight_range_m(field: HeightField, eye_elevation_m: float, drop_per_m2: float
 
 
 def coarser_deviation_m(field: HeightField, step: int) -> Float64Array:
-    """Return how far the surface of every ``step``-th sample is from the samples, by block.
+    """Return how far the surface of every ``step``-th sample (2, 4, 8 or 16) is from the samples.
 
-    Parameters
-    ----------
-    field : HeightField
-    step : int
-        2, 4, 8 or 16.
-
-    Returns
-    -------
-    (block rows, block columns) float64
-        The greatest deviation in each whole block of `BLOCK_CELLS` cells, metres; 0 where holes
-        leave nothing to compare.
+    That is the greatest deviation in each whole block of `BLOCK_CELLS` cells (block rows, block
+    columns), metres; 0 where holes leave nothing to compare.
     """
     rows, cols = ((count - 1) // BLOCK_CELLS * BLOCK_CELLS for count in (field.rows, field.cols))
     heights = field.heights_m[: rows + 1, : cols + 1].astype(np.float64)

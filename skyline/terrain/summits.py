@@ -11,20 +11,10 @@ _AROUND = [(down, right) for down in range(3) for right in range(3) if (down, ri
 
 
 def local_maxima(heights_m: Float32Array) -> tuple[Int64Array, Int64Array]:
-    """Return row and column of the samples that none of their eight neighbours overtops.
+    """Return row and column (n,), in order, of the samples that no neighbour of eight overtops.
 
-    All eight are known, so a sample at the border or beside a hole is none of them; nor is one
-    in the midst of a level place.
-
-    Parameters
-    ----------
-    heights_m : (rows, cols) float32
-        NaN marks holes.
-
-    Returns
-    -------
-    row, col : (n,) int64
-        In the order of the samples.
+    All eight are known, so a sample at the border or beside a hole (NaN) is none of them; nor is
+    one in the midst of a level place.
     """
     found = []
     for strip in strips(heights_m):
@@ -60,10 +50,8 @@ def keep_summits(
     ----------
     warped_m : (rows, cols) float32
         On ``target``.
-    target : Grid
     heights_m : (rows, cols) float32
         The source's, on ``grid``.
-    grid : Grid
     to_target : Transformer
         From the source's CRS to the target's.
     """

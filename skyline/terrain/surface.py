@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,15 @@ _OFFSET_M = (-10.0, 60.0)
 """Median height of a surface above the ground, lowest and highest."""
 
 
-def read_surface(
-    paths: str | Path | Sequence[str | Path] | HeightField, terrain: HeightField
-) -> HeightField:
+Dem = str | Path | Sequence[str | Path] | HeightField
+"""A model's file, its tiles, or what was read of them."""
+
+
+def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
     """Read a surface or canopy model as an upper bound for what stands on a terrain.
+
+    Raises `InputError` where the model is not over the terrain, or its heights have another datum;
+    or as `read_dem`.
 
     Parameters
     ----------
@@ -40,11 +46,6 @@ def read_surface(
     HeightField
         On the terrain's samples, nowhere lower: the ground and the greatest height above the ground
         that the model has within a sample's distance, or 40 m where the model has none.
-
-    Raises
-    ------
-    InputError
-        The model is not over the terrain, or its heights have another datum; or as `read_dem`.
     """
     if not isinstance(paths, HeightField):
         crs = DemOptions.from_json(terrain.provenance.options).crs
@@ -62,29 +63,14 @@ def read_surface(
 
         highest = maximum_filter(np.nan_to_num(above_m, nan=-np.inf), wide)
         above_m = np.where(np.isinf(highest), np.nan, highest)
-    rise = HeightField(
-        above_m,
-        paths.west_m,
-        paths.north_m,
-        paths.spacing_east_m,
-        paths.spacing_north_m,
-        paths.frame,
-    )
+    rise = replace(paths, heights_m=above_m)
     heights_m = np.empty_like(terrain.heights_m)
     for rows in strips(heights_m):
         over_m = rise.height_at(*_samples(terrain, rows, paths))
         over_m = np.where(np.isnan(over_m), UNKNOWN_M, np.maximum(over_m, 0.0))
         heights_m[rows] = terrain.heights_m[rows] + over_m
     heights_m.setflags(write=False)
-    return HeightField(
-        heights_m,
-        terrain.west_m,
-        terrain.north_m,
-        terrain.spacing_east_m,
-        terrain.spacing_north_m,
-        terrain.frame,
-        paths.provenance,
-    )
+    return replace(terrain, heights_m=heights_m, provenance=paths.provenance)
 
 
 def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:

@@ -93,24 +93,17 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """One raster file that has been looked at but not read.
-
-    Attributes
-    ----------
-    source : str
-        What rasterio opens: an absolute path, or a GDAL name such as ``netcdf:/data/t.nc:dem``.
-    crs : CRS
-    grid : Grid
-        North-up, whichever way the file runs.
-    flip_rows, flip_cols : bool
-        Whether the file runs from south to north, from east to west.
-    """
+    """One raster file that has been looked at but not read."""
 
     source: str
+    """What rasterio opens: an absolute path, or a GDAL name such as ``netcdf:/data/t.nc:dem``."""
     crs: CRS
     grid: Grid
+    """North-up, whichever way the file runs."""
     flip_rows: bool
     flip_cols: bool
+    """``flip_rows``, ``flip_cols``: whether the file runs from south to north, from east to
+    west."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,10 +258,7 @@ def crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
 def grid_of(source: str, transform: Affine, shape: tuple[int, int]) -> tuple[Grid, bool, bool]:
     """Return the north-up grid of a raster, and whether its rows and its columns are flipped.
 
-    Raises
-    ------
-    InputError
-        No georeference, or a rotated grid.
+    Raises `InputError` for a raster without a georeference, or with a rotated grid.
     """
     if transform.is_identity:
         raise InputError(

@@ -10,17 +10,13 @@ from skyline.arrays import BoolArray, Int64Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangles:
-    """Which triangles belong to the surface, padded by one cell that does not.
-
-    Attributes
-    ----------
-    north_east, south_west : (rows + 1, cols + 1) bool
-        Cell (row, col) has its north-west sample at [row, col] of the heights and its two
-        triangles at [row + 1, col + 1] here; the padding answers for cells off the map.
-    """
+    """Which triangles belong to the surface, padded by one cell that does not."""
 
     north_east: BoolArray
     south_west: BoolArray
+    """``north_east``, ``south_west``: (rows + 1, cols + 1) bool. Cell (row, col) has its north-west
+    sample at [row, col] of the heights and its two triangles at [row + 1, col + 1] here; the
+    padding answers for cells off the map."""
 
     @classmethod
     def of(cls, heights_m: NDArray[np.floating]) -> "Triangles":
@@ -41,10 +37,7 @@ class Triangles:
     def entries(self, north: bool, east: bool) -> BoolArray:
         """Return the samples of edges by which a ray may come upon the surface, (rows, cols).
 
-        Parameters
-        ----------
-        north, east : bool
-            Whether the ray goes north rather than south, and east rather than west.
+        ``north`` and ``east`` say that the ray goes there rather than south and west.
         """
         north_east, south_west = self.north_east, self.south_west
         # By edges along rows, along columns, and diagonals: the triangles to either side.
@@ -86,15 +79,11 @@ class Rims:
     They are the border of the map, of an irregular outline and of holes. From its first sample
     to its second, an edge has the surface on its right (seen from above, north up) and nothing
     on its left.
-
-    Attributes
-    ----------
-    row, col : (E, 2) int64
-        The first and the second sample of each edge.
     """
 
     row: Int64Array
     col: Int64Array
+    """``row``, ``col``: (E, 2) int64. The first and the second sample of each edge."""
 
     @classmethod
     def of(cls, triangles: Triangles) -> "Rims":

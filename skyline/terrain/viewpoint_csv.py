@@ -27,7 +27,6 @@ def read_viewpoints(
     path : str or Path
         CSV with a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
         (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``.
-    field : HeightField
     eye_height_m : float
         Metres above ground where the file does not say.
 

@@ -42,7 +42,6 @@ def stand_on(
 
     Parameters
     ----------
-    field : HeightField
     easting_m, northing_m : array_like, broadcast to (N,), metres
     eye_height_m : array_like, metres above ground, at least 0
 

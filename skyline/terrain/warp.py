@@ -84,26 +84,21 @@ class Warp:
     A target sample whose nearest source sample is a hole is a hole; one that has a hole among its
     4 x 4 source samples but not nearest is interpolated bilinearly from those that are known.
 
+    Raises `InputError` for a source CRS that cannot be transformed, or a target too large.
+
     Parameters
     ----------
     heights_m : (rows, cols) float32
         On ``grid``, in the units of ``crs``; NaN marks holes.
-    grid : Grid
     crs : CRS
         The source's.
     frame : Frame
         The target's.
-    spacing_m : float
 
     Attributes
     ----------
     target : Grid
         In metres of the frame.
-
-    Raises
-    ------
-    InputError
-        A source CRS that cannot be transformed, or a target too large.
     """
 
     def __init__(

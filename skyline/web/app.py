@@ -22,13 +22,7 @@ from skyline.web.live import LiveChannel
 from skyline.web.matches import Match
 from skyline.web.photos import PagePhoto
 from skyline.web.saving import KINDS, Saving
-from skyline.web.sessions import (
-    MAX_SESSION_BYTES,
-    MAX_UPLOAD_BYTES,
-    Session,
-    Sessions,
-    shown_name,
-)
+from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, Session, Sessions, shown_name
 from skyline.web.told import candidate_json
 
 _PAGE = Path(__file__).parent / "page"

@@ -9,15 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from skyline import (
-    Matcher,
-    Peaks,
-    ReliefTiles,
-    RenderThread,
-    SkylineError,
-    Viewer,
-    read_peaks,
-)
+from skyline import Matcher, ReliefTiles, RenderThread, SkylineError, Viewer, read_peaks
 
 T = TypeVar("T")
 
@@ -27,32 +19,21 @@ _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
 
 @dataclass(frozen=True, slots=True)
 class Given:
-    """What the page is opened on.
-
-    Attributes
-    ----------
-    store : Path
-    dem : tuple of str
-        Where the store's DEM lies now; empty where it lies where it lay.
-    photos : tuple of Path
-        Photos that everybody's list begins with.
-    peaks : Path, optional
-        A gazetteer.
-    """
+    """What the page is opened on."""
 
     store: Path
     dem: tuple[str, ...] = ()
+    """Where the store's DEM lies now; empty where it lies where it lay."""
     photos: tuple[Path, ...] = ()
+    """Photos that everybody's list begins with."""
     peaks: Path | None = None
+    """A gazetteer."""
 
 
 class Engine:
     """A store, opened for many people at a time.
 
-    Raises
-    ------
-    SkylineError
-        The store, its DEM or the gazetteer cannot be used.
+    Raises `SkylineError` where the store, its DEM or the gazetteer cannot be used.
     """
 
     def __init__(self, given: Given) -> None:
@@ -61,8 +42,8 @@ class Engine:
         try:
             self.matcher = Matcher(given.store, given.dem or None, render_thread=self.thread)
             peaks = given.peaks and read_peaks(given.peaks, self.matcher.frame)
-            self.viewer = self._viewer(peaks or None)
             terrain = self.matcher.terrain
+            self.viewer = None if terrain is None else Viewer(self.matcher, peaks or None)
             self.relief = None if terrain is None else ReliefTiles(terrain)
         except SkylineError:
             self.thread.close()
@@ -72,9 +53,6 @@ class Engine:
             for name, count in _WORKERS.items()
         }
 
-    def _viewer(self, peaks: Peaks | None) -> Viewer | None:
-        return None if self.matcher.terrain is None else Viewer(self.matcher, peaks)
-
     async def work(self, kind: str, task: Callable[..., T], *arguments: Any) -> T:
         """Run a task on one of the threads for its kind of work."""
         loop = asyncio.get_running_loop()
@@ -83,12 +61,10 @@ class Engine:
     def about(self) -> dict[str, Any]:
         """Return what a page shows of the store."""
         eyes = self.matcher.viewpoints
-        lon, lat = self.matcher.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
-        area = [float(edge) for edge in (lon.min(), lat.min(), lon.max(), lat.max())]
         return {
             "store": self.given.store.name,
             "places": self.matcher.rows,
-            "area": area,
+            "area": list(self.matcher.frame.box_deg(eyes.easting_m, eyes.northing_m)),
             "terrain": self.relief and list(self.relief.bounds_deg),
             "rendering": self.viewer is not None,
             "peaks": self.given.peaks is not None,

@@ -33,12 +33,7 @@ _POLICY = {
 class Guard:
     """Refuses requests under a foreign host or from a foreign origin.
 
-    Parameters
-    ----------
-    app : ASGI application
-    host : str
-        What the server listens on.
-    port : int
+    ``host`` and ``port`` are what the server listens on.
     """
 
     def __init__(self, app: App, host: str, port: int) -> None:

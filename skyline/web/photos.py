@@ -105,10 +105,7 @@ class Opened:
     def open(self, photo: PagePhoto) -> tuple[Photo, Correction]:
         """Read a photo, or return it as it was read before.
 
-        Raises
-        ------
-        SkylineError
-            It cannot be used; the message has the photo's name and no path.
+        Raises `SkylineError` where it cannot be used; the message has the photo's name and no path.
         """
         with self._lock:
             if photo.id in self._kept:

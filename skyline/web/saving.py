@@ -35,10 +35,7 @@ class Saving:
     def write(self, kind: str, folder: Path) -> bytes:
         """Return a file of one of `KINDS`, written in a folder and read back.
 
-        Raises
-        ------
-        InputError
-            There is nothing to save yet.
+        Raises `InputError` where there is nothing to save yet.
         """
         if kind != "trace" and not self._candidates:
             raise InputError("there is no place to save yet; find one, or place the camera by hand")

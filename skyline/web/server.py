@@ -19,7 +19,6 @@ def serve(given: Given, host: str, port: int) -> None:
 
     Parameters
     ----------
-    given : Given
     host : str
         The address to listen on.
     port : int

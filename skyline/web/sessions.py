@@ -22,13 +22,7 @@ _NAME_LENGTH = 100
 
 
 class Session:
-    """One person's photos and matches.
-
-    Parameters
-    ----------
-    folder : Path
-        Its own, not there yet.
-    """
+    """One person's photos and matches, in a folder of their own that is not there yet."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir()

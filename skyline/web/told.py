@@ -4,7 +4,6 @@ from collections.abc import Callable
 from typing import Any
 
 from skyline import Candidate, MatchResult, Stroke
-from skyline.report.beyond import beyond_said
 
 Ground = Callable[[float, float], float | None]
 """Returns the ground's height at a longitude and a latitude; None where it is not known."""
@@ -19,7 +18,7 @@ def outcome(result: MatchResult, ground: Ground) -> dict[str, Any]:
         "chance": result.confidence,
         "refusal": result.refusal,
         "claim": result.claim,
-        "beyond": beyond_said(result.candidates),
+        "beyond": result.beyond,
         "seconds": result.seconds,
     }
 

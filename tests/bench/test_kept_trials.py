@@ -8,7 +8,7 @@ import pytest
 from scenes import candidate_at
 
 from skyline.photo import QuerySkyline
-from skyline.pipeline import MatchResult
+from skyline.pipeline.results import MatchResult
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 from skyline_bench.trials.kept import MEASURED_CODE, Kept, measured_code_digest, measured_files
 from skyline_bench.trials.trials import Trial, summarize, trial_of

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal
 
-from skyline.pipeline import PlaceConfig, RenderConfig
+from skyline.pipeline.config import PlaceConfig, RenderConfig
 from skyline.store import open_store
 from skyline.store.header import PLACES
 from skyline_bench.stores.reference import place_store, planned_places, uniform_store

@@ -8,7 +8,8 @@ from scenes import field_of, fractal
 
 from skyline.paper.planning.candidates import Spacing
 from skyline.paper.planning.plan import PlanConfig
-from skyline.pipeline import RenderConfig, build_planned
+from skyline.pipeline.config import RenderConfig
+from skyline.pipeline.planned import build_planned
 from skyline.store import amend_config, check_store, open_store
 
 BUDGET = 240

@@ -14,10 +14,13 @@ from commands import assert_refused, csv_of
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
 from skyline import build_cli, build_uniform, read_dem, stand_on
-from skyline.pipeline import build_store, places
+from skyline.cli import COMMANDS, loaded
+from skyline.pipeline import places
+from skyline.pipeline.places import build_store
 from skyline.store import open_store
 from skyline_bench.truth import oracle
 
+LISTED = {path.split(".")[1]: about for some in COMMANDS.values() for path, about in some.items()}
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
@@ -46,6 +49,15 @@ def test_a_shell_completes_commands_and_options(run, monkeypatch, typed, at, com
     monkeypatch.setenv("COMP_CWORD", str(at))
     monkeypatch.setenv("_SKYLINE_COMPLETE", "complete_bash")
     assert completed in run().out.split()
+
+
+@pytest.mark.parametrize(
+    "name", [path.split(".")[1] for some in COMMANDS.values() for path in some]
+)
+def test_a_command_is_listed_with_the_first_line_of_its_own_help(name):
+    told = {path.split(".")[1]: about for some in COMMANDS.values() for path, about in some.items()}
+    own = loaded(name).help.split("\n\n")[0]
+    assert " ".join(own.split()) == told[name]
 
 
 def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
@@ -212,7 +224,7 @@ def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(run, dem, tmp
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(places.PlaceRows, "at_a_time", 512)
+        patch.setattr(places, "PLACES_AT_A_TIME", 512)
         patch.setattr(
             build_cli,
             "build_store",

@@ -298,9 +298,8 @@ def parse(line):
     program, *words = shlex.split(line, comments=True)
     command = typer.main.get_command(PROGRAMS[program].app)
     while hasattr(command, "commands"):
-        name, *words = words
-        assert name in command.commands, line
-        command = command.commands[name]
+        assert words[0] in command.commands, line
+        _, command, words = command.resolve_command(typer.Context(command), words)
     command.make_context(program, words)
 
 

@@ -9,7 +9,8 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline.paper.planning.candidates import Spacing
 from skyline.paper.planning.plan import PlanConfig
-from skyline.pipeline import RenderConfig, build_planned
+from skyline.pipeline.config import RenderConfig
+from skyline.pipeline.planned import build_planned
 from skyline.store import open_store
 
 SMALL = Spacing(coarse_m=400.0, candidate_m=100.0, reach_m=200.0)

@@ -9,8 +9,12 @@ from scenes import NORTH_M, WEST_M, fractal, write_dem
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
 from skyline.errors import InputError
 from skyline.photo import write_trace
-from skyline.pipeline import FULL, Query, batch, match_many, remote_runner
+from skyline.pipeline import batch
+from skyline.pipeline.batch import match_many
+from skyline.pipeline.cluster import remote_runner
 from skyline.pipeline.jobs import run_here
+from skyline.pipeline.matchers import FULL
+from skyline.pipeline.queries import Query
 from skyline.store import open_store
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 

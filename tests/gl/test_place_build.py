@@ -9,14 +9,12 @@ from scenes import fractal, write_dem
 
 from skyline import RenderConfig, build_uniform, read_dem, stand_on
 from skyline.errors import InputError, StoreMismatchError
-from skyline.pipeline import (
-    Layout,
-    PlaceConfig,
-    build_places,
-    build_sharded,
-    places,
-    remote_runner,
-)
+from skyline.pipeline import places
+from skyline.pipeline.cluster import remote_runner
+from skyline.pipeline.config import PlaceConfig
+from skyline.pipeline.layout import Layout
+from skyline.pipeline.places import build_places
+from skyline.pipeline.shards import build_sharded
 from skyline.places import BINS, Places
 from skyline.planning.uniform import uniform_grid
 from skyline.render.panorama import PanoramaRenderer
@@ -56,7 +54,7 @@ def test_places_are_what_was_rendered(terrain, built):
 
 def test_an_interrupted_build_goes_on(terrain, built, tmp_path, monkeypatch):
     path = tmp_path / "s.h5"
-    monkeypatch.setattr(places.PlaceRows, "at_a_time", 500)
+    monkeypatch.setattr(places, "PLACES_AT_A_TIME", 500)
 
     def stop(done, _total):
         if done >= 1000:

@@ -13,9 +13,11 @@ from scenes import fractal, write_dem
 from skyline import RenderConfig, build_uniform, read_dem
 from skyline.camera import HEADINGS
 from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
-from skyline.pipeline import Layout, build, build_sharded, cluster, layout, remote_runner
+from skyline.pipeline import build, cluster, layout
+from skyline.pipeline.cluster import remote_runner
 from skyline.pipeline.jobs import run_here
-from skyline.pipeline.shards import cut_into_shards
+from skyline.pipeline.layout import Layout
+from skyline.pipeline.shards import build_sharded, cut_into_shards
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.store import StoreWriter, compact_store
 from skyline.terrain.viewpoints import Viewpoints
@@ -194,7 +196,7 @@ def die_once(flag, work, shard):
             Path(flag).write_text(str(writer.committed))
             os.kill(os.getpid(), signal.SIGKILL)
 
-    build.ViewRows.at_a_time = 9
+    build.VIEWPOINTS_AT_A_TIME = 9
     StoreWriter.append = append_and_die
     return work(shard)
 

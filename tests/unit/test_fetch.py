@@ -11,8 +11,9 @@ from scenes import fractal
 
 from skyline import read_dem
 from skyline.errors import FetchError, InputError
-from skyline.fetch import SOURCES, HttpOptions, TileSource, fetch_dem
-from skyline.fetch.sources import MAX_TILES
+from skyline.fetch.remote import HttpOptions
+from skyline.fetch.sources import MAX_TILES, SOURCES, TileSource
+from skyline.fetch.tiles import fetch_dem
 
 SAMPLES = 600
 BOUNDS = (9.8, 46.6, 10.1, 46.8)

@@ -9,6 +9,7 @@ from functools import cached_property
 import pytest
 
 import skyline
+from skyline.cli import COMMANDS
 
 HEAVY = ("cv2", "matplotlib", "moderngl", "h5py", "numpy", "rasterio", "scipy", "xarray")
 INTERNAL = {
@@ -24,8 +25,26 @@ def test_importing_skyline_loads_nothing_heavy():
     assert done.stdout.strip() == "[]"
 
 
-def test_the_command_line_loads_what_draws_only_where_it_draws():
-    code = "import sys, skyline.cli; print({'matplotlib', 'pandas', 'ephem'} & set(sys.modules))"
+def test_the_command_line_loads_nothing_heavy_before_a_command():
+    code = f"import sys, skyline.cli; print(sorted(set({HEAVY}) & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("subjects", "unwanted"),
+    [
+        (("Stores", "Views from a place", "Data"), {"scipy", "skyline.photo"}),
+        (tuple(COMMANDS), {"matplotlib", "pandas", "ephem"}),
+    ],
+    ids=["of photos", "what draws"],
+)
+def test_commands_load_what_they_need_alone(subjects, unwanted):
+    names = [path.split(".")[1] for subject in subjects for path in COMMANDS[subject]]
+    code = (
+        f"import sys; from skyline.cli import loaded; [loaded(name) for name in {names}]; "
+        f"print({unwanted} & set(sys.modules))"
+    )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout.strip() == "set()"
 

@@ -44,7 +44,7 @@ def page(text=HOSTILE):
         Picture(PNG, text),
         Picture(JPEG, text, wide=False),
         Table((text, "b"), [(text, 1.5), (None, 22)], text),
-        Table.of_facts({text: text}),
+        Table(("", ""), [[text, text]]),
     ]
     return Page(text, text, [Section(text, parts), Section("empty", [])], text)
 

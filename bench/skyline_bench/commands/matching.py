@@ -11,7 +11,7 @@ from skyline.console import progress_bar
 from skyline.paper.planning.candidates import Spacing
 from skyline.paper.planning.plan import PlanConfig
 from skyline.paper.planning.strategies import STRATEGIES
-from skyline.pipeline import FULL
+from skyline.pipeline.matchers import FULL
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands import options
 from skyline_bench.commands.options import Floats, Names

@@ -9,7 +9,7 @@ import typer
 
 from skyline import InputError, Viewer
 from skyline.console import progress_bar
-from skyline.pipeline import Progress
+from skyline.pipeline.jobs import Progress
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands import options
 from skyline_bench.figures.photographs import PhotographsPage

@@ -19,7 +19,7 @@ class PhotographsPage:
     def add(self, measured: Measured, viewer: Viewer | None) -> None:
         """Draw one photograph."""
         figures = {name: shown(value) for name, value in measured.figures.items()}
-        parts: list[Part] = [Table.of_facts({k: v for k, v in figures.items() if v != "-"})]
+        parts: list[Part] = [Table(("", ""), [[k, str(v)] for k, v in figures.items() if v != "-"])]
         if measured.query is not None:
             panorama = None
             if viewer is not None and measured.best is not None:

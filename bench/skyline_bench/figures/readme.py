@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 
 from skyline import Matcher, build_places, read_dem, stand_on
-from skyline.pipeline import matched, report_matches
+from skyline.pipeline.reports import matched, report_matches
 from skyline.render.depth import DepthRenderer
 from skyline_bench.queries.photographs import photograph
 from skyline_bench.queries.pinhole import Camera

@@ -17,7 +17,9 @@ from skyline.errors import InputError
 from skyline.paper.planning.budget import check_coarse, spaced_for
 from skyline.paper.planning.candidates import lay_out
 from skyline.paper.planning.plan import PlanConfig
-from skyline.pipeline import Matcher, PlaceConfig, Progress, RenderConfig
+from skyline.pipeline.config import PlaceConfig, RenderConfig
+from skyline.pipeline.jobs import Progress
+from skyline.pipeline.match import Matcher
 from skyline.planning.uniform import map_bounds
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField

@@ -20,7 +20,7 @@ from skyline import (
     Viewer,
     read_query,
 )
-from skyline.pipeline import PlaceConfig
+from skyline.pipeline.config import PlaceConfig
 from skyline.planning.uniform import map_bounds
 from skyline.report.claims import describe_claim
 from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.pipeline import Progress
+from skyline.pipeline.jobs import Progress
 from skyline.places import BINS, Places
 from skyline.planning.loss import lost_shares, window_losses
 from skyline.planning.uniform import map_bounds

@@ -16,13 +16,14 @@ from skyline.horizons import Horizons
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.retrieval import Retriever
 from skyline.matching.threads import one_blas_thread
-from skyline.pipeline import Progress
-from skyline.pipeline.config import mapped_area_m, read_dem_of
+from skyline.pipeline.config import read_dem_of
+from skyline.pipeline.jobs import Progress
 from skyline.places import BINS, DISTANCE_BINS, Places
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline_bench.measuring.memory import own_bytes
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
+from skyline_bench.stores.area import mapped_area_m
 
 STEEPER = (0.6, 1.5)
 """Tangents of made-up places are those of the store's times a number between these."""

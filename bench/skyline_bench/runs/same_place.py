@@ -8,7 +8,11 @@ import numpy as np
 
 from skyline.errors import InputError
 from skyline.matching.confidence import RIGHT_WITHIN_M
-from skyline.pipeline import FULL, JointResult, Matcher, PlaceConfig, Progress
+from skyline.pipeline.config import PlaceConfig
+from skyline.pipeline.jobs import Progress
+from skyline.pipeline.match import Matcher
+from skyline.pipeline.matchers import FULL
+from skyline.pipeline.results import JointResult
 from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row

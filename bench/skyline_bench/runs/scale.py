@@ -17,9 +17,10 @@ import numpy as np
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.narrowing import Narrowed, Narrowing
-from skyline.pipeline import Matcher, PlaceConfig, Progress
-from skyline.pipeline.config import mapped_area_m
+from skyline.pipeline.config import PlaceConfig
+from skyline.pipeline.jobs import Progress
 from skyline.pipeline.layout import DEFAULT_LOSS
+from skyline.pipeline.match import Matcher
 from skyline.pipeline.scene import RenderedScene
 from skyline.planning.uniform import MapBounds, map_bounds
 from skyline.store import open_store
@@ -27,6 +28,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.memory import own_bytes, peak_bytes, reset_peak
 from skyline_bench.queries.synthetic import QueryConfig, Truth, make_queries
 from skyline_bench.runs.matching import BoundsDeg, middle_deg
+from skyline_bench.stores.area import mapped_area_m
 from skyline_bench.stores.reference import ReferenceStore, check_spacing, given_store, place_store
 from skyline_bench.trials.kept import Kept
 from skyline_bench.trials.matchers import MATCHING

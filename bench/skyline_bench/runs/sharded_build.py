@@ -16,7 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.pipeline import Layout, Matcher, RenderConfig, build_sharded, local_runner
+from skyline.pipeline.cluster import local_runner
+from skyline.pipeline.config import RenderConfig
+from skyline.pipeline.layout import Layout
+from skyline.pipeline.match import Matcher
+from skyline.pipeline.shards import build_sharded
 from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.memory import peak_bytes

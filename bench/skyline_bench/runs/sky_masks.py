@@ -17,7 +17,7 @@ from PIL import Image
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError
 from skyline.photo import extract_photo
-from skyline.pipeline import Progress
+from skyline.pipeline.jobs import Progress
 from skyline_bench.measuring.record import Row
 
 _NEAR_SHARE = 0.01

@@ -19,7 +19,7 @@ import numpy as np
 from skyline.camera import DEFAULT_WIDTH, check_width
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.pipeline import Progress
+from skyline.pipeline.jobs import Progress
 from skyline.planning.uniform import uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer

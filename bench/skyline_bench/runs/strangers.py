@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from skyline import MatchConfig, Matcher
-from skyline.pipeline import Progress
+from skyline.pipeline.jobs import Progress
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 

@@ -16,18 +16,11 @@ from skyline.arrays import Float32Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
 from skyline.paper.planning.plan import PlanConfig
-from skyline.pipeline import (
-    BuildResult,
-    Layout,
-    PlaceConfig,
-    RenderConfig,
-    build_planned,
-    build_store,
-)
-from skyline.pipeline.build import render_missing
-from skyline.pipeline.config import store_header
-from skyline.pipeline.layout import DEFAULT_LOSS
-from skyline.pipeline.places import PlaceRows, place_renderer
+from skyline.pipeline.build import BuildResult, render_missing
+from skyline.pipeline.config import PlaceConfig, RenderConfig, store_header
+from skyline.pipeline.layout import DEFAULT_LOSS, Layout
+from skyline.pipeline.places import build_store, place_renderer, place_rows
+from skyline.pipeline.planned import build_planned
 from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
 from skyline.store import open_store
 from skyline.store.header import PLACES
@@ -155,7 +148,7 @@ def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) 
         config = PlaceConfig()
         renderer = place_renderer(terrain, config)
         header = store_header(terrain, renderer.description, config, {"planner": "viewpoints"})
-        with PlaceRows(renderer, header, tolerance) as rows:
+        with place_rows(renderer, header, tolerance) as rows:
             return render_missing(path, rows, Viewpoints(*np.ascontiguousarray(eyes)))
 
     path = folder / f"{planned.name}-places.h5"

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import ndimage
 
 from skyline.arrays import Float32Array, UInt8Array
-from skyline.pipeline import Progress
+from skyline.pipeline.jobs import Progress
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.drawn_photos import CONDITIONS, draw_recipe

@@ -17,7 +17,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from skyline.arrays import Float32Array, UInt8Array
 from skyline.files import write_whole
 from skyline.photo.evidence import levelled
-from skyline.pipeline import Progress
+from skyline.pipeline.jobs import Progress
 from skyline_bench.training.photo import UNKNOWN, TrainingPhoto
 from skyline_bench.training.sky_net import INPUTS, SkyNet
 

@@ -6,7 +6,8 @@ from pathlib import Path
 from types import MappingProxyType
 
 from skyline.matching.match_config import MatchConfig
-from skyline.pipeline import FULL, MATCHERS, Matcher
+from skyline.pipeline.match import Matcher
+from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.store.header import RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.queries.synthetic import QueryConfig

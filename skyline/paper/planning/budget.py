@@ -84,23 +84,16 @@ class Outlook:
     Ground on which areas hold ``a`` locations takes one view for each ``a`` locations, times what
     areas that do not fit together cost. The views looked at are spread evenly, so the mean of
     ``1 / a`` over them is what a location takes; the worst are those that stay uncovered.
-
-    Attributes
-    ----------
-    errors : (N, K, K) float32
-        Of views spread evenly over locations and headings, px.
-    locations : int
-        To cover, over all headings.
-    share : float
-        Of them.
-    views_a_disc : float
-        What areas that do not fit together cost.
     """
 
     errors: Float32Array
+    """(N, K, K) float32. Of views spread evenly over locations and headings, px."""
     locations: int
+    """To cover, over all headings."""
     share: float
+    """Of them."""
     views_a_disc: float = _VIEWS_A_DISC
+    """What areas that do not fit together cost."""
 
     def views(self, threshold_px: float) -> float:
         """Return how many views a threshold takes."""

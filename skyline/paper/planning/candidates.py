@@ -18,24 +18,15 @@ _MOST_CANDIDATES = 20_000_000
 class Spacing:
     """Distances between viewpoints, metres.
 
-    Attributes
-    ----------
-    coarse_m : float
-        Of the grid that is rendered to begin with; a whole multiple of ``candidate_m``.
-    candidate_m : float
-        Of the candidates.
-    reach_m : float
-        How far a tolerance area may extend from its view.
-
-    Raises
-    ------
-    InputError
-        Distances that are not positive or do not fit each other.
+    Raises `InputError` for distances that are not positive or do not fit each other.
     """
 
     coarse_m: float = 1000.0
+    """Of the grid that is rendered to begin with; a whole multiple of ``candidate_m``."""
     candidate_m: float = 50.0
+    """Of the candidates."""
     reach_m: float = 300.0
+    """How far a tolerance area may extend from its view."""
 
     def __post_init__(self) -> None:
         for name, value in (("coarse", self.coarse_m), ("candidate", self.candidate_m)):
@@ -62,29 +53,19 @@ class Spacing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateMap:
-    """Candidates at whole multiples of their spacing, in the frame of a field.
-
-    Attributes
-    ----------
-    field : HeightField
-    grid : CandidateGrid
-        Valid where an eye can stand off the holes and off the map's border.
-    easting_m : (cols,) float64
-    northing_m : (rows,) float64
-        Descending.
-    square : (rows, cols) int64
-        Which square of the coarse grid a candidate lies in.
-    coarse : (N,) int64
-        The valid candidates on the coarse grid.
-    eye_height_m : float
-    """
+    """Candidates at whole multiples of their spacing, in the frame of a field."""
 
     field: HeightField
     grid: CandidateGrid
+    """Valid where an eye can stand off the holes and off the map's border."""
     easting_m: Float64Array
+    """(cols,) float64."""
     northing_m: Float64Array
+    """(rows,) float64. Descending."""
     square: Int64Array
+    """(rows, cols) int64. Which square of the coarse grid a candidate lies in."""
     coarse: Int64Array
+    """(N,) int64. The valid candidates on the coarse grid."""
     eye_height_m: float
 
     def viewpoints(self, candidates: Int64Array) -> Viewpoints:
@@ -101,10 +82,7 @@ def lay_out(
 ) -> CandidateMap:
     """Lay candidates over an area.
 
-    Raises
-    ------
-    InputError
-        A spacing larger than the area, or an area wholly in holes.
+    Raises `InputError` for a spacing larger than the area, or an area wholly in holes.
     """
     west, south, east, north = bounds_m or field.bounds_m
     if spacing.coarse_m > max(east - west, north - south):

@@ -16,26 +16,21 @@ from numpy.typing import NDArray
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 
+_INTERPOLATED_FROM = 4
+"""Views, the nearest ones."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateGrid:
     """Where viewpoints may be placed.
 
-    Attributes
-    ----------
-    valid : (rows, cols) bool
-        False where no eye can stand: holes, the map's border.
-    reach : int
-        How far a tolerance area may extend, in candidates.
-
-    Raises
-    ------
-    InputError
-        No valid candidate, or a reach below 1.
+    Raises `InputError` where no candidate is valid, or the reach is below 1.
     """
 
     valid: BoolArray
+    """(rows, cols) bool. False where no eye can stand: holes, the map's border."""
     reach: int
+    """How far a tolerance area may extend, in candidates."""
 
     def __post_init__(self) -> None:
         if self.valid.ndim != 2 or not self.valid.any():
@@ -78,6 +73,21 @@ class CandidateGrid:
         apart = self.apart(candidates, others)
         chosen = np.argsort(apart, axis=1, kind="stable")[:, :number]
         return chosen, np.take_along_axis(apart, chosen, axis=1)
+
+    def interpolated(
+        self, candidates: Int64Array, others: Int64Array, values: Float32Array | BoolArray
+    ) -> Float32Array:
+        """Return values (N, ...) at candidates from those of others (M, ...), the nearest of them.
+
+        The weight of another falls with its distance.
+        """
+        chosen, apart = self.nearest(candidates, others, _INTERPOLATED_FROM)
+        weight = 1.0 / np.maximum(apart, 0.5)
+        weight = (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
+        total = np.zeros((len(candidates), *values.shape[1:]), dtype=np.float32)
+        for place in range(chosen.shape[1]):
+            total += values[chosen[:, place]] * weight[:, place, None, None]
+        return total
 
 
 class AreaModel(Protocol):
@@ -186,29 +196,18 @@ class Coverage:
 class Problem:
     """What a strategy is given.
 
-    Attributes
-    ----------
-    coverage : Coverage
-        Kept up to date by whoever drives the strategy; strategies of one heading may share it.
-    model : AreaModel
-    threshold_px : float
-        A location is in a tolerance area when its reprojection error is at most this.
-    target : float
-        The share of the region's valid candidates to cover, in (0, 1].
-    region : (rows, cols) bool
-        The candidates this strategy is to cover and may choose.
-
-    Raises
-    ------
-    InputError
-        A target outside (0, 1] or a threshold that is not positive.
+    Raises `InputError` for a target outside (0, 1] or a threshold that is not positive.
     """
 
     coverage: Coverage
+    """Kept up to date by whoever drives the strategy; strategies of one heading may share it."""
     model: AreaModel
     threshold_px: float
+    """A location is in a tolerance area when its reprojection error is at most this."""
     target: float
+    """The share of the region's valid candidates to cover, in (0, 1]."""
     region: BoolArray
+    """(rows, cols) bool. The candidates this strategy is to cover and may choose."""
 
     def __post_init__(self) -> None:
         check_target(self.target)

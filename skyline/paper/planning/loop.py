@@ -59,23 +59,17 @@ def plan(
 ) -> Plan:
     """Choose viewpoints and have them rendered until the coverage asked for is reached.
 
+    Raises `InputError` for a spacing larger than the area, an area wholly in holes, a coarse grid
+    beyond the budget, or a renderer that does not return what it was asked for.
+
     Parameters
     ----------
-    terrain : HeightField
-    oracles : Oracles
-    config : PlanConfig, optional
     bounds_m : tuple, optional
         West, south, east, north of the area, by default all of the terrain.
     rendered : Views, optional
         Views of the same plan, stopped earlier; they are not rendered again.
     progress : callable, optional
         Called with a `PlanProgress` after each batch.
-
-    Raises
-    ------
-    InputError
-        A spacing larger than the area, an area wholly in holes, a coarse grid beyond the budget,
-        or a renderer that does not return what it was asked for.
     """
     config = config or PlanConfig()
     candidates = lay_out(terrain, config.spacing, bounds_m, config.eye_height_m)

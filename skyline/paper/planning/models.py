@@ -36,17 +36,10 @@ class InterpolatedModel:
     an error is also this rate, the mean of its two ends, times the distance. The geometric mean of
     both is predicted: on Davos it picks areas that need a tenth fewer renderings than the first
     alone.
-
-    Parameters
-    ----------
-    candidates : CandidateMap
-    nearest : int
-        How many views an error is interpolated from.
     """
 
-    def __init__(self, candidates: CandidateMap, nearest: int = 4) -> None:
+    def __init__(self, candidates: CandidateMap) -> None:
         self._grid = candidates.grid
-        self._nearest = nearest
         window, reach = candidates.grid.window, candidates.grid.reach
         self._viewpoints = np.zeros(0, dtype=np.int64)
         self._inverse = np.zeros((0, window, window), dtype=np.float32)
@@ -72,12 +65,7 @@ class InterpolatedModel:
 
     def predict_errors(self, candidates: Int64Array) -> Float32Array:
         """Return predicted reprojection errors of views at candidates (N), (N, K, K) px."""
-        chosen, apart = self._grid.nearest(candidates, self._viewpoints, self._nearest)
-        weight = 1.0 / np.maximum(apart, 0.5)
-        weight = (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
-        inverse = np.zeros((len(candidates), *self._inverse.shape[1:]), dtype=np.float32)
-        for place in range(chosen.shape[1]):
-            inverse += self._inverse[chosen[:, place]] * weight[:, place, None, None]
+        inverse = self._grid.interpolated(candidates, self._viewpoints, self._inverse)
         with np.errstate(divide="ignore"):
             by_shape = np.float32(1.0) / inverse
         by_rate = self._by_rate(candidates)
@@ -97,14 +85,7 @@ class InterpolatedModel:
 class PredictedModel:
     """Measures views predicted from the nearest view rendered in one heading.
 
-    Parameters
-    ----------
-    candidates : CandidateMap
-    heading : int
-    predict : Predict
-    measure : Measure
-    archive : Archive
-        The views rendered in all headings.
+    ``archive`` holds the views rendered in all headings.
     """
 
     def __init__(

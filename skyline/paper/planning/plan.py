@@ -31,35 +31,22 @@ Place = tuple[float, float, int]
 class PlanConfig:
     """What to plan.
 
-    Attributes
-    ----------
-    strategy : str
-        A name of `skyline.paper.planning.strategies.STRATEGIES`.
-    spacing : Spacing
-    threshold_px : float
-        A location is covered where some view's skyline is predicted within this.
-    coverage : float
-        Share of the candidates to cover in each heading, in (0, 1].
-    eye_height_m : float
-    seed : int
-    budget : int, optional
-        At most so many renderings, and nearly as many where the terrain allows it: the threshold
-        is raised, or lowered as far as ``threshold_px``, to what they can cover.
-
-    Raises
-    ------
-    InputError
-        No such strategy, a coverage outside (0, 1], a threshold that is not positive, or a budget
-        that does not suffice for one location.
+    Raises `InputError` for a strategy that is not known, a coverage outside (0, 1], a threshold
+    that is not positive, or a budget that does not suffice for one location.
     """
 
     strategy: str = "lpov"
+    """A name of `skyline.paper.planning.strategies.STRATEGIES`."""
     spacing: Spacing = field(default_factory=Spacing)
     threshold_px: float = 3.0
+    """A location is covered where some view's skyline is predicted within this."""
     coverage: float = 0.98
+    """Share of the candidates to cover in each heading, in (0, 1]."""
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
     seed: int = 0
     budget: int | None = None
+    """At most so many renderings, and nearly as many where the terrain allows it: the threshold is
+    raised, or lowered as far as ``threshold_px``, to what they can cover."""
 
     def __post_init__(self) -> None:
         named("strategy", self.strategy, STRATEGIES)
@@ -70,74 +57,48 @@ class PlanConfig:
 
 @dataclass(frozen=True, slots=True)
 class Oracles:
-    """What the loop asks others for.
-
-    Attributes
-    ----------
-    render : Render
-    measure : Measure
-        Tolerance areas of rendered and of predicted views.
-    predict : Predict, optional
-        Views at candidates that have not been rendered. Without it, areas of candidates are
-        interpolated from those of the rendered views around.
-    """
+    """What the loop asks others for."""
 
     render: Render
     measure: Measure
+    """Tolerance areas of rendered and of predicted views."""
     predict: Predict | None = None
+    """Views at candidates that have not been rendered. Without it, areas of candidates are
+    interpolated from those of the rendered views around."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlanProgress:
-    """How far a plan has come: after each batch.
-
-    Attributes
-    ----------
-    coverage : float
-        Share of the candidates covered, over all headings.
-    renderings : int
-        Views so far, those handed in at the start included.
-    overlap : int
-        Inclusions in tolerance areas less covered candidates, over all headings.
-    renderings_per_s : float
-    batches : int
-        So far.
-    """
+    """How far a plan has come: after each batch."""
 
     coverage: float
+    """Share of the candidates covered, over all headings."""
     renderings: int
+    """Views so far, those handed in at the start included."""
     overlap: int
+    """Inclusions in tolerance areas less covered candidates, over all headings."""
     renderings_per_s: float
     batches: int
+    """So far."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """What was planned and rendered.
-
-    Attributes
-    ----------
-    candidates : CandidateMap
-    coverages : tuple of Coverage
-        One a heading: its viewpoints and their tolerance areas.
-    threshold_px : float
-        What they were planned for; with a budget, what the renderings sufficed for.
-    progress : PlanProgress
-        At the end.
-    render_s, plan_s : float
-        Seconds spent in the renderer, and on everything else.
-    render_cpu_s, plan_cpu_s : float
-        The same in processor time, all threads of the process.
-    """
+    """What was planned and rendered."""
 
     candidates: CandidateMap
     coverages: tuple[Coverage, ...]
+    """One a heading: its viewpoints and their tolerance areas."""
     threshold_px: float
+    """What they were planned for; with a budget, what the renderings sufficed for."""
     progress: PlanProgress
+    """At the end."""
     render_s: float
     plan_s: float
+    """``render_s``, ``plan_s``: seconds spent in the renderer, and on everything else."""
     render_cpu_s: float
     plan_cpu_s: float
+    """``render_cpu_s``, ``plan_cpu_s``: the same in processor time, all threads of the process."""
 
     @property
     def coverage(self) -> float:
@@ -159,10 +120,7 @@ def rows_by_place(views: Views) -> dict[Place, int]:
 def as_asked(views: Views, asked: list[Place]) -> Views:
     """Return views in the order they were asked for, some of them more than once perhaps.
 
-    Raises
-    ------
-    InputError
-        A view that was asked for is not there.
+    Raises `InputError` where a view that was asked for is not there.
     """
     row = rows_by_place(views)
     missing = [place for place in asked if place not in row]

@@ -43,25 +43,17 @@ _POINTS_AT_ONCE = 1 << 18
 def predict(stored: Views, source: NDArray[np.integer], targets: Viewpoints) -> Views:
     """Predict the views of other eyes along the headings of stored views.
 
-    Stored views of the two neighbouring headings from the same eye add what they know.
+    Stored views of the two neighbouring headings from the same eye add what they know. A column of
+    which nothing is known is NaN and flagged `FLAG_NO_DATA`.
+
+    Raises `InputError` for sources and targets that differ in number, or a source that is no row.
 
     Parameters
     ----------
-    stored : Views
     source : (M,) int
         The stored view that each prediction is made from; it gives the heading.
     targets : Viewpoints
-        M eyes.
-
-    Returns
-    -------
-    Views
-        M views in order. A column of which nothing is known is NaN and flagged `FLAG_NO_DATA`.
-
-    Raises
-    ------
-    InputError
-        Sources and targets that differ in number, or a source that is no row.
+        M eyes; their views are in this order.
     """
     source = np.asarray(source)
     _check(stored, source, targets)
@@ -119,13 +111,10 @@ def reach_m(displacements_m: NDArray[np.floating]) -> float:
 
 
 def flanks(views: Views) -> IntArray:
-    """Return the views that look left and right from the same eye.
+    """Return the views (N, 2) that look left and right from the same eye.
 
-    Returns
-    -------
-    (N, 2) intp
-        Index of the view with heading - 1 and of that with heading + 1, `NO_VIEW` where there is
-        none. Of several, the first.
+    These are the rows of the views with heading - 1 and heading + 1, of several the first, and
+    `NO_VIEW` where there is none.
     """
     eyes = np.stack([views.easting_m, views.northing_m, views.eye_elevation_m], axis=1)
     eye = np.unique(eyes, axis=0, return_inverse=True)[1].reshape(-1)
@@ -138,20 +127,14 @@ def flanks(views: Views) -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Polylines:
-    """M points of some polylines, one after the other, in the axes of one view.
-
-    Attributes
-    ----------
-    right_m, up_m, forward_m : (M,) float32
-        From the eye.
-    joined : (M,) bool
-        Whether a point is joined to the next one; the last is not.
-    """
+    """M points of some polylines, one after the other, in the axes of one view."""
 
     right_m: Float32Array
     up_m: Float32Array
     forward_m: Float32Array
+    """``right_m``, ``up_m``, ``forward_m``: (M,) float32. From the eye."""
     joined: BoolArray
+    """(M,) bool. Whether a point is joined to the next one; the last is not."""
 
 
 def polylines(views: Views, view: int, sides: IntArray, reach_m: float) -> Polylines:
@@ -161,8 +144,6 @@ def polylines(views: Views, view: int, sides: IntArray, reach_m: float) -> Polyl
 
     Parameters
     ----------
-    views : Views
-    view : int
     sides : (2,) int
         The views to its left and right; see `flanks`.
     reach_m : float
@@ -201,7 +182,6 @@ def seen_from(
 
     Parameters
     ----------
-    lines : Polylines
     displacements_m : (C, 3) floating
         Right, up, forward; an eye with a NaN sees nothing.
     columns : int
@@ -229,27 +209,21 @@ class Image:
     """Where the segments of polylines pass column centres in the images of C displaced eyes.
 
     There are P passing segments, and S places where one passes a column.
-
-    Attributes
-    ----------
-    start : (P,) intp
-        The segment's first point: its eye times M plus its index.
-    segment : (S,) intp
-        Which of the segments passes.
-    eye, column : (S,) intp
-    along : (S,) float32
-        How far along the segment, in the image.
-    height_tan, nearness_per_m : (C, M) float32
-        Image-plane ordinate and inverse depth of the points.
     """
 
     start: IntArray
+    """(P,) intp. The segment's first point: its eye times M plus its index."""
     segment: IntArray
+    """(S,) intp. Which of the segments passes."""
     eye: IntArray
     column: IntArray
+    """``eye``, ``column``: (S,) intp."""
     along: Float32Array
+    """(S,) float32. How far along the segment, in the image."""
     height_tan: Float32Array
     nearness_per_m: Float32Array
+    """``height_tan``, ``nearness_per_m``: (C, M) float32. Image-plane ordinate and inverse depth of
+    the points."""
 
     @classmethod
     def of(cls, lines: Polylines, displacements_m: FloatArray, columns: int) -> "Image":

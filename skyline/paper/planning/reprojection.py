@@ -34,19 +34,9 @@ _ROTATIONS = np.stack([rotation(heading) for heading in HEADINGS])
 def displacements_m(
     views: Views, easting_m: ArrayLike, northing_m: ArrayLike, eye_elevation_m: ArrayLike
 ) -> Float64Array:
-    """Return where other eyes are, seen from each view, in the view's own axes.
+    """Return where C other eyes (N, C) are, seen from each of N views, in the view's own axes.
 
-    Parameters
-    ----------
-    views : Views
-        N views.
-    easting_m, northing_m, eye_elevation_m : (N, C) array_like
-        C other eyes a view, in the views' frame.
-
-    Returns
-    -------
-    (N, C, 3) float64
-        Right, up, forward, metres.
+    These are right, up and forward, (N, C, 3), metres.
     """
     own = (views.easting_m, views.eye_elevation_m, views.northing_m)
     other = (easting_m, eye_elevation_m, northing_m)
@@ -123,7 +113,7 @@ def median_depth_m(depth_m: FloatArray) -> Float64Array:
 def least_squares(
     points_uv: Float64Array, there_uv: Float64Array, usable: BoolArray
 ) -> Float64Array:
-    """Return the warps that take points nearest to their images elsewhere.
+    """Return the warps (N, C, 2, 3) that take points nearest to their images elsewhere.
 
     Where the points lie on a line, or are fewer than three, the one of the many that is nearest
     to the identity.
@@ -134,10 +124,6 @@ def least_squares(
     there_uv : (N, C, P, 2) float64
         Finite where usable.
     usable : (N, C, P) bool
-
-    Returns
-    -------
-    (N, C, 2, 3) float64
     """
     design = np.concatenate([points_uv, np.ones((*points_uv.shape[:2], 1))], axis=2)
     design = np.nan_to_num(design)
@@ -154,26 +140,19 @@ def least_squares(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projected:
-    """P skyline points of N views and their images at C displaced eyes.
-
-    Attributes
-    ----------
-    points_uv : (N, P, 2) float64
-        Abscissa and ordinate in the view, NaN where it has no skyline.
-    there_uv : (N, C, P, 2) float64
-        The same from the displaced eyes; finite where usable.
-    usable : (N, C, P) bool
-        Whether a point is safely in front of the displaced eye and in its frame. A frame has
-        sides, but neither top nor bottom.
-    depth_m : (N, P) float64
-    displacements_m : (N, C, 3) float64
-    """
+    """P skyline points of N views and their images at C displaced eyes."""
 
     points_uv: Float64Array
+    """(N, P, 2) float64. Abscissa and ordinate in the view, NaN where it has no skyline."""
     there_uv: Float64Array
+    """(N, C, P, 2) float64. The same from the displaced eyes; finite where usable."""
     usable: BoolArray
+    """(N, C, P) bool. Whether a point is safely in front of the displaced eye and in its frame. A
+    frame has sides, but neither top nor bottom."""
     depth_m: Float64Array
+    """(N, P) float64."""
     displacements_m: Float64Array
+    """(N, C, 3) float64."""
 
     @classmethod
     def of(cls, views: Views, displacements_m: FloatArray, columns: int) -> "Projected":
@@ -201,24 +180,19 @@ Warp = Callable[[Projected], Float64Array]
 
 @dataclass(frozen=True, slots=True)
 class Reprojection:
-    """Mean distance between warped points and their true images, over those in front and in frame.
-
-    Attributes
-    ----------
-    warp : callable
-        Returns the warps (N, C, 2, 3), NaN where there is none.
-    columns : int
-        At most so many points a view, evenly spread. On Davos, 80 decide as 640 do.
-    min_points : int
-        Fewer in frame are no answer.
-    """
+    """Mean distance of warped points from their true images, over those in front and in frame."""
 
     warp: Warp
+    """Returns the warps (N, C, 2, 3), NaN where there is none."""
     columns: int = 80
+    """At most so many points a view, evenly spread. On Davos, 80 decide as 640 do."""
     min_points: int = 3
+    """Fewer in frame are no answer."""
 
     def errors_px(self, views: Views, displacements_m: FloatArray) -> Float32Array:
         """Return reprojection errors of candidates.
+
+        Raises `InputError` for displacements of another shape.
 
         Parameters
         ----------
@@ -232,11 +206,6 @@ class Reprojection:
         (N, C) float32
             Mean distance in px (2 / W in v); inf where the view predicts nothing: no warp, too
             little of the skyline in frame, no eye.
-
-        Raises
-        ------
-        InputError
-            Displacements of another shape.
         """
         check_displacements(views, displacements_m)
         candidates = displacements_m.shape[1]

@@ -161,25 +161,16 @@ def _preselected(
         yield best(coverage, candidates, interpolated_areas(coverage, candidates))
 
 
-def interpolated_areas(coverage: Coverage, candidates: Int64Array, nearest: int = 4) -> BoolArray:
-    """Return areas of candidates (N), interpolated linearly from the nearest rendered views.
+def interpolated_areas(coverage: Coverage, candidates: Int64Array) -> BoolArray:
+    """Return areas (N, K, K) of candidates (N), interpolated from the nearest rendered views.
 
-    The weight of a view falls with its distance; a location is inside where the weighted areas
-    say so by half. Before anything is rendered an area is the candidate itself.
-
-    Returns
-    -------
-    (N, K, K) bool
+    A location is inside where the weighted areas say so by half. Before anything is rendered an
+    area is the candidate itself.
     """
     grid = coverage.grid
     areas = np.zeros((len(candidates), grid.window, grid.window), dtype=bool)
     if len(coverage.viewpoints):
-        chosen, apart = grid.nearest(candidates, coverage.viewpoints, nearest)
-        weight = 1.0 / np.maximum(apart, 0.5)
-        weight = (weight / weight.sum(axis=1, keepdims=True)).astype(np.float32)
-        share = np.zeros(areas.shape, dtype=np.float32)
-        for place in range(chosen.shape[1]):
-            share += coverage.areas[chosen[:, place]] * weight[:, place, None, None]
+        share = grid.interpolated(candidates, coverage.viewpoints, coverage.areas)
         areas = share >= np.float32(0.5)
     areas[:, grid.reach, grid.reach] = True
     return areas

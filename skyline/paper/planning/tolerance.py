@@ -14,18 +14,12 @@ from skyline.views import Views
 
 @dataclass(frozen=True, slots=True)
 class Neighbourhood:
-    """The locations around a view that are asked whether its skyline serves them.
-
-    Attributes
-    ----------
-    size : int
-        K: rows and columns of locations; 10 in the paper. The view is at [K // 2, K // 2].
-    spacing_m : float
-        Distance between neighbouring locations.
-    """
+    """The locations around a view that are asked whether its skyline serves them."""
 
     size: int = 10
+    """K: rows and columns of locations; 10 in the paper. The view is at [K // 2, K // 2]."""
     spacing_m: float = 30.0
+    """Distance between neighbouring locations."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.size <= 1001:
@@ -55,23 +49,15 @@ class Neighbourhood:
 
 @dataclass(frozen=True, slots=True)
 class ToleranceMeter:
-    """Measures how far around views their skylines serve: a call returns reprojection errors.
-
-    Attributes
-    ----------
-    ground : callable
-        Heights at map coordinates: `HeightField.height_at`.
-    neighbourhood : Neighbourhood
-    predictor : Reprojection
-        The paper's by default.
-    eye_height_m : float
-        Of the eyes at the other locations, above the ground.
-    """
+    """Measures how far around views their skylines serve: a call returns reprojection errors."""
 
     ground: Ground
+    """Heights at map coordinates: `HeightField.height_at`."""
     neighbourhood: Neighbourhood = Neighbourhood()
     predictor: Reprojection = AFFINE_MEAN
+    """The paper's by default."""
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    """Of the eyes at the other locations, above the ground."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.eye_height_m) and self.eye_height_m >= 0.0):

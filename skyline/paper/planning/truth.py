@@ -23,25 +23,17 @@ _AT_ONCE = 64
 
 
 def true_errors_px(stored: Views, rendered: Views) -> Float32Array:
-    """Return how far stored skylines are from rendered ones after the best affine warp.
+    """Return mean distances (N,) in px of stored skylines from rendered ones after the best warp.
 
-    The warp is bounded as `WarpFit` says; the distance is vertical, over the columns that land
-    in frame, which must be half of them.
+    The warp is affine, and bounded as `WarpFit` says. The distance is vertical, over the columns
+    that land in frame; it is infinite where these are fewer than half of them.
+
+    Raises `InputError` for views that differ in number, width or heading.
 
     Parameters
     ----------
     stored, rendered : Views
         N views each, row by row of one heading and one width.
-
-    Returns
-    -------
-    (N,) float32
-        Mean distance in px; inf where too few columns land in frame.
-
-    Raises
-    ------
-    InputError
-        Views that differ in number, width or heading.
     """
     if len(stored) != len(rendered) or stored.width != rendered.width:
         raise InputError(
@@ -88,18 +80,9 @@ def _starts(stored: Views, rendered: Views) -> Float64Array:
 
 
 def block_means(rows: FloatArray, blocks: int) -> Float32Array:
-    """Return means over runs of columns, unknown ones left out.
+    """Return means (..., min(blocks, W)) over runs of the columns of rows (..., W).
 
-    Parameters
-    ----------
-    rows : (..., W) floating
-        NaN is unknown.
-    blocks : int
-        Number of runs, as equal as can be.
-
-    Returns
-    -------
-    (..., min(blocks, W)) float32, NaN where all of a run is unknown
+    Runs are as equal as can be. NaN is unknown: left out, and the mean where all of a run is.
     """
     width = rows.shape[-1]
     if width <= blocks:

@@ -21,24 +21,16 @@ _VIEWS_TRIED = 4
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """How much of a sample of covered locations is truly covered.
-
-    Attributes
-    ----------
-    share : float
-        Of the sample, within the threshold of some stored view after the best affine warp.
-    low, high : float
-        95 % interval of the share (Wilson).
-    sampled : int
-    predicted : float
-        The coverage the plan predicts.
-    """
+    """How much of a sample of covered locations is truly covered."""
 
     share: float
+    """Of the sample, within the threshold of some stored view after the best affine warp."""
     low: float
     high: float
+    """``low``, ``high``: 95 % interval of the share (Wilson)."""
     sampled: int
     predicted: float
+    """The coverage the plan predicts."""
 
     @property
     def verified(self) -> float:
@@ -48,18 +40,11 @@ class Verification:
 
 @dataclass(frozen=True, slots=True)
 class Checks:
-    """What verification asks others for.
-
-    Attributes
-    ----------
-    render : Render
-    stored : Render
-        Returns stored views at viewpoints along headings, in any order.
-    errors : TrueErrors
-    """
+    """What verification asks others for."""
 
     render: Render
     stored: Render
+    """Returns stored views at viewpoints along headings, in any order."""
     errors: TrueErrors
 
 
@@ -71,10 +56,7 @@ def verify_coverage(
     A location that was rendered itself counts as any other. Of the views whose tolerance areas
     hold a location, up to four, the nearest, are tried.
 
-    Raises
-    ------
-    InputError
-        A sample below 1, or a plan that covers nothing.
+    Raises `InputError` for a sample below 1, or a plan that covers nothing.
     """
     heading, location = _draw(plan, sample)
     rendered = _views(checks.render, plan, location, heading)

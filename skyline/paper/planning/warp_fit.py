@@ -18,25 +18,17 @@ _STEEPEST = 0.3
 
 @dataclass(frozen=True, slots=True)
 class WarpFit:
-    """How a curve is warped onto another.
-
-    Attributes
-    ----------
-    rounds : int
-        Gauss-Newton steps.
-    max_change : float
-        Greatest change of the warp's linear part from the identity, each entry: a matcher that
-        takes any warp tells no two skylines apart.
-    min_share : float
-        Least share of the columns that must land on known columns of the other curve.
-    outlier_px : float
-        A column farther off than this counts by its distance, a nearer one by its square.
-    """
+    """How a curve is warped onto another."""
 
     rounds: int = 3
+    """Gauss-Newton steps."""
     max_change: float = 0.25
+    """Greatest change of the warp's linear part from the identity, each entry: a matcher that takes
+    any warp tells no two skylines apart."""
     min_share: float = 0.5
+    """Least share of the columns that must land on known columns of the other curve."""
     outlier_px: float = 3.0
+    """A column farther off than this counts by its distance, a nearer one by its square."""
 
     def distances_px(
         self,
