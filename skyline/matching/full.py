@@ -54,8 +54,8 @@ class FullMatcher(Ranker):
     def open(cls, source: Source) -> Self:
         """See `Ranker.open`."""
         places, config = source.places(), source.config
-        retriever = Retriever(places, source.ground(), config.retrieval, source.edge())
-        return cls(retriever, source.scene(), config.full)
+        scene = source.scene()
+        return cls(Retriever(places, source.ground(), config.retrieval), scene, config.full)
 
     def rank(
         self,

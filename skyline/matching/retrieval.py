@@ -23,7 +23,6 @@ from skyline.matching.query import QueryRays
 from skyline.matching.screening import Alike, Screen, sample_of, screen_places
 from skyline.places import Places, PlaceSource
 from skyline.rows import Rows
-from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground
 
 _FITS_AT_ONCE = 2048
@@ -99,8 +98,6 @@ class Retriever:
         ``ground(easting_m, northing_m)`` returns heights of the terrain; without it the ground
         about a place is taken to be level.
     config : RetrievalConfig, optional
-    edge : DataEdge, optional
-        Where the terrain's data end; without it nothing is taken to lie beyond.
     """
 
     def __init__(
@@ -108,9 +105,7 @@ class Retriever:
         places: PlaceSource,
         ground: Ground | None = None,
         config: RetrievalConfig | None = None,
-        edge: DataEdge | None = None,
     ) -> None:
-        self._edge = edge
         self.config = config or RetrievalConfig()
         self.places = places
         self._ground = ground
@@ -286,8 +281,7 @@ class Retriever:
         def fitted(first: int) -> Hypotheses:
             some = start[slice(first, first + _FITS_AT_ONCE)]
             places, slope = some.places, self._slope(some.places)
-            lens = query.fov_deg, bounds, query.log_scale_sd
-            fit = CurveFit(places, slope, rays, *lens, config, self._edge)
+            fit = CurveFit(places, slope, rays, query.fov_deg, bounds, query.log_scale_sd, config)
             fits = fit.fit(some.heading_rad, some.zoom)
             heading, pitch, roll, zoom = fits.pose[:, :4].T.astype(np.float64)
             move = fits.pose[:, 4:].astype(np.float64)

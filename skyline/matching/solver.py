@@ -29,7 +29,6 @@ from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import level_with_changes
 from skyline.rows import Rows
-from skyline.terrain.edge import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE = range(7)
 """Columns of a state: the eye's displacement, metres; its height above the ground, metres; angles,
@@ -228,8 +227,6 @@ class Solver:
         Deviation of the terrain model's heights to be expected.
     claim : Claim, optional
         Where the photo says that it was taken.
-    edge : DataEdge, optional
-        Where the terrain's data end; without it nothing is taken to lie beyond.
     """
 
     def __init__(
@@ -239,10 +236,9 @@ class Solver:
         eye: EyeHeight,
         height_sd_m: float,
         claim: Claim | None = None,
-        edge: DataEdge | None = None,
     ) -> None:
         self.query = query
-        self._claim, self._edge = claim, edge
+        self._claim = claim
         self.config = config
         self.noise = replace(config.noise, height_sd_m=height_sd_m)
         self._eye = eye
@@ -392,27 +388,11 @@ class Solver:
             y,
         )
 
-    def beyond_rad(self, linear: Linear) -> Float64Array | None:
-        """Return how far above the skyline, (M, R), terrain past the data's edge may rise.
-
-        It is below 0 where none reaches it, and 0 where the skyline is unknown.
-        """
-        if self._edge is None:
-            return None
-        place_m, eye_m = linear.place_m[:, np.newaxis], linear.eye_m[:, np.newaxis]
-        most = self._edge.elevation_tan(place_m.real, place_m.imag, eye_m, linear.azimuth_rad)
-        return np.asarray(np.nan_to_num(np.arctan(most) - np.arctan(linear.elevation_tan)))
-
     def _errors(self, linear: Linear, curves: Curves) -> HeightErrors:
         step_rad = 2.0 * np.pi / curves.channels.shape[1]
         blur_rad = self.config.blur_steps * step_rad * np.abs(linear.jacobian[..., HEADING])
         return HeightErrors.of(
-            linear.azimuth_rad,
-            linear.distance_m,
-            blur_rad,
-            self.noise,
-            linear.rise_rad,
-            self.beyond_rad(linear),
+            linear.azimuth_rad, linear.distance_m, blur_rad, self.noise, linear.rise_rad
         )
 
     def _judge(
