@@ -41,21 +41,14 @@ _MODELS = "confidence.json"
 
 @dataclass(frozen=True, slots=True)
 class Logistic:
-    """A logistic model.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the F figures.
-    mean, scale, weight : tuple of float
-        F each.
-    bias : float
-    """
+    """A logistic model."""
 
     names: tuple[str, ...]
+    """F of them."""
     mean: tuple[float, ...]
     scale: tuple[float, ...]
     weight: tuple[float, ...]
+    """``mean``, ``scale``, ``weight``: F each."""
     bias: float
 
     def probability(self, figures: Mapping[str, Float64Array]) -> Float64Array:

@@ -11,29 +11,23 @@ from skyline.rows import Rows
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypotheses(Rows):
-    """M poses of the camera that took a query.
-
-    Attributes
-    ----------
-    easting_m, northing_m, eye_elevation_m : (M,) float64
-        The eye, in the store's frame and above the DEM's datum.
-    heading_deg : (M,) float64
-        Grid azimuth of the optical axis, in [0, 360).
-    pitch_deg, roll_deg, fov_deg : (M,) float64
-        Optical axis above the horizon; camera turned clockwise as seen from behind; horizontal
-        field of view.
-    score : (M,) float64
-        Lower is better; its unit is that of the step that gave it. Infinite where nothing fits.
-    """
+    """M poses of the camera that took a query."""
 
     easting_m: Float64Array
     northing_m: Float64Array
     eye_elevation_m: Float64Array
+    """``easting_m``, ``northing_m``, ``eye_elevation_m``: (M,) float64. The eye, in the store's
+    frame and above the DEM's datum."""
     heading_deg: Float64Array
+    """(M,) float64. Grid azimuth of the optical axis, in [0, 360)."""
     pitch_deg: Float64Array
     roll_deg: Float64Array
     fov_deg: Float64Array
+    """``pitch_deg``, ``roll_deg``, ``fov_deg``: (M,) float64. Optical axis above the horizon;
+    camera turned clockwise as seen from behind; horizontal field of view."""
     score: Float64Array
+    """(M,) float64. Lower is better; its unit is that of the step that gave it. Infinite where
+    nothing fits."""
 
     @classmethod
     def of_pose(cls, *pose: float) -> "Hypotheses":

@@ -14,13 +14,6 @@ from skyline.views import FLAG_NO_DATA, Views
 class Panoramas(Rows):
     """Skylines of M eyes in B equal steps of grid azimuth; a part of the turn may be unknown.
 
-    Attributes
-    ----------
-    y : (M, B) float64
-        Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN where unknown.
-    distance_m : (M, B) float64
-        Horizontal distance of the skyline; NaN where unknown.
-
     Raises
     ------
     InputError
@@ -28,7 +21,10 @@ class Panoramas(Rows):
     """
 
     y: Float64Array
+    """(M, B) float64. Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN
+    where unknown."""
     distance_m: Float64Array
+    """(M, B) float64. Horizontal distance of the skyline; NaN where unknown."""
 
     def __post_init__(self) -> None:
         if self.y.shape != self.distance_m.shape or self.y.ndim != 2 or self.y.shape[1] < 8:

@@ -72,44 +72,32 @@ class Scene(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """M refined poses, best first, with what a confidence can be learned from.
-
-    Attributes
-    ----------
-    hypotheses : Hypotheses
-        The score is the negative logarithm of the likelihood; only differences within one query
-        mean anything.
-    covariance_m2 : (M, 2, 2) float64
-        Of easting and northing about the pose, other optima of the same answer included.
-    residual_deg : (M,) float64
-        Root mean square over the columns that show terrain, in elevation.
-    inlier_share : (M,) float64
-        Part of the query that shows terrain.
-    effective_columns : (M,) float64
-        Independent columns that would say as much as those do.
-    height_sd_m : (M,) float64
-        Deviation of the terrain model's heights that the fit suggests.
-    beyond_share : (M,) float64
-        Part of the query in which terrain past the data's edge may stand above the model's.
-    margin : (M,) float64
-        Score of the best pose elsewhere minus this one's: below 0 unless this is the best;
-        infinite where there is none elsewhere.
-    far_margin : (M,) float64
-        The same of the best pose far off.
-    renderings : int
-        Views that were rendered on the way.
-    """
+    """M refined poses, best first, with what a confidence can be learned from."""
 
     hypotheses: Hypotheses
+    """The score is the negative logarithm of the likelihood; only differences within one query mean
+    anything."""
     covariance_m2: Float64Array
+    """(M, 2, 2) float64. Of easting and northing about the pose, other optima of the same answer
+    included."""
     residual_deg: Float64Array
+    """(M,) float64. Root mean square over the columns that show terrain, in elevation."""
     inlier_share: Float64Array
+    """(M,) float64. Part of the query that shows terrain."""
     effective_columns: Float64Array
+    """(M,) float64. Independent columns that would say as much as those do."""
     height_sd_m: Float64Array
+    """(M,) float64. Deviation of the terrain model's heights that the fit suggests."""
     beyond_share: Float64Array
+    """(M,) float64. Part of the query in which terrain past the data's edge may stand above the
+    model's."""
     margin: Float64Array
+    """(M,) float64. Score of the best pose elsewhere minus this one's: below 0 unless this is the
+    best; infinite where there is none elsewhere."""
     far_margin: Float64Array
+    """(M,) float64. The same of the best pose far off."""
     renderings: int
+    """Views that were rendered on the way."""
 
     def __len__(self) -> int:
         return len(self.hypotheses)

@@ -23,26 +23,21 @@ KeypointTable = NDArray[np.uint16]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
-    """Skylines of L locations all the way round, in B equal steps of grid azimuth.
-
-    Attributes
-    ----------
-    easting_m, northing_m, eye_elevation_m : (L,) float64
-    y : (L, B) float32
-        Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN where no
-        view looks or the view has no data.
-    keypoint_bin : (M,) intp
-        Bins of the keypoints, ascending within each location, the locations one after another.
-    keypoint_start : (L + 1,) intp
-        Location l has keypoints ``keypoint_bin[keypoint_start[l]:keypoint_start[l + 1]]``.
-    """
+    """Skylines of L locations all the way round, in B equal steps of grid azimuth."""
 
     easting_m: Float64Array
     northing_m: Float64Array
     eye_elevation_m: Float64Array
+    """``easting_m``, ``northing_m``, ``eye_elevation_m``: (L,) float64."""
     y: Float32Array
+    """(L, B) float32. Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN
+    where no view looks or the view has no data."""
     keypoint_bin: IntArray
+    """(M,) intp. Bins of the keypoints, ascending within each location, the locations one after
+    another."""
     keypoint_start: IntArray
+    """(L + 1,) intp. Location l has keypoints ``keypoint_bin[keypoint_start[l]:keypoint_start[l +
+    1]]``."""
 
     def __len__(self) -> int:
         return len(self.easting_m)

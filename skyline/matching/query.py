@@ -17,20 +17,6 @@ _FOV_DEVIATIONS = 4.0
 class QueryRays:
     """The trusted columns of a query skyline in the camera's frame.
 
-    Attributes
-    ----------
-    u, v : (W,) float64
-        Rays (u, v, 1): right and up over forward; unit focal length.
-    weight : (W,) float64
-        How far each ray is trusted, at least 0; only ratios matter.
-    fov_deg : float
-        Horizontal field of view that u and v were made with.
-    fov_range_deg : (float, float), optional
-        Between which the true field of view lies; by default it is `fov_deg` exactly.
-    fov_sd_deg : float
-        Standard deviation of the true field of view about `fov_deg`; infinite where any in the
-        range is as likely.
-
     Raises
     ------
     InputError
@@ -40,10 +26,16 @@ class QueryRays:
 
     u: Float64Array
     v: Float64Array
+    """``u``, ``v``: (W,) float64. Rays (u, v, 1): right and up over forward; unit focal length."""
     weight: Float64Array
+    """(W,) float64. How far each ray is trusted, at least 0; only ratios matter."""
     fov_deg: float
+    """Horizontal field of view that u and v were made with."""
     fov_range_deg: tuple[float, float] | None = None
+    """Between which the true field of view lies; by default it is `fov_deg` exactly."""
     fov_sd_deg: float = math.inf
+    """Standard deviation of the true field of view about `fov_deg`; infinite where any in the range
+    is as likely."""
 
     def __post_init__(self) -> None:
         if not self.u.shape == self.v.shape == self.weight.shape or self.u.ndim != 1:
@@ -117,18 +109,12 @@ class QueryRays:
 
 @dataclass(frozen=True, slots=True)
 class Attitudes:
-    """The pitches and rolls a matcher assumes, each with each.
-
-    Attributes
-    ----------
-    pitch_deg : tuple of float
-        Optical axis above the horizon.
-    roll_deg : tuple of float
-        Camera turned clockwise as seen from behind it: its right side down.
-    """
+    """The pitches and rolls a matcher assumes, each with each."""
 
     pitch_deg: tuple[float, ...] = (-10.0, -5.0, 0.0, 5.0, 10.0)
+    """Optical axis above the horizon."""
     roll_deg: tuple[float, ...] = (0.0,)
+    """Camera turned clockwise as seen from behind it: its right side down."""
 
     def __post_init__(self) -> None:
         for name, angles, limit in (("pitch", self.pitch_deg, 80), ("roll", self.roll_deg, 80)):
@@ -204,21 +190,16 @@ def project(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QueryCurves:
-    """A query on the azimuth bins of a profile, one row per assumed attitude.
-
-    Attributes
-    ----------
-    y : (H, B) float64
-        Tangent of the elevation angle; bin B / 2 is straight ahead; NaN where not seen.
-    weight : (H, B) float64
-        0 where not seen.
-    pitch_deg, roll_deg : (H,) float64
-    """
+    """A query on the azimuth bins of a profile, one row per assumed attitude."""
 
     y: Float64Array
+    """(H, B) float64. Tangent of the elevation angle; bin B / 2 is straight ahead; NaN where not
+    seen."""
     weight: Float64Array
+    """(H, B) float64. 0 where not seen."""
     pitch_deg: Float64Array
     roll_deg: Float64Array
+    """``pitch_deg``, ``roll_deg``: (H,) float64."""
 
     @classmethod
     def of(cls, query: QueryRays, attitudes: Attitudes, bins: int) -> "QueryCurves":

@@ -83,26 +83,20 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ranking:
-    """The M poses a matcher answers a query with, best first.
-
-    Attributes
-    ----------
-    poses : Hypotheses
-    confidence : (M,) float64, optional
-        Probability that each is right within 200 m, where something has estimated it.
-    covariance_m2 : (M, 2, 2) float64, optional
-        Of easting and northing, where the poses were refined.
-    confidence_1km : (M,) float64, optional
-        Probability that each is right within 1 km, where something has estimated it.
-    beyond_share : (M,) float64, optional
-        Part of the query that terrain past the data's edge may hide; see `Candidate`.
-    """
+    """The M poses a matcher answers a query with, best first."""
 
     poses: Hypotheses
     confidence: Float64Array | None = None
+    """(M,) float64. Probability that each is right within 200 m, where something has estimated
+    it."""
     covariance_m2: Float64Array | None = None
+    """(M, 2, 2) float64. Of easting and northing, where the poses were refined."""
     confidence_1km: Float64Array | None = None
+    """(M,) float64. Probability that each is right within 1 km, where something has estimated
+    it."""
     beyond_share: Float64Array | None = None
+    """(M,) float64. Part of the query that terrain past the data's edge may hide; see
+    `Candidate`."""
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -140,18 +134,12 @@ class Ranking:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointRanking:
-    """The M places that a matcher answers N queries of one eye with, best first.
-
-    Attributes
-    ----------
-    rankings : tuple of Ranking
-        Of each query, M poses; they differ in the camera alone.
-    agrees : (N,) bool
-        Whether each query was taken at the best place rather than anywhere else.
-    """
+    """The M places that a matcher answers N queries of one eye with, best first."""
 
     rankings: tuple[Ranking, ...]
+    """Of each query, M poses; they differ in the camera alone."""
     agrees: BoolArray
+    """(N,) bool. Whether each query was taken at the best place rather than anywhere else."""
 
 
 def _of(values: Float64Array | None, index: int) -> float | None:
@@ -165,19 +153,14 @@ def _as_rows(covariance_m2: Float64Array) -> tuple[tuple[float, float], tuple[fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fits:
-    """The best pose of a query at each of L locations.
-
-    Attributes
-    ----------
-    score : (L,) float64
-        Lower is better; infinite where there is no fit.
-    heading_deg, pitch_deg, roll_deg : (L,) float64
-    """
+    """The best pose of a query at each of L locations."""
 
     score: Float64Array
+    """(L,) float64. Lower is better; infinite where there is no fit."""
     heading_deg: Float64Array
     pitch_deg: Float64Array
     roll_deg: Float64Array
+    """``heading_deg``, ``pitch_deg``, ``roll_deg``: (L,) float64."""
 
     @classmethod
     def none(cls, locations: int) -> "Fits":

@@ -10,22 +10,16 @@ from skyline.matching.query import QueryRays
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelledRays:
-    """R rays at each of M attitudes.
-
-    Attributes
-    ----------
-    azimuth_rad : (M, R) float64
-        Clockwise from the vertical plane of the optical axis.
-    y : (M, R) float64
-        Tangent of the elevation angle: up over horizontal distance.
-    azimuth_change, y_change : (M, R, 3) float64
-        Derivatives by pitch, by roll, both in radians, and by the logarithm of the scale.
-    """
+    """R rays at each of M attitudes."""
 
     azimuth_rad: Float64Array
+    """(M, R) float64. Clockwise from the vertical plane of the optical axis."""
     y: Float64Array
+    """(M, R) float64. Tangent of the elevation angle: up over horizontal distance."""
     azimuth_change: Float64Array
     y_change: Float64Array
+    """``azimuth_change``, ``y_change``: (M, R, 3) float64. Derivatives by pitch, by roll, both in
+    radians, and by the logarithm of the scale."""
 
 
 def level_with_changes(

@@ -90,30 +90,23 @@ class Alike:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Screen:
-    """A query, ready to be compared with any number of places.
-
-    Attributes
-    ----------
-    first : int
-        The bin, from half a turn left of straight ahead, where the query begins.
-    span : int
-        Bins it is wide.
-    matrices : (2, 2 (span + T - 1), F T) float32
-        The query at F fields of view and T turns, and how it changes as the camera rolls: scaled
-        so that the square of what the second gives is what a roll gains.
-    open_turns : (B,) bool
-        The turns that are looked at.
-    mean, scale : (F,) float32
-        What is taken off scores, and what the rest is multiplied by: then they are deviations
-        above the mean of all turns, less what a field of view is unlikely.
-    """
+    """A query, ready to be compared with any number of places."""
 
     first: int
+    """The bin, from half a turn left of straight ahead, where the query begins."""
     span: int
+    """Bins it is wide."""
     matrices: Float32Array
+    """(2, 2 (span + T - 1), F T) float32. The query at F fields of view and T turns, and how it
+    changes as the camera rolls: scaled so that the square of what the second gives is what a roll
+    gains."""
     open_turns: BoolArray
+    """(B,) bool. The turns that are looked at."""
     mean: Float32Array
     scale: Float32Array
+    """``mean``, ``scale``: (F,) float32. What is taken off scores, and what the rest is multiplied
+    by: then they are deviations above the mean of all turns, less what a field of view is
+    unlikely."""
 
     @classmethod
     def of(

@@ -39,23 +39,16 @@ _GREATEST_LOG_ODDS = 50.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPoses:
-    """M places, best first, and the poses of N queries there.
-
-    Attributes
-    ----------
-    poses : tuple of Poses
-        Of each query, M; they differ in the camera alone. Margins and covariances are the joint
-        ones for one query in the mean: queries of one place share the terrain model's errors, and
-        those that look the same way share all, so that they are not summed.
-    cost : (M,) float64
-        Of the places.
-    agrees : (N, M) bool
-        Whether each query is likelier to be of the place than of anywhere else.
-    """
+    """M places, best first, and the poses of N queries there."""
 
     poses: tuple[Poses, ...]
+    """Of each query, M; they differ in the camera alone. Margins and covariances are the joint ones
+    for one query in the mean: queries of one place share the terrain model's errors, and those that
+    look the same way share all, so that they are not summed."""
     cost: Float64Array
+    """(M,) float64. Of the places."""
     agrees: BoolArray
+    """(N, M) bool. Whether each query is likelier to be of the place than of anywhere else."""
 
 
 class JointRefinement:

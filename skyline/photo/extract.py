@@ -72,30 +72,20 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extraction:
-    """A photo's skyline with what it was found from, so that it can be found again.
-
-    Attributes
-    ----------
-    shape : (int, int)
-        Height and width of the image.
-    content : Content
-        What of the image is photo.
-    photo : (H, W, 3) uint8
-        That part.
-    evidence : Evidence
-    path : (w,) intp
-        The path found at working size.
-    row_px, confidence : (W,) float64
-        Of the photo's columns, whether trusted or not.
-    """
+    """A photo's skyline with what it was found from, so that it can be found again."""
 
     shape: tuple[int, int]
+    """Height and width of the image."""
     content: Content
+    """What of the image is photo."""
     photo: UInt8Array
+    """(H, W, 3) uint8. That part."""
     evidence: Evidence
     path: IntArray
+    """(w,) intp. The path found at working size."""
     row_px: Float64Array
     confidence: Float64Array
+    """``row_px``, ``confidence``: (W,) float64. Of the photo's columns, whether trusted or not."""
 
     @classmethod
     def of(cls, image: UInt8Array) -> Self:

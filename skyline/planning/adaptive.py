@@ -54,16 +54,11 @@ _UNSEEN, _NO_SURFACE = -1, -2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks(Rows):
-    """N squares of the map, with sides of `BLOCK_M` at whole multiples of it.
-
-    Attributes
-    ----------
-    col, row : (N,) int64
-        Which multiples their western and southern sides are at.
-    """
+    """N squares of the map, with sides of `BLOCK_M` at whole multiples of it."""
 
     col: Int64Array
     row: Int64Array
+    """``col``, ``row``: (N,) int64. Which multiples their western and southern sides are at."""
 
     def __len__(self) -> int:
         return len(self.col)
