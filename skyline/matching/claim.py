@@ -65,14 +65,8 @@ class Claim:
     ) -> Float64Array:
         """Return -log of how much likelier poses (M,) are than without the claim, times the weight.
 
-        Parameters
-        ----------
-        place_m : (M,) complex128
-            Easting, and northing as the imaginary part.
-        eye_m : (M,) float64
-            Elevations of the eye.
-        heading_rad : (M,) float64
-            Grid azimuths of the optical axis.
+        ``place_m`` is the easting, and the northing as the imaginary part; headings are grid
+        azimuths of the optical axis.
         """
         cost = -np.log(_WRONG_SHARE + self._peak * self._tail(place_m) ** -1.5)
         if self.heading_deg is not None:

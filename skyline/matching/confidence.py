@@ -44,7 +44,7 @@ class Logistic:
     """A logistic model."""
 
     names: tuple[str, ...]
-    """F of them."""
+    """Of the F figures."""
     mean: tuple[float, ...]
     scale: tuple[float, ...]
     weight: tuple[float, ...]

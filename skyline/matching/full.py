@@ -30,12 +30,7 @@ from skyline.store.header import PLACES
 class FullMatcher(Ranker):
     """Retrieval, refinement and confidence in one.
 
-    Parameters
-    ----------
-    retriever : Retriever
-    scene : Scene, optional
-        The terrain the store was rendered from; without it poses stay as retrieved.
-    config : FullConfig, optional
+    The scene is the terrain the store was rendered from; without it poses stay as retrieved.
     """
 
     narrows = True
@@ -64,19 +59,9 @@ class FullMatcher(Ranker):
         narrowed: Narrowed | None = None,
         screened: Alike | None = None,
     ) -> Ranking:
-        """Return up to ``top`` poses, best first; none where nothing fits.
+        """See `Ranker.rank`.
 
-        Parameters
-        ----------
-        query : QueryRays
-        top : int
-        narrowed, screened
-            As of `Retriever.shortlist`.
-
-        Raises
-        ------
-        InputError
-            ``top`` is below 1, or there is no place within what the search is narrowed to.
+        Raises `InputError` for a ``top`` below 1, and where the search is narrowed to no place.
         """
         if top < 1:
             raise InputError(f"top is {top}; expected at least 1 candidate")

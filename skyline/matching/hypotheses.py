@@ -44,12 +44,7 @@ class Hypotheses(Rows):
 
         A hypothesis is left out where a better one lies nearer than ``separation_m`` and looks
         within ``turn_deg`` of the same way. Equal scores keep their order; what fits nowhere is
-        left out.
-
-        Raises
-        ------
-        InputError
-            ``count`` is below 1.
+        left out. Raises `InputError` for a ``count`` below 1.
         """
         if count < 1:
             raise InputError(f"count is {count}; expected at least 1 hypothesis")

@@ -251,8 +251,7 @@ def judge(
         that shows something else.
     trust : (R,) float64
         How far each column of the query is trusted.
-    errors : HeightErrors
-    noise : Noise
+    errors, noise
     deviations : ((M,) intp, (M,) intp)
         Which of ``noise.angle_deg`` and of ``noise.height_m`` each curve has.
     odds : (M, R) float64

@@ -6,6 +6,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
+from skyline.horizons import check_bins
 from skyline.rows import Rows
 from skyline.views import FLAG_NO_DATA, Views
 
@@ -14,10 +15,7 @@ from skyline.views import FLAG_NO_DATA, Views
 class Panoramas(Rows):
     """Skylines of M eyes in B equal steps of grid azimuth; a part of the turn may be unknown.
 
-    Raises
-    ------
-    InputError
-        The shapes differ or are not (M, B) with at least 8 bins.
+    Raises `InputError` where the shapes differ or are not (M, B) with at least 8 bins.
     """
 
     y: Float64Array
@@ -43,29 +41,13 @@ class Panoramas(Rows):
 
     @classmethod
     def from_views(cls, views: Views, row: IntArray, count: int, bins: int) -> "Panoramas":
-        """Join views, each of one of ``count`` eyes, to that eye's panorama.
+        """Join views, each of the one of ``count`` eyes that ``row`` (N,) says, to panoramas.
 
         Columns that meet no data are unknown. On the border of the data and behind a hole the
         skyline is a lower bound, and taken as it is: what the query shows above it may be
-        something else, as where a tree stands.
-
-        Parameters
-        ----------
-        views : Views
-            N views.
-        row : (N,) intp
-            The eye of each, below ``count``.
-        count, bins : int
-            M, and B, a multiple of 8.
-
-        Raises
-        ------
-        InputError
-            ``bins`` is not a positive multiple of 8.
+        something else, as where a tree stands. Raises as `check_bins` of `skyline.horizons`.
         """
-        if bins < 8 or bins % 8:
-            raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
-        quarter = bins // 4
+        quarter = check_bins(bins) // 4
         azimuth = 2.0 * np.pi / bins * (np.arange(quarter) - quarter // 2)
         position = (np.tan(azimuth) + 1.0) * views.width / 2.0 - 0.5
         left = np.clip(np.floor(position).astype(np.intp), 0, views.width - 2)

@@ -116,20 +116,9 @@ def refine(
     or onto a hole, is not taken, and a hypothesis that starts there has no pose. A column that
     meets no data is unknown, which is worth no more than one that shows a tree.
 
-    Parameters
-    ----------
-    hypotheses : Hypotheses
-        Scores, headings and fields of view are used; the eye's elevation is not.
-    query : QueryRays
-    scene : Scene
-    config : RefineConfig, optional
-    claim : Claim, optional
-        Where the photo says that it was taken; it is in the scores.
-
-    Returns
-    -------
-    Poses
-        Distinct ones that fit, best first; empty where none does.
+    The hypotheses' scores, headings and fields of view are used, their eyes' elevation is not. What
+    the photo says of where it was taken is in the scores. Poses are distinct ones that fit, best
+    first; there are none where none does.
     """
     return Refinement(query, scene, config or RefineConfig(), claim).run(hypotheses)
 

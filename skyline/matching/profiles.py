@@ -10,6 +10,7 @@ from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.camera import DEFAULT_WIDTH, pixel_size
 from skyline.errors import InputError
 from skyline.features import NO_KEYPOINT
+from skyline.horizons import check_bins
 from skyline.views import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
 
 DEFAULT_BINS = 2048
@@ -58,23 +59,12 @@ class Profiles:
     ) -> "Profiles":
         """Join views of one eye position; a location may have any of the four headings.
 
-        Of two views with the same eye and heading the later one counts.
-
-        Parameters
-        ----------
-        chunks : iterable of (Views, (N, K) uint16)
-            Views and their keypoint columns padded with 65535 (`features.polyline_keypoints`);
-            the views of one location may lie in different chunks.
-        bins : int
-            A multiple of 8.
-
-        Raises
-        ------
-        InputError
-            ``bins`` is not a positive multiple of 8.
+        Of two views with the same eye and heading the later one counts. Beside the views of a chunk
+        are their keypoint columns (N, K) uint16, padded with 65535 (`features.polyline_keypoints`);
+        the views of one location may lie in different chunks. Raises `InputError` for bins that are
+        no positive multiple of 8, and where there is no view.
         """
-        if bins < 8 or bins % 8:
-            raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
+        check_bins(bins)
         eyes, quadrants, headings, keypoints = [], [], [], []
         count = 0
         for views, table in chunks:

@@ -17,11 +17,8 @@ _FOV_DEVIATIONS = 4.0
 class QueryRays:
     """The trusted columns of a query skyline in the camera's frame.
 
-    Raises
-    ------
-    InputError
-        Lengths differ, a value is not finite, a weight is negative or all are 0, or the range
-        does not hold the field of view.
+    Raises `InputError` where lengths differ, a value is not finite, a weight is negative or all are
+    0, or the range does not hold the field of view.
     """
 
     u: Float64Array
@@ -131,21 +128,10 @@ class Attitudes:
 def level(
     u: Float64Array, v: Float64Array, pitch_deg: float, roll_deg: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Turn rays of a pitched and rolled camera to azimuth and elevation tangent.
+    """Turn rays (u, v, 1) of a pitched and rolled camera to azimuth and elevation tangent.
 
-    Parameters
-    ----------
-    u, v : (...) float64
-        Rays (u, v, 1) in the camera's frame.
-    pitch_deg, roll_deg : float
-        As in `Attitudes`.
-
-    Returns
-    -------
-    azimuth_rad : (...) float64
-        Clockwise from the vertical plane of the optical axis, in (-pi, pi].
-    y : (...) float64
-        Tangent of the elevation angle: up over horizontal distance.
+    Azimuths are radians clockwise from the vertical plane of the optical axis, in (-pi, pi]; the
+    tangent is up over horizontal distance. The attitude is as in `Attitudes`.
     """
     right, up, forward = level_axes(u, v, np.radians(pitch_deg), np.radians(roll_deg))
     return np.arctan2(right, forward), up / np.hypot(right, forward)
@@ -161,21 +147,9 @@ def level_axes(u: Any, v: Any, pitch: Any, roll: Any) -> tuple[Any, Any, Any]:
 def project(
     azimuth_rad: Float64Array, y: Float64Array, pitch_deg: float, roll_deg: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return where a pitched and rolled camera sees directions: the inverse of `level`.
+    """Return the rays (u, v, 1) of a pitched and rolled camera to directions, as `level` has them.
 
-    Parameters
-    ----------
-    azimuth_rad : (...) float64
-        Clockwise from the vertical plane of the optical axis.
-    y : (...) float64
-        Tangent of the elevation angle.
-    pitch_deg, roll_deg : float
-        As in `Attitudes`.
-
-    Returns
-    -------
-    u, v : (...) float64
-        Rays (u, v, 1) in the camera's frame; NaN for directions that are not in front of it.
+    NaN for directions that are not in front of it.
     """
     pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
     right, ahead = np.sin(azimuth_rad), np.cos(azimuth_rad)

@@ -195,12 +195,8 @@ def select(
 ) -> Ranking:
     """Return the best poses, none within ``separation_m`` of a better one.
 
-    Equal scores keep the order of the locations. Locations without a fit are left out.
-
-    Raises
-    ------
-    InputError
-        ``top`` is below 1.
+    Equal scores keep the order of the locations. Locations without a fit are left out. Raises
+    `InputError` for a ``top`` below 1.
     """
     if top < 1:
         raise InputError(f"top is {top}; expected at least 1 candidate")

@@ -92,15 +92,8 @@ class RetrievalConfig:
 class Retriever:
     """Finds short lists of poses among places.
 
-    Parameters
-    ----------
-    places : PlaceSource
-    ground : callable, optional
-        ``ground(easting_m, northing_m)`` returns heights of the terrain; without it the ground
-        about a place is taken to be level.
-    config : RetrievalConfig, optional
-    edge : DataEdge, optional
-        Where the terrain's data end; without it nothing is taken to lie beyond.
+    Without ``ground`` that about a place is taken to be level; without ``edge``, where the
+    terrain's data end, nothing is taken to lie beyond.
     """
 
     def __init__(
@@ -131,28 +124,12 @@ class Retriever:
         narrowed: Narrowed | None = None,
         screened: Alike | None = None,
     ) -> Hypotheses:
-        """Return the poses a query most likely has, best first.
+        """Return up to ``count`` poses that a query most likely has, best first.
 
-        Parameters
-        ----------
-        query : QueryRays
-            Its range of fields of view is searched.
-        count : int
-            At most so many.
-        narrowed : Narrowed, optional
-            Where to search, and which way the camera may have looked.
-        screened : Alike, optional
-            What `screened` returned for all parts, joined; by default this process screens.
-
-        Returns
-        -------
-        Hypotheses
-            Scores compare poses of one query; lower is better. Poses may lie between the places.
-
-        Raises
-        ------
-        InputError
-            ``count`` is below 1, or there is no place where the search is narrowed to.
+        Its range of fields of view is searched. ``screened`` is what `screened` returned for all
+        parts, joined; by default this process screens. Scores compare poses of one query. Poses may
+        lie between the places. Raises `InputError` for a ``count`` below 1, and where the search is
+        narrowed to no place.
         """
         if count < 1:
             raise InputError(f"count is {count}; expected at least 1 hypothesis")
@@ -172,27 +149,12 @@ class Retriever:
     def shortlist_together(
         self, asked: Sequence[tuple[QueryRays, Narrowed | None]], count: int
     ) -> list[Hypotheses]:
-        """Return the places that queries of one eye most likely share: poses for each query.
+        """Return up to ``count`` places that queries of one eye most likely share.
 
-        A place counts the sum of the queries' scores. Where a query fits worse than at half of the
-        places, it counts as there, so that one query that is lost vetoes nothing.
-
-        Parameters
-        ----------
-        asked : sequence of (QueryRays, Narrowed or None)
-            A place lies within the narrowings of all.
-        count : int
-            At most so many places.
-
-        Returns
-        -------
-        list of Hypotheses
-            One for each query, of the same places in the same order, best first.
-
-        Raises
-        ------
-        InputError
-            There is no place within what the search is narrowed to.
+        Each query has its poses there, of the same places in the same order, best first. A place
+        lies within the narrowings of all, and counts the sum of the queries' scores. Where a query
+        fits worse than at half of the places, it counts as there, so that one query that is lost
+        vetoes nothing. Raises `InputError` where the search is narrowed to no place.
         """
         tests = [known for _, known in asked if known is not None]
         screens = [self._screen(*one) for one in asked]

@@ -117,20 +117,11 @@ class Screen:
         open_turns: BoolArray | None = None,
         unlikely: Float64Array | None = None,
     ) -> "Screen":
-        """Prepare a query.
+        """Prepare a query at fields of view (F,) to assume.
 
-        Parameters
-        ----------
-        query : QueryRays
-        fovs_deg : (F,) float64
-            Fields of view to assume.
-        sample : Places
-            Scores of different fields of view are made comparable by how those of all turns of
-            these places are spread.
-        open_turns : (180,) bool, optional
-            See `turns_within`; all by default.
-        unlikely : (F,) float64, optional
-            Deviations that scores of each field of view lose; none by default.
+        Their scores are made comparable by how those of all turns of a sample of places are spread,
+        and each loses as many deviations as it is ``unlikely`` (F,). All turns are open by default;
+        see `turns_within`.
         """
         level = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
         seen = np.flatnonzero(np.abs(level).any(axis=0))
@@ -264,18 +255,10 @@ def screen_places(
     within: Within | None = None,
     part: slice = slice(None),
 ) -> Alike:
-    """Return the best of a source's places; none where none is within what is searched.
+    """Return the best of a source's places, at most so many; none where none is ``within``.
 
-    Parameters
-    ----------
-    scores : callable
-    source : PlaceSource
-    count : int
-        At most so many.
-    within : callable, optional
-    part : slice
-        Of the source's blocks, so that several workers can share one source. Joining what they
-        find gives what one of them finds alone.
+    ``part`` is of the source's blocks, so that several workers can share one source. Joining what
+    they find gives what one of them finds alone.
     """
     kept = Alike.joined([])
 

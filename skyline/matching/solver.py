@@ -186,17 +186,8 @@ class Linear:
 class Solver:
     """Aligns one query to curves.
 
-    Parameters
-    ----------
-    query : QueryRays
-    config : SolverConfig
-    eye : EyeHeight
-    height_sd_m : float
-        Deviation of the terrain model's heights to be expected.
-    claim : Claim, optional
-        Where the photo says that it was taken.
-    edge : DataEdge, optional
-        Where the terrain's data end; without it nothing is taken to lie beyond.
+    ``height_sd_m`` is the deviation of the terrain model's heights to be expected. Without
+    ``edge``, where the terrain's data end, nothing is taken to lie beyond.
     """
 
     def __init__(
@@ -269,12 +260,8 @@ class Solver:
     def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
         """Take the configured steps from one rendering, and choose the noise on the way.
 
-        Parameters
-        ----------
-        curves : Curves
-        fit : Fit
-        step_m : (M,) float64
-            Deviation that damps the eye's displacement; 0 keeps the eye where it is.
+        ``step_m`` (M,) is the deviation that damps the eye's displacement; 0 keeps the eye where it
+        is.
         """
         errors = None
         for iteration in range(self.config.iterations + 1):

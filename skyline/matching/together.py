@@ -54,12 +54,7 @@ class JointPoses:
 class JointRefinement:
     """The refinement of several queries of one eye.
 
-    Parameters
-    ----------
-    refinements : sequence of Refinement
-        One for each query.
-    config : RefineConfig
-        Theirs, but for the eye's height.
+    There is one refinement for each query; the config is theirs, but for the eye's height.
     """
 
     def __init__(self, refinements: Sequence[Refinement], config: RefineConfig) -> None:
@@ -71,12 +66,8 @@ class JointRefinement:
     def run(self, found: Sequence[Hypotheses], alone: Sequence[Hypotheses]) -> JointPoses:
         """Return where the queries fit together.
 
-        Parameters
-        ----------
-        found : sequence of Hypotheses
-            Of each query, of the same places in the same order, best first.
-        alone : sequence of Hypotheses
-            Of each query, the best pose that it was refined to by itself, if any.
+        ``found`` is of each query, of the same places in the same order, best first; ``alone`` is
+        the best pose that each was refined to by itself, if any.
         """
         config = self._config
         now = [

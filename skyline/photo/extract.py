@@ -43,22 +43,8 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
     """Find the skyline of a photo.
 
     Uniform borders and caption bars are set aside; columns whose skyline is not clear, lies on
-    the photo's edge or is hidden are masked, not guessed.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        RGB, upright.
-
-    Returns
-    -------
-    QuerySkyline
-        In pixels of ``image``, field of view unknown.
-
-    Raises
-    ------
-    InputError
-        Not such an array, too small, or without a skyline.
+    the photo's edge or is hidden are masked, not guessed. Raises `InputError` for an image that is
+    not (H, W, 3) uint8 RGB, too small, or without a skyline.
     """
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise InputError(

@@ -62,16 +62,8 @@ def content_of(image: UInt8Array) -> Content:
 
     A bar is a run of rows (or columns) from the image's edge, mostly of one colour, that ends
     in a straight line: the next row differs from that colour nearly everywhere. Overcast sky
-    and dark ground are uniform too, but they end in a skyline.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-
-    Raises
-    ------
-    InputError
-        Less than 32 x 32 pixels are left, or the image is a sliver.
+    and dark ground are uniform too, but they end in a skyline. Raises `InputError` where less than
+    32 x 32 pixels are left of the image (H, W, 3) uint8, or it is a sliver.
     """
     height, width = image.shape[:2]
     if max(height, width) > MAX_ASPECT * min(height, width):

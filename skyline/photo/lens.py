@@ -63,16 +63,10 @@ class _Focal:
 
 
 def lens_of(tags: Mapping[int, object], stored_size: tuple[int, int], turned: bool) -> Lens:
-    """Return what a photo's EXIF says of its field of view.
+    """Return what a photo's EXIF, the main and the Exif directories joined, says of its lens.
 
-    Parameters
-    ----------
-    tags : mapping
-        EXIF tag numbers to values, the main and the Exif directories joined.
-    stored_size : (int, int)
-        Width and height of the image as stored, before its orientation is applied.
-    turned : bool
-        Whether its orientation swaps width and height.
+    ``stored_size`` is the width and height before the orientation is applied; it is ``turned``
+    where that swaps them.
     """
     frame = _frame(tags, stored_size)
     focal, dropped = _focal(tags, frame)

@@ -31,17 +31,8 @@ def is_sky_mask(image: UInt8Array) -> bool:
 def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
     """Return the border of each column's topmost ground; NaN where a column has no sky above it.
 
-    A smoothed border is found to a fraction of a pixel, halfway from white to black.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        A sky mask, white = sky.
-
-    Raises
-    ------
-    InputError
-        No column has sky above ground.
+    A smoothed border is found to a fraction of a pixel, halfway from white to black. Raises
+    `InputError` where no column of the mask, (H, W, 3) uint8, has sky (white) above ground.
     """
     grey = image[:, :, 1].astype(np.float64)
     height, width = grey.shape

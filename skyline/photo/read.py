@@ -72,12 +72,8 @@ def extract_photo(
 ) -> tuple[UInt8Array, QuerySkyline]:
     """Read a photo or a sky mask and find its skyline; as `read_query`, with the pixels.
 
-    Returns
-    -------
-    image : (H, W, 3) uint8
-        RGB, upright, the pixels that the skyline's rows count: of a panorama wider than 160
-        degrees its middle.
-    query : QuerySkyline
+    These are (H, W, 3) uint8 RGB, upright, those that the skyline's rows count: of a panorama wider
+    than 160 degrees its middle.
     """
     photo = read_photo(path, fov_deg, projection=projection)
     _doubt_strip(path, photo)
@@ -208,12 +204,7 @@ def _middle(width: int, fov_deg: float) -> slice:
 def read_picture(path: str | Path) -> UInt8Array | None:
     """Return a query's photo (H, W, 3) uint8 RGB, upright; None for a trace or a sky mask.
 
-    Raises
-    ------
-    MissingFileError
-        There is no such file.
-    InputError
-        It cannot be decoded.
+    Raises as `read_photo`.
     """
     if Path(path).suffix.lower() == ".csv":
         return None
@@ -224,10 +215,8 @@ def read_picture(path: str | Path) -> UInt8Array | None:
 def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> None:
     """Write a photo (H, W, 3) uint8 RGB as PNG with the skyline's trusted columns drawn on it.
 
-    Raises
-    ------
-    InputError
-        The skyline is of an image of another size, or the file cannot be written.
+    Raises `InputError` where the skyline is of an image of another size, or the file cannot be
+    written.
     """
     height, width = photo.shape[:2]
     if (width, height) != (query.width_px, query.height_px):

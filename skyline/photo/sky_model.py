@@ -47,12 +47,8 @@ class SkySession(Protocol):
 def load_sky_model(path: str | Path) -> SkySession:
     """Open an ONNX model; see this module for what it takes and gives.
 
-    Raises
-    ------
-    MissingFileError
-        There is no such file.
-    InputError
-        onnxruntime is not installed, or the file is not a model.
+    Raises `MissingFileError`, and `InputError` where onnxruntime is not installed or the file is
+    not a model.
     """
     if not Path(path).is_file():
         raise MissingFileError(f"{path} does not exist; expected a sky model (ONNX)")
@@ -70,12 +66,8 @@ def model_skyline(image: UInt8Array, session: SkySession) -> QuerySkyline:
     """Find the skyline of a photo (H, W, 3) uint8 RGB with a sky model.
 
     A column's skyline is its topmost crossing of one half; its confidence is how far the
-    probability falls there within a hundredth of the rows.
-
-    Raises
-    ------
-    InputError
-        The model does not keep the contract, or no column has sky above ground.
+    probability falls there within a hundredth of the rows. Raises `InputError` where the model does
+    not keep the contract, or no column has sky above ground.
     """
     content = content_of(image)
     photo = content.crop(image)

@@ -89,24 +89,10 @@ def blocks_of(area: MapBounds) -> Blocks:
 
 
 def price_of(loss: float, sample: Horizons) -> float:
-    """Return what a place must save for a plan to lose no more than a share of the views.
+    """Return what a place must save, square metres of views, for a plan to lose at most a share.
 
-    Parameters
-    ----------
-    loss : float
-        The share, in (0, 1).
-    sample : Horizons
-        Skylines of viewpoints spread over the area; see `spread_over`.
-
-    Returns
-    -------
-    float
-        Square metres of views.
-
-    Raises
-    ------
-    InputError
-        A loss outside (0, 1), or below that of the finest lattice.
+    ``sample`` is of viewpoints spread over the area; see `spread_over`. Raises `InputError` for a
+    loss outside (0, 1), or below that of the finest lattice.
     """
     if not 0.0 < loss < 1.0:
         raise InputError(f"loss is {loss}; expected a share between 0 and 1, for example 0.2")
@@ -132,10 +118,7 @@ def price_of(loss: float, sample: Horizons) -> float:
 def spread_over(terrain: HeightField, area: MapBounds, eye_height_m: float) -> Viewpoints:
     """Return up to 512 viewpoints spread evenly over an area, always the same ones.
 
-    Raises
-    ------
-    InputError
-        None of them falls on the surface.
+    Raises `InputError` where none of them falls on the surface.
     """
     # The sequence of the plastic number (Roberts 2018) fills a square evenly.
     step = np.array([0.7548776662466927, 0.5698402909980532])
@@ -153,17 +136,9 @@ def spread_over(terrain: HeightField, area: MapBounds, eye_height_m: float) -> V
 
 
 class AdaptivePlanner:
-    """Lays out and renders places, block by block.
+    """Lays out and renders places, block by block; those outside the area are not kept.
 
-    Parameters
-    ----------
-    terrain : HeightField
-    look : Look
-    area : MapBounds
-        Places outside are not kept.
-    price : float
-        See `price_of`.
-    eye_height_m : float
+    The price is that of `price_of`.
     """
 
     def __init__(
