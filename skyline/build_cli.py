@@ -53,7 +53,10 @@ _OF_PLANNERS = ("candidate_spacing", "threshold_px", "coverage", "budget", "seed
 
 ShardKm = Annotated[
     float | None,
-    typer.Option(metavar="K", help="Build in tiles of K km; each tile is a job. With workers: 10."),
+    typer.Option(
+        metavar="K",
+        help="Build in tiles of K km; each tile is a job. The default with workers is 10.",
+    ),
 ]
 Rows = Annotated[
     str, typer.Option(help=f"How the store holds rows: {' or '.join(ROWS)} (docs/store.md).")
@@ -144,7 +147,7 @@ def build(
         ),
     ] = None,
     candidate_spacing: Annotated[
-        float, _renderings(help="Metres between candidates.")
+        float, _renderings(help="Metres between candidate locations.")
     ] = _PLANNED.spacing.candidate_m,
     threshold_px: Annotated[
         float,
@@ -159,7 +162,7 @@ def build(
         int | None,
         _renderings(metavar="N", help="Number of renderings; the threshold is raised to fit."),
     ] = None,
-    seed: Annotated[int, _renderings(help="Seed of its random choices.")] = _PLANNED.seed,
+    seed: Annotated[int, _renderings(help="Seed of the planner's random choices.")] = _PLANNED.seed,
     width: Annotated[int, _renderings(help="Columns of a 90 degree view.")] = _DEFAULTS.width,
     tolerance_px: Annotated[
         float, _renderings("--tolerance-px", help="Pixels by which a skyline may lie too low.")

@@ -24,7 +24,7 @@ COMMANDS = {
         "store_cli.store": "Check, repair, merge, compact and export stores.",
     },
     "Views from a place": {
-        "horizon_cli.horizon": "Give the horizon round places: elevation angle and distance by "
+        "horizon_cli.horizon": "Give the horizon around places: elevation angle and distance by "
         "azimuth from true north.",
         "horizon_cli.sun": "Say when the sun is above the mountains on a day: CSV of times in UTC "
         "(extra `sun`).",
@@ -36,7 +36,7 @@ COMMANDS = {
         "`--peaks`.",
         "info_cli.info": "Describe a DEM, a store, or the OpenGL in use.",
         "info_cli.explain": "Show which terrain a skyline depends on, what is left out, and what "
-        "that costs.",
+        "error that makes.",
         "dem_cli.dem": "Elevation data for an area.",
     },
 }

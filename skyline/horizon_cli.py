@@ -66,7 +66,7 @@ def horizon(
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
-    """Give the horizon round places: elevation angle and distance by azimuth from true north."""
+    """Give the horizon around places: elevation angle and distance by azimuth from true north."""
     if bool(at) == (points is not None):
         raise InputError("give places as --at LON,LAT or as --points FILE.csv")
     if output is not None and output.suffix.lower() not in SUFFIXES:

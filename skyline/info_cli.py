@@ -59,7 +59,7 @@ def explain(
     reproject: Reproject = False,
     as_json: AsJson = False,
 ) -> None:
-    """Show which terrain a skyline depends on, what is left out, and what that costs."""
+    """Show which terrain a skyline depends on, what is left out, and what error that makes."""
     curvature = Curvature(refraction_k=k, enabled=not no_curvature)
     config = RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
     pair = _parse_pair(at)

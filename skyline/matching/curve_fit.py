@@ -235,11 +235,9 @@ class CurveFit:
         if self.edge is None:
             return np.zeros(seen.miss.shape, dtype=np.bool_)
         azimuth, tangent = self._project(pose)
-        east_m, north_m = (
-            self.places.easting_m[:, np.newaxis],
-            self.places.northing_m[:, np.newaxis],
-        )
-        eye_m = self.places.eye_elevation_m[:, np.newaxis]
+        places = self.places
+        eyes = np.stack([places.easting_m, places.northing_m, places.eye_elevation_m])
+        east_m, north_m, eye_m = eyes.astype(np.float32)[..., np.newaxis]
         most = self.edge.elevation_tan(east_m, north_m, eye_m, azimuth + pose[:, :1])
         return np.asarray((seen.miss > 0.0) & (tangent < most))
 

@@ -28,7 +28,7 @@ from skyline.matching.progress import tell
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import thinned
 from skyline.matching.refine_config import RefineConfig
-from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, Fit, Linear, Solver
+from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, Fit, Solver
 from skyline.rows import Rows
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.viewpoints import Viewpoints
@@ -347,7 +347,7 @@ class Refinement:
             shown / trust.sum(),
             judged.effective_columns,
             np.array(solver.noise.height_m)[particles.fit.height],
-            _beyond_share(linear, trust),
+            _beyond_share(solver.beyond_rad(linear), trust, len(hypotheses)),
             _margin(hypotheses, self._config.elsewhere_m),
             _margin(hypotheses, self._config.far_m),
             self._renderings,
@@ -365,11 +365,11 @@ class Refinement:
         return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
 
 
-def _beyond_share(linear: Linear, trust: Float64Array) -> Float64Array:
+def _beyond_share(beyond_rad: Float64Array | None, trust: Float64Array, count: int) -> Float64Array:
     """Return the share (M,) of the trust in columns that what lies past the edge may rise in."""
-    if linear.beyond_rad is None:
-        return np.zeros(len(linear.place_m))
-    return np.asarray((linear.beyond_rad > 0.0) @ trust / trust.sum())
+    if beyond_rad is None:
+        return np.zeros(count)
+    return np.asarray((beyond_rad > 0.0) @ trust / trust.sum())
 
 
 def _margin(hypotheses: Hypotheses, elsewhere_m: float) -> Float64Array:

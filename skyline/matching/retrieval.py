@@ -36,8 +36,8 @@ _UNLIKELY = 0.25
 """Times the square of how many deviations a field of view is off: what its scores lose."""
 _SLOPE_BASE_M = 30.0
 _NOWHERE = (
-    "there is no place within what the search is narrowed to; widen it, or build a store of that "
-    "area"
+    "no place of the store lies within what the search is narrowed to; widen it, or build a store "
+    "of that area"
 )
 
 

@@ -178,9 +178,8 @@ class Linear:
     eye_m: Float64Array
     """(M,) float64. Their elevations, the ground taken to be level about where the curve was
     seen."""
-    beyond_rad: Float64Array | None
-    """(M, R) float64 or None. How far above the terrain's skyline terrain past the data's edge may
-    rise; below 0 where none reaches it."""
+    elevation_tan: Float64Array
+    """(M, R) float64. Tangent of the terrain's skyline there; NaN where unknown."""
 
 
 class Solver:
@@ -335,7 +334,6 @@ class Solver:
         residual = (rays.y - y) * to_angle
         # Next to an unknown column the curve may be known but not its slope.
         known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=-1)
-        eye_m = curves.ground_m + state[:, EYE_HEIGHT]
         return Linear(
             np.where(known, residual, np.nan),
             np.where(known[..., np.newaxis], jacobian, 0.0),
@@ -343,23 +341,20 @@ class Solver:
             there[..., 5],
             there[..., 6] * to_angle if there.shape[-1] > 6 else None,
             curves.place_m + state[:, EAST] + 1j * state[:, NORTH],
-            eye_m,
-            self._beyond_rad(curves.place_m, eye_m, azimuth, y),
+            curves.ground_m + state[:, EYE_HEIGHT],
+            y,
         )
 
-    def _beyond_rad(
-        self,
-        place_m: NDArray[np.complex128],
-        eye_m: Float64Array,
-        azimuth_rad: Float64Array,
-        y: Float64Array,
-    ) -> Float64Array | None:
-        """Return how far past skylines of tangents (M, R) what lies beyond the data may rise."""
+    def beyond_rad(self, linear: Linear) -> Float64Array | None:
+        """Return how far above the skyline, (M, R), terrain past the data's edge may rise.
+
+        It is below 0 where none reaches it, and 0 where the skyline is unknown.
+        """
         if self._edge is None:
             return None
-        place_m, eye_m = place_m[:, np.newaxis], eye_m[:, np.newaxis]
-        most = self._edge.elevation_tan(place_m.real, place_m.imag, eye_m, azimuth_rad)
-        return np.asarray(np.nan_to_num(np.arctan(most) - np.arctan(y)))
+        place_m, eye_m = linear.place_m[:, np.newaxis], linear.eye_m[:, np.newaxis]
+        most = self._edge.elevation_tan(place_m.real, place_m.imag, eye_m, linear.azimuth_rad)
+        return np.asarray(np.nan_to_num(np.arctan(most) - np.arctan(linear.elevation_tan)))
 
     def _errors(self, linear: Linear, curves: Curves) -> HeightErrors:
         step_rad = 2.0 * np.pi / curves.channels.shape[1]
@@ -370,7 +365,7 @@ class Solver:
             blur_rad,
             self.noise,
             linear.rise_rad,
-            linear.beyond_rad,
+            self.beyond_rad(linear),
         )
 
     def _judge(

@@ -5,11 +5,13 @@ from math import ceil
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float32Array, Float64Array
 from skyline.geodesy import Curvature, Rectangle
 from skyline.terrain.heightfield import HeightField
+
+Floats = NDArray[np.floating]
 
 _REACH_M = 10_000.0
 """Terrain past a point of the edge is taken to be no higher than what lies this near inside."""
@@ -29,14 +31,14 @@ class DataEdge:
     ----------
     bounds_m : (float, float, float, float)
         West, south, east, north.
-    highest_m : (4, P) float64
+    highest_m : (4, P) float32
         How high terrain may be past P parts of equal length of each of these sides, from south to
         north and from west to east.
     curvature : Curvature
     """
 
     bounds_m: Rectangle
-    highest_m: Float64Array
+    highest_m: Float32Array
     curvature: Curvature
 
     @classmethod
@@ -54,22 +56,23 @@ class DataEdge:
             ]
         )
         known = np.where(np.isfinite(highest_m), highest_m, terrain.height_range_m[1])
-        return cls(terrain.bounds_m, known, curvature)
+        return cls(terrain.bounds_m, known.astype(np.float32), curvature)
 
     def elevation_tan(
         self,
-        easting_m: ArrayLike,
-        northing_m: ArrayLike,
-        eye_elevation_m: ArrayLike,
-        azimuth_rad: ArrayLike,
-    ) -> Float64Array:
+        easting_m: Floats,
+        northing_m: Floats,
+        eye_elevation_m: Floats,
+        azimuth_rad: Floats,
+    ) -> Floats:
         """Return the greatest tangent of elevation of terrain past the edge.
 
         An eye above all that terrain sees it best at the horizon of its greatest height, not at the
-        edge. The arguments broadcast; azimuths are from grid north, places lie inside.
+        edge. The arguments broadcast; azimuths are from grid north, places lie inside. What is
+        given as float32 is worked out as such, for speed.
         """
         distance_m, highest_m = self._left(easting_m, northing_m, azimuth_rad)
-        above_m = highest_m - np.asarray(eye_elevation_m, dtype=np.float64)
+        above_m = highest_m - np.asarray(eye_elevation_m)
         drop = self.curvature.drop_per_m2
         if drop > 0.0:
             distance_m = np.maximum(distance_m, np.sqrt(np.maximum(-above_m, 0.0) / drop))
@@ -78,27 +81,28 @@ class DataEdge:
         return np.asarray(np.where(above_m > 0.0, above_m / distance_m, 0.0))
 
     def _left(
-        self, easting_m: ArrayLike, northing_m: ArrayLike, azimuth_rad: ArrayLike
-    ) -> tuple[Float64Array, Float64Array]:
+        self, easting_m: Floats, northing_m: Floats, azimuth_rad: Floats
+    ) -> tuple[Floats, Float32Array]:
         """Return how far off rays leave the data, and how high terrain may be past there."""
         west, south, east, north = self.bounds_m
-        easting_m, northing_m = np.asarray(easting_m), np.asarray(northing_m)
+        wide_m, high_m = east - west, north - south
+        from_middle_m = easting_m - (west + east) / 2.0, northing_m - (south + north) / 2.0
         sine, cosine = np.sin(azimuth_rad), np.cos(azimuth_rad)
         with np.errstate(divide="ignore", invalid="ignore"):
-            across = np.where(sine > 0.0, east - easting_m, easting_m - west) / np.abs(sine)
-            along = np.where(cosine > 0.0, north - northing_m, northing_m - south) / np.abs(cosine)
-        # Along one pair of sides a ray never meets them; who stands on one divides 0 by 0.
-        distance_m = np.fmin(across, along)
-        is_across = across <= along
+            across = wide_m / 2.0 / np.abs(sine) - from_middle_m[0] / sine
+            along = high_m / 2.0 / np.abs(cosine) - from_middle_m[1] / cosine
+        # A ray along two sides never meets them: NaN, for which nothing is smaller.
+        distance_m, is_across = np.fmin(across, along), across <= along
         share = np.where(
             is_across,
-            (northing_m + distance_m * cosine - south) / (north - south),
-            (easting_m + distance_m * sine - west) / (east - west),
+            (from_middle_m[1] + distance_m * cosine) / high_m,
+            (from_middle_m[0] + distance_m * sine) / wide_m,
         )
-        side = np.where(is_across, np.where(sine > 0.0, 2, 0), np.where(cosine > 0.0, 3, 1))
+        is_far = np.where(is_across, sine, cosine) > 0.0
         parts = self.highest_m.shape[1]
-        part = np.clip(parts * share, 0, parts - 1).astype(np.intp)
-        return np.maximum(distance_m, _LEAST_M), self.highest_m[side, part]
+        part = np.clip((share + 0.5) * parts, 0, parts - 1).astype(np.int32)
+        part += (2 * is_far + ~is_across) * np.int32(parts)
+        return np.maximum(distance_m, _LEAST_M), self.highest_m.ravel()[part]
 
 
 def _highest(band_m: NDArray[np.floating], reach: int) -> Float64Array:

@@ -80,7 +80,7 @@ def test_a_search_narrowed_to_nothing_is_one_line(run, store, photo, tmp_path):
         ("--elevation", "8000,9000"),
     ):
         done = run(*command, *options)
-        assert_refused(done, "no place within what the search is narrowed to")
+        assert_refused(done, "lies within what the search is narrowed to")
     done = run(*command, "--elevation", "8000,9000", "--report", tmp_path / "report")
     assert done.code == 2
     assert not (tmp_path / "report").exists()

@@ -129,4 +129,4 @@ def test_a_search_narrowed_to_nothing_is_said_for_each_query(store, traces, smal
     assert len(found) == len(traces)
     for one in found:
         assert isinstance(one, InputError)
-        assert "no place within what the search is narrowed to" in str(one)
+        assert "lies within what the search is narrowed to" in str(one)

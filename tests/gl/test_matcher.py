@@ -201,7 +201,7 @@ def test_a_narrowed_search_looks_nowhere_else(store, terrain, queries):
         for place in matcher.match(query, narrowing=away).candidates:
             off_deg = place.heading_deg - (truth.heading_deg + turn)
             assert abs((off_deg + 180.0) % 360.0 - 180.0) >= 140.0
-        with pytest.raises(InputError, match="no place within what the search is narrowed to"):
+        with pytest.raises(InputError, match="lies within what the search is narrowed to"):
             matcher.match(query, narrowing=Narrowing(elevation_m=(8000.0, 9000.0)))
 
 

@@ -248,7 +248,7 @@ def test_a_narrowed_search_a_cancelled_one_and_one_without_an_answer(page, photo
         page.find(f"#{name}").clear()
         page.find(f"#{name}").send_keys(value)
     page.click("#find")
-    page.until(lambda: any("no place within" in said for said in page.alerts()))
+    page.until(lambda: any("no place of the store" in said for said in page.alerts()))
     page.click("#elevation-known")
     page.click("#near-known")
     page.click("#heading-known")

@@ -1,0 +1,5 @@
+"""``python -m skyline``: the command line."""
+
+from skyline.cli import main
+
+main()
