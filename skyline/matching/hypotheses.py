@@ -37,6 +37,19 @@ class Hypotheses(Rows):
     def __len__(self) -> int:
         return len(self.score)
 
+    def apart_m(self) -> Float64Array:
+        """Return how far the poses stand from one another, (M, M)."""
+        place = self.easting_m + 1j * self.northing_m
+        return np.asarray(np.abs(place[:, np.newaxis] - place))
+
+    def lead(self, least_m: float) -> Float64Array:
+        """Return (M,): score of the best pose farther off than that minus each one's own.
+
+        Infinite where none is so far off.
+        """
+        rival = np.where(self.apart_m() > least_m, self.score, np.inf).min(axis=1, initial=np.inf)
+        return np.asarray(rival - self.score)
+
     def suppress_non_maxima(
         self, count: int, separation_m: float, turn_deg: float = 360.0
     ) -> IntArray:

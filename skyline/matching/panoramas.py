@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
@@ -47,19 +48,35 @@ class Panoramas(Rows):
         skyline is a lower bound, and taken as it is: what the query shows above it may be
         something else, as where a tree stands. Raises as `check_bins` of `skyline.horizons`.
         """
-        quarter = check_bins(bins) // 4
-        azimuth = 2.0 * np.pi / bins * (np.arange(quarter) - quarter // 2)
-        position = (np.tan(azimuth) + 1.0) * views.width / 2.0 - 0.5
-        left = np.clip(np.floor(position).astype(np.intp), 0, views.width - 2)
-        share = position - left
+        azimuth, left, share = quadrant_columns(views.width, check_bins(bins))
         # v is linear between columns (exactly so along a straight edge); depth may jump.
         v = np.where(views.flags & FLAG_NO_DATA, np.nan, views.elevation_tan).astype(np.float64)
         nearest = left + (share > 0.5)
         y = (v[:, left] * (1.0 - share) + v[:, left + 1] * share) * np.cos(azimuth)
         distance = views.depth_m[:, nearest].astype(np.float64) / np.cos(azimuth)
-        bin_ = views.heading[:, np.newaxis].astype(np.intp) * quarter - quarter // 2
-        bin_ = (bin_ + np.arange(quarter)) % bins
+        bin_ = quadrant_bins(views.heading, bins)
         joined = np.full((2, count, bins), np.nan)
         joined[0, row[:, np.newaxis], bin_] = y
         joined[1, row[:, np.newaxis], bin_] = np.where(np.isfinite(y), distance, np.nan)
         return cls(joined[0], joined[1])
+
+
+def quadrant_columns(width: int, bins: int) -> tuple[Float64Array, IntArray, Float64Array]:
+    """Return where a view's bins (B / 4,) lie in it, from 45 degrees left of its heading on.
+
+    That is each one's azimuth from the heading, radians, the column left of it and its share of the
+    way to the next. The left seam lies half a column outside the columns' centres and is
+    extrapolated by that; the right one belongs to the next heading.
+    """
+    quarter = bins // 4
+    azimuth = 2.0 * np.pi / bins * (np.arange(quarter) - quarter // 2)
+    position = (np.tan(azimuth) + 1.0) * width / 2.0 - 0.5
+    left = np.clip(np.floor(position).astype(np.intp), 0, width - 2)
+    return azimuth, left, position - left
+
+
+def quadrant_bins(heading: NDArray[np.integer], bins: int) -> IntArray:
+    """Return which bins (N, B / 4) of the turn those of views of headings (N,) are."""
+    quarter = bins // 4
+    first = heading[:, np.newaxis].astype(np.intp) * quarter - quarter // 2
+    return (first + np.arange(quarter)) % bins

@@ -348,8 +348,8 @@ class Refinement:
             judged.effective_columns,
             np.array(solver.noise.height_m)[particles.fit.height],
             _beyond_share(solver.beyond_rad(linear), trust, len(hypotheses)),
-            _margin(hypotheses, self._config.elsewhere_m),
-            _margin(hypotheses, self._config.far_m),
+            hypotheses.lead(self._config.elsewhere_m),
+            hypotheses.lead(self._config.far_m),
             self._renderings,
         )
 
@@ -370,11 +370,3 @@ def _beyond_share(beyond_rad: Float64Array | None, trust: Float64Array, count: i
     if beyond_rad is None:
         return np.zeros(count)
     return np.asarray((beyond_rad > 0.0) @ trust / trust.sum())
-
-
-def _margin(hypotheses: Hypotheses, elsewhere_m: float) -> Float64Array:
-    """Return (M,): score of the best pose elsewhere minus each one's own."""
-    place = hypotheses.easting_m + 1j * hypotheses.northing_m
-    elsewhere = np.abs(place[:, np.newaxis] - place) > elsewhere_m
-    rival = np.where(elsewhere, hypotheses.score, np.inf).min(axis=1, initial=np.inf)
-    return np.asarray(rival - hypotheses.score)

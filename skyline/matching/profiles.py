@@ -11,6 +11,7 @@ from skyline.camera import DEFAULT_WIDTH, pixel_size
 from skyline.errors import InputError
 from skyline.features import NO_KEYPOINT
 from skyline.horizons import check_bins
+from skyline.matching.panoramas import quadrant_bins, quadrant_columns
 from skyline.views import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
 
 DEFAULT_BINS = 2048
@@ -88,17 +89,9 @@ class Profiles:
 
 
 def _quadrant(views: Views, bins: int) -> Float32Array:
-    """Return y (N, B / 4) at the bins of each view, from 45 degrees left of its heading on.
-
-    v is linear between columns (exactly so along a straight edge). The left seam lies half a
-    column outside the columns' centres and is extrapolated by that; the right one belongs to
-    the next heading.
-    """
-    width = views.width
-    azimuth = 2.0 * np.pi / bins * (np.arange(bins // 4) - bins // 8)
-    position = (np.tan(azimuth) + 1.0) * width / 2.0 - 0.5
-    left = np.clip(np.floor(position).astype(np.intp), 0, width - 2)
-    share = (position - left).astype(np.float32)
+    """Return y (N, B / 4) at the bins of each view; v is linear between columns."""
+    azimuth, left, beyond_left = quadrant_columns(views.width, bins)
+    share = beyond_left.astype(np.float32)
     unusable = (views.flags & (FLAG_NO_DATA | FLAG_OUT_OF_IMAGE)) != 0
     v = np.where(unusable, np.float32(np.nan), views.elevation_tan)
     between = v[:, left] * (1.0 - share) + v[:, left + 1] * share
@@ -122,8 +115,7 @@ def _joined(
     view = 0
     for quadrant in quadrants:
         rows = slice(view, view + len(quadrant))
-        column = (heading[rows, np.newaxis] * size - size // 2 + np.arange(size)) % (4 * size)
-        y[location[rows, np.newaxis], column] = quadrant
+        y[location[rows, np.newaxis], quadrant_bins(heading[rows], 4 * size)] = quadrant
         view += len(quadrant)
     return y
 

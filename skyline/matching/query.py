@@ -62,6 +62,12 @@ class QueryRays:
         return self.fov_range_deg or (self.fov_deg, self.fov_deg)
 
     @property
+    def log_scale_bounds(self) -> tuple[float, float]:
+        """Those as logarithms of the tangent of half of each over that of half of `fov_deg`."""
+        low, high = log_tangent(np.array(self.fov_bounds_deg)) - log_tangent(self.fov_deg)
+        return float(low), float(high)
+
+    @property
     def log_scale_sd(self) -> float:
         """Deviation of the logarithm of the tangent of half the field of view."""
         fov_rad = math.radians(self.fov_deg)
@@ -123,6 +129,11 @@ class Attitudes:
     def pairs(self) -> list[tuple[float, float]]:
         """Return every (pitch, roll)."""
         return [(pitch, roll) for pitch in self.pitch_deg for roll in self.roll_deg]
+
+
+def log_tangent(fov_deg: Float64Array | float) -> Float64Array:
+    """Return the logarithm of the tangent of half a field of view, degrees."""
+    return np.asarray(np.log(np.tan(np.radians(fov_deg) / 2.0)))
 
 
 def level(

@@ -1,7 +1,7 @@
 """What every matcher answers with, and how a list of answers is drawn from all scores."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.profiles import Profiles
+from skyline.rows import Rows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -152,7 +153,7 @@ def _as_rows(covariance_m2: Float64Array) -> tuple[tuple[float, float], tuple[fl
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fits:
+class Fits(Rows):
     """The best pose of a query at each of L locations."""
 
     score: Float64Array
@@ -170,24 +171,17 @@ class Fits:
     def placed_among(self, rows: IntArray, locations: int) -> "Fits":
         """Return these as the fits of ``rows`` among ``locations``, with none elsewhere."""
         wide = Fits.none(locations)
-        for f in fields(self):
-            getattr(wide, f.name)[rows] = getattr(self, f.name)
+        for name in self._names():
+            getattr(wide, name)[rows] = getattr(self, name)
         return wide
 
     def split(self, parts: int) -> list["Fits"]:
         """Return so many parts of equal length, in order."""
-        columns = [np.split(getattr(self, f.name), parts) for f in fields(self)]
-        return [Fits(*part) for part in zip(*columns, strict=True)]
+        return [self[rows] for rows in np.split(np.arange(len(self.score)), parts)]
 
     def best_with(self, other: "Fits") -> "Fits":
         """Return the better of two at each location; this one where they are equal."""
-        better = other.score < self.score
-        return Fits(
-            np.where(better, other.score, self.score),
-            np.where(better, other.heading_deg, self.heading_deg),
-            np.where(better, other.pitch_deg, self.pitch_deg),
-            np.where(better, other.roll_deg, self.roll_deg),
-        )
+        return self.replaced(other.score < self.score, other)
 
 
 def select(

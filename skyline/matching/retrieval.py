@@ -186,7 +186,7 @@ class Retriever:
     def _screen(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         """Prepare to find places: few fields of view, the likely ones."""
         likely = _LIKELY_DEVIATIONS * query.log_scale_sd
-        low, high = np.clip(_zoom_bounds(query), -likely, likely)
+        low, high = np.clip(query.log_scale_bounds, -likely, likely)
         zooms = _middles(float(low), float(high), self.config.zoom_step)
         unlikely = _UNLIKELY * np.square(zooms / query.log_scale_sd)
         return self._prepared(query, narrowed, zooms, unlikely)
@@ -220,7 +220,7 @@ class Retriever:
         return _Start(places, score, np.radians(heading_deg), self._start_zooms(query)[fov])
 
     def _start_zooms(self, query: QueryRays) -> Float64Array:
-        return _middles(*_zoom_bounds(query), self.config.start_zoom_step)
+        return _middles(*query.log_scale_bounds, self.config.start_zoom_step)
 
     def _fitted(self, query: QueryRays, aim: Screen, alike: Alike) -> Hypotheses:
         """Return the fitted poses of the places most alike."""
@@ -243,12 +243,12 @@ class Retriever:
 
     def _fits(self, query: QueryRays, start: "_Start", config: FitConfig) -> Hypotheses:
         """Return the poses of places fitted from where they start, in order."""
-        rays, bounds = Rays.of(query, config.rays), _zoom_bounds(query)
+        rays = Rays.of(query, config.rays)
+        lens = query.fov_deg, query.log_scale_bounds, query.log_scale_sd
 
         def fitted(first: int) -> Hypotheses:
             some = start[slice(first, first + _FITS_AT_ONCE)]
             places, slope = some.places, self._slope(some.places)
-            lens = query.fov_deg, bounds, query.log_scale_sd
             fit = CurveFit(places, slope, rays, *lens, config, self._edge)
             fits = fit.fit(some.heading_rad, some.zoom)
             heading, pitch, roll, zoom = fits.pose[:, :4].T.astype(np.float64)
@@ -310,13 +310,6 @@ def _total(found: Sequence[Hypotheses]) -> Float64Array:
     if len(found) == 1:
         return found[0].score
     return np.asarray(sum(np.minimum(one.score, np.median(one.score)) for one in found))
-
-
-def _zoom_bounds(query: QueryRays) -> tuple[float, float]:
-    """Return the range of log(tan(fov / 2)) against the query's own."""
-    low, high = np.log(np.tan(np.radians(query.fov_bounds_deg) / 2.0))
-    own = np.log(np.tan(np.radians(query.fov_deg) / 2.0))
-    return float(low - own), float(high - own)
 
 
 def _middles(low: float, high: float, step: float) -> Float64Array:

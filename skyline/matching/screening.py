@@ -34,6 +34,7 @@ from skyline.matching.progress import tell
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
 from skyline.places import PHASE_BINS, Places, PlaceSource
 from skyline.places.phases import decode_phases, rise_to_turn
+from skyline.rows import Rows
 
 Within = Callable[[Places], BoolArray]
 """Which of a block's places (N,) are searched."""
@@ -54,7 +55,7 @@ _LEVEL = Attitudes((0.0,), (0.0,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Alike:
+class Alike(Rows):
     """The K places most like a query, best first.
 
     Attributes
@@ -74,18 +75,13 @@ class Alike:
 
     def best(self, count: int) -> "Alike":
         """Return the best; of equals those that come first in the source."""
-        order = np.lexsort((self.row, -self.score))[:count]
-        return Alike(self.row[order], self.score[order])
+        return self[np.lexsort((self.row, -self.score))[:count]]
 
     @classmethod
     def joined(cls, parts: list["Alike"]) -> "Alike":
         """Return places of several parts of a source as one list, not sorted."""
-        if not parts:
-            return cls(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.float32))
-        return cls(
-            np.concatenate([part.row for part in parts]),
-            np.concatenate([part.score for part in parts]),
-        )
+        none = cls(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.float32))
+        return cls.concatenate([none, *parts])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

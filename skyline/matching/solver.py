@@ -26,7 +26,7 @@ from skyline.matching.eye_height import EyeHeight
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.noise import HeightErrors, Judged, Noise, judge
 from skyline.matching.panoramas import Panoramas
-from skyline.matching.query import QueryRays
+from skyline.matching.query import QueryRays, log_tangent
 from skyline.matching.rays import level_with_changes
 from skyline.rows import Rows
 from skyline.terrain.edge import DataEdge
@@ -203,7 +203,7 @@ class Solver:
         self.config = config
         self.noise = replace(config.noise, height_sd_m=height_sd_m)
         self._eye = eye
-        low, high = _log_tangent(np.array(query.fov_bounds_deg)) - _log_tangent(query.fov_deg)
+        low, high = query.log_scale_bounds
         self._low, self._high = np.full(7, -np.inf), np.full(7, np.inf)
         self._low[[EYE_HEIGHT, LOG_SCALE]] = eye.least_m, low
         self._high[[EYE_HEIGHT, LOG_SCALE]] = eye.most_m, high
@@ -227,7 +227,7 @@ class Solver:
         state[:, HEADING] = np.radians(hypotheses.heading_deg)
         state[:, PITCH] = np.radians(hypotheses.pitch_deg)
         state[:, ROLL] = np.radians(hypotheses.roll_deg)
-        scale = _log_tangent(hypotheses.fov_deg) - _log_tangent(self.query.fov_deg)
+        scale = log_tangent(hypotheses.fov_deg) - log_tangent(self.query.fov_deg)
         state[:, LOG_SCALE] = np.clip(scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
         angle, height = (np.full(count, index) for index in self.noise.widest)
         odds = np.ones((count, len(self.query.u)))
@@ -253,7 +253,7 @@ class Solver:
 
     def fov_deg(self, state: Float64Array) -> Float64Array:
         """Return the field of view of states (M, 7), degrees."""
-        tangent = np.exp(state[:, LOG_SCALE] + _log_tangent(self.query.fov_deg))
+        tangent = np.exp(state[:, LOG_SCALE] + log_tangent(self.query.fov_deg))
         return np.asarray(np.degrees(2.0 * np.arctan(tangent)))
 
     def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
@@ -455,7 +455,3 @@ class Solver:
         precision, off_m = self._claim.lift(linear.eye_m)
         gradient[:, EYE_HEIGHT] += precision * off_m
         normal[:, EYE_HEIGHT, EYE_HEIGHT] += precision
-
-
-def _log_tangent(fov_deg: Float64Array | float) -> Float64Array:
-    return np.asarray(np.log(np.tan(np.radians(fov_deg) / 2.0)))
