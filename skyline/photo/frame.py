@@ -95,7 +95,7 @@ def _bar_length(image: UInt8Array) -> int:
     colour = np.median(image[0], axis=0)
     length = 0
     while length <= longest:
-        if _share_of(image[length], colour) < _BAR_SHARE:
+        if _alike(image[length], colour).mean() < _BAR_SHARE:
             break
         length += 1
     mixed = image[length : length + _BAR_BLUR_PX]
@@ -114,10 +114,6 @@ def _is_content(row: UInt8Array, colour: NDArray[np.float64]) -> bool:
     return bool(differs.size >= _EDGE_SHARE * (differs[-1] + 1 - differs[0]))
 
 
-def _share_of(pixels: UInt8Array, colour: NDArray[np.float64]) -> float:
-    """Return the share of (N, 3) pixels that are of the colour."""
-    return float(_alike(pixels, colour).mean())
-
-
 def _alike(pixels: UInt8Array, colour: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which of pixels (N, 3) are of a colour."""
     return np.asarray(np.abs(pixels - colour).max(axis=-1) <= _COLOUR_TOLERANCE)

@@ -72,7 +72,7 @@ def lens_of(tags: Mapping[int, object], stored_size: tuple[int, int], turned: bo
     focal, dropped = _focal(tags, frame)
     if focal is None:
         return Lens(said=dropped)
-    if _aspect(stored_size) > MAX_PINHOLE_ASPECT:
+    if max(stored_size) / min(stored_size) > MAX_PINHOLE_ASPECT:
         return Lens(said=f"{focal.source} left aside: the photo is a panorama or a strip")
     kept = _kept(stored_size, frame)
     across = kept[1] if turned else kept[0]
@@ -167,10 +167,6 @@ def _is_whole(stored: tuple[int, int], frame: tuple[float, float]) -> bool:
 def _is_unscaled(stored: tuple[int, int], frame: tuple[float, float]) -> bool:
     """Whether a file has all columns or all rows of the frame, and no more of the other."""
     return max(stored[0] - frame[0], stored[1] - frame[1]) == 0.0
-
-
-def _aspect(size: tuple[float, float]) -> float:
-    return max(size) / min(size)
 
 
 def _positive(value: object) -> float | None:
