@@ -69,7 +69,8 @@ def quadrant_columns(width: int, bins: int) -> tuple[Float64Array, IntArray, Flo
     extrapolated by that; the right one belongs to the next heading.
     """
     quarter = bins // 4
-    azimuth = 2.0 * np.pi / bins * (np.arange(quarter) - quarter // 2)
+    steps = np.arange(quarter) - quarter // 2
+    azimuth = np.asarray(2.0 * np.pi / bins * steps, dtype=np.float64)
     position = (np.tan(azimuth) + 1.0) * width / 2.0 - 0.5
     left = np.clip(np.floor(position).astype(np.intp), 0, width - 2)
     return azimuth, left, position - left
