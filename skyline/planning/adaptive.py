@@ -15,10 +15,10 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
 from skyline.errors import InputError
+from skyline.geodesy import Rectangle
 from skyline.horizons import Horizons
 from skyline.places import Places
 from skyline.planning.loss import lost_shares
-from skyline.planning.uniform import MapBounds
 from skyline.rows import Rows
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
@@ -79,7 +79,7 @@ class Blocks(Rows):
         return np.isin(self.col + 1j * self.row, held)
 
 
-def blocks_of(area: MapBounds) -> Blocks:
+def blocks_of(area: Rectangle) -> Blocks:
     """Return the blocks that meet an area, row by row from the north-west."""
     west, south, east, north = (side / BLOCK_M for side in area)
     col = np.arange(np.floor(west), np.ceil(east), dtype=np.int64)
@@ -115,7 +115,7 @@ def price_of(loss: float, sample: Horizons) -> float:
     return low
 
 
-def spread_over(terrain: HeightField, area: MapBounds, eye_height_m: float) -> Viewpoints:
+def spread_over(terrain: HeightField, area: Rectangle, eye_height_m: float) -> Viewpoints:
     """Return up to 512 viewpoints spread evenly over an area, always the same ones.
 
     Raises `InputError` where none of them falls on the surface.
@@ -142,7 +142,7 @@ class AdaptivePlanner:
     """
 
     def __init__(
-        self, terrain: HeightField, look: Look, area: MapBounds, price: float, eye_height_m: float
+        self, terrain: HeightField, look: Look, area: Rectangle, price: float, eye_height_m: float
     ) -> None:
         self._terrain = terrain
         self._look = look

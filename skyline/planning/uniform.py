@@ -3,21 +3,17 @@
 import numpy as np
 
 from skyline.errors import InputError
+from skyline.geodesy import Bounds, Rectangle
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
 
-MapBounds = tuple[float, float, float, float]
-"""West, south, east, north in metres of the DEM's frame."""
 
-
-def map_bounds(
-    field: HeightField, bounds_deg: tuple[float, float, float, float] | None
-) -> MapBounds:
-    """Return the part of a field inside bounds in degrees (W, S, E, N; WGS 84), or all of it.
+def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
+    """Return the part of a field inside bounds (WGS 84), or all of it.
 
     The box in degrees is a curved quadrangle on the map; its bounding rectangle is returned,
-    clipped to the field. West above east means a box across the antimeridian. Raises `InputError`
-    for bounds that are not numbers in order, or that do not meet the field.
+    clipped to the field. Raises `InputError` for bounds that are not numbers in order, or that do
+    not meet the field.
     """
     if bounds_deg is None:
         return field.bounds_m
@@ -44,7 +40,7 @@ def map_bounds(
 def uniform_grid(
     field: HeightField,
     spacing_m: float,
-    bounds_m: MapBounds | None = None,
+    bounds_m: Rectangle | None = None,
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
 ) -> Viewpoints:
     """Place viewpoints at whole multiples of a spacing in the field's frame.
