@@ -17,7 +17,7 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from skyline.photo import write_overlay
+from skyline.photo.read import write_overlay
 from skyline.pipeline.build import save_depth_pictures
 from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.match import Matcher

@@ -16,20 +16,14 @@ from .matching.ranking import Candidate
 from .matching.refine_config import RefineConfig
 from .matching.retrieval import RetrievalConfig
 from .matching.screening import Alike
-from .photo import (
-    Correction,
-    Lens,
-    NotedPlace,
-    Photo,
-    Projection,
-    QuerySkyline,
-    Stroke,
-    StrokeKind,
-    read_photo,
-    read_query,
-    read_trace,
-    write_trace,
-)
+from .photo.correction import Correction, Stroke, StrokeKind
+from .photo.decode import Photo
+from .photo.exif import NotedPlace
+from .photo.lens import Lens
+from .photo.projection import Projection
+from .photo.query import QuerySkyline
+from .photo.read import read_photo, read_query
+from .photo.trace import read_trace, write_trace
 from .pipeline.build import BuildResult, render_to_store, render_views
 from .pipeline.config import PlaceConfig, RenderConfig
 from .pipeline.local_horizons import horizon

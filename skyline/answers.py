@@ -11,7 +11,7 @@ import typer
 from skyline.console import complain, patience, remark, told
 from skyline.errors import SkylineError
 from skyline.matching.match_config import MatchConfig
-from skyline.photo import QuerySkyline
+from skyline.photo.query import QuerySkyline
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.opened import terrain_at_hand
 from skyline.pipeline.queries import Query

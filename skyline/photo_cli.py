@@ -21,9 +21,12 @@ from skyline.console import (
     runner_of,
 )
 from skyline.errors import InputError, SkylineError
-from skyline.matching import Narrowing
 from skyline.matching.match_config import MatchConfig
-from skyline.photo import Projection, QuerySkyline, extract_photo, write_overlay, write_trace
+from skyline.matching.narrowing import Narrowing
+from skyline.photo.projection import Projection
+from skyline.photo.query import QuerySkyline
+from skyline.photo.read import extract_photo, write_overlay
+from skyline.photo.trace import write_trace
 from skyline.pipeline.batch import match_many
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import FULL, MATCHERS

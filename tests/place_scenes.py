@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from skyline.horizons import Horizons, bin_azimuths_rad
-from skyline.matching import QueryRays
+from skyline.matching.query import QueryRays
 from skyline.places import BINS, Places
 
 AZIMUTH_DEG = np.degrees(bin_azimuths_rad(BINS))

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from skyline.matching import Hypotheses, QueryRays
+from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.panoramas import Panoramas
+from skyline.matching.query import QueryRays
 
 BINS = 1440
 

@@ -5,7 +5,8 @@ import rasterio
 from rasterio.transform import Affine
 
 from skyline.geodesy import Frame
-from skyline.matching import Candidate, Hypotheses, Ranking
+from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.ranking import Candidate, Ranking
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.cases import closed_forms
 

@@ -31,33 +31,22 @@ _REACH_M = 1000.0
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """Where a photo says that it was taken, in the frame of a search.
-
-    Attributes
-    ----------
-    easting_m, northing_m : float
-    sd_m : float
-        Scale of the position's error.
-    heading_deg : float, optional
-        Grid azimuth of the optical axis.
-    heading_sd_deg : float
-        Its deviation, where the compass is right.
-    elevation_m : float, optional
-        Of the eye; its error is spread like a Cauchy distribution.
-    elevation_sd_m : float
-        How it is spread.
-    weight : float
-        What its probabilities count among scores, which may be worth less than log odds.
-    """
+    """Where a photo says that it was taken, in the frame of a search."""
 
     easting_m: float
     northing_m: float
     sd_m: float
+    """Scale of the position's error."""
     heading_deg: float | None = None
+    """Grid azimuth of the optical axis."""
     heading_sd_deg: float = 20.0
+    """Its deviation, where the compass is right."""
     elevation_m: float | None = None
+    """Of the eye; its error is spread like a Cauchy distribution."""
     elevation_sd_m: float = 30.0
+    """How it is spread."""
     weight: float = 1.0
+    """What its probabilities count among scores, which may be worth less than log odds."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite([self.easting_m, self.northing_m]).all() and self.sd_m > 0.0):
@@ -76,14 +65,8 @@ class Claim:
     ) -> Float64Array:
         """Return -log of how much likelier poses (M,) are than without the claim, times the weight.
 
-        Parameters
-        ----------
-        place_m : (M,) complex128
-            Easting, and northing as the imaginary part.
-        eye_m : (M,) float64
-            Elevations of the eye.
-        heading_rad : (M,) float64
-            Grid azimuths of the optical axis.
+        ``place_m`` is the easting, and the northing as the imaginary part; headings are grid
+        azimuths of the optical axis.
         """
         cost = -np.log(_WRONG_SHARE + self._peak * self._tail(place_m) ** -1.5)
         if self.heading_deg is not None:

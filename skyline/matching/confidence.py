@@ -20,7 +20,7 @@ from importlib import resources
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float64Array
+from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.pose import Poses
@@ -41,21 +41,14 @@ _MODELS = "confidence.json"
 
 @dataclass(frozen=True, slots=True)
 class Logistic:
-    """A logistic model.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Of the F figures.
-    mean, scale, weight : tuple of float
-        F each.
-    bias : float
-    """
+    """A logistic model."""
 
     names: tuple[str, ...]
+    """Of the F figures."""
     mean: tuple[float, ...]
     scale: tuple[float, ...]
     weight: tuple[float, ...]
+    """``mean``, ``scale``, ``weight``: F each."""
     bias: float
 
     def probability(self, figures: Mapping[str, Float64Array]) -> Float64Array:
@@ -82,8 +75,9 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
     in a narrow search, the margin over those nearer counts for both.
     """
     retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
-    margin = np.where(_apart(found, RIGHT_WITHIN_M).any(), poses.margin, 0.0)
-    far_margin = np.where(_apart(found, ROUGHLY_WITHIN_M).any(), poses.far_margin, margin)
+    widest_m = found.apart_m().max(initial=0.0)
+    margin = poses.margin if widest_m > RIGHT_WITHIN_M else np.zeros(len(poses))
+    far_margin = poses.far_margin if widest_m > ROUGHLY_WITHIN_M else margin
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
     return {
         "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
@@ -151,17 +145,10 @@ def models() -> dict[str, Logistic]:
     }
 
 
-def _apart(found: Hypotheses, least_m: float) -> BoolArray:
-    """Return which of M poses are farther than so many metres from which, (M, M)."""
-    place = found.easting_m + 1j * found.northing_m
-    return np.asarray(np.abs(place[:, np.newaxis] - place) > least_m)
-
-
 def _lead(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Float64Array:
     """Return by how much each pose's score is better than the best one's that far off, (M,)."""
-    apart = _apart(found, least_m)
-    rival = np.where(apart, found.score, np.inf).min(axis=1, initial=np.inf)
-    return np.where(apart.any(axis=1), rival - found.score, otherwise)
+    is_far_from_any = (found.apart_m() > least_m).any(axis=1)
+    return np.where(is_far_from_any, found.lead(least_m), otherwise)
 
 
 def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:

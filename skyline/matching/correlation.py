@@ -42,24 +42,16 @@ _CHUNK = 8
 
 @dataclass(frozen=True, slots=True)
 class CorrelationMatcher:
-    """The plain baseline: the greatest normalized correlation wins.
-
-    Attributes
-    ----------
-    attitudes : Attitudes
-        Assumed pitches and rolls.
-    min_overlap : float
-        Least share of the query's weight that must lie over known profile, in (0, 1].
-    flat_px : float
-        Curves with a smaller standard deviation over the overlap have no correlation.
-    separation_m : float
-        Candidates are at least this far apart.
-    """
+    """The plain baseline: the greatest normalized correlation wins."""
 
     attitudes: Attitudes = field(default_factory=Attitudes)
+    """Assumed pitches and rolls."""
     min_overlap: float = 0.8
+    """Least share of the query's weight that must lie over known profile, in (0, 1]."""
     flat_px: float = 0.1
+    """Curves with a smaller standard deviation over the overlap have no correlation."""
     separation_m: float = 0.0
+    """Candidates are at least this far apart."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.min_overlap <= 1.0:

@@ -33,50 +33,34 @@ _MIN_FORWARD = np.float32(0.05)
 
 @dataclass(frozen=True, slots=True)
 class FitConfig:
-    """How poses are fitted to profiles.
-
-    Attributes
-    ----------
-    rays : int
-        Means over runs of the query's columns that are fitted.
-    rounds_deg : tuple of float
-        Scale of the Cauchy weights, beside the expected error, round by round.
-    query_error_deg : float
-        Expected error of such a mean, at a field of view of 60 degrees.
-    curvature : float
-        A query that deviates by t from its place, past terrain at distance D, leaves an error
-        of ``curvature * (t / D)**2`` in the tangent.
-    pitch_deg, roll_deg : float
-        Standard deviations of the camera's attitude.
-    outlier : float
-        A ray misses by at most so many expected errors.
-    """
+    """How poses are fitted to profiles."""
 
     rays: int = 100
+    """Means over runs of the query's columns that are fitted."""
     rounds_deg: tuple[float, ...] = (0.5, 0.35, 0.25, 0.2, 0.2)
+    """Scale of the Cauchy weights, beside the expected error, round by round."""
     query_error_deg: float = 0.06
+    """Expected error of such a mean, at a field of view of 60 degrees."""
     curvature: float = 0.05
+    """A query that deviates by t from its place, past terrain at distance D, leaves an error of
+    ``curvature * (t / D)**2`` in the tangent."""
     pitch_deg: float = 5.0
     roll_deg: float = 4.0
+    """``pitch_deg``, ``roll_deg``: standard deviations of the camera's attitude."""
     outlier: float = 4.0
+    """A ray misses by at most so many expected errors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedPoses:
-    """M fitted poses.
-
-    Attributes
-    ----------
-    pose : (M, 6) float32
-        Heading from grid north, pitch and roll, radians; zoom: log(tan(fov / 2)) against that of
-        the query's own; metres east and north of the stored place.
-    score : (M,) float32
-        Mean over rays of the negative log of their likelihood but for a constant; lower is
-        better.
-    """
+    """M fitted poses."""
 
     pose: Float32Array
+    """(M, 6) float32. Heading from grid north, pitch and roll, radians; zoom: log(tan(fov / 2))
+    against that of the query's own; metres east and north of the stored place."""
     score: Float32Array
+    """(M,) float32. Mean over rays of the negative log of their likelihood but for a constant;
+    lower is better."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,30 +100,19 @@ class _Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveFit:
-    """Fits poses of one query to M places, one pose each.
-
-    Attributes
-    ----------
-    places : Places
-        M of them. Queries are taken evenly within a place's tolerance, so their deviation from
-        it is the tolerance over the root of 3; no fit moves farther than twice that.
-    ground_slope : (M, 2) float32
-        Rise of the ground to the east and to the north.
-    rays : Rays
-    fov_deg : float
-        What the rays were made with.
-    zoom_bounds : (float, float)
-    zoom_sd : float
-        Deviation of the zoom about 0; infinite where any within the bounds is as likely.
-    config : FitConfig
-    """
+    """Fits poses of one query to M places, one pose each."""
 
     places: Places
+    """M of them. Queries are taken evenly within a place's tolerance, so their deviation from it is
+    the tolerance over the root of 3; no fit moves farther than twice that."""
     ground_slope: Float32Array
+    """(M, 2) float32. Rise of the ground to the east and to the north."""
     rays: Rays
     fov_deg: float
+    """What the rays were made with."""
     zoom_bounds: tuple[float, float]
     zoom_sd: float
+    """Deviation of the zoom about 0; infinite where any within the bounds is as likely."""
     config: FitConfig
 
     @property

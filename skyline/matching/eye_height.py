@@ -17,16 +17,11 @@ class EyeHeight:
     Most stand about as high as a person. Where the model cuts a summit or a cliff off they stand
     far above its ground, so what is added is spread like a Cauchy distribution:
     :math:`-\log p(h) = \log(1 + ((h - usual) / sd)^2)`.
-
-    Attributes
-    ----------
-    usual_m : float
-    sd_m : float
-        How the rest is spread; 0 where the height is known.
     """
 
     usual_m: float
     sd_m: float
+    """How the rest is spread; 0 where the height is known."""
 
     @property
     def least_m(self) -> float:

@@ -30,12 +30,7 @@ from skyline.store.header import PLACES
 class FullMatcher(Ranker):
     """Retrieval, refinement and confidence in one.
 
-    Parameters
-    ----------
-    retriever : Retriever
-    scene : Scene, optional
-        The terrain the store was rendered from; without it poses stay as retrieved.
-    config : FullConfig, optional
+    The scene is the terrain the store was rendered from; without it poses stay as retrieved.
     """
 
     narrows = True
@@ -64,19 +59,9 @@ class FullMatcher(Ranker):
         narrowed: Narrowed | None = None,
         screened: Alike | None = None,
     ) -> Ranking:
-        """Return up to ``top`` poses, best first; none where nothing fits.
+        """See `Ranker.rank`.
 
-        Parameters
-        ----------
-        query : QueryRays
-        top : int
-        narrowed, screened
-            As of `Retriever.shortlist`.
-
-        Raises
-        ------
-        InputError
-            ``top`` is below 1, or there is no place within what the search is narrowed to.
+        Raises `InputError` for a ``top`` below 1, and where the search is narrowed to no place.
         """
         if top < 1:
             raise InputError(f"top is {top}; expected at least 1 candidate")
@@ -93,8 +78,7 @@ class FullMatcher(Ranker):
             poses = replace(poses, hypotheses=_held(poses.hypotheses, narrowed))
         chosen = self._chosen(poses.hypotheses, top)
         near, roughly = self._sure("refined", figures, chosen)
-        covariance_m2, beyond_share = poses.covariance_m2[chosen], poses.beyond_share[chosen]
-        return Ranking(poses.hypotheses[chosen], near, covariance_m2, roughly, beyond_share)
+        return _ranking(poses, chosen, near, roughly)
 
     def _found(
         self,
@@ -107,9 +91,7 @@ class FullMatcher(Ranker):
         found = self.retrieve(query, top, narrowed, screened)
         if not len(found):
             return found, None
-        claimed = self._with_claimed(found, query, narrowed)
-        claim = None if narrowed is None else narrowed.claim
-        return found, self.refine(claimed, query, top, _eye_height_m(narrowed), claim)
+        return found, self.refine(self._with_claimed(found, query, narrowed), query, top, narrowed)
 
     def rank_together(
         self, asked: Sequence[tuple[QueryRays, Narrowed | None]], top: int
@@ -126,12 +108,7 @@ class FullMatcher(Ranker):
         own = [places[:0] if poses is None else poses.hypotheses[:1] for places, poses in found]
         config = _naming(self._config.refine, top, None)
         refinements = [
-            Refinement(
-                query,
-                self._scene,
-                _naming(config, top, _eye_height_m(known)),
-                None if known is None else known.claim,
-            )
+            Refinement(query, self._scene, _naming(config, top, known), _claim(known))
             for query, known in asked
         ]
         with one_blas_thread():
@@ -153,16 +130,10 @@ class FullMatcher(Ranker):
         near = roughly = np.zeros(len(chosen))
         if figures:
             near, roughly = self._sure("refined", confidence.mean_figures(figures), chosen)
-        rankings = (
-            Ranking(
-                replace(poses.hypotheses, score=cost)[chosen],
-                near,
-                poses.covariance_m2[chosen],
-                roughly,
-                poses.beyond_share[chosen],
-            )
-            for poses in joint.poses
-        )
+        rankings = []
+        for poses in joint.poses:
+            placed = replace(poses, hypotheses=replace(poses.hypotheses, score=cost))
+            rankings.append(_ranking(placed, chosen, near, roughly))
         return JointRanking(tuple(rankings), agrees)
 
     def screened(self, query: QueryRays, narrowed: Narrowed | None, part: slice) -> Alike:
@@ -187,8 +158,7 @@ class FullMatcher(Ranker):
         found: Hypotheses,
         query: QueryRays,
         least: int = 1,
-        eye_height_m: float | None = None,
-        claim: Claim | None = None,
+        narrowed: Narrowed | None = None,
     ) -> Poses | None:
         """Return retrieved poses refined, as far as it takes; None without a scene.
 
@@ -196,13 +166,13 @@ class FullMatcher(Ranker):
         """
         if self._scene is None:
             return None
-        quick = _naming(self._config.quick, least, eye_height_m)
+        quick, claim = _naming(self._config.quick, least, narrowed), _claim(narrowed)
         with one_blas_thread():
             poses = refine(found, query, self._scene, quick, claim)
             if len(poses) and poses.margin[0] > self._config.sure_margin:
                 return poses
             spent = poses.renderings
-            whole = _naming(self._config.refine, least, eye_height_m)
+            whole = _naming(self._config.refine, least, narrowed)
             poses = refine(found, query, self._scene, whole, claim)
         return replace(poses, renderings=spent + poses.renderings)
 
@@ -217,11 +187,7 @@ class FullMatcher(Ranker):
         config = _held_at(replace(self._config.refine, restarts=1), float(above_m[0]))
         with one_blas_thread():
             poses = refine(start, query, self._scene, config)
-        return Ranking(
-            poses.hypotheses[:1],
-            covariance_m2=poses.covariance_m2[:1],
-            beyond_share=poses.beyond_share[:1],
-        )
+        return _ranking(poses, slice(1))
 
     def _with_claimed(
         self, found: Hypotheses, query: QueryRays, narrowed: Narrowed | None
@@ -257,8 +223,19 @@ class FullMatcher(Ranker):
         return poses.suppress_non_maxima(top, self._config.separation_m)
 
 
-def _eye_height_m(narrowed: Narrowed | None) -> float | None:
-    return None if narrowed is None else narrowed.narrowing.eye_height_m
+def _ranking(
+    poses: Poses,
+    chosen: slice | NDArray[np.intp],
+    near: Float64Array | None = None,
+    roughly: Float64Array | None = None,
+) -> Ranking:
+    """Return those chosen of poses, and how likely they are right within 200 m and within 1 km."""
+    covariance_m2, beyond_share = poses.covariance_m2[chosen], poses.beyond_share[chosen]
+    return Ranking(poses.hypotheses[chosen], near, covariance_m2, roughly, beyond_share)
+
+
+def _claim(narrowed: Narrowed | None) -> Claim | None:
+    return None if narrowed is None else narrowed.claim
 
 
 def _with_one_claim(
@@ -278,9 +255,10 @@ def _held(poses: Hypotheses, narrowed: Narrowed) -> Hypotheses:
     return replace(poses, score=np.where(narrowed.holds(poses), poses.score, np.inf))
 
 
-def _naming(config: RefineConfig, least: int, eye_height_m: float | None) -> RefineConfig:
-    """Return a refinement with room for so many places at its end, of eyes so high up."""
+def _naming(config: RefineConfig, least: int, narrowed: Narrowed | None) -> RefineConfig:
+    """Return a refinement with room for so many places at its end, of eyes as high as is known."""
     config = replace(config, finalists=max(config.finalists, least))
+    eye_height_m = None if narrowed is None else narrowed.narrowing.eye_height_m
     return config if eye_height_m is None else _held_at(config, eye_height_m)
 
 

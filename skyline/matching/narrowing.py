@@ -90,28 +90,18 @@ class Narrowing:
 
 @dataclass(frozen=True, slots=True)
 class Narrowed:
-    """A narrowing as a test of places in a frame: metres instead of degrees.
-
-    Attributes
-    ----------
-    narrowing : Narrowing
-    frame_wkt : str
-    circles_m : tuple of (float, float, float)
-        East, north and radius of circles that all hold what is searched.
-    rectangle_m : (float, float, float, float), optional
-        Around the bounds.
-    open_turns : (180,) bool, optional
-        The turns that are screened; see `turns_within`.
-    claim : Claim, optional
-        Where the photo says that it was taken.
-    """
+    """A narrowing as a test of places in a frame: metres instead of degrees."""
 
     narrowing: Narrowing
     frame_wkt: str
     circles_m: tuple[tuple[float, float, float], ...]
+    """East, north and radius of circles that all hold what is searched."""
     rectangle_m: Rectangle | None
+    """Around the bounds."""
     open_turns: BoolArray | None
+    """(180,) bool. The turns that are screened; see `turns_within`."""
     claim: Claim | None = None
+    """Where the photo says that it was taken."""
 
     @classmethod
     def of(cls, narrowing: Narrowing, frame: Frame, claim: Claim | None = None) -> Self:

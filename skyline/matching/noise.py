@@ -40,38 +40,27 @@ _SCALE = (0.1, 1.3)
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """What residuals may be like; see the module.
-
-    Attributes
-    ----------
-    angle_deg : tuple of float
-        Deviations of the photo's error to choose from by likelihood, increasing.
-    height_shares : tuple of float
-        Deviations of heights to choose from likewise, as shares of the one to be expected.
-    height_sd_m : float
-        That one.
-    reach_m : float
-        Distance at which the correlation of height errors has fallen to 1 / e.
-    rough_share : float
-        Part of the heights' deviation that is independent from column to column.
-    above_share, below_share : float
-        Odds that a column shows something higher than the terrain's skyline, or lower.
-    range_deg : float
-        How far off such a column may be.
-    nodes : int
-        Height errors along the skyline; with 0 only the eye's is shared by the columns, and
-        the skyline's own are independent: quicker, and drawn to a place from farther off.
-    """
+    """What residuals may be like; see the module."""
 
     angle_deg: tuple[float, ...] = (0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8)
+    """Deviations of the photo's error to choose from by likelihood, increasing."""
     height_shares: tuple[float, ...] = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0)
+    """Deviations of heights to choose from likewise, as shares of the one to be expected."""
     height_sd_m: float = 5.0
+    """That one."""
     reach_m: float = 300.0
+    """Distance at which the correlation of height errors has fallen to 1 / e."""
     rough_share: float = 0.4
+    """Part of the heights' deviation that is independent from column to column."""
     above_share: float = 0.15
     below_share: float = 0.02
+    """``above_share``, ``below_share``: odds that a column shows something higher than the
+    terrain's skyline, or lower."""
     range_deg: float = 15.0
+    """How far off such a column may be."""
     nodes: int = 32
+    """Height errors along the skyline; with 0 only the eye's is shared by the columns, and the
+    skyline's own are independent: quicker, and drawn to a place from farther off."""
 
     def __post_init__(self) -> None:
         for name, values in (
@@ -110,25 +99,18 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightErrors(Rows):
-    """What height errors of 1 m do to the R columns of M curves.
-
-    Attributes
-    ----------
-    factor : (M, R, K) float64
-        Correlated residuals are ``factor @ z`` with K standard normal z.
-    rough : (M, R) float64
-        Deviation of the independent ones, radians.
-    blur_rad : (M, R) float64
-        Deviation that the steps of azimuth leave, whatever the heights: great where the skyline
-        is steep.
-    rise_rad : (M, R) float64
-        How far above the terrain's skyline something else may rise; NaN where that is not known.
-    """
+    """What height errors of 1 m do to the R columns of M curves."""
 
     factor: Float64Array
+    """(M, R, K) float64. Correlated residuals are ``factor @ z`` with K standard normal z."""
     rough: Float64Array
+    """(M, R) float64. Deviation of the independent ones, radians."""
     blur_rad: Float64Array
+    """(M, R) float64. Deviation that the steps of azimuth leave, whatever the heights: great where
+    the skyline is steep."""
     rise_rad: Float64Array
+    """(M, R) float64. How far above the terrain's skyline something else may rise; NaN where that
+    is not known."""
 
     @classmethod
     def of(
@@ -177,36 +159,24 @@ def _correlation(distance_m: Float64Array, reach_m: float) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged(Rows):
-    """Residuals of M curves under a noise.
-
-    Attributes
-    ----------
-    cost : (M,) float64
-        Negative logarithm of the likelihood.
-    fit : (M,) float64
-        Its part that is half the squared residuals over their covariance.
-    odds : (M, R) float64
-        Odds that a column shows terrain; 0 where the terrain is unknown.
-    shown : (M, R) float64
-        The same, times the trust in the column.
-    photo : (M, R) float64
-        The photo's part of each column's variance.
-    weight : (M, R) float64
-        Precision of each column by itself, per square radian.
-    factor : (M, R, K) float64
-        `HeightErrors.factor` times the deviation of heights.
-    inner : (M, K, K) float64
-        Inverse of I + factor^T weight factor.
-    """
+    """Residuals of M curves under a noise."""
 
     cost: Float64Array
+    """(M,) float64. Negative logarithm of the likelihood."""
     fit: Float64Array
+    """(M,) float64. Its part that is half the squared residuals over their covariance."""
     odds: Float64Array
+    """(M, R) float64. Odds that a column shows terrain; 0 where the terrain is unknown."""
     shown: Float64Array
+    """(M, R) float64. The same, times the trust in the column."""
     photo: Float64Array
+    """(M, R) float64. The photo's part of each column's variance."""
     weight: Float64Array
+    """(M, R) float64. Precision of each column by itself, per square radian."""
     factor: Float64Array
+    """(M, R, K) float64. `HeightErrors.factor` times the deviation of heights."""
     inner: Float64Array
+    """(M, K, K) float64. Inverse of I + factor^T weight factor."""
 
     def product(self, left: Float64Array, right: Float64Array) -> Float64Array:
         """Return left^T C^-1 right, (M, P, Q), of (M, R, P) and (M, R, Q), C the covariance."""
@@ -269,8 +239,7 @@ def judge(
         that shows something else.
     trust : (R,) float64
         How far each column of the query is trusted.
-    errors : HeightErrors
-    noise : Noise
+    errors, noise
     deviations : ((M,) intp, (M,) intp)
         Which of ``noise.angle_deg`` and of ``noise.height_m`` each curve has.
     odds : (M, R) float64

@@ -72,44 +72,32 @@ class Scene(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """M refined poses, best first, with what a confidence can be learned from.
-
-    Attributes
-    ----------
-    hypotheses : Hypotheses
-        The score is the negative logarithm of the likelihood; only differences within one query
-        mean anything.
-    covariance_m2 : (M, 2, 2) float64
-        Of easting and northing about the pose, other optima of the same answer included.
-    residual_deg : (M,) float64
-        Root mean square over the columns that show terrain, in elevation.
-    inlier_share : (M,) float64
-        Part of the query that shows terrain.
-    effective_columns : (M,) float64
-        Independent columns that would say as much as those do.
-    height_sd_m : (M,) float64
-        Deviation of the terrain model's heights that the fit suggests.
-    beyond_share : (M,) float64
-        Part of the query in which terrain past the data's edge may stand above the model's.
-    margin : (M,) float64
-        Score of the best pose elsewhere minus this one's: below 0 unless this is the best;
-        infinite where there is none elsewhere.
-    far_margin : (M,) float64
-        The same of the best pose far off.
-    renderings : int
-        Views that were rendered on the way.
-    """
+    """M refined poses, best first, with what a confidence can be learned from."""
 
     hypotheses: Hypotheses
+    """The score is the negative logarithm of the likelihood; only differences within one query mean
+    anything."""
     covariance_m2: Float64Array
+    """(M, 2, 2) float64. Of easting and northing about the pose, other optima of the same answer
+    included."""
     residual_deg: Float64Array
+    """(M,) float64. Root mean square over the columns that show terrain, in elevation."""
     inlier_share: Float64Array
+    """(M,) float64. Part of the query that shows terrain."""
     effective_columns: Float64Array
+    """(M,) float64. Independent columns that would say as much as those do."""
     height_sd_m: Float64Array
+    """(M,) float64. Deviation of the terrain model's heights that the fit suggests."""
     beyond_share: Float64Array
+    """(M,) float64. Part of the query in which terrain past the data's edge may stand above the
+    model's."""
     margin: Float64Array
+    """(M,) float64. Score of the best pose elsewhere minus this one's: below 0 unless this is the
+    best; infinite where there is none elsewhere."""
     far_margin: Float64Array
+    """(M,) float64. The same of the best pose far off."""
     renderings: int
+    """Views that were rendered on the way."""
 
     def __len__(self) -> int:
         return len(self.hypotheses)
@@ -128,20 +116,9 @@ def refine(
     or onto a hole, is not taken, and a hypothesis that starts there has no pose. A column that
     meets no data is unknown, which is worth no more than one that shows a tree.
 
-    Parameters
-    ----------
-    hypotheses : Hypotheses
-        Scores, headings and fields of view are used; the eye's elevation is not.
-    query : QueryRays
-    scene : Scene
-    config : RefineConfig, optional
-    claim : Claim, optional
-        Where the photo says that it was taken; it is in the scores.
-
-    Returns
-    -------
-    Poses
-        Distinct ones that fit, best first; empty where none does.
+    The hypotheses' scores, headings and fields of view are used, their eyes' elevation is not. What
+    the photo says of where it was taken is in the scores. Poses are distinct ones that fit, best
+    first; there are none where none does.
     """
     return Refinement(query, scene, config or RefineConfig(), claim).run(hypotheses)
 
@@ -370,8 +347,8 @@ class Refinement:
             judged.effective_columns,
             np.array(solver.noise.height_m)[particles.fit.height],
             _beyond_share(linear, trust, self._scene.edge),
-            _margin(hypotheses, self._config.elsewhere_m),
-            _margin(hypotheses, self._config.far_m),
+            hypotheses.lead(self._config.elsewhere_m),
+            hypotheses.lead(self._config.far_m),
             self._renderings,
         )
 
@@ -394,11 +371,3 @@ def _beyond_share(linear: Linear, trust: Float64Array, edge: DataEdge | None) ->
     place_m, eye_m = linear.place_m[:, np.newaxis], linear.eye_m[:, np.newaxis]
     most = edge.elevation_tan(place_m.real, place_m.imag, eye_m, linear.azimuth_rad)
     return np.asarray((most > linear.elevation_tan) @ trust / trust.sum())
-
-
-def _margin(hypotheses: Hypotheses, elsewhere_m: float) -> Float64Array:
-    """Return (M,): score of the best pose elsewhere minus each one's own."""
-    place = hypotheses.easting_m + 1j * hypotheses.northing_m
-    elsewhere = np.abs(place[:, np.newaxis] - place) > elsewhere_m
-    rival = np.where(elsewhere, hypotheses.score, np.inf).min(axis=1, initial=np.inf)
-    return np.asarray(rival - hypotheses.score)

@@ -10,6 +10,8 @@ from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.camera import DEFAULT_WIDTH, pixel_size
 from skyline.errors import InputError
 from skyline.features import NO_KEYPOINT
+from skyline.horizons import check_bins
+from skyline.matching.panoramas import quadrant_bins, quadrant_columns
 from skyline.views import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
 
 DEFAULT_BINS = 2048
@@ -23,26 +25,21 @@ KeypointTable = NDArray[np.uint16]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
-    """Skylines of L locations all the way round, in B equal steps of grid azimuth.
-
-    Attributes
-    ----------
-    easting_m, northing_m, eye_elevation_m : (L,) float64
-    y : (L, B) float32
-        Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN where no
-        view looks or the view has no data.
-    keypoint_bin : (M,) intp
-        Bins of the keypoints, ascending within each location, the locations one after another.
-    keypoint_start : (L + 1,) intp
-        Location l has keypoints ``keypoint_bin[keypoint_start[l]:keypoint_start[l + 1]]``.
-    """
+    """Skylines of L locations all the way round, in B equal steps of grid azimuth."""
 
     easting_m: Float64Array
     northing_m: Float64Array
     eye_elevation_m: Float64Array
+    """``easting_m``, ``northing_m``, ``eye_elevation_m``: (L,) float64."""
     y: Float32Array
+    """(L, B) float32. Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN
+    where no view looks or the view has no data."""
     keypoint_bin: IntArray
+    """(M,) intp. Bins of the keypoints, ascending within each location, the locations one after
+    another."""
     keypoint_start: IntArray
+    """(L + 1,) intp. Location l has keypoints ``keypoint_bin[keypoint_start[l]:keypoint_start[l +
+    1]]``."""
 
     def __len__(self) -> int:
         return len(self.easting_m)
@@ -63,23 +60,12 @@ class Profiles:
     ) -> "Profiles":
         """Join views of one eye position; a location may have any of the four headings.
 
-        Of two views with the same eye and heading the later one counts.
-
-        Parameters
-        ----------
-        chunks : iterable of (Views, (N, K) uint16)
-            Views and their keypoint columns padded with 65535 (`features.polyline_keypoints`);
-            the views of one location may lie in different chunks.
-        bins : int
-            A multiple of 8.
-
-        Raises
-        ------
-        InputError
-            ``bins`` is not a positive multiple of 8.
+        Of two views with the same eye and heading the later one counts. Beside the views of a chunk
+        are their keypoint columns (N, K) uint16, padded with 65535 (`features.polyline_keypoints`);
+        the views of one location may lie in different chunks. Raises `InputError` for bins that are
+        no positive multiple of 8, and where there is no view.
         """
-        if bins < 8 or bins % 8:
-            raise InputError(f"{bins} azimuth bins; expected a positive multiple of 8")
+        check_bins(bins)
         eyes, quadrants, headings, keypoints = [], [], [], []
         count = 0
         for views, table in chunks:
@@ -103,17 +89,9 @@ class Profiles:
 
 
 def _quadrant(views: Views, bins: int) -> Float32Array:
-    """Return y (N, B / 4) at the bins of each view, from 45 degrees left of its heading on.
-
-    v is linear between columns (exactly so along a straight edge). The left seam lies half a
-    column outside the columns' centres and is extrapolated by that; the right one belongs to
-    the next heading.
-    """
-    width = views.width
-    azimuth = 2.0 * np.pi / bins * (np.arange(bins // 4) - bins // 8)
-    position = (np.tan(azimuth) + 1.0) * width / 2.0 - 0.5
-    left = np.clip(np.floor(position).astype(np.intp), 0, width - 2)
-    share = (position - left).astype(np.float32)
+    """Return y (N, B / 4) at the bins of each view; v is linear between columns."""
+    azimuth, left, beyond_left = quadrant_columns(views.width, bins)
+    share = beyond_left.astype(np.float32)
     unusable = (views.flags & (FLAG_NO_DATA | FLAG_OUT_OF_IMAGE)) != 0
     v = np.where(unusable, np.float32(np.nan), views.elevation_tan)
     between = v[:, left] * (1.0 - share) + v[:, left + 1] * share
@@ -137,8 +115,7 @@ def _joined(
     view = 0
     for quadrant in quadrants:
         rows = slice(view, view + len(quadrant))
-        column = (heading[rows, np.newaxis] * size - size // 2 + np.arange(size)) % (4 * size)
-        y[location[rows, np.newaxis], column] = quadrant
+        y[location[rows, np.newaxis], quadrant_bins(heading[rows], 4 * size)] = quadrant
         view += len(quadrant)
     return y
 

@@ -17,33 +17,22 @@ _FOV_DEVIATIONS = 4.0
 class QueryRays:
     """The trusted columns of a query skyline in the camera's frame.
 
-    Attributes
-    ----------
-    u, v : (W,) float64
-        Rays (u, v, 1): right and up over forward; unit focal length.
-    weight : (W,) float64
-        How far each ray is trusted, at least 0; only ratios matter.
-    fov_deg : float
-        Horizontal field of view that u and v were made with.
-    fov_range_deg : (float, float), optional
-        Between which the true field of view lies; by default it is `fov_deg` exactly.
-    fov_sd_deg : float
-        Standard deviation of the true field of view about `fov_deg`; infinite where any in the
-        range is as likely.
-
-    Raises
-    ------
-    InputError
-        Lengths differ, a value is not finite, a weight is negative or all are 0, or the range
-        does not hold the field of view.
+    Raises `InputError` where lengths differ, a value is not finite, a weight is negative or all are
+    0, or the range does not hold the field of view.
     """
 
     u: Float64Array
     v: Float64Array
+    """``u``, ``v``: (W,) float64. Rays (u, v, 1): right and up over forward; unit focal length."""
     weight: Float64Array
+    """(W,) float64. How far each ray is trusted, at least 0; only ratios matter."""
     fov_deg: float
+    """Horizontal field of view that u and v were made with."""
     fov_range_deg: tuple[float, float] | None = None
+    """Between which the true field of view lies; by default it is `fov_deg` exactly."""
     fov_sd_deg: float = math.inf
+    """Standard deviation of the true field of view about `fov_deg`; infinite where any in the range
+    is as likely."""
 
     def __post_init__(self) -> None:
         if not self.u.shape == self.v.shape == self.weight.shape or self.u.ndim != 1:
@@ -71,6 +60,12 @@ class QueryRays:
     def fov_bounds_deg(self) -> tuple[float, float]:
         """The least and the greatest field of view to consider."""
         return self.fov_range_deg or (self.fov_deg, self.fov_deg)
+
+    @property
+    def log_scale_bounds(self) -> tuple[float, float]:
+        """Those as logarithms of the tangent of half of each over that of half of `fov_deg`."""
+        low, high = log_tangent(np.array(self.fov_bounds_deg)) - log_tangent(self.fov_deg)
+        return float(low), float(high)
 
     @property
     def log_scale_sd(self) -> float:
@@ -117,18 +112,12 @@ class QueryRays:
 
 @dataclass(frozen=True, slots=True)
 class Attitudes:
-    """The pitches and rolls a matcher assumes, each with each.
-
-    Attributes
-    ----------
-    pitch_deg : tuple of float
-        Optical axis above the horizon.
-    roll_deg : tuple of float
-        Camera turned clockwise as seen from behind it: its right side down.
-    """
+    """The pitches and rolls a matcher assumes, each with each."""
 
     pitch_deg: tuple[float, ...] = (-10.0, -5.0, 0.0, 5.0, 10.0)
+    """Optical axis above the horizon."""
     roll_deg: tuple[float, ...] = (0.0,)
+    """Camera turned clockwise as seen from behind it: its right side down."""
 
     def __post_init__(self) -> None:
         for name, angles, limit in (("pitch", self.pitch_deg, 80), ("roll", self.roll_deg, 80)):
@@ -142,24 +131,18 @@ class Attitudes:
         return [(pitch, roll) for pitch in self.pitch_deg for roll in self.roll_deg]
 
 
+def log_tangent(fov_deg: Float64Array | float) -> Float64Array:
+    """Return the logarithm of the tangent of half a field of view, degrees."""
+    return np.asarray(np.log(np.tan(np.radians(fov_deg) / 2.0)))
+
+
 def level(
     u: Float64Array, v: Float64Array, pitch_deg: float, roll_deg: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Turn rays of a pitched and rolled camera to azimuth and elevation tangent.
+    """Turn rays (u, v, 1) of a pitched and rolled camera to azimuth and elevation tangent.
 
-    Parameters
-    ----------
-    u, v : (...) float64
-        Rays (u, v, 1) in the camera's frame.
-    pitch_deg, roll_deg : float
-        As in `Attitudes`.
-
-    Returns
-    -------
-    azimuth_rad : (...) float64
-        Clockwise from the vertical plane of the optical axis, in (-pi, pi].
-    y : (...) float64
-        Tangent of the elevation angle: up over horizontal distance.
+    Azimuths are radians clockwise from the vertical plane of the optical axis, in (-pi, pi]; the
+    tangent is up over horizontal distance. The attitude is as in `Attitudes`.
     """
     right, up, forward = level_axes(u, v, np.radians(pitch_deg), np.radians(roll_deg))
     return np.arctan2(right, forward), up / np.hypot(right, forward)
@@ -175,21 +158,9 @@ def level_axes(u: Any, v: Any, pitch: Any, roll: Any) -> tuple[Any, Any, Any]:
 def project(
     azimuth_rad: Float64Array, y: Float64Array, pitch_deg: float, roll_deg: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return where a pitched and rolled camera sees directions: the inverse of `level`.
+    """Return the rays (u, v, 1) of a pitched and rolled camera to directions, as `level` has them.
 
-    Parameters
-    ----------
-    azimuth_rad : (...) float64
-        Clockwise from the vertical plane of the optical axis.
-    y : (...) float64
-        Tangent of the elevation angle.
-    pitch_deg, roll_deg : float
-        As in `Attitudes`.
-
-    Returns
-    -------
-    u, v : (...) float64
-        Rays (u, v, 1) in the camera's frame; NaN for directions that are not in front of it.
+    NaN for directions that are not in front of it.
     """
     pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
     right, ahead = np.sin(azimuth_rad), np.cos(azimuth_rad)
@@ -204,21 +175,16 @@ def project(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QueryCurves:
-    """A query on the azimuth bins of a profile, one row per assumed attitude.
-
-    Attributes
-    ----------
-    y : (H, B) float64
-        Tangent of the elevation angle; bin B / 2 is straight ahead; NaN where not seen.
-    weight : (H, B) float64
-        0 where not seen.
-    pitch_deg, roll_deg : (H,) float64
-    """
+    """A query on the azimuth bins of a profile, one row per assumed attitude."""
 
     y: Float64Array
+    """(H, B) float64. Tangent of the elevation angle; bin B / 2 is straight ahead; NaN where not
+    seen."""
     weight: Float64Array
+    """(H, B) float64. 0 where not seen."""
     pitch_deg: Float64Array
     roll_deg: Float64Array
+    """``pitch_deg``, ``roll_deg``: (H,) float64."""
 
     @classmethod
     def of(cls, query: QueryRays, attitudes: Attitudes, bins: int) -> "QueryCurves":

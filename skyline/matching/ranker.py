@@ -69,16 +69,8 @@ class Ranker(Protocol):
 
         Locations nothing fits at are left out, so there may be none. Azimuths, those of a place's
         bins (`skyline.horizons.bin_azimuths_rad`) and those of poses (`Hypotheses`), are from grid
-        north. A ranking without confidence always counts as an answer.
-
-        Parameters
-        ----------
-        query : QueryRays
-        top : int
-        narrowed : Narrowed, optional
-            Where to search.
-        screened : Alike, optional
-            What `screened` found in all parts of the store, joined.
+        north. A ranking without confidence always counts as an answer. ``screened`` is what
+        `screened` found in all parts of the store, joined.
         """
         ...
 

@@ -1,7 +1,7 @@
 """What every matcher answers with, and how a list of answers is drawn from all scores."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.profiles import Profiles
+from skyline.rows import Rows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,26 +84,20 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ranking:
-    """The M poses a matcher answers a query with, best first.
-
-    Attributes
-    ----------
-    poses : Hypotheses
-    confidence : (M,) float64, optional
-        Probability that each is right within 200 m, where something has estimated it.
-    covariance_m2 : (M, 2, 2) float64, optional
-        Of easting and northing, where the poses were refined.
-    confidence_1km : (M,) float64, optional
-        Probability that each is right within 1 km, where something has estimated it.
-    beyond_share : (M,) float64, optional
-        Part of the query that terrain past the data's edge may hide; see `Candidate`.
-    """
+    """The M poses a matcher answers a query with, best first."""
 
     poses: Hypotheses
     confidence: Float64Array | None = None
+    """(M,) float64. Probability that each is right within 200 m, where something has estimated
+    it."""
     covariance_m2: Float64Array | None = None
+    """(M, 2, 2) float64. Of easting and northing, where the poses were refined."""
     confidence_1km: Float64Array | None = None
+    """(M,) float64. Probability that each is right within 1 km, where something has estimated
+    it."""
     beyond_share: Float64Array | None = None
+    """(M,) float64. Part of the query that terrain past the data's edge may hide; see
+    `Candidate`."""
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -140,18 +135,12 @@ class Ranking:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointRanking:
-    """The M places that a matcher answers N queries of one eye with, best first.
-
-    Attributes
-    ----------
-    rankings : tuple of Ranking
-        Of each query, M poses; they differ in the camera alone.
-    agrees : (N,) bool
-        Whether each query was taken at the best place rather than anywhere else.
-    """
+    """The M places that a matcher answers N queries of one eye with, best first."""
 
     rankings: tuple[Ranking, ...]
+    """Of each query, M poses; they differ in the camera alone."""
     agrees: BoolArray
+    """(N,) bool. Whether each query was taken at the best place rather than anywhere else."""
 
 
 def _of(values: Float64Array | None, index: int) -> float | None:
@@ -164,20 +153,15 @@ def _as_rows(covariance_m2: Float64Array) -> tuple[tuple[float, float], tuple[fl
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fits:
-    """The best pose of a query at each of L locations.
-
-    Attributes
-    ----------
-    score : (L,) float64
-        Lower is better; infinite where there is no fit.
-    heading_deg, pitch_deg, roll_deg : (L,) float64
-    """
+class Fits(Rows):
+    """The best pose of a query at each of L locations."""
 
     score: Float64Array
+    """(L,) float64. Lower is better; infinite where there is no fit."""
     heading_deg: Float64Array
     pitch_deg: Float64Array
     roll_deg: Float64Array
+    """``heading_deg``, ``pitch_deg``, ``roll_deg``: (L,) float64."""
 
     @classmethod
     def none(cls, locations: int) -> "Fits":
@@ -187,24 +171,17 @@ class Fits:
     def placed_among(self, rows: IntArray, locations: int) -> "Fits":
         """Return these as the fits of ``rows`` among ``locations``, with none elsewhere."""
         wide = Fits.none(locations)
-        for f in fields(self):
-            getattr(wide, f.name)[rows] = getattr(self, f.name)
+        for name in self._names():
+            getattr(wide, name)[rows] = getattr(self, name)
         return wide
 
     def split(self, parts: int) -> list["Fits"]:
         """Return so many parts of equal length, in order."""
-        columns = [np.split(getattr(self, f.name), parts) for f in fields(self)]
-        return [Fits(*part) for part in zip(*columns, strict=True)]
+        return [self[rows] for rows in np.split(np.arange(len(self.score)), parts)]
 
     def best_with(self, other: "Fits") -> "Fits":
         """Return the better of two at each location; this one where they are equal."""
-        better = other.score < self.score
-        return Fits(
-            np.where(better, other.score, self.score),
-            np.where(better, other.heading_deg, self.heading_deg),
-            np.where(better, other.pitch_deg, self.pitch_deg),
-            np.where(better, other.roll_deg, self.roll_deg),
-        )
+        return self.replaced(other.score < self.score, other)
 
 
 def select(
@@ -212,12 +189,8 @@ def select(
 ) -> Ranking:
     """Return the best poses, none within ``separation_m`` of a better one.
 
-    Equal scores keep the order of the locations. Locations without a fit are left out.
-
-    Raises
-    ------
-    InputError
-        ``top`` is below 1.
+    Equal scores keep the order of the locations. Locations without a fit are left out. Raises
+    `InputError` for a ``top`` below 1.
     """
     if top < 1:
         raise InputError(f"top is {top}; expected at least 1 candidate")

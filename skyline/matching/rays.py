@@ -10,22 +10,16 @@ from skyline.matching.query import QueryRays
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelledRays:
-    """R rays at each of M attitudes.
-
-    Attributes
-    ----------
-    azimuth_rad : (M, R) float64
-        Clockwise from the vertical plane of the optical axis.
-    y : (M, R) float64
-        Tangent of the elevation angle: up over horizontal distance.
-    azimuth_change, y_change : (M, R, 3) float64
-        Derivatives by pitch, by roll, both in radians, and by the logarithm of the scale.
-    """
+    """R rays at each of M attitudes."""
 
     azimuth_rad: Float64Array
+    """(M, R) float64. Clockwise from the vertical plane of the optical axis."""
     y: Float64Array
+    """(M, R) float64. Tangent of the elevation angle: up over horizontal distance."""
     azimuth_change: Float64Array
     y_change: Float64Array
+    """``azimuth_change``, ``y_change``: (M, R, 3) float64. Derivatives by pitch, by roll, both in
+    radians, and by the logarithm of the scale."""
 
 
 def level_with_changes(
@@ -35,15 +29,10 @@ def level_with_changes(
     roll_rad: Float64Array,
     log_scale: Float64Array,
 ) -> LevelledRays:
-    """Level rays (u, v, 1), u and v scaled, as `skyline.matching.query.level` does.
+    """Level R rays (u, v, 1) at M attitudes, u and v scaled; as `skyline.matching.query.level`.
 
-    Parameters
-    ----------
-    u, v : (R,) float64
-    pitch_rad, roll_rad : (M,) float64
-    log_scale : (M,) float64
-        Logarithm of what u and v are multiplied by: the tangent of half the assumed field of
-        view over that which the rays were made with.
+    The scale is the tangent of half the assumed field of view over that which the rays were made
+    with.
     """
     scale = np.exp(log_scale)[:, np.newaxis]
     cos_roll, sin_roll = np.cos(roll_rad)[:, np.newaxis], np.sin(roll_rad)[:, np.newaxis]

@@ -91,13 +91,7 @@ class RetrievalConfig:
 class Retriever:
     """Finds short lists of poses among places.
 
-    Parameters
-    ----------
-    places : PlaceSource
-    ground : callable, optional
-        ``ground(easting_m, northing_m)`` returns heights of the terrain; without it the ground
-        about a place is taken to be level.
-    config : RetrievalConfig, optional
+    Without ``ground`` that about a place is taken to be level.
     """
 
     def __init__(
@@ -126,28 +120,12 @@ class Retriever:
         narrowed: Narrowed | None = None,
         screened: Alike | None = None,
     ) -> Hypotheses:
-        """Return the poses a query most likely has, best first.
+        """Return up to ``count`` poses that a query most likely has, best first.
 
-        Parameters
-        ----------
-        query : QueryRays
-            Its range of fields of view is searched.
-        count : int
-            At most so many.
-        narrowed : Narrowed, optional
-            Where to search, and which way the camera may have looked.
-        screened : Alike, optional
-            What `screened` returned for all parts, joined; by default this process screens.
-
-        Returns
-        -------
-        Hypotheses
-            Scores compare poses of one query; lower is better. Poses may lie between the places.
-
-        Raises
-        ------
-        InputError
-            ``count`` is below 1, or there is no place where the search is narrowed to.
+        Its range of fields of view is searched. ``screened`` is what `screened` returned for all
+        parts, joined; by default this process screens. Scores compare poses of one query. Poses may
+        lie between the places. Raises `InputError` for a ``count`` below 1, and where the search is
+        narrowed to no place.
         """
         if count < 1:
             raise InputError(f"count is {count}; expected at least 1 hypothesis")
@@ -167,27 +145,12 @@ class Retriever:
     def shortlist_together(
         self, asked: Sequence[tuple[QueryRays, Narrowed | None]], count: int
     ) -> list[Hypotheses]:
-        """Return the places that queries of one eye most likely share: poses for each query.
+        """Return up to ``count`` places that queries of one eye most likely share.
 
-        A place counts the sum of the queries' scores. Where a query fits worse than at half of the
-        places, it counts as there, so that one query that is lost vetoes nothing.
-
-        Parameters
-        ----------
-        asked : sequence of (QueryRays, Narrowed or None)
-            A place lies within the narrowings of all.
-        count : int
-            At most so many places.
-
-        Returns
-        -------
-        list of Hypotheses
-            One for each query, of the same places in the same order, best first.
-
-        Raises
-        ------
-        InputError
-            There is no place within what the search is narrowed to.
+        Each query has its poses there, of the same places in the same order, best first. A place
+        lies within the narrowings of all, and counts the sum of the queries' scores. Where a query
+        fits worse than at half of the places, it counts as there, so that one query that is lost
+        vetoes nothing. Raises `InputError` where the search is narrowed to no place.
         """
         tests = [known for _, known in asked if known is not None]
         screens = [self._screen(*one) for one in asked]
@@ -219,7 +182,7 @@ class Retriever:
     def _screen(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         """Prepare to find places: few fields of view, the likely ones."""
         likely = _LIKELY_DEVIATIONS * query.log_scale_sd
-        low, high = np.clip(_zoom_bounds(query), -likely, likely)
+        low, high = np.clip(query.log_scale_bounds, -likely, likely)
         zooms = _middles(float(low), float(high), self.config.zoom_step)
         unlikely = _UNLIKELY * np.square(zooms / query.log_scale_sd)
         return self._prepared(query, narrowed, zooms, unlikely)
@@ -253,7 +216,7 @@ class Retriever:
         return _Start(places, score, np.radians(heading_deg), self._start_zooms(query)[fov])
 
     def _start_zooms(self, query: QueryRays) -> Float64Array:
-        return _middles(*_zoom_bounds(query), self.config.start_zoom_step)
+        return _middles(*query.log_scale_bounds, self.config.start_zoom_step)
 
     def _fitted(self, query: QueryRays, aim: Screen, alike: Alike) -> Hypotheses:
         """Return the fitted poses of the places most alike."""
@@ -276,12 +239,13 @@ class Retriever:
 
     def _fits(self, query: QueryRays, start: "_Start", config: FitConfig) -> Hypotheses:
         """Return the poses of places fitted from where they start, in order."""
-        rays, bounds = Rays.of(query, config.rays), _zoom_bounds(query)
+        rays = Rays.of(query, config.rays)
+        lens = query.fov_deg, query.log_scale_bounds, query.log_scale_sd
 
         def fitted(first: int) -> Hypotheses:
             some = start[slice(first, first + _FITS_AT_ONCE)]
             places, slope = some.places, self._slope(some.places)
-            fit = CurveFit(places, slope, rays, query.fov_deg, bounds, query.log_scale_sd, config)
+            fit = CurveFit(places, slope, rays, *lens, config)
             fits = fit.fit(some.heading_rad, some.zoom)
             heading, pitch, roll, zoom = fits.pose[:, :4].T.astype(np.float64)
             move = fits.pose[:, 4:].astype(np.float64)
@@ -342,13 +306,6 @@ def _total(found: Sequence[Hypotheses]) -> Float64Array:
     if len(found) == 1:
         return found[0].score
     return np.asarray(sum(np.minimum(one.score, np.median(one.score)) for one in found))
-
-
-def _zoom_bounds(query: QueryRays) -> tuple[float, float]:
-    """Return the range of log(tan(fov / 2)) against the query's own."""
-    low, high = np.log(np.tan(np.radians(query.fov_bounds_deg) / 2.0))
-    own = np.log(np.tan(np.radians(query.fov_deg) / 2.0))
-    return float(low - own), float(high - own)
 
 
 def _middles(low: float, high: float, step: float) -> Float64Array:

@@ -34,6 +34,7 @@ from skyline.matching.progress import tell
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
 from skyline.places import PHASE_BINS, Places, PlaceSource
 from skyline.places.phases import decode_phases, rise_to_turn
+from skyline.rows import Rows
 
 Within = Callable[[Places], BoolArray]
 """Which of a block's places (N,) are searched."""
@@ -54,7 +55,7 @@ _LEVEL = Attitudes((0.0,), (0.0,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Alike:
+class Alike(Rows):
     """The K places most like a query, best first.
 
     Attributes
@@ -74,46 +75,34 @@ class Alike:
 
     def best(self, count: int) -> "Alike":
         """Return the best; of equals those that come first in the source."""
-        order = np.lexsort((self.row, -self.score))[:count]
-        return Alike(self.row[order], self.score[order])
+        return self[np.lexsort((self.row, -self.score))[:count]]
 
     @classmethod
     def joined(cls, parts: list["Alike"]) -> "Alike":
         """Return places of several parts of a source as one list, not sorted."""
-        if not parts:
-            return cls(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.float32))
-        return cls(
-            np.concatenate([part.row for part in parts]),
-            np.concatenate([part.score for part in parts]),
-        )
+        none = cls(np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.float32))
+        return cls.concatenate([none, *parts])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Screen:
-    """A query, ready to be compared with any number of places.
-
-    Attributes
-    ----------
-    first : int
-        The bin, from half a turn left of straight ahead, where the query begins.
-    span : int
-        Bins it is wide.
-    matrices : (2, 2 (span + T - 1), F T) float32
-        The query at F fields of view and T turns, and how it changes as the camera rolls: scaled
-        so that the square of what the second gives is what a roll gains.
-    open_turns : (B,) bool
-        The turns that are looked at.
-    mean, scale : (F,) float32
-        What is taken off scores, and what the rest is multiplied by: then they are deviations
-        above the mean of all turns, less what a field of view is unlikely.
-    """
+    """A query, ready to be compared with any number of places."""
 
     first: int
+    """The bin, from half a turn left of straight ahead, where the query begins."""
     span: int
+    """Bins it is wide."""
     matrices: Float32Array
+    """(2, 2 (span + T - 1), F T) float32. The query at F fields of view and T turns, and how it
+    changes as the camera rolls: scaled so that the square of what the second gives is what a roll
+    gains."""
     open_turns: BoolArray
+    """(B,) bool. The turns that are looked at."""
     mean: Float32Array
     scale: Float32Array
+    """``mean``, ``scale``: (F,) float32. What is taken off scores, and what the rest is multiplied
+    by: then they are deviations above the mean of all turns, less what a field of view is
+    unlikely."""
 
     @classmethod
     def of(
@@ -124,20 +113,11 @@ class Screen:
         open_turns: BoolArray | None = None,
         unlikely: Float64Array | None = None,
     ) -> "Screen":
-        """Prepare a query.
+        """Prepare a query at fields of view (F,) to assume.
 
-        Parameters
-        ----------
-        query : QueryRays
-        fovs_deg : (F,) float64
-            Fields of view to assume.
-        sample : Places
-            Scores of different fields of view are made comparable by how those of all turns of
-            these places are spread.
-        open_turns : (180,) bool, optional
-            See `turns_within`; all by default.
-        unlikely : (F,) float64, optional
-            Deviations that scores of each field of view lose; none by default.
+        Their scores are made comparable by how those of all turns of a sample of places are spread,
+        and each loses as many deviations as it is ``unlikely`` (F,). All turns are open by default;
+        see `turns_within`.
         """
         level = np.stack([query_waves(query.with_fov(float(fov))) for fov in fovs_deg])
         seen = np.flatnonzero(np.abs(level).any(axis=0))
@@ -271,18 +251,10 @@ def screen_places(
     within: Within | None = None,
     part: slice = slice(None),
 ) -> Alike:
-    """Return the best of a source's places; none where none is within what is searched.
+    """Return the best of a source's places, at most so many; none where none is ``within``.
 
-    Parameters
-    ----------
-    scores : callable
-    source : PlaceSource
-    count : int
-        At most so many.
-    within : callable, optional
-    part : slice
-        Of the source's blocks, so that several workers can share one source. Joining what they
-        find gives what one of them finds alone.
+    ``part`` is of the source's blocks, so that several workers can share one source. Joining what
+    they find gives what one of them finds alone.
     """
     kept = Alike.joined([])
 

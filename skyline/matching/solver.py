@@ -26,7 +26,7 @@ from skyline.matching.eye_height import EyeHeight
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.noise import HeightErrors, Judged, Noise, judge
 from skyline.matching.panoramas import Panoramas
-from skyline.matching.query import QueryRays
+from skyline.matching.query import QueryRays, log_tangent
 from skyline.matching.rays import level_with_changes
 from skyline.rows import Rows
 
@@ -57,34 +57,23 @@ class SolverConfig:
 
     Costs are as if neighbouring columns told more than they do, so what is known of the terrain
     model counts `terrain_weight` times as much as it would.
-
-    Attributes
-    ----------
-    iterations : int
-        Gauss-Newton steps from one rendering.
-    choices : int
-        In how many of them, from the first, the noise is chosen anew.
-    pitch_sd_deg, roll_sd_deg : float
-        Prior deviations about a level camera.
-    position_sd_m : float
-        Prior deviation of a place, which only bounds what an uninformative skyline can say.
-    terrain_weight : float
-        Of the probabilities of the eye's height and of the terrain model's error.
-    min_columns : int
-        Least columns with a known skyline on both sides for there to be a fit.
-    blur_steps : float
-        Deviation of the skyline's azimuth, in steps of the panorama.
-    noise : Noise
     """
 
     iterations: int = 3
+    """Gauss-Newton steps from one rendering."""
     choices: int = 4
+    """In how many of them, from the first, the noise is chosen anew."""
     pitch_sd_deg: float = 6.0
     roll_sd_deg: float = 3.0
+    """``pitch_sd_deg``, ``roll_sd_deg``: prior deviations about a level camera."""
     position_sd_m: float = 300.0
+    """Prior deviation of a place, which only bounds what an uninformative skyline can say."""
     terrain_weight: float = 4.0
+    """Of the probabilities of the eye's height and of the terrain model's error."""
     min_columns: int = 16
+    """Least columns with a known skyline on both sides for there to be a fit."""
     blur_steps: float = 0.3
+    """Deviation of the skyline's azimuth, in steps of the panorama."""
     noise: Noise = field(default_factory=Noise)
 
     def __post_init__(self) -> None:
@@ -102,26 +91,18 @@ class SolverConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves(Rows):
-    """What M eyes see, and how it changes as they move.
-
-    Attributes
-    ----------
-    channels : (M, B, 6 or 7) float64
-        Elevation tangent, its slope by azimuth, its change by a metre east, by a metre north
-        and by a metre up, distance, and, where a surface says so, how far above the tangent things
-        may rise, at azimuth 360 b / B degrees; NaN where unknown.
-    place_m : (M,) complex128
-        Where they stand: easting, and northing as the imaginary part.
-    ground_m : (M,) float64
-        The ground's height there.
-    eye_height_m : (M,) float64
-        Above the ground.
-    """
+    """What M eyes see, and how it changes as they move."""
 
     channels: Float64Array
+    """(M, B, 6 or 7) float64. Elevation tangent, its slope by azimuth, its change by a metre east,
+    by a metre north and by a metre up, distance, and, where a surface says so, how far above the
+    tangent things may rise, at azimuth 360 b / B degrees; NaN where unknown."""
     place_m: NDArray[np.complex128]
+    """(M,) complex128. Where they stand: easting, and northing as the imaginary part."""
     ground_m: Float64Array
+    """(M,) float64. The ground's height there."""
     eye_height_m: Float64Array
+    """(M,) float64. Above the ground."""
 
     @classmethod
     def of(
@@ -162,71 +143,48 @@ class Curves(Rows):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit(Rows):
-    """How well M states of the camera fit the query.
-
-    Attributes
-    ----------
-    state : (M, 7) float64
-        See `EAST` to `LOG_SCALE`; the displacement is from where the curve was seen.
-    angle, height : (M,) intp
-        The deviations chosen, indices into `Noise`.
-    cost : (M,) float64
-        Negative logarithm of the likelihood, the priors and what the uncertainty of the
-        attitude takes from it included; infinite where there is no fit.
-    odds : (M, R) float64
-        Odds that a column of the query shows terrain.
-    """
+    """How well M states of the camera fit the query."""
 
     state: Float64Array
+    """(M, 7) float64. See `EAST` to `LOG_SCALE`; the displacement is from where the curve was
+    seen."""
     angle: IntArray
     height: IntArray
+    """``angle``, ``height``: (M,) intp. The deviations chosen, indices into `Noise`."""
     cost: Float64Array
+    """(M,) float64. Negative logarithm of the likelihood, the priors and what the uncertainty of
+    the attitude takes from it included; infinite where there is no fit."""
     odds: Float64Array
+    """(M, R) float64. Odds that a column of the query shows terrain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Linear:
-    """Residuals of M states and their derivatives; 0 in columns where the terrain is unknown.
-
-    Attributes
-    ----------
-    residual_rad : (M, R) float64
-        Query over terrain; NaN where unknown.
-    jacobian : (M, R, 7) float64
-    azimuth_rad, distance_m : (M, R) float64
-        Of the terrain's skyline under each column.
-    rise_rad : (M, R) float64 or None
-        How far above it things may rise.
-    place_m : (M,) complex128
-        Where the states' eyes stand; see `Curves`.
-    eye_m : (M,) float64
-        Their elevations, the ground taken to be level about where the curve was seen.
-    elevation_tan : (M, R) float64
-        Tangent of the terrain's skyline there; NaN where unknown.
-    """
+    """Residuals of M states and their derivatives; 0 in columns where the terrain is unknown."""
 
     residual_rad: Float64Array
+    """(M, R) float64. Query over terrain; NaN where unknown."""
     jacobian: Float64Array
+    """(M, R, 7) float64."""
     azimuth_rad: Float64Array
     distance_m: Float64Array
+    """``azimuth_rad``, ``distance_m``: (M, R) float64. Of the terrain's skyline under each
+    column."""
     rise_rad: Float64Array | None
+    """(M, R) float64 or None. How far above it things may rise."""
     place_m: NDArray[np.complex128]
+    """(M,) complex128. Where the states' eyes stand; see `Curves`."""
     eye_m: Float64Array
+    """(M,) float64. Their elevations, the ground taken to be level about where the curve was
+    seen."""
     elevation_tan: Float64Array
+    """(M, R) float64. Tangent of the terrain's skyline there; NaN where unknown."""
 
 
 class Solver:
     """Aligns one query to curves.
 
-    Parameters
-    ----------
-    query : QueryRays
-    config : SolverConfig
-    eye : EyeHeight
-    height_sd_m : float
-        Deviation of the terrain model's heights to be expected.
-    claim : Claim, optional
-        Where the photo says that it was taken.
+    ``height_sd_m`` is the deviation of the terrain model's heights to be expected.
     """
 
     def __init__(
@@ -242,7 +200,7 @@ class Solver:
         self.config = config
         self.noise = replace(config.noise, height_sd_m=height_sd_m)
         self._eye = eye
-        low, high = _log_tangent(np.array(query.fov_bounds_deg)) - _log_tangent(query.fov_deg)
+        low, high = query.log_scale_bounds
         self._low, self._high = np.full(7, -np.inf), np.full(7, np.inf)
         self._low[[EYE_HEIGHT, LOG_SCALE]] = eye.least_m, low
         self._high[[EYE_HEIGHT, LOG_SCALE]] = eye.most_m, high
@@ -266,7 +224,7 @@ class Solver:
         state[:, HEADING] = np.radians(hypotheses.heading_deg)
         state[:, PITCH] = np.radians(hypotheses.pitch_deg)
         state[:, ROLL] = np.radians(hypotheses.roll_deg)
-        scale = _log_tangent(hypotheses.fov_deg) - _log_tangent(self.query.fov_deg)
+        scale = log_tangent(hypotheses.fov_deg) - log_tangent(self.query.fov_deg)
         state[:, LOG_SCALE] = np.clip(scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
         angle, height = (np.full(count, index) for index in self.noise.widest)
         odds = np.ones((count, len(self.query.u)))
@@ -292,18 +250,14 @@ class Solver:
 
     def fov_deg(self, state: Float64Array) -> Float64Array:
         """Return the field of view of states (M, 7), degrees."""
-        tangent = np.exp(state[:, LOG_SCALE] + _log_tangent(self.query.fov_deg))
+        tangent = np.exp(state[:, LOG_SCALE] + log_tangent(self.query.fov_deg))
         return np.asarray(np.degrees(2.0 * np.arctan(tangent)))
 
     def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
         """Take the configured steps from one rendering, and choose the noise on the way.
 
-        Parameters
-        ----------
-        curves : Curves
-        fit : Fit
-        step_m : (M,) float64
-            Deviation that damps the eye's displacement; 0 keeps the eye where it is.
+        ``step_m`` (M,) is the deviation that damps the eye's displacement; 0 keeps the eye where it
+        is.
         """
         errors = None
         for iteration in range(self.config.iterations + 1):
@@ -482,7 +436,3 @@ class Solver:
         precision, off_m = self._claim.lift(linear.eye_m)
         gradient[:, EYE_HEIGHT] += precision * off_m
         normal[:, EYE_HEIGHT, EYE_HEIGHT] += precision
-
-
-def _log_tangent(fov_deg: Float64Array | float) -> Float64Array:
-    return np.asarray(np.log(np.tan(np.radians(fov_deg) / 2.0)))

@@ -39,34 +39,22 @@ _GREATEST_LOG_ODDS = 50.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPoses:
-    """M places, best first, and the poses of N queries there.
-
-    Attributes
-    ----------
-    poses : tuple of Poses
-        Of each query, M; they differ in the camera alone. Margins and covariances are the joint
-        ones for one query in the mean: queries of one place share the terrain model's errors, and
-        those that look the same way share all, so that they are not summed.
-    cost : (M,) float64
-        Of the places.
-    agrees : (N, M) bool
-        Whether each query is likelier to be of the place than of anywhere else.
-    """
+    """M places, best first, and the poses of N queries there."""
 
     poses: tuple[Poses, ...]
+    """Of each query, M; they differ in the camera alone. Margins and covariances are the joint ones
+    for one query in the mean: queries of one place share the terrain model's errors, and those that
+    look the same way share all, so that they are not summed."""
     cost: Float64Array
+    """(M,) float64. Of the places."""
     agrees: BoolArray
+    """(N, M) bool. Whether each query is likelier to be of the place than of anywhere else."""
 
 
 class JointRefinement:
     """The refinement of several queries of one eye.
 
-    Parameters
-    ----------
-    refinements : sequence of Refinement
-        One for each query.
-    config : RefineConfig
-        Theirs, but for the eye's height.
+    There is one refinement for each query; the config is theirs, but for the eye's height.
     """
 
     def __init__(self, refinements: Sequence[Refinement], config: RefineConfig) -> None:
@@ -78,12 +66,8 @@ class JointRefinement:
     def run(self, found: Sequence[Hypotheses], alone: Sequence[Hypotheses]) -> JointPoses:
         """Return where the queries fit together.
 
-        Parameters
-        ----------
-        found : sequence of Hypotheses
-            Of each query, of the same places in the same order, best first.
-        alone : sequence of Hypotheses
-            Of each query, the best pose that it was refined to by itself, if any.
+        ``found`` is of each query, of the same places in the same order, best first; ``alone`` is
+        the best pose that each was refined to by itself, if any.
         """
         config = self._config
         now = [
@@ -179,7 +163,7 @@ class JointRefinement:
         config, cost = self._config, self._cost(self._off(now))
         standing = replace(self._each[0].hypotheses(now[0], self._solvers[0]), score=cost)
         chosen = standing.suppress_non_maxima(count, config.separation_m)
-        apart_m = _apart_m(standing)[chosen[:1]]
+        apart_m = standing.apart_m()[chosen[:1]]
         for least_m in (config.elsewhere_m, config.far_m):
             far = np.flatnonzero((apart_m > least_m).any(axis=0))
             if config.rivals and len(far):
@@ -224,19 +208,13 @@ class JointRefinement:
         covariance_m2 = np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
         covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
         poses = [one.poses(some) for one, some in zip(self._each, now, strict=True)]
+        standing = replace(poses[0].hypotheses, score=cost)
         # Margins and covariances are those of one query in the mean, and so are these odds.
-        standing = replace(poses[0].hypotheses, score=cost / len(poses))
-        covariance_m2 = self._each[0].spread(standing, covariance_m2)
-        apart_m, of_each = _apart_m(poses[0].hypotheses), np.maximum(agrees.sum(axis=0), 1)
+        in_mean = replace(standing, score=cost / len(poses))
+        covariance_m2 = self._each[0].spread(in_mean, covariance_m2)
         margin, far_margin = (
-            (np.where(apart_m > least_m, cost, np.inf).min(axis=1, initial=np.inf) - cost) / of_each
+            standing.lead(least_m) / np.maximum(agrees.sum(axis=0), 1)
             for least_m in (self._config.elsewhere_m, self._config.far_m)
         )
         joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
         return JointPoses(tuple(replace(one, **joint) for one in poses), cost, agrees)
-
-
-def _apart_m(places: Hypotheses) -> Float64Array:
-    """Return the distances (M, M) of places."""
-    place = places.easting_m + 1j * places.northing_m
-    return np.asarray(np.abs(place[:, np.newaxis] - place))

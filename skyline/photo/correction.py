@@ -26,7 +26,7 @@ from skyline.photo.extract import (
 )
 from skyline.photo.mask import is_sky_mask, skyline_of_mask
 from skyline.photo.paths import shortest_path
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import QuerySkyline, check_of_image
 
 _PAINTED_CONFIDENCE = 0.6
 """Least confidence of a column that a brush has touched: a person has looked at it."""
@@ -144,12 +144,7 @@ class Correction:
         extraction = self._extraction
         if found is None:
             return extraction.row_px, extraction.confidence
-        if (found.height_px, found.width_px) != extraction.shape:
-            height, width = extraction.shape
-            raise InputError(
-                f"the skyline is of an image of {found.width_px} x {found.height_px} px, the photo "
-                f"has {width} x {height}; expected the same image"
-            )
+        check_of_image(found, extraction.shape)
         inside = slice(extraction.content.left, extraction.content.right)
         return found.row_px[inside] - extraction.content.top, found.confidence[inside].copy()
 
@@ -165,11 +160,10 @@ class Correction:
         near = np.rint(at_work).astype(np.intp).clip(0, len(path) - 1)
         columns = np.flatnonzero(changed[near])
         around = slice(max(columns[0] - _HULL_PX, 0), columns[-1] + _HULL_PX + 1)
-        guess = to_photo_rows(path, evidence, at_work)[around]
+        guess = to_photo_rows(path, evidence, at_work[around])
         refined = refine_rows(extraction.photo[:, around], guess, evidence.row_scale)
-        sure = path_confidence(evidence, path)
         row_px[columns] = refined[columns - around.start]
-        confidence[columns] = np.interp(at_work[columns], np.arange(len(sure)), sure)
+        confidence[columns] = path_confidence(evidence, path, at_work[columns])
 
 
 def _moved(stroke: Stroke, right_px: float, down_px: float) -> Stroke:

@@ -75,15 +75,7 @@ class Photo:
 
 
 def decode_image(path: str | Path) -> Photo:
-    """Read an image file.
-
-    Raises
-    ------
-    MissingFileError
-        There is no such file.
-    InputError
-        It is not an image, damaged, too large, or in a format without a decoder.
-    """
+    """Read an image file; raises `MissingFileError`, `InputError` for what cannot be decoded."""
     path = Path(path)
     if not path.exists():
         raise MissingFileError(f"{path} does not exist; expected a photo, a sky mask or a trace")

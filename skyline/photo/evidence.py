@@ -45,22 +45,15 @@ _network_lock = Lock()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """A photo at working size, (h, w).
-
-    Attributes
-    ----------
-    share : (h, w) float32
-        Probability that the column's skyline runs through the pixel. A column's sum is the
-        probability that it shows a skyline at all.
-    cost : (h, w) float32
-        Of a path through the pixel, in units of the reward for a full edge.
-    row_scale : float
-        Working rows per photo row.
-    """
+    """A photo at working size, (h, w)."""
 
     share: Float32Array
+    """(h, w) float32. Probability that the column's skyline runs through the pixel. A column's sum
+    is the probability that it shows a skyline at all."""
     cost: Float32Array
+    """(h, w) float32. Of a path through the pixel, in units of the reward for a full edge."""
     row_scale: float
+    """Working rows per photo row."""
 
     def confidence(self, row: IntArray) -> Float64Array:
         """Return the probability, (w,), that the skyline is where a path (w,) runs."""

@@ -12,7 +12,6 @@ from math import ceil
 from typing import Self
 
 import numpy as np
-from scipy import ndimage
 
 from skyline.arrays import Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
@@ -43,22 +42,8 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
     """Find the skyline of a photo.
 
     Uniform borders and caption bars are set aside; columns whose skyline is not clear, lies on
-    the photo's edge or is hidden are masked, not guessed.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        RGB, upright.
-
-    Returns
-    -------
-    QuerySkyline
-        In pixels of ``image``, field of view unknown.
-
-    Raises
-    ------
-    InputError
-        Not such an array, too small, or without a skyline.
+    the photo's edge or is hidden are masked, not guessed. Raises `InputError` for an image that is
+    not (H, W, 3) uint8 RGB, too small, or without a skyline.
     """
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise InputError(
@@ -72,30 +57,20 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extraction:
-    """A photo's skyline with what it was found from, so that it can be found again.
-
-    Attributes
-    ----------
-    shape : (int, int)
-        Height and width of the image.
-    content : Content
-        What of the image is photo.
-    photo : (H, W, 3) uint8
-        That part.
-    evidence : Evidence
-    path : (w,) intp
-        The path found at working size.
-    row_px, confidence : (W,) float64
-        Of the photo's columns, whether trusted or not.
-    """
+    """A photo's skyline with what it was found from, so that it can be found again."""
 
     shape: tuple[int, int]
+    """Height and width of the image."""
     content: Content
+    """What of the image is photo."""
     photo: UInt8Array
+    """(H, W, 3) uint8. That part."""
     evidence: Evidence
     path: IntArray
+    """(w,) intp. The path found at working size."""
     row_px: Float64Array
     confidence: Float64Array
+    """``row_px``, ``confidence``: (W,) float64. Of the photo's columns, whether trusted or not."""
 
     @classmethod
     def of(cls, image: UInt8Array) -> Self:
@@ -106,8 +81,7 @@ class Extraction:
         path = shortest_path(evidence.cost, STEPS)
         at_work = to_work_columns(photo.shape[1], evidence)
         row_px = refine_rows(photo, to_photo_rows(path, evidence, at_work), evidence.row_scale)
-        sure = path_confidence(evidence, path)
-        confidence = np.interp(at_work, np.arange(len(sure)), sure)
+        confidence = path_confidence(evidence, path, at_work)
         height, width = image.shape[:2]
         return cls((height, width), content, photo, evidence, path, row_px, confidence)
 
@@ -117,11 +91,14 @@ class Extraction:
         return self.content.skyline(trusted_px, confidence, self.shape)
 
 
-def path_confidence(evidence: Evidence, path: IntArray) -> Float64Array:
-    """Return each working column's confidence, 0 to 1, smoothed."""
+def path_confidence(evidence: Evidence, path: IntArray, at_work: Float64Array) -> Float64Array:
+    """Return the confidence in a working path, 0 to 1 and smoothed, at places along it."""
+    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415  (slow to load)
+
     sure = evidence.confidence(path)
-    smooth = ndimage.uniform_filter1d(sure, _SMOOTHED_PX, mode="nearest")
-    return np.asarray(np.minimum(smooth, np.where(sure > 0.0, 1.0, 0.0)), dtype=np.float64)
+    smooth = uniform_filter1d(sure, _SMOOTHED_PX, mode="nearest")
+    smooth = np.minimum(smooth, np.where(sure > 0.0, 1.0, 0.0))
+    return np.interp(at_work, np.arange(len(sure)), smooth)
 
 
 def to_work_columns(width: int, evidence: Evidence) -> Float64Array:

@@ -62,16 +62,8 @@ def content_of(image: UInt8Array) -> Content:
 
     A bar is a run of rows (or columns) from the image's edge, mostly of one colour, that ends
     in a straight line: the next row differs from that colour nearly everywhere. Overcast sky
-    and dark ground are uniform too, but they end in a skyline.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-
-    Raises
-    ------
-    InputError
-        Less than 32 x 32 pixels are left, or the image is a sliver.
+    and dark ground are uniform too, but they end in a skyline. Raises `InputError` where less than
+    32 x 32 pixels are left of the image (H, W, 3) uint8, or it is a sliver.
     """
     height, width = image.shape[:2]
     if max(height, width) > MAX_ASPECT * min(height, width):
@@ -103,7 +95,7 @@ def _bar_length(image: UInt8Array) -> int:
     colour = np.median(image[0], axis=0)
     length = 0
     while length <= longest:
-        if _share_of(image[length], colour) < _BAR_SHARE:
+        if _alike(image[length], colour).mean() < _BAR_SHARE:
             break
         length += 1
     mixed = image[length : length + _BAR_BLUR_PX]
@@ -122,10 +114,6 @@ def _is_content(row: UInt8Array, colour: NDArray[np.float64]) -> bool:
     return bool(differs.size >= _EDGE_SHARE * (differs[-1] + 1 - differs[0]))
 
 
-def _share_of(pixels: UInt8Array, colour: NDArray[np.float64]) -> float:
-    """Return the share of (N, 3) pixels that are of the colour."""
-    return float(_alike(pixels, colour).mean())
-
-
 def _alike(pixels: UInt8Array, colour: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which of pixels (N, 3) are of a colour."""
     return np.asarray(np.abs(pixels - colour).max(axis=-1) <= _COLOUR_TOLERANCE)

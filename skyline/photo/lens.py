@@ -63,22 +63,16 @@ class _Focal:
 
 
 def lens_of(tags: Mapping[int, object], stored_size: tuple[int, int], turned: bool) -> Lens:
-    """Return what a photo's EXIF says of its field of view.
+    """Return what a photo's EXIF, the main and the Exif directories joined, says of its lens.
 
-    Parameters
-    ----------
-    tags : mapping
-        EXIF tag numbers to values, the main and the Exif directories joined.
-    stored_size : (int, int)
-        Width and height of the image as stored, before its orientation is applied.
-    turned : bool
-        Whether its orientation swaps width and height.
+    ``stored_size`` is the width and height before the orientation is applied; it is ``turned``
+    where that swaps them.
     """
     frame = _frame(tags, stored_size)
     focal, dropped = _focal(tags, frame)
     if focal is None:
         return Lens(said=dropped)
-    if _aspect(stored_size) > MAX_PINHOLE_ASPECT:
+    if max(stored_size) / min(stored_size) > MAX_PINHOLE_ASPECT:
         return Lens(said=f"{focal.source} left aside: the photo is a panorama or a strip")
     kept = _kept(stored_size, frame)
     across = kept[1] if turned else kept[0]
@@ -173,10 +167,6 @@ def _is_whole(stored: tuple[int, int], frame: tuple[float, float]) -> bool:
 def _is_unscaled(stored: tuple[int, int], frame: tuple[float, float]) -> bool:
     """Whether a file has all columns or all rows of the frame, and no more of the other."""
     return max(stored[0] - frame[0], stored[1] - frame[1]) == 0.0
-
-
-def _aspect(size: tuple[float, float]) -> float:
-    return max(size) / min(size)
 
 
 def _positive(value: object) -> float | None:

@@ -1,9 +1,8 @@
 """Sky masks: images drawn by a person or a program, white for sky and black for ground."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import UInt8Array
+from skyline.arrays import Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
 from skyline.photo.query import QuerySkyline
 
@@ -31,31 +30,30 @@ def is_sky_mask(image: UInt8Array) -> bool:
 def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
     """Return the border of each column's topmost ground; NaN where a column has no sky above it.
 
-    A smoothed border is found to a fraction of a pixel, halfway from white to black.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        A sky mask, white = sky.
-
-    Raises
-    ------
-    InputError
-        No column has sky above ground.
+    A smoothed border is found to a fraction of a pixel, halfway from white to black. Raises
+    `InputError` where no column of the mask, (H, W, 3) uint8, has sky (white) above ground.
     """
-    grey = image[:, :, 1].astype(np.float64)
-    height, width = grey.shape
-    is_ground = grey < _MIDDLE
-    first: NDArray[np.intp] = np.argmax(is_ground, axis=0)
-    # A column that starts with ground has its skyline above the image, one without below it.
-    drawn = is_ground.any(axis=0) & (first > 0)
+    row_px, _ = topmost_border(image[:, :, 1].astype(np.float64), _MIDDLE)
+    drawn = np.isfinite(row_px)
     if not drawn.any():
         raise InputError(
             "no skyline found: the mask has no column with sky (white) above ground (black); "
             "expected white for the sky"
         )
-    columns = np.arange(width)
-    above, below = grey[first - 1, columns], grey[first, columns]
-    fraction = (above - _MIDDLE) / np.where(drawn, above - below, 1.0)
-    row_px = np.where(drawn, first - 1 + fraction, np.nan)
-    return QuerySkyline(row_px, drawn.astype(np.float64), width, height)
+    return QuerySkyline(row_px, drawn.astype(np.float64), image.shape[1], len(image))
+
+
+def topmost_border(sky: Float64Array, middle: float) -> tuple[Float64Array, IntArray]:
+    """Return where each column (w,) of how much is sky (h, w) first falls below a middle.
+
+    That is to a fraction of a row, NaN where it never does or begins below, and the row of the
+    first pixel of ground.
+    """
+    is_ground = sky < middle
+    first = np.argmax(is_ground, axis=0)
+    # A column that starts with ground has its skyline above the image, one without below it.
+    seen = is_ground.any(axis=0) & (first > 0)
+    columns = np.arange(sky.shape[1])
+    above, below = sky[first - 1, columns], sky[first, columns]
+    row_px = first - 1 + (above - middle) / np.where(seen, above - below, 1.0)
+    return np.where(seen, row_px, np.nan), first

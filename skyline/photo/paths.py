@@ -10,21 +10,14 @@ from skyline.arrays import Float32Array, IntArray
 
 @dataclass(frozen=True, slots=True)
 class Steps:
-    """What a step from one column to the next may do and what it costs.
-
-    Attributes
-    ----------
-    reach_rows : int
-        Largest step that is priced by its slope.
-    price_per_row : float
-        Price of each row of such a step.
-    jump_price : float
-        Price of a step of any size: a cliff, a trunk, the edge of an occluder.
-    """
+    """What a step from one column to the next may do and what it costs."""
 
     reach_rows: int
+    """Largest step that is priced by its slope."""
     price_per_row: float
+    """Price of each row of such a step."""
     jump_price: float
+    """Price of a step of any size: a cliff, a trunk, the edge of an occluder."""
 
 
 def shortest_path(cost: Float32Array, steps: Steps) -> IntArray:

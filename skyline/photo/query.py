@@ -123,3 +123,13 @@ class QuerySkyline:
                 f"from {MIN_FOV_DEG:g} degrees on (--fov-deg)"
             )
         return self.projection.check_fov_deg(known)
+
+
+def check_of_image(query: QuerySkyline, shape: tuple[int, ...]) -> None:
+    """Raise `InputError` where a skyline is not of an image of a shape (H, W, ...)."""
+    height, width = shape[:2]
+    if (width, height) != (query.width_px, query.height_px):
+        raise InputError(
+            f"the skyline is of an image of {query.width_px} x {query.height_px} px, the photo has "
+            f"{width} x {height}; expected the same image"
+        )

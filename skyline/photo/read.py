@@ -17,7 +17,7 @@ from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import MAX_PINHOLE_ASPECT
 from skyline.photo.mask import is_sky_mask, skyline_of_mask
 from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
-from skyline.photo.query import QuerySkyline
+from skyline.photo.query import QuerySkyline, check_of_image
 from skyline.photo.sky_model import SkySession, load_sky_model, model_skyline
 from skyline.photo.trace import read_trace
 
@@ -72,12 +72,8 @@ def extract_photo(
 ) -> tuple[UInt8Array, QuerySkyline]:
     """Read a photo or a sky mask and find its skyline; as `read_query`, with the pixels.
 
-    Returns
-    -------
-    image : (H, W, 3) uint8
-        RGB, upright, the pixels that the skyline's rows count: of a panorama wider than 160
-        degrees its middle.
-    query : QuerySkyline
+    These are (H, W, 3) uint8 RGB, upright, those that the skyline's rows count: of a panorama wider
+    than 160 degrees its middle.
     """
     photo = read_photo(path, fov_deg, projection=projection)
     _doubt_strip(path, photo)
@@ -208,12 +204,7 @@ def _middle(width: int, fov_deg: float) -> slice:
 def read_picture(path: str | Path) -> UInt8Array | None:
     """Return a query's photo (H, W, 3) uint8 RGB, upright; None for a trace or a sky mask.
 
-    Raises
-    ------
-    MissingFileError
-        There is no such file.
-    InputError
-        It cannot be decoded.
+    Raises as `read_photo`.
     """
     if Path(path).suffix.lower() == ".csv":
         return None
@@ -224,28 +215,16 @@ def read_picture(path: str | Path) -> UInt8Array | None:
 def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> None:
     """Write a photo (H, W, 3) uint8 RGB as PNG with the skyline's trusted columns drawn on it.
 
-    Raises
-    ------
-    InputError
-        The skyline is of an image of another size, or the file cannot be written.
+    Raises `InputError` where the skyline is of an image of another size, or the file cannot be
+    written.
     """
-    height, width = photo.shape[:2]
-    if (width, height) != (query.width_px, query.height_px):
-        raise InputError(
-            f"the skyline is of an image of {query.width_px} x {query.height_px} px, the photo has "
-            f"{width} x {height}; expected the same image"
-        )
+    check_of_image(query, photo.shape)
     drawn = photo.copy()
-    thickness = max(1, round(width / 1000))
-    for run in _runs(query):
+    thickness = max(1, round(query.width_px / 1000))
+    columns = np.flatnonzero(query.trusted)
+    for run in np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1):
         points = np.stack([run, np.rint(query.row_px[run])], axis=1).astype(np.int32)
         cv2.polylines(drawn, [points], False, _SKYLINE_RGB, thickness)
     picture = io.BytesIO()
     Image.fromarray(drawn).save(picture, format="PNG", compress_level=1)
     write_whole(Path(path), picture.getvalue())
-
-
-def _runs(query: QuerySkyline) -> list[np.ndarray]:
-    """Return the columns of each unbroken run of trusted ones."""
-    columns = np.flatnonzero(query.trusted)
-    return np.split(columns, np.flatnonzero(np.diff(columns) > 1) + 1)

@@ -12,12 +12,12 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.extras import library
 from skyline.photo.frame import Content, content_of
+from skyline.photo.mask import topmost_border
 from skyline.photo.query import QuerySkyline
 
 _LONGEST_PX = 1024
@@ -47,12 +47,8 @@ class SkySession(Protocol):
 def load_sky_model(path: str | Path) -> SkySession:
     """Open an ONNX model; see this module for what it takes and gives.
 
-    Raises
-    ------
-    MissingFileError
-        There is no such file.
-    InputError
-        onnxruntime is not installed, or the file is not a model.
+    Raises `MissingFileError`, and `InputError` where onnxruntime is not installed or the file is
+    not a model.
     """
     if not Path(path).is_file():
         raise MissingFileError(f"{path} does not exist; expected a sky model (ONNX)")
@@ -70,12 +66,8 @@ def model_skyline(image: UInt8Array, session: SkySession) -> QuerySkyline:
     """Find the skyline of a photo (H, W, 3) uint8 RGB with a sky model.
 
     A column's skyline is its topmost crossing of one half; its confidence is how far the
-    probability falls there within a hundredth of the rows.
-
-    Raises
-    ------
-    InputError
-        The model does not keep the contract, or no column has sky above ground.
+    probability falls there within a hundredth of the rows. Raises `InputError` where the model does
+    not keep the contract, or no column has sky above ground.
     """
     content = content_of(image)
     photo = content.crop(image)
@@ -126,16 +118,12 @@ def _input_size(shape: Sequence[object], photo: tuple[int, ...]) -> tuple[int, i
 def _border(probability: Float64Array) -> tuple[Float64Array, Float64Array]:
     """Return row and confidence of each column's border, NaN and 0 where there is none."""
     height, width = probability.shape
-    is_ground = probability < 0.5
-    first: NDArray[np.intp] = np.argmax(is_ground, axis=0)
-    seen = is_ground.any(axis=0) & (first > 0)
+    row_px, first = topmost_border(probability, 0.5)
     columns = np.arange(width)
-    above, below = probability[first - 1, columns], probability[first, columns]
-    row_px = first - 1 + (above - 0.5) / np.where(seen, above - below, 1.0)
     step = max(1, round(_STEP_SHARE * height))
     sky = probability[np.maximum(first - 1 - step, 0), columns]
     ground = probability[np.minimum(first + step, height - 1), columns]
-    confidence = np.where(seen, np.clip(sky - ground, 0.0, 1.0), 0.0)
+    confidence = np.where(np.isfinite(row_px), np.clip(sky - ground, 0.0, 1.0), 0.0)
     trusted = confidence >= _MIN_CONFIDENCE
     return np.where(trusted, row_px, np.nan), np.where(trusted, confidence, 0.0)
 

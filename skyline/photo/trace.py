@@ -119,7 +119,7 @@ def _points(
     if header[:2] != _COLUMNS:
         raise InputError(f"{path} has the header {','.join(header)!r}; {_FORM}")
     points = [
-        (_column(path, number, record, width), _row(path, number, record, height))
+        (_coordinate(path, number, record, 0, width), _coordinate(path, number, record, 1, height))
         for number, record in enumerate(records[1:], start=heading + 2)
         if any(field.strip() for field in record)
     ]
@@ -133,27 +133,18 @@ def _points(
     return column, row
 
 
-def _column(path: Path, number: int, record: list[str], width: int) -> float:
-    column = _number(path, number, record[0])
-    if not -0.5 <= column <= width - 0.5:
-        raise InputError(
-            f"{path}, line {number}: column {record[0].strip()} is outside the image; expected "
-            f"-0.5 to {width - 0.5}"
-        )
-    return column
-
-
-def _row(path: Path, number: int, record: list[str], height: int) -> float:
-    text = record[1] if len(record) > 1 else ""
-    if not text.strip() or text.strip().lower() == "nan":
+def _coordinate(path: Path, number: int, record: list[str], axis: int, side: int) -> float:
+    """Return a point's column (axis 0) or row (axis 1) in an image of a side; a row may be NaN."""
+    text = record[axis].strip() if len(record) > axis else ""
+    if axis == 1 and text.lower() in {"", "nan"}:
         return math.nan
-    row = _number(path, number, text)
-    if not -0.5 <= row <= height - 0.5:
+    value = _number(path, number, text)
+    if not -0.5 <= value <= side - 0.5:
         raise InputError(
-            f"{path}, line {number}: row {text.strip()} is outside the image; expected -0.5 to "
-            f"{height - 0.5}"
+            f"{path}, line {number}: {('column', 'row')[axis]} {text} is outside the image; "
+            f"expected -0.5 to {side - 0.5}"
         )
-    return row
+    return value
 
 
 def _number(path: Path, number: int, text: str) -> float:

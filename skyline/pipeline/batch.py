@@ -12,7 +12,7 @@ from pathlib import Path
 
 from skyline.errors import SkylineError
 from skyline.matching.screening import Alike
-from skyline.photo import QuerySkyline
+from skyline.photo.query import QuerySkyline
 from skyline.pipeline.jobs import Runner, in_order
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.queries import Query

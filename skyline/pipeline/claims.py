@@ -4,7 +4,7 @@ import numpy as np
 
 from skyline.geodesy import Frame
 from skyline.matching.claim import Claim
-from skyline.photo import NotedPlace
+from skyline.photo.exif import NotedPlace
 
 _GPS_SD_M, _LEAST_GPS_SD_M = 30.0, 15.0
 """Scales of positions without an accuracy, and of those with a good one: the model is off too."""

@@ -11,12 +11,17 @@ from typing import Self
 
 from skyline.errors import InputError, named
 from skyline.geodesy import Frame
-from skyline.matching import Candidate, Hypotheses, Narrowing, QueryRays
+from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.match_config import MatchConfig
-from skyline.matching.narrowing import Narrowed
+from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.matching.progress import telling
+from skyline.matching.query import QueryRays
+from skyline.matching.ranking import Candidate
 from skyline.matching.screening import Alike
-from skyline.photo import Lens, Projection, QuerySkyline, read_query
+from skyline.photo.lens import Lens
+from skyline.photo.projection import Projection
+from skyline.photo.query import QuerySkyline
+from skyline.photo.read import read_query
 from skyline.pipeline.claims import claim_of
 from skyline.pipeline.matchers import FULL, MATCHERS, check_narrows
 from skyline.pipeline.opened import Dem, OpenedSource, given_terrain

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError, SkylineError
 from skyline.files import is_file
-from skyline.matching import Profiles
 from skyline.matching.match_config import MatchConfig
+from skyline.matching.profiles import Profiles
 from skyline.pipeline.config import check_dem, read_dem_of
 from skyline.pipeline.scene import RenderedScene
 from skyline.places import PlaceSource

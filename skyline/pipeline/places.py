@@ -9,13 +9,14 @@ from typing import Any
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
+from skyline.geodesy import Rectangle
 from skyline.pipeline.build import BuildResult, RowRenderer, render_missing, view_rows
 from skyline.pipeline.config import BuildConfig, PlaceConfig, RenderConfig, store_header
 from skyline.pipeline.jobs import Progress
 from skyline.pipeline.layout import DEFAULT_LOSS, Layout
 from skyline.places import BINS, Places
 from skyline.planning.adaptive import AdaptivePlanner, Blocks, price_of, spread_over
-from skyline.planning.uniform import MapBounds, map_bounds
+from skyline.planning.uniform import map_bounds
 from skyline.render.panorama import PanoramaRenderer
 from skyline.store import StoreHeader, StoreWriter
 from skyline.terrain.heightfield import HeightField
@@ -94,7 +95,7 @@ def build_store(
     return refuse_empty(built, Path(path), map_bounds(terrain, layout.bounds_deg))
 
 
-def refuse_empty(built: BuildResult, path: Path, area: MapBounds) -> BuildResult:
+def refuse_empty(built: BuildResult, path: Path, area: Rectangle) -> BuildResult:
     """Return what a plan came to; a store without places is removed, and `InputError` raised."""
     if built.rows:
         return built

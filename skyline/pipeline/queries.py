@@ -11,7 +11,11 @@ from pathlib import Path
 from skyline.errors import InputError, MissingFileError
 from skyline.matching.narrowing import Narrowing
 from skyline.matching.screening import Alike
-from skyline.photo import Lens, Projection, QuerySkyline, check_fov, load_sky_model, read_query
+from skyline.photo.lens import Lens
+from skyline.photo.projection import Projection
+from skyline.photo.query import QuerySkyline
+from skyline.photo.read import check_fov, read_query
+from skyline.photo.sky_model import load_sky_model
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.results import MatchResult
 
@@ -58,7 +62,7 @@ class Query:
             self.read()
 
     def read(self) -> QuerySkyline:
-        """Find the skyline; raises as `skyline.photo.read_query`."""
+        """Find the skyline; raises as `skyline.photo.read.read_query`."""
         model = None if self.sky_model is None else _sky_model(self.sky_model.absolute())
         query = read_query(self.path, self.fov_deg, projection=self.projection, sky_model=model)
         if self.fov_deg is None or self.fov_slack is None:

@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 
-from skyline.matching import Candidate, QueryRays
 from skyline.matching.confidence import DISTANCES_M
 from skyline.matching.match_config import MatchConfig
-from skyline.photo import QuerySkyline
+from skyline.matching.query import QueryRays
+from skyline.matching.ranking import Candidate
+from skyline.photo.query import QuerySkyline
 
 DISAGREES = "the photo does not fit where the others were taken"
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from skyline import report
-from skyline.photo import read_picture
+from skyline.photo.read import read_picture
 from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.results import MatchResult

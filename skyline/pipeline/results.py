@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from skyline.matching import Candidate
-from skyline.photo import QuerySkyline
+from skyline.matching.ranking import Candidate
+from skyline.photo.query import QuerySkyline
 from skyline.pipeline.tables import to_geodataframe
 from skyline.report.beyond import beyond_said
 from skyline.report.claims import claim_said

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError
-from skyline.matching import Hypotheses, Ranking
-from skyline.matching.ranking import Candidate
-from skyline.photo import QuerySkyline
+from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.ranking import Candidate, Ranking
+from skyline.photo.query import QuerySkyline
 from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.scene import RenderedScene

@@ -15,10 +15,10 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
 from skyline.errors import InputError
+from skyline.geodesy import Rectangle
 from skyline.horizons import Horizons
 from skyline.places import Places
 from skyline.planning.loss import lost_shares
-from skyline.planning.uniform import MapBounds
 from skyline.rows import Rows
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
@@ -54,16 +54,11 @@ _UNSEEN, _NO_SURFACE = -1, -2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks(Rows):
-    """N squares of the map, with sides of `BLOCK_M` at whole multiples of it.
-
-    Attributes
-    ----------
-    col, row : (N,) int64
-        Which multiples their western and southern sides are at.
-    """
+    """N squares of the map, with sides of `BLOCK_M` at whole multiples of it."""
 
     col: Int64Array
     row: Int64Array
+    """``col``, ``row``: (N,) int64. Which multiples their western and southern sides are at."""
 
     def __len__(self) -> int:
         return len(self.col)
@@ -84,7 +79,7 @@ class Blocks(Rows):
         return np.isin(self.col + 1j * self.row, held)
 
 
-def blocks_of(area: MapBounds) -> Blocks:
+def blocks_of(area: Rectangle) -> Blocks:
     """Return the blocks that meet an area, row by row from the north-west."""
     west, south, east, north = (side / BLOCK_M for side in area)
     col = np.arange(np.floor(west), np.ceil(east), dtype=np.int64)
@@ -94,24 +89,10 @@ def blocks_of(area: MapBounds) -> Blocks:
 
 
 def price_of(loss: float, sample: Horizons) -> float:
-    """Return what a place must save for a plan to lose no more than a share of the views.
+    """Return what a place must save, square metres of views, for a plan to lose at most a share.
 
-    Parameters
-    ----------
-    loss : float
-        The share, in (0, 1).
-    sample : Horizons
-        Skylines of viewpoints spread over the area; see `spread_over`.
-
-    Returns
-    -------
-    float
-        Square metres of views.
-
-    Raises
-    ------
-    InputError
-        A loss outside (0, 1), or below that of the finest lattice.
+    ``sample`` is of viewpoints spread over the area; see `spread_over`. Raises `InputError` for a
+    loss outside (0, 1), or below that of the finest lattice.
     """
     if not 0.0 < loss < 1.0:
         raise InputError(f"loss is {loss}; expected a share between 0 and 1, for example 0.2")
@@ -134,13 +115,10 @@ def price_of(loss: float, sample: Horizons) -> float:
     return low
 
 
-def spread_over(terrain: HeightField, area: MapBounds, eye_height_m: float) -> Viewpoints:
+def spread_over(terrain: HeightField, area: Rectangle, eye_height_m: float) -> Viewpoints:
     """Return up to 512 viewpoints spread evenly over an area, always the same ones.
 
-    Raises
-    ------
-    InputError
-        None of them falls on the surface.
+    Raises `InputError` where none of them falls on the surface.
     """
     # The sequence of the plastic number (Roberts 2018) fills a square evenly.
     step = np.array([0.7548776662466927, 0.5698402909980532])
@@ -158,21 +136,13 @@ def spread_over(terrain: HeightField, area: MapBounds, eye_height_m: float) -> V
 
 
 class AdaptivePlanner:
-    """Lays out and renders places, block by block.
+    """Lays out and renders places, block by block; those outside the area are not kept.
 
-    Parameters
-    ----------
-    terrain : HeightField
-    look : Look
-    area : MapBounds
-        Places outside are not kept.
-    price : float
-        See `price_of`.
-    eye_height_m : float
+    The price is that of `price_of`.
     """
 
     def __init__(
-        self, terrain: HeightField, look: Look, area: MapBounds, price: float, eye_height_m: float
+        self, terrain: HeightField, look: Look, area: Rectangle, price: float, eye_height_m: float
     ) -> None:
         self._terrain = terrain
         self._look = look

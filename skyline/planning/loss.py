@@ -25,19 +25,10 @@ _POWER = 1.55
 
 
 def window_losses(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
-    """Return how likely views round places are lost, by direction.
+    """Return how likely views round N places are lost where they lie S spacings apart, (N, S, 36).
 
-    Parameters
-    ----------
-    distance_m : (N, B) float32
-        Of the skylines of N places, all the way round; NaN where there is no data.
-    spacing_m : (S,) float64
-        Between places.
-
-    Returns
-    -------
-    (N, S, 36) float64
-        Of the views, 60 degrees wide, that begin at 0, 10, 20, ... degrees.
+    The views are 60 degrees wide and begin at 0, 10, 20, ... degrees. ``distance_m`` (N, B) is of
+    the skylines all the way round; NaN where there is no data.
     """
     # The nearest stretches of a skyline move most, so the mean is one of nearness.
     nearness = 1.0 / np.clip(

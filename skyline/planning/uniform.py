@@ -3,25 +3,17 @@
 import numpy as np
 
 from skyline.errors import InputError
+from skyline.geodesy import Bounds, Rectangle
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
 
-MapBounds = tuple[float, float, float, float]
-"""West, south, east, north in metres of the DEM's frame."""
 
-
-def map_bounds(
-    field: HeightField, bounds_deg: tuple[float, float, float, float] | None
-) -> MapBounds:
-    """Return the part of a field inside bounds in degrees (W, S, E, N; WGS 84), or all of it.
+def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
+    """Return the part of a field inside bounds (WGS 84), or all of it.
 
     The box in degrees is a curved quadrangle on the map; its bounding rectangle is returned,
-    clipped to the field. West above east means a box across the antimeridian.
-
-    Raises
-    ------
-    InputError
-        Bounds that are not numbers in order, or that do not meet the field.
+    clipped to the field. Raises `InputError` for bounds that are not numbers in order, or that do
+    not meet the field.
     """
     if bounds_deg is None:
         return field.bounds_m
@@ -48,18 +40,14 @@ def map_bounds(
 def uniform_grid(
     field: HeightField,
     spacing_m: float,
-    bounds_m: MapBounds | None = None,
+    bounds_m: Rectangle | None = None,
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
 ) -> Viewpoints:
     """Place viewpoints at whole multiples of a spacing in the field's frame.
 
     Locations on holes or off the surface are left out, so that areas that overlap share their
-    viewpoints. The order is row by row from the north-west.
-
-    Raises
-    ------
-    InputError
-        A spacing that is not positive, or so large that no viewpoint falls on the surface.
+    viewpoints. The order is row by row from the north-west. Raises `InputError` for a spacing that
+    is not positive, or so large that no viewpoint falls on the surface.
     """
     if not (np.isfinite(spacing_m) and spacing_m > 0.0):
         raise InputError(f"spacing is {spacing_m} m; expected a positive number of metres")

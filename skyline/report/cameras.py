@@ -11,7 +11,8 @@ from skyline.arrays import Float64Array
 from skyline.files import write_with_folders
 from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
-from skyline.photo import Projection, QuerySkyline
+from skyline.photo.projection import Projection
+from skyline.photo.query import QuerySkyline
 from skyline.report.matched import Matched
 
 

@@ -5,7 +5,7 @@ from typing import TypedDict
 from pyproj import Geod
 
 from skyline.matching.ranking import Candidate
-from skyline.photo import NotedPlace
+from skyline.photo.exif import NotedPlace
 
 _DISAGREES_M, _DISAGREES_ACCURACIES = 500.0, 5.0
 _DISAGREES_DEG = 45.0

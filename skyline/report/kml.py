@@ -14,7 +14,8 @@ from skyline.arrays import UInt8Array
 from skyline.files import write_with_folders
 from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
-from skyline.photo import Projection, QuerySkyline
+from skyline.photo.projection import Projection
+from skyline.photo.query import QuerySkyline
 from skyline.report.geojson import VIEW_REACH_M, lonlat_of
 from skyline.report.matched import Matched
 from skyline.report.shapes import view_wedge_m

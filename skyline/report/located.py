@@ -16,7 +16,7 @@ from PIL.TiffImagePlugin import IFDRational
 from skyline.errors import InputError
 from skyline.files import write_with_folders
 from skyline.matching.ranking import Candidate
-from skyline.photo import read_photo
+from skyline.photo.read import read_photo
 
 _EXIF = b"Exif\x00\x00"
 _APP0, _APP1, _SCAN = 0xE0, 0xE1, 0xDA

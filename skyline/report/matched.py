@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.matching.ranking import Candidate
-from skyline.photo import QuerySkyline
+from skyline.photo.query import QuerySkyline
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ import numpy as np
 from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
 from skyline.matching.ranking import Candidate
-from skyline.photo import QuerySkyline
+from skyline.photo.query import QuerySkyline
 from skyline.report.beyond import beyond_said
 from skyline.report.claims import claim_said
 from skyline.report.geojson import write_geojson

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.matching.ranking import Candidate
-from skyline.photo import QuerySkyline
+from skyline.photo.query import QuerySkyline
 from skyline.report.labels import Placed, place_labels
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, PosedPicture

@@ -8,7 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 from skyline.arrays import Float64Array
 from skyline.matching.query import level, project
 from skyline.matching.ranking import Candidate
-from skyline.photo import Projection, QuerySkyline
+from skyline.photo.projection import Projection
+from skyline.photo.query import QuerySkyline
 from skyline.views import Views
 
 

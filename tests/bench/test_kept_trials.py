@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.photo import QuerySkyline
+from skyline.photo.query import QuerySkyline
 from skyline.pipeline.results import MatchResult
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 from skyline_bench.trials.kept import MEASURED_CODE, Kept, measured_code_digest, measured_files

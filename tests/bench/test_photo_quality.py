@@ -9,7 +9,7 @@ from photo_scenes import make_scene
 from PIL import Image
 
 from skyline.errors import InputError
-from skyline.photo import extract_skyline
+from skyline.photo.extract import extract_skyline
 from skyline_bench.queries.drawn_photos import CONDITIONS, draw_recipe
 from skyline_bench.runs.sky_masks import mask_rows, measure
 from skyline_bench.training.photo import GROUND, SKY

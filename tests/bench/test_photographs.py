@@ -8,7 +8,7 @@ from PIL import Image
 from scenes import field_of, fractal
 
 from skyline.errors import InputError
-from skyline.photo import extract_photo
+from skyline.photo.read import extract_photo
 from skyline.render.depth import DepthRenderer
 from skyline_bench.queries.photographs import draw_photo
 from skyline_bench.queries.scenery import Scenery

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from skyline.errors import InputError
 from skyline.matching.query import level
-from skyline.photo import QuerySkyline
+from skyline.photo.query import QuerySkyline
 from skyline_bench.queries.pinhole import Camera
 
 AZIMUTH_DEG = np.arange(0.0, 360.0, 0.02)

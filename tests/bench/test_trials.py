@@ -5,7 +5,7 @@ import pytest
 from scenes import candidate_at
 
 from skyline.errors import InputError
-from skyline.photo import QuerySkyline
+from skyline.photo.query import QuerySkyline
 from skyline.pipeline.results import MatchResult
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 from skyline_bench.trials.trials import run_trials, summarize

@@ -8,7 +8,7 @@ from scenes import NORTH_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
 from skyline.errors import InputError
-from skyline.photo import write_trace
+from skyline.photo.trace import write_trace
 from skyline.pipeline import batch
 from skyline.pipeline.batch import match_many
 from skyline.pipeline.cluster import remote_runner

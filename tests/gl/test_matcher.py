@@ -21,7 +21,8 @@ from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.matching.full import FullMatcher
 from skyline.matching.match_config import FullConfig
 from skyline.matching.retrieval import Retriever
-from skyline.photo import Projection, QuerySkyline
+from skyline.photo.projection import Projection
+from skyline.photo.query import QuerySkyline
 from skyline.pipeline.batch import _opened
 from skyline.pipeline.config import curvature_of
 from skyline.pipeline.scene import RenderedScene

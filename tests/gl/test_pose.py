@@ -9,7 +9,7 @@ from query_scenes import photographed, poses, rays_of
 from scenes import field_of, fractal
 
 from skyline.errors import InputError
-from skyline.matching import Hypotheses
+from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.panoramas import Panoramas
 from skyline.matching.pose import Refinement, refine
 from skyline.matching.refine_config import RefineConfig

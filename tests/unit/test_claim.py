@@ -13,7 +13,7 @@ from skyline.matching.eye_height import EyeHeight
 from skyline.matching.ranking import Candidate
 from skyline.matching.solver import Curves as SeenCurves
 from skyline.matching.solver import Solver, SolverConfig
-from skyline.photo import NotedPlace
+from skyline.photo.exif import NotedPlace
 from skyline.pipeline.claims import claim_of
 from skyline.report.claims import claim_in_words, describe_claim
 

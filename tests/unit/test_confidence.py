@@ -55,7 +55,7 @@ def test_a_place_that_nothing_is_held_against_has_no_margin() -> None:
     assert (confidence.models()[NEAR_RETRIEVED].probability(figures) < 0.9).all()
     one = np.ones(1)
     poses = Poses(
-        found[:1], np.eye(2)[np.newaxis], one, one, one, one, one + np.inf, one + np.inf, 7
+        found[:1], np.eye(2)[np.newaxis], one, one, one, one, one, one + np.inf, one + np.inf, 7
     )
     assert confidence.refined_figures(poses, found, QUERY)["margin"].tolist() == [0.0]
 
@@ -64,7 +64,7 @@ def test_every_refined_pose_hears_of_the_best_that_was_retrieved() -> None:
     found = retrieved([0.0, 500.0, 900.0], [2.0, 1.0, 5.0])
     one = np.ones(2)
     poses = Poses(
-        found[np.arange(2)], np.tile(np.eye(2), (2, 1, 1)), one, one, one, one,
+        found[np.arange(2)], np.tile(np.eye(2), (2, 1, 1)), one, one, one, one, one,
         np.array([90.0, -90.0]), np.array([100.0, np.inf]), 7,
     )  # fmt: skip
     figures = confidence.refined_figures(poses, found, QUERY)

@@ -7,12 +7,12 @@ import pytest
 from photo_scenes import make_scene
 
 from skyline import Correction, InputError, NotedPlace, Photo, Projection, QuerySkyline, Stroke
-from skyline.photo import StrokeKind, extract_skyline
-from skyline.photo.correction import _forbidden, _labels
+from skyline.photo.correction import StrokeKind, _forbidden, _labels
 from skyline.photo.extract import (
     FORBIDDEN,
     STEPS,
     Extraction,
+    extract_skyline,
     refine_rows,
     to_photo_rows,
     to_work_columns,

@@ -11,7 +11,7 @@ from PIL import Image
 from PIL.ExifTags import IFD, Base
 
 from skyline.errors import InputError, MissingFileError
-from skyline.photo import extract_photo, read_query
+from skyline.photo.read import extract_photo, read_query
 
 
 @pytest.fixture(scope="module")

@@ -7,8 +7,9 @@ from photo_scenes import make_scene
 from PIL import Image
 
 from skyline.errors import InputError
-from skyline.photo import Projection, QuerySkyline, extract_photo, read_query
-from skyline.photo.projection import panorama_of_xmp
+from skyline.photo.projection import Projection, panorama_of_xmp
+from skyline.photo.query import QuerySkyline
+from skyline.photo.read import extract_photo, read_query
 
 CYLINDER, SPHERE = Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR
 

@@ -11,7 +11,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from skyline.errors import InputError, MissingFileError
-from skyline.photo import QuerySkyline, read_query, read_trace, write_overlay, write_trace
+from skyline.photo.query import QuerySkyline
+from skyline.photo.read import read_query, write_overlay
+from skyline.photo.trace import read_trace, write_trace
 
 
 def query_of(row_px, height_px=100, fov_deg=None):

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skyline.errors import InputError
-from skyline.matching import QueryRays
-from skyline.matching.query import level, project
+from skyline.matching.query import QueryRays, level, project
 
 
 def _rays(fov_range_deg: tuple[float, float] | None = None) -> QueryRays:

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.matching import QueryRays
 from skyline.matching.match_config import MatchConfig
-from skyline.photo import QuerySkyline
+from skyline.matching.query import QueryRays
+from skyline.photo.query import QuerySkyline
 from skyline.pipeline.refusals import at_bound, lens_in_doubt, sure_within_m
 
 GIVEN_DEG, SD_DEG = 60.0, 1.5

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scenes import candidate_at, field_of, fractal
 
-from skyline.photo import QuerySkyline
+from skyline.photo.query import QuerySkyline
 from skyline.planning.uniform import uniform_grid
 from skyline.report import Matched, Peaks, Surroundings, write_match_report
 from skyline.report.overlay import Overlay

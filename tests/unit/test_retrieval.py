@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 
 from skyline.errors import InputError
-from skyline.matching import QueryRays
+from skyline.matching.query import QueryRays
 from skyline.matching.retrieval import RetrievalConfig, Retriever, _middles
 
 

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 
 from skyline.geodesy import Frame
-from skyline.matching import QueryRays, screening
+from skyline.matching import screening
 from skyline.matching.narrowing import Narrowing
+from skyline.matching.query import QueryRays
 from skyline.matching.screening import (
     Alike,
     Screen,

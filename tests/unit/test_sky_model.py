@@ -9,8 +9,8 @@ from photo_scenes import make_scene
 from PIL import Image
 
 from skyline.errors import InputError, MissingFileError
-from skyline.photo import load_sky_model, read_query
-from skyline.photo.sky_model import model_skyline
+from skyline.photo.read import read_query
+from skyline.photo.sky_model import load_sky_model, model_skyline
 
 
 @dataclass

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from skyline import Viewer
-from skyline.photo import read_picture
+from skyline.photo.read import read_picture
 from skyline.report.html import Page, Part, Picture, Section, Table
 from skyline.report.overlay import Overlay
 from skyline_bench.measuring.record import shown

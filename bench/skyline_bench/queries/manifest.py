@@ -8,7 +8,9 @@ import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError, MissingFileError
-from skyline.photo import QuerySkyline, read_photo, read_trace
+from skyline.photo.query import QuerySkyline
+from skyline.photo.read import read_photo
+from skyline.photo.trace import read_trace
 from skyline.pipeline.queries import finite_number
 
 LOCATE, REFUSE, EXTRACT = "locate", "refuse", "extract"

@@ -15,11 +15,10 @@ from scipy import ndimage
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy import Curvature, Rectangle
 from skyline.horizons import Horizons, bin_azimuths_rad, check_bins
 from skyline.matching.query import QueryRays
 from skyline.photo.query import QuerySkyline
-from skyline.planning.uniform import MapBounds
 from skyline.render.panorama import PanoramaRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
@@ -179,7 +178,7 @@ class SyntheticQuery:
 
 def make_queries(
     terrain: HeightField,
-    bounds_m: MapBounds,
+    bounds_m: Rectangle,
     count: int,
     seed: int = 0,
     config: QueryConfig | None = None,
@@ -213,7 +212,7 @@ def make_queries(
 
 def make_queries_together(
     terrain: HeightField,
-    bounds_m: MapBounds,
+    bounds_m: Rectangle,
     count: int,
     photos: int,
     seed: int = 0,
@@ -226,7 +225,7 @@ def make_queries_together(
 
 def _queries(
     terrain: HeightField,
-    bounds_m: MapBounds,
+    bounds_m: Rectangle,
     entropies: list[list[list[int]]],
     config: QueryConfig,
 ) -> Iterator[tuple[SyntheticQuery, ...]]:
@@ -244,7 +243,7 @@ def _queries(
 
 
 def _hold(
-    terrain: HeightField, bounds_m: MapBounds, entropy: list[int], config: QueryConfig
+    terrain: HeightField, bounds_m: Rectangle, entropy: list[int], config: QueryConfig
 ) -> tuple[tuple[float, float], Camera]:
     """Draw a place on the surface and a camera."""
     generator = np.random.default_rng([*entropy, _POSE])

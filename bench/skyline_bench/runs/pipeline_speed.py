@@ -10,7 +10,7 @@ from pathlib import Path
 from PIL import Image
 
 from skyline.features import polyline_keypoints
-from skyline.photo import read_query
+from skyline.photo.read import read_query
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import MATCHERS
 from skyline.pipeline.places import build_places, build_uniform

@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from skyline.errors import InputError
-from skyline.geodesy import Frame
+from skyline.geodesy import Frame, Rectangle
 from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.pipeline.config import PlaceConfig
 from skyline.pipeline.jobs import Progress
 from skyline.pipeline.layout import DEFAULT_LOSS
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.scene import RenderedScene
-from skyline.planning.uniform import MapBounds, map_bounds
+from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.memory import own_bytes, peak_bytes, reset_peak
@@ -103,7 +103,7 @@ class Search:
     radius_m: float | None = None
 
     def about(
-        self, truth: Truth, area: MapBounds, frame: Frame, entropy: Sequence[int]
+        self, truth: Truth, area: Rectangle, frame: Frame, entropy: Sequence[int]
     ) -> Narrowed | None:
         """Return the search with the truth anywhere inside, squares within the area."""
         generator = np.random.default_rng([*entropy, round(1e6 * self.km2)])
@@ -217,7 +217,7 @@ def outcomes(
     return cost, searches, [kept.found[key] for key in wanted]
 
 
-def _searches(config: ScaleConfig, area: MapBounds) -> list[Search]:
+def _searches(config: ScaleConfig, area: Rectangle) -> list[Search]:
     """Return what is searched for each query, all of the area last."""
     west, south, east, north = area
     extent_km2 = (east - west) * (north - south) / _KILOMETRE_M**2

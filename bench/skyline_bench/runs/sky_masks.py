@@ -16,7 +16,7 @@ from PIL import Image
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError
-from skyline.photo import extract_photo
+from skyline.photo.read import extract_photo
 from skyline.pipeline.jobs import Progress
 from skyline_bench.measuring.record import Row
 

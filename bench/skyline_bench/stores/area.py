@@ -3,14 +3,15 @@
 import logging
 from typing import cast
 
-from skyline.planning.uniform import MapBounds, map_bounds
+from skyline.geodesy import Rectangle
+from skyline.planning.uniform import map_bounds
 from skyline.store import StoreHeader
 from skyline.terrain.heightfield import HeightField
 
 _log = logging.getLogger(__name__)
 
 
-def mapped_area_m(header: StoreHeader, terrain: HeightField) -> MapBounds | None:
+def mapped_area_m(header: StoreHeader, terrain: HeightField) -> Rectangle | None:
     """Return the part of a terrain that a store was built for; None where it does not say.
 
     Bounds that are no box on the terrain count as unsaid, with a warning.

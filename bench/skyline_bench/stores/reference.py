@@ -15,13 +15,14 @@ from scipy.spatial import cKDTree
 from skyline.arrays import Float32Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
+from skyline.geodesy import Bounds
 from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline.build import BuildResult, render_missing
 from skyline.pipeline.config import PlaceConfig, RenderConfig, store_header
 from skyline.pipeline.layout import DEFAULT_LOSS, Layout
 from skyline.pipeline.places import build_store, place_renderer, place_rows
 from skyline.pipeline.planned import build_planned
-from skyline.planning.uniform import MapBounds, map_bounds, uniform_grid
+from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.store import open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
@@ -58,9 +59,7 @@ class ReferenceStore:
         return self.renderings / len(HEADINGS)
 
 
-def check_spacing(
-    terrain: HeightField, spacing_m: float | None, bounds_deg: MapBounds | None
-) -> None:
+def check_spacing(terrain: HeightField, spacing_m: float | None, bounds_deg: Bounds | None) -> None:
     """Refuse a uniform grid that does not fit an area; without a spacing there is none."""
     bounds = map_bounds(terrain, bounds_deg)
     if spacing_m is None:
@@ -78,7 +77,7 @@ def uniform_store(
     terrain: HeightField,
     folder: Path,
     spacing_m: float,
-    bounds_deg: MapBounds | None,
+    bounds_deg: Bounds | None,
     config: RenderConfig,
 ) -> ReferenceStore:
     """Return a uniform store of renderings in a folder, built as far as it is not there yet."""
@@ -91,7 +90,7 @@ def place_store(
     terrain: HeightField,
     folder: Path,
     spacing_m: float | None,
-    bounds_deg: MapBounds | None,
+    bounds_deg: Bounds | None,
     config: PlaceConfig,
     progress: Callable[[int, int], None] | None = None,
     loss: float = DEFAULT_LOSS,
@@ -107,7 +106,7 @@ def planned_store(
     terrain: HeightField,
     folder: Path,
     planned: PlanConfig,
-    bounds_deg: MapBounds | None,
+    bounds_deg: Bounds | None,
     config: RenderConfig,
 ) -> ReferenceStore:
     """Return a planned store in a folder, built as far as it is not there yet.

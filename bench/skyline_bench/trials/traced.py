@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.matching import QueryRays
 from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Scene
+from skyline.matching.query import QueryRays
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike, Screen, sample_of
 from skyline.pipeline.refusals import sure_within_m, too_little

@@ -9,8 +9,8 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.matching import Candidate
 from skyline.matching.confidence import RIGHT_WITHIN_M
+from skyline.matching.ranking import Candidate
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.results import MatchResult
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth

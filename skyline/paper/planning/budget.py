@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from skyline.arrays import Float32Array, Int64Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
+from skyline.geodesy import Rectangle
 from skyline.paper.planning.candidates import CandidateMap, Spacing
 from skyline.paper.planning.coverage import CandidateGrid
-from skyline.planning.uniform import MapBounds
 
 AIMS = (0.6, 0.9, 1.0)
 """Shares of the budget to be planned for, one after the other: a forecast that errs by a half
@@ -47,7 +47,7 @@ def check_budget(budget: int | None) -> int | None:
     return budget
 
 
-def spaced_for(spacing: Spacing, budget: int, bounds_m: MapBounds) -> Spacing:
+def spaced_for(spacing: Spacing, budget: int, bounds_m: Rectangle) -> Spacing:
     """Return distances that suit a number of renderings; none is below the given one.
 
     With few renderings areas have to be large: their reach grows, candidates may lie further

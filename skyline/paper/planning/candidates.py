@@ -6,8 +6,8 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
 from skyline.errors import InputError
+from skyline.geodesy import Rectangle
 from skyline.paper.planning.coverage import CandidateGrid
-from skyline.planning.uniform import MapBounds
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
 
@@ -77,7 +77,7 @@ class CandidateMap:
 def lay_out(
     field: HeightField,
     spacing: Spacing,
-    bounds_m: MapBounds | None = None,
+    bounds_m: Rectangle | None = None,
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
 ) -> CandidateMap:
     """Lay candidates over an area.

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from skyline.arrays import BoolArray, Float32Array, Int64Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
+from skyline.geodesy import Rectangle
 from skyline.paper.planning.budget import AIMS, ENOUGH, Outlook, check_coarse, covering_px
 from skyline.paper.planning.candidates import CandidateMap, lay_out
 from skyline.paper.planning.coverage import AreaModel, Coverage, Problem
@@ -33,7 +34,6 @@ from skyline.paper.planning.plan import (
     rows_by_place,
 )
 from skyline.paper.planning.strategies import STRATEGIES
-from skyline.planning.uniform import MapBounds
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
@@ -53,7 +53,7 @@ def plan(
     terrain: HeightField,
     oracles: Oracles,
     config: PlanConfig | None = None,
-    bounds_m: MapBounds | None = None,
+    bounds_m: Rectangle | None = None,
     rendered: Views | None = None,
     progress: Callable[[PlanProgress], None] | None = None,
 ) -> Plan:
