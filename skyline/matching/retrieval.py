@@ -250,9 +250,9 @@ class Retriever:
             some = start[slice(first, first + _FITS_AT_ONCE)]
             places, slope = some.places, self._slope(some.places)
             fit = CurveFit(places, slope, rays, *lens, config, self._edge)
-            fits = fit.fit(some.heading_rad, some.zoom)
-            heading, pitch, roll, zoom = fits.pose[:, :4].T.astype(np.float64)
-            move = fits.pose[:, 4:].astype(np.float64)
+            pose, score = fit.fit(some.heading_rad, some.zoom)
+            heading, pitch, roll, zoom = pose[:, :4].T.astype(np.float64)
+            move = pose[:, 4:].astype(np.float64)
             return Hypotheses(
                 places.easting_m + move[:, 0],
                 places.northing_m + move[:, 1],
@@ -261,7 +261,7 @@ class Retriever:
                 np.degrees(pitch),
                 np.degrees(roll),
                 _fov_deg(query, zoom),
-                fits.score - self.config.alike_weight * some.score.astype(np.float64),
+                score - self.config.alike_weight * some.score.astype(np.float64),
             )
 
         parts = range(0, max(len(start), 1), _FITS_AT_ONCE)
