@@ -43,11 +43,11 @@ _MODELS = "confidence.json"
 class Logistic:
     """A logistic model."""
 
-    names: Sequence[str]
+    names: tuple[str, ...]
     """Of the F figures."""
-    mean: Sequence[float]
-    scale: Sequence[float]
-    weight: Sequence[float]
+    mean: tuple[float, ...]
+    scale: tuple[float, ...]
+    weight: tuple[float, ...]
     """``mean``, ``scale``, ``weight``: F each."""
     bias: float
 
@@ -133,7 +133,16 @@ def model_name(stage: str, within_m: float) -> str:
 def models() -> dict[str, Logistic]:
     """Return the learned models by `model_name`."""
     text = resources.files(__package__).joinpath(_MODELS).read_text(encoding="utf-8")
-    return {name: Logistic(**model) for name, model in json.loads(text)["models"].items()}
+    return {
+        name: Logistic(
+            tuple(model["names"]),
+            tuple(model["mean"]),
+            tuple(model["scale"]),
+            tuple(model["weight"]),
+            float(model["bias"]),
+        )
+        for name, model in json.loads(text)["models"].items()
+    }
 
 
 def _lead(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Float64Array:
