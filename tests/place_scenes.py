@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 
 import numpy as np
+from query_scenes import equally_trusted
 
 from skyline.horizons import Horizons, bin_azimuths_rad
-from skyline.matching.query import QueryRays
 from skyline.places import BINS, Places
 
 AZIMUTH_DEG = np.degrees(bin_azimuths_rad(BINS))
@@ -51,7 +51,7 @@ def photo(skyline, heading_deg, fov_deg=60.0, pitch_deg=0.0, roll_deg=0.0, colum
 
 def rays(seed, heading_deg, fov_deg=60.0, **pose):
     u, v = photo(lambda azimuth: curve(seed, azimuth), heading_deg, fov_deg, **pose)
-    return QueryRays.equally_trusted(u, v, fov_deg)
+    return equally_trusted(u, v, fov_deg)
 
 
 class Blocks:

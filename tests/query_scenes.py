@@ -30,6 +30,11 @@ def photographed(azimuth_rad, y, heading_deg, pitch_deg, roll_deg, fov_deg):
     return u[seen][order], v[seen][order]
 
 
+def equally_trusted(u, v, fov_deg):
+    """Return rays that all weigh the same."""
+    return QueryRays(u, v, np.ones_like(u), fov_deg)
+
+
 def rays_of(u, v, fov_deg, assumed_fov_deg=None, fov_range_deg=None):
     """Return a query whose field of view was assumed to be another one."""
     query = QueryRays(u, v, np.ones_like(u), fov_deg, (1.0, 179.0))

@@ -23,6 +23,8 @@ from skyline.matching.query import QueryRays, level_axes
 from skyline.places import Places
 
 _HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH = range(6)
+"""Columns of a pose: heading from grid north, pitch and roll, radians; zoom: log(tan(fov / 2))
+against that of the query's own; metres east and north of the stored place."""
 _DAMPING = np.float32(1e-3)
 _REFERENCE_FOV_DEG = 60.0
 _LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
@@ -49,18 +51,6 @@ class FitConfig:
     """``pitch_deg``, ``roll_deg``: standard deviations of the camera's attitude."""
     outlier: float = 4.0
     """A ray misses by at most so many expected errors."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedPoses:
-    """M fitted poses."""
-
-    pose: Float32Array
-    """(M, 6) float32. Heading from grid north, pitch and roll, radians; zoom: log(tan(fov / 2))
-    against that of the query's own; metres east and north of the stored place."""
-    score: Float32Array
-    """(M,) float32. Mean over rays of the negative log of their likelihood but for a constant;
-    lower is better."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,8 +110,11 @@ class CurveFit:
         """Of the query's easting, and of its northing, from each place's (M,)."""
         return self.places.tolerance_m / np.float32(np.sqrt(3.0))
 
-    def fit(self, heading: Float64Array, zoom: Float64Array) -> FittedPoses:
-        """Improve poses that look along headings (M,), radians, with zooms (M,)."""
+    def fit(self, heading: Float64Array, zoom: Float64Array) -> tuple[Float32Array, Float32Array]:
+        """Return poses (M, 6) fitted from headings, radians, and zooms (M,), and their scores (M,).
+
+        A score is the mean over rays of the negative log of their likelihood but for a constant.
+        """
         pose = np.zeros((len(heading), 6), dtype=np.float32)
         pose[:, _HEADING], pose[:, _ZOOM] = heading, zoom
         y, nearness = self.places.elevation_tan(), 1.0 / self.places.distance_m()
@@ -135,8 +128,7 @@ class CurveFit:
             weight = self.rays.weight * seen.known
             weight = weight / (variance + np.square(seen.miss) + np.radians(scale_deg) ** 2)
             pose = self._bounded(pose, _step(pose, seen, weight.astype(np.float32), prior))
-        score = self._score(pose, self._seen(pose, y, nearness), prior)
-        return FittedPoses(pose, score)
+        return pose, self._score(pose, self._seen(pose, y, nearness), prior)
 
     def _seen(self, pose: Float32Array, y: Float32Array, nearness: Float32Array) -> _Seen:
         azimuth, tangent = self._project(pose)

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,11 +80,21 @@ class Narrowing:
     def within(self, frame: Frame, claim: Claim | None = None) -> "Narrowed | None":
         """Return this as a test of places in a frame; None where nothing is known.
 
-        ``claim`` is what the photo's own EXIF says.
+        ``claim`` is what the photo's own EXIF says. Raises as `Frame.rectangle_m`.
         """
         if self == Narrowing() and claim is None:
             return None
-        return Narrowed.of(self, frame, claim)
+        turns, rectangle = None, None
+        circles: tuple[tuple[float, float, float], ...] = ()
+        if self.near is not None:
+            east, north = frame.from_lonlat(self.near[0], self.near[1])
+            circles = ((float(east), float(north), 1000.0 * self.near[2]),)
+        if self.heading_deg is not None:
+            heading, slack = self.heading_deg
+            turns = turns_within(heading, slack + _CONVERGENCE_DEG)
+        if self.bounds_deg is not None:
+            rectangle = frame.rectangle_m(self.bounds_deg)
+        return Narrowed(self, frame.wkt, circles, rectangle, turns, claim)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,20 +111,6 @@ class Narrowed:
     """(180,) bool. The turns that are screened; see `turns_within`."""
     claim: Claim | None = None
     """Where the photo says that it was taken."""
-
-    @classmethod
-    def of(cls, narrowing: Narrowing, frame: Frame, claim: Claim | None = None) -> Self:
-        """Prepare a narrowing for places in a frame; raises as `Frame.rectangle_m`."""
-        turns, bounds_deg = None, narrowing.bounds_deg
-        circles: tuple[tuple[float, float, float], ...] = ()
-        if narrowing.near is not None:
-            east, north = frame.from_lonlat(narrowing.near[0], narrowing.near[1])
-            circles = ((float(east), float(north), 1000.0 * narrowing.near[2]),)
-        if narrowing.heading_deg is not None:
-            heading, slack = narrowing.heading_deg
-            turns = turns_within(heading, slack + _CONVERGENCE_DEG)
-        rectangle = None if bounds_deg is None else frame.rectangle_m(bounds_deg)
-        return cls(narrowing, frame.wkt, circles, rectangle, turns, claim)
 
     def about_the_claim(self) -> "Narrowed | None":
         """Return this, narrowed to where the photo says that it was taken; None without a claim."""

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -104,11 +105,6 @@ class QueryRays:
         narrowest_deg = max(fov_deg - _FOV_DEVIATIONS * sd_deg, 0.5 * fov_deg)
         return cls(u, v, weight, fov_deg, (narrowest_deg, widest_deg), sd_deg)
 
-    @classmethod
-    def equally_trusted(cls, u: Float64Array, v: Float64Array, fov_deg: float) -> "QueryRays":
-        """Make rays that all weigh the same."""
-        return cls(u, v, np.ones_like(u), fov_deg)
-
 
 @dataclass(frozen=True, slots=True)
 class Attitudes:
@@ -120,15 +116,11 @@ class Attitudes:
     """Camera turned clockwise as seen from behind it: its right side down."""
 
     def __post_init__(self) -> None:
-        for name, angles, limit in (("pitch", self.pitch_deg, 80), ("roll", self.roll_deg, 80)):
-            if not angles or not all(abs(angle) <= limit for angle in angles):
+        for name, angles in (("pitch", self.pitch_deg), ("roll", self.roll_deg)):
+            if not angles or not all(abs(angle) <= 80 for angle in angles):
                 raise InputError(
-                    f"assumed {name}s are {angles}; expected at least one, within {limit} degrees"
+                    f"assumed {name}s are {angles}; expected at least one, within 80 degrees"
                 )
-
-    def pairs(self) -> list[tuple[float, float]]:
-        """Return every (pitch, roll)."""
-        return [(pitch, roll) for pitch in self.pitch_deg for roll in self.roll_deg]
 
 
 def log_tangent(fov_deg: Float64Array | float) -> Float64Array:
@@ -189,12 +181,9 @@ class QueryCurves:
     @classmethod
     def of(cls, query: QueryRays, attitudes: Attitudes, bins: int) -> "QueryCurves":
         """Level the rays at each attitude and gather them on ``bins`` equal steps of azimuth."""
-        pairs = attitudes.pairs()
-        rows = [_on_bins(query, pitch, roll, bins) for pitch, roll in pairs]
-        pitch_deg, roll_deg = np.array(pairs).T
-        return cls(
-            np.stack([y for y, _ in rows]), np.stack([w for _, w in rows]), pitch_deg, roll_deg
-        )
+        pairs = list(product(attitudes.pitch_deg, attitudes.roll_deg))
+        y, weight = zip(*(_on_bins(query, *pair, bins) for pair in pairs), strict=True)
+        return cls(np.stack(y), np.stack(weight), *np.array(pairs).T)
 
 
 def _on_bins(

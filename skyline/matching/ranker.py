@@ -37,21 +37,14 @@ class Source(Protocol):
 
 
 class Ranker(Protocol):
-    """Ranks the places of the store it is opened on.
-
-    Attributes
-    ----------
-    narrows : bool
-        Whether it can search a part of the store alone. One that cannot is never asked to.
-    finds_fov : bool
-        Whether it can match a photo whose field of view is not known.
-    searches : str
-        What a store must hold for it, `PLACES` or `RENDERINGS` of `skyline.store.header`.
-    """
+    """Ranks the places of the store it is opened on."""
 
     narrows: ClassVar[bool] = False
+    """Whether it can search a part of the store alone. One that cannot is never asked to."""
     finds_fov: ClassVar[bool] = False
+    """Whether it can match a photo whose field of view is not known."""
     searches: ClassVar[str] = RENDERINGS
+    """What a store must hold for it, `PLACES` or `RENDERINGS` of `skyline.store.header`."""
 
     @classmethod
     def open(cls, source: Source) -> Self:

@@ -257,7 +257,7 @@ class Retriever:
                 np.degrees(pitch),
                 np.degrees(roll),
                 _fov_deg(query, zoom),
-                fits.score - self.config.alike_weight * some.score.astype(np.float64),
+                score - self.config.alike_weight * some.score.astype(np.float64),
             )
 
         parts = range(0, max(len(start), 1), _FITS_AT_ONCE)

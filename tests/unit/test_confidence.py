@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
+from query_scenes import equally_trusted
 
 from skyline.errors import InputError
 from skyline.matching import confidence
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.pose import Poses
-from skyline.matching.query import QueryRays
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
-QUERY = QueryRays.equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
+QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
 
 
 NEAR_REFINED, NEAR_RETRIEVED = (

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from query_scenes import equally_trusted
 from scenes import FRAME, field_of, fractal
 
 from skyline.errors import InputError
@@ -50,7 +51,7 @@ def query_at(viewpoints, index, heading_deg, pitch_deg=0.0, noise=0.001, seed=0)
     forward = np.cos(turn) * np.cos(pitch) + seen * np.sin(pitch)
     up = seen * np.cos(pitch) - np.cos(turn) * np.sin(pitch)
     inside = np.abs(np.sin(turn) / forward) < np.tan(np.radians(30.0))
-    return QueryRays.equally_trusted((np.sin(turn) / forward)[inside], (up / forward)[inside], 60.0)
+    return equally_trusted((np.sin(turn) / forward)[inside], (up / forward)[inside], 60.0)
 
 
 def turned_by(found_deg, true_deg):
@@ -184,15 +185,15 @@ def test_alignment_recovers_a_small_affine_map():
 
 def flat_query():
     u = np.linspace(-0.5, 0.5, 200)
-    return QueryRays.equally_trusted(u, np.zeros(200), 60.0)
+    return equally_trusted(u, np.zeros(200), 60.0)
 
 
 def test_degenerate_queries_and_stores_have_an_answer(profiles):
     for matcher in (PaperMatcher(LEVEL), CorrelationMatcher(LEVEL)):
         for query in (
             flat_query(),
-            QueryRays.equally_trusted(np.array([0.0]), np.array([0.1]), 60.0),
-            QueryRays.equally_trusted(np.array([-0.1, 0.1]), np.array([0.1, 0.2]), 60.0),
+            equally_trusted(np.array([0.0]), np.array([0.1]), 60.0),
+            equally_trusted(np.array([-0.1, 0.1]), np.array([0.1, 0.2]), 60.0),
         ):
             assert np.isfinite(matcher.prepare(profiles).rank(query, 3).poses.score).all()
         unknown = Profiles(

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from query_scenes import equally_trusted
 
 from skyline.errors import InputError
 from skyline.features import NO_KEYPOINT, polyline_vertices
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
-from skyline.matching.query import Attitudes, QueryCurves, QueryRays
+from skyline.matching.query import Attitudes, QueryCurves
 from skyline.paper.alignment import _normal_equations
 from skyline.paper.matcher import PaperMatcher
 from skyline.paper.patches import QueryCurve
@@ -45,7 +46,7 @@ def query_of(profiles, location, axis_bin, seed=0):
     y = profiles.y[location, (axis_bin + np.arange(-BINS // 12, BINS // 12 + 1)) % BINS]
     y = y + np.random.default_rng(seed).normal(0.0, 0.001, y.shape)
     u, v = np.tan(azimuth), y / np.cos(azimuth)
-    return QueryRays.equally_trusted(u, v, 60.0)
+    return equally_trusted(u, v, 60.0)
 
 
 def assumed(query, attitudes):

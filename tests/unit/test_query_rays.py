@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from query_scenes import equally_trusted
 
 from skyline.errors import InputError
 from skyline.matching.query import QueryRays, level, project
@@ -16,7 +17,7 @@ def _rays(fov_range_deg: tuple[float, float] | None = None) -> QueryRays:
 
 def test_the_frame_s_edge_stays_the_frame_s_edge() -> None:
     edge = np.array([np.tan(np.radians(30.0))])
-    turned = QueryRays.equally_trusted(edge, edge, 60.0).with_fov(90.0)
+    turned = equally_trusted(edge, edge, 60.0).with_fov(90.0)
     np.testing.assert_allclose([turned.u, turned.v], 1.0)
     assert turned.fov_deg == 90.0
 

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
+from query_scenes import equally_trusted
 
 from skyline.errors import InputError
 from skyline.matching.query import QueryRays
@@ -51,7 +52,7 @@ def test_a_fifth_of_the_columns_may_be_wrong(places):
     query = rays(11, 200.0)
     v = query.v.copy()
     v[100:164] += 0.05
-    found = Retriever(places).shortlist(QueryRays.equally_trusted(query.u, v, 60.0), 1)
+    found = Retriever(places).shortlist(equally_trusted(query.u, v, 60.0), 1)
     assert found.easting_m[0] == pytest.approx(1100.0, abs=50.0)
     assert turned(found.heading_deg[0], 200.0) < 0.5
 
@@ -102,7 +103,7 @@ def test_a_place_between_entries_is_found(heading_deg):
     entry = places_of(y[np.newaxis], distance_m, tolerance_m=20.0 * np.sqrt(3.0))
     # A view this wide holds walls at several distances, which tell a move from a turn.
     u, v = photo(lambda azimuth: wall(12.0, -9.0)(azimuth)[0], heading_deg, fov_deg=100.0)
-    found = Retriever(entry).shortlist(QueryRays.equally_trusted(u, v, 100.0), 1)
+    found = Retriever(entry).shortlist(equally_trusted(u, v, 100.0), 1)
     # The eye is 15 m from the place. What is left of that is the first order's error, and that
     # of corners cut by steps of a degree.
     assert np.hypot(found.easting_m[0] - 12.0, found.northing_m[0] + 9.0) < 6.0
@@ -144,7 +145,7 @@ def turned_each(heading_deg):
 @pytest.mark.parametrize("level", [0.0, 0.3])
 def test_a_flat_skyline_is_answered(places, level):
     u = np.linspace(-0.5, 0.5, 200)
-    found = Retriever(places).shortlist(QueryRays.equally_trusted(u, u * 0 + level, 53.0), 4)
+    found = Retriever(places).shortlist(equally_trusted(u, u * 0 + level, 53.0), 4)
     assert len(found) == 4
     assert np.isfinite(found.score).all()
 
@@ -152,7 +153,7 @@ def test_a_flat_skyline_is_answered(places, level):
 @pytest.mark.parametrize("columns", [1, 2, 5])
 def test_hardly_any_columns_are_answered(places, columns):
     u = np.linspace(-0.01, 0.01, columns) + 0.3
-    found = Retriever(places).shortlist(QueryRays.equally_trusted(u, 0.1 + u * 0, 60.0), 4)
+    found = Retriever(places).shortlist(equally_trusted(u, 0.1 + u * 0, 60.0), 4)
     assert np.isfinite(found.score).all()
 
 

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
+from query_scenes import equally_trusted
 
 from skyline.geodesy import Frame
 from skyline.matching import screening
 from skyline.matching.narrowing import Narrowing
-from skyline.matching.query import QueryRays
 from skyline.matching.screening import (
     Alike,
     Screen,
@@ -76,7 +76,7 @@ def test_phases_grow_with_a_roll_as_they_are_said_to():
     waves = []
     for roll_deg in (-0.5, 0.5):
         u, v = photo(lambda azimuth: 0.1 * curve(3, azimuth) - 0.02, 100.0, roll_deg=roll_deg)
-        waves.append(query_waves(QueryRays.equally_trusted(u, v, 60.0)))
+        waves.append(query_waves(equally_trusted(u, v, 60.0)))
     seen = np.abs(waves[0] * waves[1]) > 0.0
     grown = np.angle(waves[1][seen] / waves[0][seen]) / np.radians(1.0)
     assert seen.sum() > 25
@@ -88,7 +88,7 @@ def test_a_smooth_skyline_is_found_whatever_the_roll(roll_deg):
     # Taken to be level, 63 or 21 of the others are more like a camera rolled by -5 or 3 degrees.
     smooth = places_of(np.stack([0.1 * curve(seed, AZIMUTH_DEG) for seed in range(64)]))
     u, v = photo(lambda azimuth: 0.1 * curve(7, azimuth), 100.0, roll_deg=roll_deg)
-    query = QueryRays.equally_trusted(u, v, 60.0)
+    query = equally_trusted(u, v, 60.0)
     screen = Screen.of(query, np.array([60.0]), smooth)
     assert screen.scores(smooth.phase).argmax() == 7
 
