@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from skyline.arrays import Float32Array, Float64Array
 from skyline.matching.query import QueryRays, level_axes
 from skyline.places import Places
+from skyline.terrain.edge import DataEdge
 
 _HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH = range(6)
 """Columns of a pose: heading from grid north, pitch and roll, radians; zoom: log(tan(fov / 2))
@@ -51,6 +52,8 @@ class FitConfig:
     """``pitch_deg``, ``roll_deg``: standard deviations of the camera's attitude."""
     outlier: float = 4.0
     """A ray misses by at most so many expected errors."""
+    beyond: float = 2.0
+    """So does a ray as far above the profile as terrain past the data's edge may rise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +107,8 @@ class CurveFit:
     zoom_sd: float
     """Deviation of the zoom about 0; infinite where any within the bounds is as likely."""
     config: FitConfig
+    edge: DataEdge | None = None
+    """Where the terrain's data end; without it nothing is taken to lie beyond."""
 
     @property
     def _deviation_m(self) -> Float32Array:
@@ -209,12 +214,24 @@ class CurveFit:
     def _score(self, pose: Float32Array, seen: _Seen, prior: Float32Array) -> Float32Array:
         variance = self._variance(pose, seen.nearness)
         outlier = np.float32(self.config.outlier)
-        miss = np.minimum(np.abs(seen.miss) / np.sqrt(variance), outlier)
-        cost = np.where(seen.known, miss, outlier)
+        miss = np.abs(seen.miss) / np.sqrt(variance)
+        most = np.where(self._may_hide(pose, seen), np.float32(self.config.beyond), outlier)
+        cost = np.where(seen.known, np.minimum(miss, most), outlier)
         cost += 0.5 * np.log(variance / np.square(self._scale(pose))[:, np.newaxis])
         unlikely = 0.5 * (np.square(pose) * prior).sum(axis=1) / self.config.rays
         mean = (cost * self.rays.weight).mean(axis=1)
         return np.asarray(mean + unlikely, dtype=np.float32)
+
+    def _may_hide(self, pose: Float32Array, seen: _Seen) -> NDArray[np.bool_]:
+        """Return which rays (M, R) terrain past the data's edge may stand in."""
+        if self.edge is None:
+            return np.zeros(seen.miss.shape, dtype=np.bool_)
+        azimuth, tangent = self._project(pose)
+        places = self.places
+        eyes = np.stack([places.easting_m, places.northing_m, places.eye_elevation_m])
+        east_m, north_m, eye_m = eyes.astype(np.float32)[..., np.newaxis]
+        most = self.edge.elevation_tan(east_m, north_m, eye_m, azimuth + pose[:, :1])
+        return np.asarray((seen.miss > 0.0) & (tangent < most))
 
 
 def _step(

@@ -49,8 +49,8 @@ class FullMatcher(Ranker):
     def open(cls, source: Source) -> Self:
         """See `Ranker.open`."""
         places, config = source.places(), source.config
-        scene = source.scene()
-        return cls(Retriever(places, source.ground(), config.retrieval), scene, config.full)
+        retriever = Retriever(places, source.ground(), config.retrieval, source.edge())
+        return cls(retriever, source.scene(), config.full)
 
     def rank(
         self,

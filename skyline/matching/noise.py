@@ -15,7 +15,9 @@ A column's residual, query over terrain in radians of elevation, is the sum of
 Not every column shows the terrain: trees and houses raise the skyline, and only errors lower it.
 Such a residual may be anything within a range, with unequal odds for above and below. Where a
 surface model says how far things may rise, what is above lies anywhere up to there, but for the
-errors, and beyond is as unlikely as below. The odds of each column are variational; the bound on
+errors, and beyond is as unlikely as below. Where the data end, terrain that the model lacks may
+stand above its skyline, up to a bound: there a column may also lie anywhere between the two.
+The odds of each column are variational; the bound on
 the likelihood is exact where K is 0. Height errors are kept at a few nodes along the skyline, so
 that everything costs matrices of that size.
 """
@@ -34,6 +36,8 @@ _JITTER = 1e-6
 _UNKNOWN_M = 1e9
 _LEAST = 1e-12
 _GREATEST_LOGIT = 50.0
+_LEAST_RISE = 0.1
+"""In deviations of the errors: a smaller rise is none."""
 _SCALE = (0.1, 1.3)
 """Of all errors together: half a step of the deviations up, and down to a skyline without noise."""
 
@@ -58,6 +62,8 @@ class Noise:
     terrain's skyline, or lower."""
     range_deg: float = 15.0
     """How far off such a column may be."""
+    beyond_share: float = 0.3
+    """Part of the columns, of those that terrain past the data's edge may rise in, that it does."""
     nodes: int = 32
     """Height errors along the skyline; with 0 only the eye's is shared by the columns, and the
     skyline's own are independent: quicker, and drawn to a place from farther off."""
@@ -111,6 +117,9 @@ class HeightErrors(Rows):
     rise_rad: Float64Array
     """(M, R) float64. How far above the terrain's skyline something else may rise; NaN where that
     is not known."""
+    beyond_rad: Float64Array
+    """(M, R) float64. How far above it terrain past the data's edge may rise; 0 or less where it
+    cannot."""
 
     @classmethod
     def of(
@@ -120,15 +129,17 @@ class HeightErrors(Rows):
         blur_rad: Float64Array,
         noise: Noise,
         rise_rad: Float64Array | None = None,
+        beyond_rad: Float64Array | None = None,
     ) -> "HeightErrors":
         """Prepare for skylines at azimuths and horizontal distances (NaN: unknown), (M, R)."""
         rise_rad = np.full_like(blur_rad, np.nan) if rise_rad is None else rise_rad
+        beyond_rad = np.zeros_like(blur_rad) if beyond_rad is None else beyond_rad
         distance = np.where(np.isfinite(distance_m), distance_m, _UNKNOWN_M)
         if not noise.nodes:
             reach_m = 2.0 / 3.0 * noise.reach_m
             shared = distance / (distance**2 + reach_m**2)
             rough = 1.0 / np.hypot(distance, reach_m)
-            return cls(shared[..., np.newaxis], rough, blur_rad, rise_rad)
+            return cls(shared[..., np.newaxis], rough, blur_rad, rise_rad, beyond_rad)
         node, between = _interpolation(distance.shape[1], noise.nodes)
         place = (distance * np.exp(1j * azimuth_rad))[:, node]
         to_eye = 0.5 - _correlation(np.abs(place), noise.reach_m)
@@ -142,6 +153,7 @@ class HeightErrors(Rows):
             noise.rough_share / np.hypot(distance, noise.reach_m / 3.0),
             blur_rad,
             rise_rad,
+            beyond_rad,
         )
 
 
@@ -261,11 +273,15 @@ def judge(
     bare: Float64Array | float = 1.0 - noise.above_share - noise.below_share
     other = np.where(residual >= 0.0, noise.above_share, noise.below_share)
     other = other / np.radians(noise.range_deg)
-    limited = np.isfinite(errors.rise_rad)
+    limited, open_ = np.isfinite(errors.rise_rad), errors.beyond_rad > 0.0
     if limited.any():
         share, risen = _risen(off, errors.rise_rad, np.sqrt(variance + spread), noise)
         bare = np.where(limited, share, bare)
         other = np.where(limited, magnified * risen, other)
+    if open_.any():
+        hidden, density = _hidden(off, errors.beyond_rad, np.sqrt(variance + spread), noise)
+        bare = np.where(open_, bare * (1.0 - hidden), bare)
+        other = np.where(open_, other * (1.0 - hidden) + magnified * density, other)
     terrain = np.log(bare) - 0.5 * np.log(2.0 * np.pi * variance / magnified**2)
     other = np.log(other)
     logit = terrain - 0.5 * (off**2 + spread) / variance - other
@@ -287,15 +303,33 @@ def _risen(
     What covers the terrain is as likely anywhere up to the rise, blurred by the errors; the higher
     it may rise, beside the errors, the likelier it is to be there.
     """
-    from scipy.special import ndtr  # noqa: PLC0415  (slow to load, seldom needed)
-
     range_rad = np.radians(noise.range_deg)
-    # A rise far below the errors is none.
-    rise_rad = np.clip(rise_rad, 0.1 * sd_rad, range_rad)
-    within = (ndtr(off_rad / sd_rad) - ndtr((off_rad - rise_rad) / sd_rad)) / rise_rad
+    rise_rad = np.clip(rise_rad, _LEAST_RISE * sd_rad, range_rad)
+    within = _within(off_rad, rise_rad, sd_rad)
     shown = 1.0 - 2.0 * noise.below_share
     covered = shown * rise_rad / (rise_rad + 2.0 * sd_rad)
     return shown - covered, covered * within + noise.below_share / range_rad
+
+
+def _hidden(
+    off_rad: Float64Array, beyond_rad: Float64Array, sd_rad: Float64Array, noise: Noise
+) -> tuple[Float64Array, Float64Array]:
+    """Return the share of columns, and their density, (M, R), that terrain past the edge rises in.
+
+    It is as likely anywhere up to its bound, blurred by the errors, and the less likely to be there
+    the less it could rise beside them.
+    """
+    rise_rad = np.clip(beyond_rad, _LEAST_RISE * sd_rad, np.radians(noise.range_deg))
+    hidden = noise.beyond_share * rise_rad / (rise_rad + 2.0 * sd_rad)
+    return hidden, hidden * _within(off_rad, rise_rad, sd_rad)
+
+
+def _within(off_rad: Float64Array, rise_rad: Float64Array, sd_rad: Float64Array) -> Float64Array:
+    """Return the density of what is as likely anywhere from 0 to a rise, blurred by errors."""
+    from scipy.special import ndtr  # noqa: PLC0415  (slow to load, seldom needed)
+
+    below = ndtr(off_rad / sd_rad) - ndtr((off_rad - rise_rad) / sd_rad)
+    return np.asarray(below / rise_rad)
 
 
 def _explained(

@@ -28,7 +28,7 @@ from skyline.matching.progress import tell
 from skyline.matching.query import QueryRays
 from skyline.matching.rays import thinned
 from skyline.matching.refine_config import RefineConfig
-from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, Fit, Linear, Solver
+from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, Fit, Solver
 from skyline.rows import Rows
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.viewpoints import Viewpoints
@@ -49,7 +49,7 @@ class Scene(Protocol):
 
     @property
     def edge(self) -> DataEdge | None:
-        """Where its data end; None where that is not known."""
+        """Where its data end; None where nothing is taken to lie beyond."""
         ...
 
     @property
@@ -155,9 +155,10 @@ class Refinement:
         height_sd_m = scene.height_sd_m
         eye = EyeHeight(config.eye_height_m, 0.0 if config.eye_height_known else height_sd_m)
         scouting, query = thinned(query, config.scout_bins), thinned(query, config.bins)
-        self.scout = Solver(scouting, config.rough, eye, height_sd_m, claim)
-        self.rough = Solver(query, config.rough, eye, height_sd_m, claim)
-        self.fine = Solver(query, config.fine, eye, height_sd_m, claim)
+        of = eye, height_sd_m, claim, scene.edge
+        self.scout = Solver(scouting, config.rough, *of)
+        self.rough = Solver(query, config.rough, *of)
+        self.fine = Solver(query, config.fine, *of)
         self._renderings = self._seen_times = 0
         rounds = config.rounds + config.restart_rounds + config.final_rounds
         self._rounds = rounds + (config.shortlist > config.particles)
@@ -346,7 +347,7 @@ class Refinement:
             shown / trust.sum(),
             judged.effective_columns,
             np.array(solver.noise.height_m)[particles.fit.height],
-            _beyond_share(linear, trust, self._scene.edge),
+            _beyond_share(solver.beyond_rad(linear), trust, len(hypotheses)),
             hypotheses.lead(self._config.elsewhere_m),
             hypotheses.lead(self._config.far_m),
             self._renderings,
@@ -364,10 +365,8 @@ class Refinement:
         return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
 
 
-def _beyond_share(linear: Linear, trust: Float64Array, edge: DataEdge | None) -> Float64Array:
-    """Return the share (M,) of the trust in columns that terrain past the edge may rise in."""
-    if edge is None:
-        return np.zeros(len(linear.place_m))
-    place_m, eye_m = linear.place_m[:, np.newaxis], linear.eye_m[:, np.newaxis]
-    most = edge.elevation_tan(place_m.real, place_m.imag, eye_m, linear.azimuth_rad)
-    return np.asarray((most > linear.elevation_tan) @ trust / trust.sum())
+def _beyond_share(beyond_rad: Float64Array | None, trust: Float64Array, count: int) -> Float64Array:
+    """Return the share (M,) of the trust in columns that what lies past the edge may rise in."""
+    if beyond_rad is None:
+        return np.zeros(count)
+    return np.asarray((beyond_rad > 0.0) @ trust / trust.sum())

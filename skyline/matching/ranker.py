@@ -13,6 +13,7 @@ from skyline.matching.ranking import JointRanking, Ranking
 from skyline.matching.screening import Alike
 from skyline.places import PlaceSource
 from skyline.store.header import RENDERINGS
+from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground
 
 
@@ -31,6 +32,9 @@ class Source(Protocol):
 
     def ground(self) -> Ground | None:
         """Return the heights of the terrain, where that is to be had."""
+
+    def edge(self) -> DataEdge | None:
+        """Return where the terrain's data end, where that is to be had."""
 
     def scene(self) -> Scene | None:
         """Return the terrain to render, where that is to be had and rendering is wanted."""

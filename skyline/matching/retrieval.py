@@ -23,6 +23,7 @@ from skyline.matching.query import QueryRays
 from skyline.matching.screening import Alike, Screen, sample_of, screen_places
 from skyline.places import Places, PlaceSource
 from skyline.rows import Rows
+from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground
 
 _FITS_AT_ONCE = 2048
@@ -91,7 +92,8 @@ class RetrievalConfig:
 class Retriever:
     """Finds short lists of poses among places.
 
-    Without ``ground`` that about a place is taken to be level.
+    Without ``ground`` that about a place is taken to be level; without ``edge``, where the
+    terrain's data end, nothing is taken to lie beyond.
     """
 
     def __init__(
@@ -99,7 +101,9 @@ class Retriever:
         places: PlaceSource,
         ground: Ground | None = None,
         config: RetrievalConfig | None = None,
+        edge: DataEdge | None = None,
     ) -> None:
+        self._edge = edge
         self.config = config or RetrievalConfig()
         self.places = places
         self._ground = ground
@@ -245,10 +249,10 @@ class Retriever:
         def fitted(first: int) -> Hypotheses:
             some = start[slice(first, first + _FITS_AT_ONCE)]
             places, slope = some.places, self._slope(some.places)
-            fit = CurveFit(places, slope, rays, *lens, config)
-            fits = fit.fit(some.heading_rad, some.zoom)
-            heading, pitch, roll, zoom = fits.pose[:, :4].T.astype(np.float64)
-            move = fits.pose[:, 4:].astype(np.float64)
+            fit = CurveFit(places, slope, rays, *lens, config, self._edge)
+            pose, score = fit.fit(some.heading_rad, some.zoom)
+            heading, pitch, roll, zoom = pose[:, :4].T.astype(np.float64)
+            move = pose[:, 4:].astype(np.float64)
             return Hypotheses(
                 places.easting_m + move[:, 0],
                 places.northing_m + move[:, 1],

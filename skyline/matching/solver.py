@@ -29,6 +29,7 @@ from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import QueryRays, log_tangent
 from skyline.matching.rays import level_with_changes
 from skyline.rows import Rows
+from skyline.terrain.edge import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE = range(7)
 """Columns of a state: the eye's displacement, metres; its height above the ground, metres; angles,
@@ -184,7 +185,8 @@ class Linear:
 class Solver:
     """Aligns one query to curves.
 
-    ``height_sd_m`` is the deviation of the terrain model's heights to be expected.
+    ``height_sd_m`` is the deviation of the terrain model's heights to be expected. Without
+    ``edge``, where the terrain's data end, nothing is taken to lie beyond.
     """
 
     def __init__(
@@ -194,9 +196,10 @@ class Solver:
         eye: EyeHeight,
         height_sd_m: float,
         claim: Claim | None = None,
+        edge: DataEdge | None = None,
     ) -> None:
         self.query = query
-        self._claim = claim
+        self._claim, self._edge = claim, edge
         self.config = config
         self.noise = replace(config.noise, height_sd_m=height_sd_m)
         self._eye = eye
@@ -342,11 +345,27 @@ class Solver:
             y,
         )
 
+    def beyond_rad(self, linear: Linear) -> Float64Array | None:
+        """Return how far above the skyline, (M, R), terrain past the data's edge may rise.
+
+        It is below 0 where none reaches it, and 0 where the skyline is unknown.
+        """
+        if self._edge is None:
+            return None
+        place_m, eye_m = linear.place_m[:, np.newaxis], linear.eye_m[:, np.newaxis]
+        most = self._edge.elevation_tan(place_m.real, place_m.imag, eye_m, linear.azimuth_rad)
+        return np.asarray(np.nan_to_num(np.arctan(most) - np.arctan(linear.elevation_tan)))
+
     def _errors(self, linear: Linear, curves: Curves) -> HeightErrors:
         step_rad = 2.0 * np.pi / curves.channels.shape[1]
         blur_rad = self.config.blur_steps * step_rad * np.abs(linear.jacobian[..., HEADING])
         return HeightErrors.of(
-            linear.azimuth_rad, linear.distance_m, blur_rad, self.noise, linear.rise_rad
+            linear.azimuth_rad,
+            linear.distance_m,
+            blur_rad,
+            self.noise,
+            linear.rise_rad,
+            self.beyond_rad(linear),
         )
 
     def _judge(

@@ -12,12 +12,13 @@ from skyline.errors import InputError, SkylineError
 from skyline.files import is_file
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.profiles import Profiles
-from skyline.pipeline.config import check_dem, read_dem_of
+from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
 from skyline.pipeline.scene import RenderedScene
 from skyline.places import PlaceSource
 from skyline.render.thread import RenderThread
 from skyline.store import Store, StoreHeader
 from skyline.store.header import PLACES
+from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground, HeightField
 from skyline.terrain.surface import Dem as Dem  # noqa: PLC0414  (it is had from here too)
 from skyline.terrain.surface import read_surface
@@ -70,6 +71,11 @@ class OpenedSource:
         """Return the heights of the terrain."""
         terrain = self._found_terrain()
         return None if terrain is None else terrain.height_at
+
+    def edge(self) -> DataEdge | None:
+        """Return where the terrain's data end."""
+        terrain = self._found_terrain()
+        return None if terrain is None else DataEdge.of(terrain, curvature_of(self._store.header))
 
     def scene(self) -> RenderedScene | None:
         """Return the terrain to render."""

@@ -149,6 +149,37 @@ def test_the_scale_of_all_errors_is_the_likeliest(sd_rad):
     assert held.fit[0] == pytest.approx(fit, rel=1e-6)
 
 
+def _with_beyond(errors, beyond_deg):
+    return replace(errors, beyond_rad=np.full_like(errors.blur_rad, np.radians(beyond_deg)))
+
+
+@pytest.mark.parametrize(("off_deg", "is_cheaper"), [(1.0, True), (3.0, False), (-1.0, False)])
+def test_terrain_past_the_edge_explains_what_stands_up_to_its_bound(off_deg, is_cheaper):
+    noise, _, azimuth, distance = _setting()
+    errors = HeightErrors.of(azimuth, np.full_like(distance, 5e4), 0.0 * distance, noise)
+    residual = np.random.default_rng(6).normal(0.0, 0.0005, (1, 40))
+    residual[0, 10:20] = np.radians(off_deg)
+    with_beyond = _with_beyond(errors, np.where(np.arange(40) // 10 == 1, 2.0, 0.0))
+    without, there = (_converged(residual, noise, some) for some in (errors, with_beyond))
+    assert there.odds[0, 10:20].max() < 0.01
+    np.testing.assert_allclose(there.odds[0, 20:], without.odds[0, 20:], atol=0.02)
+    # Ten columns at a density of 0.3 in 2 degrees, where 0.15 in 15 was expected otherwise.
+    gained = without.cost[0] - there.cost[0]
+    if is_cheaper:
+        assert gained == pytest.approx(10.0 * np.log((0.7 * 0.01 + 0.15) / 0.01), rel=0.1)
+    else:
+        assert 10.0 * np.log(0.7) - 0.5 < gained < 0.0
+
+
+def test_where_nothing_beyond_can_rise_nothing_changes():
+    noise, errors, _, _ = _setting()
+    residual = np.random.default_rng(7).normal(0.0, 0.002, (1, 40))
+    costs = [
+        _converged(residual, noise, some).cost[0] for some in (errors, _with_beyond(errors, -1.0))
+    ]
+    assert costs[0] == costs[1]
+
+
 @pytest.mark.parametrize("magnified", [0.5, 1.0, 1.7])
 def test_the_cost_falls_with_magnification_as_is_said(magnified):
     noise, errors, _, _ = _setting()

@@ -7,12 +7,14 @@ import pytest
 from query_scenes import BINS, hills, panorama_of, poses, rays_of, seen
 
 from skyline.errors import InputError
+from skyline.geodesy import Curvature
 from skyline.matching.eye_height import EyeHeight
 from skyline.matching.noise import Noise
 from skyline.matching.panoramas import Panoramas
 from skyline.matching.query import level
 from skyline.matching.rays import level_with_changes, thinned
 from skyline.matching.solver import Curves, Solver, SolverConfig
+from skyline.terrain.edge import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
 EYE = EyeHeight(2.0, 5.0)
@@ -27,10 +29,10 @@ def curves_of(panoramas):
     return Curves.of(panoramas, place_m, ground_m, np.zeros((count, 2)), eye_height_m)
 
 
-def settled(hypotheses, panoramas, query):
+def settled(hypotheses, panoramas, query, edge=None):
     """Solve heading, pitch, roll and field of view of hypotheses where they stand."""
     config = SolverConfig(iterations=8, noise=Noise(nodes=0))
-    solver = Solver(thinned(query, panoramas.bins), config, EYE, HEIGHT_SD_M)
+    solver = Solver(thinned(query, panoramas.bins), config, EYE, HEIGHT_SD_M, edge=edge)
     curves = curves_of(panoramas)
     return solver.posed(hypotheses, solver.settle(curves, solver.start(hypotheses)))
 
@@ -73,6 +75,31 @@ def test_attitude_and_field_of_view_are_recovered():
     assert found.pitch_deg[0] == pytest.approx(2.0, abs=0.02)
     assert found.roll_deg[0] == pytest.approx(-1.5, abs=0.05)
     assert found.fov_deg[0] == pytest.approx(60.0, abs=0.05)
+
+
+def _edge(tangent):
+    """Return an edge 10 to 14 km off, past which terrain rises to a tangent at least."""
+    highest_m = np.full((4, 1), EYE.usual_m + tangent * 10_000.0 * np.sqrt(2.0))
+    return DataEdge((-1e4, -1e4, 1e4, 1e4), highest_m, Curvature(enabled=False))
+
+
+def test_a_range_past_the_edge_speaks_less_against_the_right_place():
+    def with_range(azimuth_rad):
+        return np.maximum(hills(azimuth_rad), 0.145 + 0.02 * np.sin(23.0 * azimuth_rad))
+
+    shown = np.radians(np.arange(320.0, 380.0))
+    assert 0.3 < np.mean(with_range(shown) > hills(shown)) < 0.6
+    query = rays_of(*seen(with_range, **TRUTH), 60.0)
+    places = [panorama_of(hills), panorama_of(lambda azimuth: hills(azimuth + 0.4))]
+    start = poses(heading_deg=350.0)
+
+    def scores(edge):
+        return [settled(start, place, query, edge).score[0] for place in places]
+
+    assert scores(_edge(-1.0)) == scores(None)
+    (right, wrong), (right_without, wrong_without) = scores(_edge(0.17)), scores(None)
+    assert right < right_without - 100.0
+    assert wrong - right > wrong_without - right_without + 20.0
 
 
 @pytest.mark.parametrize(("low", "high", "expected"), [(63.0, 70.0, 63.0), (50.0, 57.0, 57.0)])

@@ -117,7 +117,8 @@ def _matcher(terrain: HeightField, folder: Path) -> Iterator[FullMatcher]:
     build_places(terrain, store, bounds_deg=bounds_deg)
     with open_store(store) as opened:
         scene = RenderedScene.of_store(terrain, opened.header, MatchConfig())
-        yield FullMatcher(Retriever(opened.places(), terrain.height_at), scene)
+        places = opened.places()
+        yield FullMatcher(Retriever(places, terrain.height_at, edge=scene.edge), scene)
         scene.release()
 
 
