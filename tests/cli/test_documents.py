@@ -408,7 +408,6 @@ def test_the_method_names_its_places():
 
 PLACES = {
     "Davos, 50 km2, places as planned by default": ("planned", "full", "plain"),
-    "the same, places 80 m apart": ("uniform", "full", "plain"),
 }
 """Row of the README's table -> planner, matcher and kind of queries in the record."""
 
