@@ -77,7 +77,9 @@ def api_names(document: Path) -> list[str]:
 
 def import_order(document: Path) -> list[set[str]]:
     """Return the rows of folders that a page says import only downward, the highest first."""
-    said = next(block.text for block in blocks_of(document) if block.text.startswith("__main__ > cli > "))
+    said = next(
+        block.text for block in blocks_of(document) if block.text.startswith("__main__ > cli > ")
+    )
     return [set(re.findall(r"\w+", row)) for row in said.split(">")]
 
 
