@@ -24,7 +24,7 @@ from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query
 from skyline.pipeline.claims import claim_of
 from skyline.pipeline.matchers import FULL, MATCHERS, check_narrows
-from skyline.pipeline.opened import Dem, OpenedSource, given_terrain
+from skyline.pipeline.opened import OpenedSource, given_terrain
 from skyline.pipeline.refusals import (
     DISAGREES,
     at_bound,
@@ -36,6 +36,7 @@ from skyline.pipeline.refusals import (
 from skyline.pipeline.results import JointResult, MatchResult
 from skyline.render.thread import RenderThread
 from skyline.store import open_store
+from skyline.terrain.surface import Dem
 from skyline.terrain.viewpoints import Viewpoints
 
 _log = logging.getLogger(__name__)

@@ -20,8 +20,7 @@ from skyline.store import Store, StoreHeader
 from skyline.store.header import PLACES
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground, HeightField
-from skyline.terrain.surface import Dem as Dem  # noqa: PLC0414  (it is had from here too)
-from skyline.terrain.surface import read_surface
+from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
