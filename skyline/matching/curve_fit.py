@@ -89,6 +89,10 @@ class _Seen:
     """(M, 6, R): derivative of the miss by each parameter of the pose."""
     nearness: Float32Array
     known: NDArray[np.bool_]
+    azimuth: Float32Array
+    """From grid north, radians."""
+    tangent: Float32Array
+    """Of the rays' elevation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +167,8 @@ class CurveFit:
         own_sine, own_cosine = np.sin(azimuth), np.cos(azimuth)
         zoom = tangent * np.square(own_cosine) - slope * own_sine * own_cosine
         change = np.stack([-slope, own_cosine, -own_sine, zoom, -east, -north], axis=1)
-        return _Seen(np.where(known, miss, np.float32(0.0)), change, near, known)
+        miss = np.where(known, miss, np.float32(0.0))
+        return _Seen(miss, change, near, known, toward, tangent)
 
     def _project(self, pose: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Return azimuth from straight ahead and tangent of the rays (M, R); as `query.level`."""
@@ -215,23 +220,22 @@ class CurveFit:
         variance = self._variance(pose, seen.nearness)
         outlier = np.float32(self.config.outlier)
         miss = np.abs(seen.miss) / np.sqrt(variance)
-        most = np.where(self._may_hide(pose, seen), np.float32(self.config.beyond), outlier)
+        most = np.where(self._may_hide(seen), np.float32(self.config.beyond), outlier)
         cost = np.where(seen.known, np.minimum(miss, most), outlier)
         cost += 0.5 * np.log(variance / np.square(self._scale(pose))[:, np.newaxis])
         unlikely = 0.5 * (np.square(pose) * prior).sum(axis=1) / self.config.rays
         mean = (cost * self.rays.weight).mean(axis=1)
         return np.asarray(mean + unlikely, dtype=np.float32)
 
-    def _may_hide(self, pose: Float32Array, seen: _Seen) -> NDArray[np.bool_]:
+    def _may_hide(self, seen: _Seen) -> NDArray[np.bool_]:
         """Return which rays (M, R) terrain past the data's edge may stand in."""
         if self.edge is None:
             return np.zeros(seen.miss.shape, dtype=np.bool_)
-        azimuth, tangent = self._project(pose)
         places = self.places
         eyes = np.stack([places.easting_m, places.northing_m, places.eye_elevation_m])
         east_m, north_m, eye_m = eyes.astype(np.float32)[..., np.newaxis]
-        most = self.edge.elevation_tan(east_m, north_m, eye_m, azimuth + pose[:, :1])
-        return np.asarray((seen.miss > 0.0) & (tangent < most))
+        most = self.edge.elevation_tan(east_m, north_m, eye_m, seen.azimuth)
+        return np.asarray((seen.miss > 0.0) & (seen.tangent < most))
 
 
 def _step(

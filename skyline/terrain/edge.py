@@ -5,18 +5,15 @@ from math import ceil
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import Float32Array, Float64Array, FloatArray
 from skyline.geodesy import Curvature, Rectangle
 from skyline.terrain.heightfield import HeightField
-
-Floats = NDArray[np.floating]
 
 _REACH_M = 10_000.0
 """Terrain past a point of the edge is taken to be no higher than what lies this near inside."""
 _PARTS = 256
-"""Of each side, for which that is noted."""
+"""Parts of each side for which that height is noted."""
 _LEAST_M = 1.0
 """Who stands on the edge is taken to stand this far inside."""
 
@@ -60,11 +57,11 @@ class DataEdge:
 
     def elevation_tan(
         self,
-        easting_m: Floats,
-        northing_m: Floats,
-        eye_elevation_m: Floats,
-        azimuth_rad: Floats,
-    ) -> Floats:
+        easting_m: FloatArray,
+        northing_m: FloatArray,
+        eye_elevation_m: FloatArray,
+        azimuth_rad: FloatArray,
+    ) -> FloatArray:
         """Return the greatest tangent of elevation of terrain past the edge.
 
         An eye above all that terrain sees it best at the horizon of its greatest height, not at the
@@ -81,8 +78,8 @@ class DataEdge:
         return np.asarray(np.where(above_m > 0.0, above_m / distance_m, 0.0))
 
     def _left(
-        self, easting_m: Floats, northing_m: Floats, azimuth_rad: Floats
-    ) -> tuple[Floats, Float32Array]:
+        self, easting_m: FloatArray, northing_m: FloatArray, azimuth_rad: FloatArray
+    ) -> tuple[FloatArray, Float32Array]:
         """Return how far off rays leave the data, and how high terrain may be past there."""
         west, south, east, north = self.bounds_m
         wide_m, high_m = east - west, north - south
@@ -91,7 +88,7 @@ class DataEdge:
         with np.errstate(divide="ignore", invalid="ignore"):
             across = wide_m / 2.0 / np.abs(sine) - from_middle_m[0] / sine
             along = high_m / 2.0 / np.abs(cosine) - from_middle_m[1] / cosine
-        # A ray along two sides never meets them: NaN, for which nothing is smaller.
+        # A ray due north or south never leaves across: NaN there, which counts as farther off.
         distance_m, is_across = np.fmin(across, along), across <= along
         share = np.where(
             is_across,
@@ -105,7 +102,7 @@ class DataEdge:
         return np.maximum(distance_m, _LEAST_M), self.highest_m.ravel()[part]
 
 
-def _highest(band_m: NDArray[np.floating], reach: int) -> Float64Array:
+def _highest(band_m: FloatArray, reach: int) -> Float64Array:
     """Return the greatest height of a band (D, N) within a reach of each of P parts of its N.
 
     It is -inf where the band has no data.

@@ -155,7 +155,7 @@ def calibrate(
     ] = None,
     json_file: options.JsonFile = None,
     plot: options.PlotFile = None,
-    seed: options.Seed = 1000,
+    seed: options.Seed = 5000,
     quick: options.Quick = False,
 ) -> None:
     """The confidence learned on Sierra, Rofental and Everest, its reliability shown on Davos."""
@@ -171,4 +171,4 @@ def calibrate(
     if model is not None:
         write_models(model, found.models, found.about)
     if plot is not None:
-        save_reliability(plot, found.shown, "Learned on Sierra and Rofental, shown on Davos")
+        save_reliability(plot, found.shown, "Learned on Sierra, Rofental and Everest")

@@ -13,7 +13,6 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.paper.planning.strategies import STRATEGIES
 from skyline_bench.measuring.record import Row
 from skyline_bench.runs.calibration import Reliability, calibration_error, reliability
@@ -207,20 +206,23 @@ def save_scale(rows: Sequence[Row], path: Path) -> None:
 
 def save_reliability(path: Path, told: Iterable[Reliability], title: str) -> None:
     """Save the reliability diagram: how often answers are right against how sure they were."""
-    figure = new_figure(5.6, 5.2)
+    figure = new_figure(6.4, 6.6)
     axis = figure.subplots()
     axis.plot([0, 1], [0, 1], ":", color="black", linewidth=0.8)
     for name, sure, right in told:
         said, hit, share, spread = np.array(reliability(sure, right)).T
         error = calibration_error(sure, right)
         label = f"{name}: {len(sure)} queries, calibration error {error:.3f}"
-        axis.errorbar(said, hit, spread, marker="o", capsize=2, label=label)
+        bars = axis.errorbar(said, hit, spread, marker="o", capsize=2, label=label)
+        colour = bars.lines[0].get_color()
         for x, y, part in zip(said, hit, share, strict=True):
-            axis.annotate(f"{part * len(sure):.0f}", (x, y), (4, -10), textcoords="offset points")
-    axis.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="confidence", title=title)
-    axis.set_ylabel(f"right (within {RIGHT_WITHIN_M:.0f} m)")
+            count = f"{part * len(sure):.0f}"
+            axis.annotate(
+                count, (x, y), (4, -10), textcoords="offset points", fontsize=8, color=colour
+            )
+    axis.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="confidence", ylabel="share right", title=title)
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=8, loc="upper left")
+    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1))
     save_figure(figure, path)
 
 
