@@ -42,6 +42,13 @@ def rays_of(u, v, fov_deg, assumed_fov_deg=None, fov_range_deg=None):
     return QueryRays(query.u, query.v, query.weight, query.fov_deg, fov_range_deg)
 
 
+def swept(function, heading_deg, raised_deg, fov_deg, columns=2000):
+    """Return the rays of a panorama of a made-up skyline, whose middle row is above the horizon."""
+    u = np.radians(fov_deg * ((np.arange(columns) + 0.5) / columns - 0.5))
+    v = function(u + np.radians(heading_deg)) - np.tan(np.radians(raised_deg))
+    return QueryRays(u, v, np.ones_like(u), fov_deg, is_panorama=True)
+
+
 def poses(count=1, **given):
     """Return hypotheses at the origin, level and looking north, but for what is given."""
     defaults = dict.fromkeys(Hypotheses.__dataclass_fields__, 0.0) | {"fov_deg": 60.0}

@@ -24,7 +24,7 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.pose import Poses
-from skyline.matching.query import QueryRays, level
+from skyline.matching.query import QueryRays
 
 RIGHT_WITHIN_M = 200.0
 """An answer this near is right."""
@@ -35,6 +35,8 @@ DISTANCES_M = (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M)
 _MAX_MARGIN = 60.0
 """Margins beyond teach no more, with caps of up to 1,000: strangers have been fitted with 124."""
 _MIN_MARGIN = 1e-3
+_MOST_VISIBLE_DEG = 90.0
+"""What was learned is of photos: a panorama counts as a wide one."""
 _MOST_LENS_DEVIATIONS = 4.0
 _MODELS = "confidence.json"
 
@@ -111,8 +113,7 @@ def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64A
 
 def _lens_deviations(poses: Hypotheses, query: QueryRays) -> Float64Array:
     """Return how far the fitted field of view is from the one given, in its deviations, (M,)."""
-    own, fitted = (np.tan(np.radians(fov) / 2.0) for fov in (query.fov_deg, poses.fov_deg))
-    off = np.abs(np.log(fitted / own)) / query.log_scale_sd
+    off = np.abs(query.log_scale(poses.fov_deg)) / query.log_scale_sd
     return np.asarray(np.minimum(off, _MOST_LENS_DEVIATIONS))
 
 
@@ -153,13 +154,14 @@ def _lead(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Float64
 
 def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
     """Return how much of a skyline the query shows and how much that rises and falls."""
-    azimuth, y = level(query.u, query.v, 0.0, 0.0)
+    azimuth, y = query.levelled(0.0, 0.0)
     # What a pitch and a roll cannot explain.
     trend = np.polynomial.Polynomial.fit(azimuth, y, 1, w=np.sqrt(query.weight))
     relief = np.sqrt(np.average((y - trend(azimuth)) ** 2, weights=query.weight))
+    visible_deg = np.degrees(np.ptp(azimuth))
     return {
         "log_relief": np.full(count, np.log(max(np.degrees(relief), 1e-2))),
-        "log_visible": np.full(count, np.log(max(np.degrees(np.ptp(azimuth)), 1.0))),
+        "log_visible": np.full(count, np.log(np.clip(visible_deg, 1.0, _MOST_VISIBLE_DEG))),
     }
 
 

@@ -24,8 +24,8 @@ from skyline.places import Places
 from skyline.terrain.edge import DataEdge
 
 _HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH = range(6)
-"""Columns of a pose: heading from grid north, pitch and roll, radians; zoom: log(tan(fov / 2))
-against that of the query's own; metres east and north of the stored place."""
+"""Columns of a pose: heading from grid north, pitch and roll, radians; zoom: `QueryRays.log_scale`
+of the field of view; metres east and north of the stored place."""
 _DAMPING = np.float32(1e-3)
 _REFERENCE_FOV_DEG = 60.0
 _LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
@@ -58,15 +58,27 @@ class FitConfig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rays:
-    """Means (R,) float32 of runs of a query's rays: right and up over forward, and weight."""
+    """Means (R,) float32 of runs of a query's rays, and weight; as of `QueryRays`."""
 
     u: Float32Array
     v: Float32Array
     weight: Float32Array
+    is_panorama: bool
+    pixel_size: float
+    """Against that of a photo with a field of view of 60 degrees."""
 
     @classmethod
     def of(cls, query: QueryRays, count: int) -> "Rays":
-        """Average the rays over ``count`` equal steps of u; steps mostly unseen are left out."""
+        """Average the rays over ``count`` equal steps of u; steps mostly unseen are left out.
+
+        A panorama is joined of photos: it has as many steps in each 60 degrees.
+        """
+        if query.is_panorama:
+            count = max(1, round(count * query.fov_deg / _REFERENCE_FOV_DEG))
+            pixel_size = 1.0
+        else:
+            half_rad = np.radians([query.fov_deg, _REFERENCE_FOV_DEG]) / 2.0
+            pixel_size = float(np.divide(*np.tan(half_rad)))
         left, right = query.u.min(), query.u.max()
         step = max((right - left) / count, 1e-9)
         run = np.minimum((query.u - left) / step, count - 1).astype(np.intp)
@@ -77,7 +89,8 @@ class Rays:
             for ray in (query.u, query.v)
         ]
         u, v = (ray.astype(np.float32) for ray in mean)
-        return cls(u, v, (weight[used] / weight[used].mean()).astype(np.float32))
+        weight = (weight[used] / weight[used].mean()).astype(np.float32)
+        return cls(u, v, weight, query.is_panorama, pixel_size)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,8 +118,6 @@ class CurveFit:
     ground_slope: Float32Array
     """(M, 2) float32. Rise of the ground to the east and to the north."""
     rays: Rays
-    fov_deg: float
-    """What the rays were made with."""
     zoom_bounds: tuple[float, float]
     zoom_sd: float
     """Deviation of the zoom about 0; infinite where any within the bounds is as likely."""
@@ -165,8 +176,12 @@ class CurveFit:
         miss = tangent - here - east * pose[:, _EAST, np.newaxis]
         miss -= north * pose[:, _NORTH, np.newaxis]
         own_sine, own_cosine = np.sin(azimuth), np.cos(azimuth)
-        zoom = tangent * np.square(own_cosine) - slope * own_sine * own_cosine
-        change = np.stack([-slope, own_cosine, -own_sine, zoom, -east, -north], axis=1)
+        if self.rays.is_panorama:
+            pitch, zoom = np.ones_like(tangent), tangent - slope * azimuth
+        else:
+            pitch = own_cosine
+            zoom = tangent * np.square(own_cosine) - slope * own_sine * own_cosine
+        change = np.stack([-slope, pitch, -own_sine, zoom, -east, -north], axis=1)
         miss = np.where(known, miss, np.float32(0.0))
         return _Seen(miss, change, near, known, toward, tangent)
 
@@ -175,7 +190,10 @@ class CurveFit:
         pitch, roll, zoom = (pose[:, k, np.newaxis] for k in (_PITCH, _ROLL, _ZOOM))
         scale = np.exp(zoom)
         u, v = self.rays.u * scale, self.rays.v * scale
-        right, up, forward = level_axes(u, v, pitch, roll)
+        is_panorama = self.rays.is_panorama
+        right, up, forward = level_axes(u, v, pitch, roll, is_panorama=is_panorama)
+        if is_panorama:
+            return np.arctan2(right, forward), up / np.hypot(right, forward)
         forward = np.maximum(forward, _MIN_FORWARD)
         return np.arctan(right / forward), up / np.hypot(right, forward)
 
@@ -191,11 +209,7 @@ class CurveFit:
         What a camera measures are pixels: without this a small enough field of view would make
         every miss small.
         """
-        reference = np.tan(np.radians(_REFERENCE_FOV_DEG / 2.0))
-        return np.asarray(
-            np.exp(pose[:, _ZOOM]) * (np.tan(np.radians(self.fov_deg / 2.0)) / reference),
-            dtype=np.float32,
-        )
+        return np.asarray(np.exp(pose[:, _ZOOM]) * self.rays.pixel_size, dtype=np.float32)
 
     def _prior(self) -> Float32Array:
         """Return the inverse variances (M, 6) of the parameters."""

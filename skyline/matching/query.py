@@ -10,6 +10,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
 
+_FULL_CIRCLE_DEG = 360.0
 _FOV_DEVIATIONS = 4.0
 """To either side of the one that is given."""
 
@@ -24,7 +25,9 @@ class QueryRays:
 
     u: Float64Array
     v: Float64Array
-    """``u``, ``v``: (W,) float64. Rays (u, v, 1): right and up over forward; unit focal length."""
+    """``u``, ``v``: (W,) float64. On an image of unit focal length, to the right of its middle and
+    up: of a lens rays (u, v, 1), right and up over forward; of a panorama, whose image is a
+    cylinder, rays (sin u, v, cos u)."""
     weight: Float64Array
     """(W,) float64. How far each ray is trusted, at least 0; only ratios matter."""
     fov_deg: float
@@ -34,6 +37,7 @@ class QueryRays:
     fov_sd_deg: float = math.inf
     """Standard deviation of the true field of view about `fov_deg`; infinite where any in the range
     is as likely."""
+    is_panorama: bool = False
 
     def __post_init__(self) -> None:
         if not self.u.shape == self.v.shape == self.weight.shape or self.u.ndim != 1:
@@ -46,10 +50,11 @@ class QueryRays:
         if (self.weight < 0.0).any() or not self.weight.any():
             raise InputError("query weights must be at least 0 with some above; nothing to match")
         low, high = self.fov_bounds_deg
-        if not 0.0 < low <= self.fov_deg <= high < 180.0:
+        most_deg = _FULL_CIRCLE_DEG if self.is_panorama else np.nextafter(180.0, 0.0)
+        if not 0.0 < low <= self.fov_deg <= high <= most_deg:
             raise InputError(
                 f"the field of view, {self.fov_deg:g} degrees, is not in its range, {low:g} to "
-                f"{high:g}; expected a range within 0 to 180 degrees that holds it"
+                f"{high:g}; expected a range within 0 to {most_deg:.0f} degrees that holds it"
             )
         if not self.fov_sd_deg > 0.0:
             raise InputError(
@@ -63,47 +68,66 @@ class QueryRays:
         return self.fov_range_deg or (self.fov_deg, self.fov_deg)
 
     @property
+    def azimuth_rad(self) -> Float64Array:
+        """Azimuths (W,) of the rays from straight ahead, the camera held level."""
+        return self.u if self.is_panorama else np.arctan(self.u)
+
+    @property
     def log_scale_bounds(self) -> tuple[float, float]:
-        """Those as logarithms of the tangent of half of each over that of half of `fov_deg`."""
-        low, high = log_tangent(np.array(self.fov_bounds_deg)) - log_tangent(self.fov_deg)
+        """The least and the greatest `log_scale`."""
+        low, high = self.log_scale(np.array(self.fov_bounds_deg))
         return float(low), float(high)
 
     @property
     def log_scale_sd(self) -> float:
-        """Deviation of the logarithm of the tangent of half the field of view."""
-        fov_rad = math.radians(self.fov_deg)
-        return math.radians(self.fov_sd_deg) / math.sin(fov_rad)
+        """Deviation of `log_scale`."""
+        sd_rad, fov_rad = math.radians(self.fov_sd_deg), math.radians(self.fov_deg)
+        return sd_rad / (fov_rad if self.is_panorama else math.sin(fov_rad))
+
+    def log_scale(self, fov_deg: Float64Array | float) -> Float64Array:
+        """Return by what fields of view scale u and v, as logarithms."""
+        return np.asarray(
+            np.log(self._half_width(fov_deg)) - np.log(self._half_width(self.fov_deg))
+        )
+
+    def fov_at(self, log_scale: Float64Array) -> Float64Array:
+        """Return the fields of view, degrees, that scale u and v so; the inverse of `log_scale`."""
+        half_width = self._half_width(self.fov_deg) * np.exp(log_scale)
+        half_rad = half_width if self.is_panorama else np.arctan(half_width)
+        return np.asarray(np.degrees(2.0 * half_rad))
+
+    def _half_width(self, fov_deg: Float64Array | float) -> Float64Array:
+        """Return half the width of an image of unit focal length."""
+        half_rad = np.radians(fov_deg) / 2.0
+        return np.asarray(half_rad if self.is_panorama else np.tan(half_rad))
 
     def with_fov(self, fov_deg: float) -> "QueryRays":
         """Return the same photo's rays for another field of view, degrees, within the range.
 
         The field of view that was given, and how likely others are, is forgotten.
         """
-        scale = np.tan(np.radians(fov_deg) / 2.0) / np.tan(np.radians(self.fov_deg) / 2.0)
+        scale = self._half_width(fov_deg) / self._half_width(self.fov_deg)
         return replace(
             self, u=self.u * scale, v=self.v * scale, fov_deg=fov_deg, fov_sd_deg=math.inf
         )
 
-    @classmethod
-    def about(
-        cls,
-        u: Float64Array,
-        v: Float64Array,
-        weight: Float64Array,
-        fov_deg: float,
-        sd_deg: float,
-        most_deg: float = math.inf,
-    ) -> "QueryRays":
-        """Make rays whose field of view is about the one that they were made with.
+    def levelled(self, pitch_deg: float, roll_deg: float) -> tuple[Float64Array, Float64Array]:
+        """Return azimuths and elevation tangents (W,) at an attitude; see `level`."""
+        return level(self.u, self.v, pitch_deg, roll_deg, is_panorama=self.is_panorama)
+
+    def about(self, sd_deg: float, most_deg: float = math.inf) -> "QueryRays":
+        """Return the rays with a field of view that is about the one that they were made with.
 
         Four deviations about it are searched, up to the greatest that is possible; without a
         deviation it is just that.
         """
         if sd_deg == 0.0:
-            return cls(u, v, weight, fov_deg)
-        widest_deg = min(fov_deg + _FOV_DEVIATIONS * sd_deg, 0.5 * (fov_deg + 180.0), most_deg)
+            return self
+        fov_deg = self.fov_deg
+        possible_deg = _FULL_CIRCLE_DEG if self.is_panorama else 0.5 * (fov_deg + 180.0)
+        widest_deg = min(fov_deg + _FOV_DEVIATIONS * sd_deg, possible_deg, most_deg)
         narrowest_deg = max(fov_deg - _FOV_DEVIATIONS * sd_deg, 0.5 * fov_deg)
-        return cls(u, v, weight, fov_deg, (narrowest_deg, widest_deg), sd_deg)
+        return replace(self, fov_range_deg=(narrowest_deg, widest_deg), fov_sd_deg=sd_deg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,39 +147,62 @@ class Attitudes:
                 )
 
 
-def log_tangent(fov_deg: Float64Array | float) -> Float64Array:
-    """Return the logarithm of the tangent of half a field of view, degrees."""
-    return np.asarray(np.log(np.tan(np.radians(fov_deg) / 2.0)))
-
-
 def level(
-    u: Float64Array, v: Float64Array, pitch_deg: float, roll_deg: float
+    u: Float64Array,
+    v: Float64Array,
+    pitch_deg: float,
+    roll_deg: float,
+    *,
+    is_panorama: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
-    """Turn rays (u, v, 1) of a pitched and rolled camera to azimuth and elevation tangent.
+    """Turn `QueryRays` of a pitched and rolled camera to azimuth and elevation tangent.
 
     Azimuths are radians clockwise from the vertical plane of the optical axis, in (-pi, pi]; the
     tangent is up over horizontal distance. The attitude is as in `Attitudes`.
     """
-    right, up, forward = level_axes(u, v, np.radians(pitch_deg), np.radians(roll_deg))
+    right, up, forward = level_axes(
+        u, v, np.radians(pitch_deg), np.radians(roll_deg), is_panorama=is_panorama
+    )
     return np.arctan2(right, forward), up / np.hypot(right, forward)
 
 
-def level_axes(u: Any, v: Any, pitch: Any, roll: Any) -> tuple[Any, Any, Any]:
-    """Return rays (u, v, 1) of a camera as right, up and forward of a level one; radians."""
-    right = u * np.cos(roll) + v * np.sin(roll)
-    up = v * np.cos(roll) - u * np.sin(roll)
+def level_axes(
+    u: Any, v: Any, pitch: Any, roll: Any, *, is_panorama: bool = False
+) -> tuple[Any, Any, Any]:
+    """Return `QueryRays` as right, up and forward of a level camera; angles in radians.
+
+    A panorama's camera turns about an upright axis, so that its pitch raises the horizon alike all
+    round.
+    """
+    if is_panorama:
+        across, above = np.sin(u), v + np.tan(pitch)
+    else:
+        across, above = u, v
+    right = across * np.cos(roll) + above * np.sin(roll)
+    up = above * np.cos(roll) - across * np.sin(roll)
+    if is_panorama:
+        return right, up, np.cos(u)
     return right, up * np.cos(pitch) + np.sin(pitch), np.cos(pitch) - up * np.sin(pitch)
 
 
 def project(
-    azimuth_rad: Float64Array, y: Float64Array, pitch_deg: float, roll_deg: float
+    azimuth_rad: Float64Array,
+    y: Float64Array,
+    pitch_deg: float,
+    roll_deg: float,
+    *,
+    is_panorama: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
-    """Return the rays (u, v, 1) of a pitched and rolled camera to directions, as `level` has them.
+    """Return u and v of directions as `level` has them: its inverse.
 
-    NaN for directions that are not in front of it.
+    NaN for directions that are not in front of a lens.
     """
     pitch, roll = np.radians(pitch_deg), np.radians(roll_deg)
     right, ahead = np.sin(azimuth_rad), np.cos(azimuth_rad)
+    if is_panorama:
+        across = right * np.cos(roll) - y * np.sin(roll)
+        above = right * np.sin(roll) + y * np.cos(roll)
+        return np.arctan2(across, ahead), above / np.hypot(across, ahead) - np.tan(pitch)
     forward = ahead * np.cos(pitch) + y * np.sin(pitch)
     forward = np.where(forward > 0.0, forward, np.nan)
     up = y * np.cos(pitch) - ahead * np.sin(pitch)
@@ -194,7 +241,7 @@ def _on_bins(
     Rays that share a bin are averaged in azimuth and in y alike, so that averaging takes noise
     away without shifting a slope; bin centres then lie on straight lines between averages.
     """
-    azimuth, y = level(query.u, query.v, pitch_deg, roll_deg)
+    azimuth, y = query.levelled(pitch_deg, roll_deg)
     position = azimuth * bins / (2.0 * np.pi) + bins / 2.0
     nearest = np.clip(np.rint(position), 0, bins - 1).astype(np.intp)
     weight = np.bincount(nearest, query.weight, bins)

@@ -23,29 +23,16 @@ class LevelledRays:
 
 
 def level_with_changes(
-    u: Float64Array,
-    v: Float64Array,
-    pitch_rad: Float64Array,
-    roll_rad: Float64Array,
-    log_scale: Float64Array,
+    query: QueryRays, pitch_rad: Float64Array, roll_rad: Float64Array, log_scale: Float64Array
 ) -> LevelledRays:
-    """Level R rays (u, v, 1) at M attitudes, u and v scaled; as `skyline.matching.query.level`.
-
-    The scale is the tangent of half the assumed field of view over that which the rays were made
-    with.
-    """
+    """Level a query's R rays at M attitudes and scales, as `skyline.matching.query.level`."""
+    axes = _panorama_axes if query.is_panorama else _lens_axes
+    angles = (angle[:, np.newaxis] for angle in (pitch_rad, roll_rad))
     scale = np.exp(log_scale)[:, np.newaxis]
-    cos_roll, sin_roll = np.cos(roll_rad)[:, np.newaxis], np.sin(roll_rad)[:, np.newaxis]
-    cos_pitch, sin_pitch = np.cos(pitch_rad)[:, np.newaxis], np.sin(pitch_rad)[:, np.newaxis]
-    right = scale * (u * cos_roll + v * sin_roll)
-    above = scale * (v * cos_roll - u * sin_roll)
-    forward = cos_pitch - above * sin_pitch
-    up = above * cos_pitch + sin_pitch
+    (right, up, forward), (right_change, up_change, forward_change) = axes(
+        query.u * scale, query.v * scale, *angles
+    )
     flat = np.hypot(right, forward)
-    none = np.zeros_like(up)
-    right_change = np.stack([none, above, right], axis=-1)
-    forward_change = np.stack([-up, right * sin_pitch, -above * sin_pitch], axis=-1)
-    up_change = np.stack([forward, -right * cos_pitch, above * cos_pitch], axis=-1)
     right_, forward_, up_, flat_ = (a[..., np.newaxis] for a in (right, forward, up, flat))
     flat_change = (right_ * right_change + forward_ * forward_change) / flat_
     return LevelledRays(
@@ -56,6 +43,52 @@ def level_with_changes(
     )
 
 
+_Axes = tuple[Float64Array, Float64Array, Float64Array]
+"""To the right, up and forward."""
+
+
+def _lens_axes(
+    u: Float64Array, v: Float64Array, pitch: Float64Array, roll: Float64Array
+) -> tuple[_Axes, _Axes]:
+    """Return rays (M, R) on the axes of a level camera, and (M, R, 3) how they change.
+
+    As `LevelledRays`: by pitch, by roll, and by the logarithm of the scale.
+    """
+    cos_roll, sin_roll, cos_pitch, sin_pitch = _turns(pitch, roll)
+    right = u * cos_roll + v * sin_roll
+    above = v * cos_roll - u * sin_roll
+    forward = cos_pitch - above * sin_pitch
+    up = above * cos_pitch + sin_pitch
+    return (right, up, forward), (
+        np.stack([np.zeros_like(up), above, right], axis=-1),
+        np.stack([forward, -right * cos_pitch, above * cos_pitch], axis=-1),
+        np.stack([-up, right * sin_pitch, -above * sin_pitch], axis=-1),
+    )
+
+
+def _panorama_axes(
+    u: Float64Array, v: Float64Array, pitch: Float64Array, roll: Float64Array
+) -> tuple[_Axes, _Axes]:
+    """Return the same of a panorama."""
+    cos_roll, sin_roll, cos_pitch, sin_pitch = _turns(pitch, roll)
+    across, forward = np.sin(u), np.cos(u)
+    above = v + sin_pitch / cos_pitch
+    right = across * cos_roll + above * sin_roll
+    up = above * cos_roll - across * sin_roll
+    raised, turned = np.ones_like(u) / cos_pitch**2, u * forward
+    return (right, up, forward), (
+        np.stack([raised * sin_roll, up, turned * cos_roll + v * sin_roll], axis=-1),
+        np.stack([raised * cos_roll, -right, v * cos_roll - turned * sin_roll], axis=-1),
+        np.stack([np.zeros_like(u), np.zeros_like(u), -u * across], axis=-1),
+    )
+
+
+def _turns(
+    pitch: Float64Array, roll: Float64Array
+) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
+    return np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+
+
 def thinned(query: QueryRays, bins: int) -> QueryRays:
     """Average rays that fall into one of ``bins`` steps of azimuth, as a level camera has them.
 
@@ -63,7 +96,7 @@ def thinned(query: QueryRays, bins: int) -> QueryRays:
     finer than its bins. Rays come out from left to right; an average weighs as much as its rays
     do on average, so the noise of averages is what the weights refer to.
     """
-    step = np.floor(np.arctan(query.u) * (bins / (2.0 * np.pi))).astype(np.intp)
+    step = np.floor(query.azimuth_rad * (bins / (2.0 * np.pi))).astype(np.intp)
     step -= step.min()
     total = np.bincount(step, query.weight)
     kept = np.flatnonzero(total)

@@ -34,6 +34,7 @@ _LIKELY_DEVIATIONS = 2.5
 """Fields of view farther from the one expected are not screened; fits do start from them."""
 _UNLIKELY = 0.25
 """Times the square of how many deviations a field of view is off: what its scores lose."""
+_USUAL_FOV_DEG = 60.0
 _SLOPE_BASE_M = 30.0
 _NOWHERE = (
     "no place of the store lies within what the search is narrowed to; widen it, or build a store "
@@ -187,7 +188,7 @@ class Retriever:
         """Prepare to find places: few fields of view, the likely ones."""
         likely = _LIKELY_DEVIATIONS * query.log_scale_sd
         low, high = np.clip(query.log_scale_bounds, -likely, likely)
-        zooms = _middles(float(low), float(high), self.config.zoom_step)
+        zooms = _middles(float(low), float(high), self.config.zoom_step * _zoom_share(query))
         unlikely = _UNLIKELY * np.square(zooms / query.log_scale_sd)
         return self._prepared(query, narrowed, zooms, unlikely)
 
@@ -220,7 +221,8 @@ class Retriever:
         return _Start(places, score, np.radians(heading_deg), self._start_zooms(query)[fov])
 
     def _start_zooms(self, query: QueryRays) -> Float64Array:
-        return _middles(*query.log_scale_bounds, self.config.start_zoom_step)
+        step = self.config.start_zoom_step * _zoom_share(query)
+        return _middles(*query.log_scale_bounds, step)
 
     def _fitted(self, query: QueryRays, aim: Screen, alike: Alike) -> Hypotheses:
         """Return the fitted poses of the places most alike."""
@@ -244,12 +246,12 @@ class Retriever:
     def _fits(self, query: QueryRays, start: "_Start", config: FitConfig) -> Hypotheses:
         """Return the poses of places fitted from where they start, in order."""
         rays = Rays.of(query, config.rays)
-        lens = query.fov_deg, query.log_scale_bounds, query.log_scale_sd
+        bounds = query.log_scale_bounds, query.log_scale_sd
 
         def fitted(first: int) -> Hypotheses:
             some = start[slice(first, first + _FITS_AT_ONCE)]
             places, slope = some.places, self._slope(some.places)
-            fit = CurveFit(places, slope, rays, *lens, config, self._edge)
+            fit = CurveFit(places, slope, rays, *bounds, config, self._edge)
             pose, score = fit.fit(some.heading_rad, some.zoom)
             heading, pitch, roll, zoom = pose[:, :4].T.astype(np.float64)
             move = pose[:, 4:].astype(np.float64)
@@ -318,8 +320,11 @@ def _middles(low: float, high: float, step: float) -> Float64Array:
     return np.asarray(low + (np.arange(parts) + 0.5) * ((high - low) / parts))
 
 
+def _zoom_share(query: QueryRays) -> float:
+    """Return the share of a step of the zoom that moves the ends of a wide panorama as far."""
+    return min(1.0, _USUAL_FOV_DEG / query.fov_deg) if query.is_panorama else 1.0
+
+
 def _fov_deg(query: QueryRays, zoom: Float64Array) -> Float64Array:
-    own = np.tan(np.radians(query.fov_deg) / 2.0)
-    fov_deg = 2.0 * np.degrees(np.arctan(own * np.exp(zoom)))
     # Rounding must not take a field of view out of the query's range.
-    return np.asarray(np.clip(fov_deg, *query.fov_bounds_deg))
+    return np.asarray(np.clip(query.fov_at(zoom), *query.fov_bounds_deg))

@@ -26,14 +26,14 @@ from skyline.matching.eye_height import EyeHeight
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.noise import HeightErrors, Judged, Noise, judge
 from skyline.matching.panoramas import Panoramas
-from skyline.matching.query import QueryRays, log_tangent
+from skyline.matching.query import QueryRays
 from skyline.matching.rays import level_with_changes
 from skyline.rows import Rows
 from skyline.terrain.edge import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE = range(7)
 """Columns of a state: the eye's displacement, metres; its height above the ground, metres; angles,
-radians; logarithm of the tangent of half the field of view over that of the query's."""
+radians; `QueryRays.log_scale` of the field of view."""
 
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
 _MOVES = slice(EAST, HEADING)
@@ -227,7 +227,7 @@ class Solver:
         state[:, HEADING] = np.radians(hypotheses.heading_deg)
         state[:, PITCH] = np.radians(hypotheses.pitch_deg)
         state[:, ROLL] = np.radians(hypotheses.roll_deg)
-        scale = log_tangent(hypotheses.fov_deg) - log_tangent(self.query.fov_deg)
+        scale = self.query.log_scale(hypotheses.fov_deg)
         state[:, LOG_SCALE] = np.clip(scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
         angle, height = (np.full(count, index) for index in self.noise.widest)
         odds = np.ones((count, len(self.query.u)))
@@ -253,8 +253,7 @@ class Solver:
 
     def fov_deg(self, state: Float64Array) -> Float64Array:
         """Return the field of view of states (M, 7), degrees."""
-        tangent = np.exp(state[:, LOG_SCALE] + log_tangent(self.query.fov_deg))
-        return np.asarray(np.degrees(2.0 * np.arctan(tangent)))
+        return self.query.fov_at(state[:, LOG_SCALE])
 
     def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
         """Take the configured steps from one rendering, and choose the noise on the way.
@@ -318,9 +317,7 @@ class Solver:
 
     def linearize(self, curves: Curves, state: Float64Array) -> Linear:
         """Return residuals and their derivatives at states (M, 7)."""
-        rays = level_with_changes(
-            self.query.u, self.query.v, state[:, PITCH], state[:, ROLL], state[:, LOG_SCALE]
-        )
+        rays = level_with_changes(self.query, state[:, PITCH], state[:, ROLL], state[:, LOG_SCALE])
         azimuth = rays.azimuth_rad + state[:, HEADING, np.newaxis]
         there = curves.at(azimuth)
         slope, change = there[..., 1:2], there[..., 2:5]

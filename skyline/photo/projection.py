@@ -1,4 +1,4 @@
-"""How a photo's columns and rows become rays: through a lens, or along a stitched panorama."""
+"""How a photo's columns and rows become rays: through a lens, or along a panorama."""
 
 import re
 from enum import StrEnum
@@ -10,8 +10,7 @@ from skyline.errors import InputError
 
 MIN_FOV_DEG = 1.0
 MAX_FOV_DEG = 179.0
-MAX_PANORAMA_DEG = 160.0
-"""Rays are (u, v, 1): none lie 90 degrees from the middle, just short of it they are endless."""
+MAX_PANORAMA_DEG = 360.0
 
 _GPANO = re.compile(r"GPano:(\w+)\s*(?:=\s*[\"']|>)\s*([\w.]+)")
 
@@ -33,14 +32,19 @@ class Projection(StrEnum):
     CYLINDRICAL = "cylindrical"
     EQUIRECTANGULAR = "equirectangular"
 
+    @property
+    def is_panorama(self) -> bool:
+        """Whether the photo was swept round, not taken through one lens."""
+        return self is not Projection.PERSPECTIVE
+
     def check_fov_deg(self, fov_deg: float) -> float:
-        """Return a horizontal field of view that has rays, else raise `InputError`."""
-        greatest = MAX_FOV_DEG if self is Projection.PERSPECTIVE else MAX_PANORAMA_DEG
+        """Return a horizontal field of view that is possible, else raise `InputError`."""
+        greatest = MAX_PANORAMA_DEG if self.is_panorama else MAX_FOV_DEG
         if not MIN_FOV_DEG <= fov_deg <= greatest:
             hint = (
-                "a phone's main camera has about 65, a wide panorama is cylindrical"
-                if self is Projection.PERSPECTIVE
-                else "cut the panorama to its middle"
+                "a full turn is the most"
+                if self.is_panorama
+                else "a phone's main camera has about 65, a wide panorama is cylindrical"
             )
             raise InputError(
                 f"horizontal field of view is {fov_deg:g} degrees; expected {MIN_FOV_DEG:g} to "
@@ -51,40 +55,41 @@ class Projection(StrEnum):
     def rays(
         self, across: Float64Array, above: Float64Array, fov_deg: float
     ) -> tuple[Float64Array, Float64Array]:
-        """Turn places in a photo to rays (u, v, 1).
+        """Turn places in a photo to places u, v on an image of unit focal length.
+
+        Through a lens u and v are right and up over forward: the ray is (u, v, 1). A panorama's
+        image is a cylinder: u is the azimuth from its middle, radians, v the tangent of the
+        elevation, and the ray is (sin u, v, cos u).
 
         Parameters
         ----------
         across, above : (N,) float64
-            From the photo's middle to the right and upwards, in halves of its width. A
-            panorama's horizon is taken to be its middle row.
+            From the photo's middle to the right and upwards, in halves of its width.
         fov_deg : float
             Horizontal field of view.
         """
         half = np.radians(fov_deg) / 2.0
         if self is Projection.PERSPECTIVE:
             return across * np.tan(half), above * np.tan(half)
-        azimuth = across * half
         up = above * half if self is Projection.CYLINDRICAL else np.tan(above * half)
-        return np.tan(azimuth), up / np.cos(azimuth)
+        return across * half, up
 
     def places(
         self, u: Float64Array, v: Float64Array, fov_deg: float
     ) -> tuple[Float64Array, Float64Array]:
-        """Return where rays (u, v, 1) lie in a photo, across and above: the inverse of `rays`."""
+        """Return where u and v lie in a photo, across and above: the inverse of `rays`."""
         half = np.radians(fov_deg) / 2.0
         if self is Projection.PERSPECTIVE:
             return u / np.tan(half), v / np.tan(half)
-        azimuth = np.arctan(u)
-        up = v * np.cos(azimuth)
-        above = up if self is Projection.CYLINDRICAL else np.arctan(up)
-        return azimuth / half, above / half
+        above = v if self is Projection.CYLINDRICAL else np.arctan(v)
+        return u / half, above / half
 
     def column_deg(self, width: int, fov_deg: float) -> Float64Array:
         """Return the degrees of azimuth that each of ``width`` columns spans, (width,)."""
         edges = np.linspace(-1.0, 1.0, width + 1)
-        tangent, _ = self.rays(edges, np.zeros_like(edges), fov_deg)
-        return np.asarray(np.degrees(np.diff(np.arctan(tangent))), dtype=np.float64)
+        u, _ = self.rays(edges, np.zeros_like(edges), fov_deg)
+        azimuth = u if self.is_panorama else np.arctan(u)
+        return np.asarray(np.degrees(np.diff(azimuth)), dtype=np.float64)
 
 
 def panorama_of_xmp(xmp: str) -> tuple[Projection, float] | None:

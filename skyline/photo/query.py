@@ -83,7 +83,7 @@ class QuerySkyline:
         return replace(self, fov_deg=fov_deg, lens=None)
 
     def image_plane(self, fov_deg: float | None = None) -> tuple[Float64Array, Float64Array]:
-        """Return the trusted columns on the image plane at unit focal length.
+        """Return the trusted columns on an image of unit focal length.
 
         Parameters
         ----------
@@ -93,9 +93,9 @@ class QuerySkyline:
         Returns
         -------
         u, v : (N,) float64
-            Rays (u, v, 1) to the right of and above the optical axis, which meets the image's
-            centre; square pixels. Of a perspective photo u = ((2q + 1)/W - 1) tan(fov/2) and
-            v = (H - 1 - 2r)/W tan(fov/2); of a panorama see `Projection`.
+            To the right of and above the image's middle; square pixels. Of a perspective photo
+            rays (u, v, 1), u = ((2q + 1)/W - 1) tan(fov/2) and v = (H - 1 - 2r)/W tan(fov/2); of a
+            panorama see `Projection.rays`.
 
         Raises
         ------

@@ -2,7 +2,6 @@
 
 import io
 import logging
-from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -16,7 +15,7 @@ from skyline.photo.decode import Photo, decode_image
 from skyline.photo.extract import extract_skyline
 from skyline.photo.lens import MAX_PINHOLE_ASPECT
 from skyline.photo.mask import is_sky_mask, skyline_of_mask
-from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
+from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline, check_of_image
 from skyline.photo.sky_model import SkySession, load_sky_model, model_skyline
 from skyline.photo.trace import read_trace
@@ -25,7 +24,6 @@ log = logging.getLogger(__name__)
 
 SkyModel = SkySession | str | Path | None
 
-_FULL_CIRCLE_DEG = 360.0
 _LENSES = (None, Projection.PERSPECTIVE)
 _SKYLINE_RGB = (255, 0, 60)
 
@@ -59,7 +57,7 @@ def read_query(
     """
     check_fov(fov_deg, projection)
     if Path(path).suffix.lower() == ".csv":
-        return _read_trace(path, fov_deg, projection or Projection.PERSPECTIVE)
+        return read_trace(path, fov_deg, projection)
     return extract_photo(path, fov_deg, projection=projection, sky_model=sky_model)[1]
 
 
@@ -72,8 +70,7 @@ def extract_photo(
 ) -> tuple[UInt8Array, QuerySkyline]:
     """Read a photo or a sky mask and find its skyline; as `read_query`, with the pixels.
 
-    These are (H, W, 3) uint8 RGB, upright, those that the skyline's rows count: of a panorama wider
-    than 160 degrees its middle.
+    These are (H, W, 3) uint8 RGB, upright.
     """
     photo = read_photo(path, fov_deg, projection=projection)
     _doubt_strip(path, photo)
@@ -95,11 +92,6 @@ def read_photo(
     fov_deg, projection
         As of `read_query`.
 
-    Returns
-    -------
-    Photo
-        Of a panorama wider than 160 degrees the middle.
-
     Raises
     ------
     MissingFileError
@@ -114,11 +106,10 @@ def read_photo(
     if fov_deg is None and (lens is not None or decoded.lens is None):
         fov_deg = decoded.fov_deg
     projection = projection or decoded.projection
-    image, fov_deg = _with_rays(decoded.rgb, fov_deg, projection)
-    if min(image.shape[:2]) < 2:
-        height, width = image.shape[:2]
+    height, width = decoded.rgb.shape[:2]
+    if min(height, width) < 2:
         raise InputError(f"{path} has {width} x {height} px; expected a photo or a sky mask")
-    return Photo(image, fov_deg, projection, decoded.place, lens)
+    return Photo(decoded.rgb, fov_deg, projection, decoded.place, lens)
 
 
 def _doubt_strip(path: str | Path, photo: Photo) -> None:
@@ -137,15 +128,8 @@ def _doubt_strip(path: str | Path, photo: Photo) -> None:
 
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:
     """Refuse an impossible field of view before a file is looked at; raises `InputError`."""
-    if fov_deg is None:
-        return
-    if projection in _LENSES:
-        Projection.PERSPECTIVE.check_fov_deg(fov_deg)
-    elif not MIN_FOV_DEG <= fov_deg <= _FULL_CIRCLE_DEG:
-        raise InputError(
-            f"the panorama spans {fov_deg:g} degrees; expected {MIN_FOV_DEG:g} to "
-            f"{_FULL_CIRCLE_DEG:g}"
-        )
+    if fov_deg is not None:
+        (projection or Projection.PERSPECTIVE).check_fov_deg(fov_deg)
 
 
 def _find(image: UInt8Array, sky_model: SkyModel) -> QuerySkyline:
@@ -156,49 +140,6 @@ def _find(image: UInt8Array, sky_model: SkyModel) -> QuerySkyline:
     if isinstance(sky_model, str | Path):
         sky_model = load_sky_model(sky_model)
     return model_skyline(image, sky_model)
-
-
-def _with_rays(
-    image: UInt8Array, fov_deg: float | None, projection: Projection
-) -> tuple[UInt8Array, float | None]:
-    """Cut a panorama to the part that has rays, and say so."""
-    if projection is Projection.PERSPECTIVE or fov_deg is None:
-        return image, fov_deg
-    width = image.shape[1]
-    middle = _middle(width, fov_deg)
-    kept = middle.stop - middle.start
-    return np.ascontiguousarray(image[:, middle]), fov_deg * kept / width
-
-
-def _read_trace(path: str | Path, fov_deg: float | None, projection: Projection) -> QuerySkyline:
-    """Read a trace; one of a panorama is cut as its photo is."""
-    if projection is Projection.PERSPECTIVE:
-        return read_trace(path, fov_deg)
-    trace = read_trace(path)
-    fov_deg = fov_deg or trace.fov_deg
-    if fov_deg is None:
-        return replace(trace, projection=projection)
-    middle = _middle(trace.width_px, fov_deg)
-    kept = middle.stop - middle.start
-    return replace(
-        trace,
-        row_px=trace.row_px[middle],
-        confidence=trace.confidence[middle],
-        width_px=kept,
-        fov_deg=fov_deg * kept / trace.width_px,
-        projection=projection,
-        lens=None,
-    )
-
-
-def _middle(width: int, fov_deg: float) -> slice:
-    """Return the columns of a panorama that have rays, and say so where those are not all."""
-    if fov_deg <= MAX_PANORAMA_DEG:
-        return slice(0, width)
-    kept = max(1, int(width * MAX_PANORAMA_DEG / fov_deg))
-    start = (width - kept) // 2
-    log.warning("panorama of %.0f degrees cut to the %.0f in its middle", fov_deg, MAX_PANORAMA_DEG)
-    return slice(start, start + kept)
 
 
 def read_picture(path: str | Path) -> UInt8Array | None:

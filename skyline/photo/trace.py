@@ -19,7 +19,7 @@ MAX_GAP_SHARE = 0.1
 MAX_SIDE_PX = 100_000
 _COLUMNS = ("column_px", "row_px")
 _NOTE = re.compile(r"(\w+)\s*=\s*(\S+)")
-_NOTES = ("width", "height", "fov_deg", "fov_slack", "eye_height_m")
+_NOTES = ("width", "height", "fov_deg", "fov_slack", "eye_height_m", "projection")
 _FORM = "expected a first line '# width=W height=H', then the header 'column_px,row_px'"
 
 
@@ -27,10 +27,12 @@ def write_trace(query: QuerySkyline, path: str | Path) -> None:
     """Write a skyline as CSV: one row per trusted column, one break per run of masked ones.
 
     A break is a row whose ``row_px`` is ``nan``: the points on its two sides are not joined.
-    `read_trace` gives back the same rows, bit for bit, and the field of view of a camera.
+    `read_trace` gives back the same rows, bit for bit, the field of view and the projection.
     """
     lines = [f"# width={query.width_px} height={query.height_px}"]
-    if query.fov_deg is not None and query.projection is Projection.PERSPECTIVE:
+    if query.projection.is_panorama:
+        lines.append(f"# projection={query.projection}")
+    if query.fov_deg is not None:
         lines.append(f"# fov_deg={query.fov_deg:.3f}")
         if query.lens is not None and query.lens.sd_deg is not None:
             lines[-1] += f" fov_slack={query.lens.sd_deg / query.fov_deg:.4f}"
@@ -45,15 +47,17 @@ def write_trace(query: QuerySkyline, path: str | Path) -> None:
     write_whole(Path(path), "\n".join(lines) + "\n")
 
 
-def read_trace(path: str | Path, fov_deg: float | None = None) -> QuerySkyline:
+def read_trace(
+    path: str | Path, fov_deg: float | None = None, projection: Projection | None = None
+) -> QuerySkyline:
     """Read a trace: points of a skyline, sparse or fractional, joined by straight lines.
 
     The first line is ``# width=W height=H``, the header ``column_px,row_px``; pixel centres are
     at whole numbers. Lines that begin with # may also note ``fov_deg=``, with ``fov_slack=`` (its
-    deviation as a share of it), and ``eye_height_m=``; a field of view that is given goes before.
-    Consecutive points are joined unless they are more than a tenth of the
-    width apart or a row with an empty or ``nan`` ``row_px`` stands between them. Drawn columns
-    have confidence 1.
+    deviation as a share of it), ``eye_height_m=`` and ``projection=``; a field of view and a
+    projection that are given go before. Consecutive points are joined unless they are more than a
+    tenth of the width apart or a row with an empty or ``nan`` ``row_px`` stands between them. Drawn
+    columns have confidence 1.
 
     Raises
     ------
@@ -69,7 +73,7 @@ def read_trace(path: str | Path, fov_deg: float | None = None) -> QuerySkyline:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{path} cannot be read as text ({error}); {_FORM}") from error
-    notes, heading = _notes(path, lines)
+    notes, noted_projection, heading = _notes(path, lines)
     if not {"width", "height"} <= notes.keys():
         raise InputError(f"{path} starts with {(lines or [''])[0][:60]!r}; {_FORM}")
     width, height = (int(notes[side]) for side in ("width", "height"))
@@ -87,27 +91,40 @@ def read_trace(path: str | Path, fov_deg: float | None = None) -> QuerySkyline:
     try:
         return QuerySkyline(
             row_px, np.isfinite(row_px).astype(float), width, height, fov_deg,
-            lens=lens, eye_height_m=height_m,
+            projection or noted_projection, lens=lens, eye_height_m=height_m,
         )  # fmt: skip
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
 
 
-def _notes(path: Path, lines: list[str]) -> tuple[dict[str, float], int]:
-    """Return what the lines before the header note, and the header's index."""
+def _notes(path: Path, lines: list[str]) -> tuple[dict[str, float], Projection, int]:
+    """Return numbers and the projection that lines before the header note, and its index."""
     heading = next((k for k, line in enumerate(lines) if not line.startswith("#")), len(lines))
     notes: dict[str, float] = {}
+    projection = Projection.PERSPECTIVE
     for number, line in enumerate(lines[:heading], start=1):
         for name, text in _NOTE.findall(line):
             if name not in _NOTES:
                 raise InputError(
                     f"{path}, line {number} notes {name!r}; expected some of {', '.join(_NOTES)}"
                 )
+            if name == "projection":
+                projection = _projection(path, number, text)
+                continue
             value = _number(path, number, text)
             if not (math.isfinite(value) and value >= 0.0):
                 raise InputError(f"{path}, line {number}: {name} is {text}; expected 0 or more")
             notes[name] = value
-    return notes, heading
+    return notes, projection, heading
+
+
+def _projection(path: Path, number: int, text: str) -> Projection:
+    try:
+        return Projection(text)
+    except ValueError:
+        raise InputError(
+            f"{path}, line {number}: projection is {text}; expected {', '.join(Projection)}"
+        ) from None
 
 
 def _points(

@@ -19,7 +19,7 @@ from skyline.matching.query import QueryRays
 from skyline.matching.ranking import Candidate
 from skyline.matching.screening import Alike
 from skyline.photo.lens import Lens
-from skyline.photo.projection import Projection
+from skyline.photo.projection import MAX_PANORAMA_DEG
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query
 from skyline.pipeline.claims import claim_of
@@ -297,17 +297,19 @@ class Matcher:
         return narrowed
 
     def _rays(self, query: QuerySkyline) -> QueryRays:
-        fov_deg, bounds_deg = query.fov_deg, self._config.fov_range_deg
+        fov_deg = query.fov_deg
         weight = query.confidence[query.trusted]
-        if query.projection is not Projection.PERSPECTIVE and fov_deg is not None:
-            # Other fields of view of a panorama are not its rays scaled.
-            return QueryRays(*query.image_plane(fov_deg), weight, fov_deg)
+        is_panorama = query.projection.is_panorama
         if fov_deg is not None:
-            lens, rays = query.lens or Lens(fov_deg), query.image_plane(fov_deg)
+            lens = query.lens or Lens(fov_deg)
             sd_deg = self._config.fov_slack * fov_deg if lens.sd_deg is None else lens.sd_deg
-            return QueryRays.about(*rays, weight, fov_deg, sd_deg, lens.most_deg or math.inf)
-        if self._ranker.finds_fov and query.projection is Projection.PERSPECTIVE:
+            if fov_deg == MAX_PANORAMA_DEG:
+                sd_deg = 0.0
+            rays = QueryRays(*query.image_plane(), weight, fov_deg, is_panorama=is_panorama)
+            return rays.about(sd_deg, lens.most_deg or math.inf)
+        if self._ranker.finds_fov and not is_panorama:
             fov_deg, sd_deg = self._config.usual_fov_deg
+            bounds_deg = self._config.fov_range_deg
             return QueryRays(*query.image_plane(fov_deg), weight, fov_deg, bounds_deg, sd_deg)
         raise InputError(
             "the query's field of view is not known: it is not in the image; give --fov-deg"

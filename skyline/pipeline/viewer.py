@@ -138,9 +138,12 @@ class Viewer:
 
         Raises
         ------
+        InputError
+            The pose has a field of view that the photo cannot have.
         OffMapError
             The pose is off the map or on a hole.
         """
+        query.projection.check_fov_deg(pose.fov_deg)
         panorama = self.panorama(pose)
         picture = PosedPicture(query.width_px, query.height_px, pose, query.projection)
         ahead = panorama.from_azimuth(pose.grid_heading_deg + 180.0)

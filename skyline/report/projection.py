@@ -37,7 +37,9 @@ class PosedPicture:
         pose = self.candidate
         turn = np.radians(np.asarray(azimuth_deg, dtype=np.float64) - pose.grid_heading_deg)
         y = np.asarray(elevation_tan, dtype=np.float64)
-        u, v = project(turn, y, pose.pitch_deg, pose.roll_deg)
+        u, v = project(
+            turn, y, pose.pitch_deg, pose.roll_deg, is_panorama=self.projection.is_panorama
+        )
         across, above = self.projection.places(u, v, pose.fov_deg)
         half_px = self.width_px / 2.0
         return (
@@ -48,7 +50,13 @@ class PosedPicture:
     def directions(self, query: QuerySkyline) -> tuple[Float64Array, Float64Array]:
         """Return grid azimuths, degrees, and elevation tangents of the trusted columns."""
         u, v = query.image_plane(self.candidate.fov_deg)
-        turn, y = level(u, v, self.candidate.pitch_deg, self.candidate.roll_deg)
+        turn, y = level(
+            u,
+            v,
+            self.candidate.pitch_deg,
+            self.candidate.roll_deg,
+            is_panorama=self.projection.is_panorama,
+        )
         return (np.degrees(turn) + self.candidate.grid_heading_deg) % 360.0, y
 
 

@@ -72,7 +72,7 @@ def query_of(asked: Mapping[str, Any], query: QuerySkyline) -> QuerySkyline:
     """Return a skyline with the field of view that is asked for; null is not known."""
     if asked.get("fov") is None:
         return query if is_guess(query) else replace(query, fov_deg=None, lens=None)
-    return query.with_fov(number(asked, "fov", 1.0, 179.0))
+    return query.with_fov(number(asked, "fov", 1.0, 360.0))
 
 
 def pose_of(asked: Any, viewer: Viewer) -> Candidate:
@@ -85,7 +85,7 @@ def pose_of(asked: Any, viewer: Viewer) -> Candidate:
         number(asked, "heading", -360.0, 720.0),
         pitch_deg=number(asked, "pitch", -80.0, 80.0),
         roll_deg=number(asked, "roll", -80.0, 80.0),
-        fov_deg=number(asked, "fov", 1.0, 179.0),
+        fov_deg=number(asked, "fov", 1.0, 360.0),
         eye_height_m=number(asked, "eyeHeight", 0.0, 5000.0),
     )
 

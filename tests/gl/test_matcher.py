@@ -15,6 +15,7 @@ from skyline import (
     RenderConfig,
     build_places,
     build_uniform,
+    horizon,
     read_dem,
 )
 from skyline.errors import InputError, StoreError, StoreMismatchError
@@ -280,6 +281,26 @@ def test_a_panorama_needs_its_field_of_view(store, terrain, queries):
     skyline = replace(queries[1].skyline, fov_deg=None, projection=Projection.CYLINDRICAL)
     with pytest.raises(InputError, match="--fov-deg"):
         Matcher(store, terrain, config=BOLD).match(skyline)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("fov_deg", "said_deg"), [(200.0, 203.0), (360.0, 360.0)])
+def test_a_panorama_that_sees_behind_is_found(store, terrain, fov_deg, said_deg):
+    width, heading_deg, raised_deg = 1800, 250.0, 3.0
+    east, north = 0.5 * (MIDDLE[0] + MIDDLE[2]) + 137.0, 0.5 * (MIDDLE[1] + MIDDLE[3]) - 211.0
+    seen = horizon(terrain, *terrain.frame.to_lonlat(east, north))[0]
+    turn_deg = fov_deg * ((np.arange(width) + 0.5) / width - 0.5)
+    elevation_deg = np.interp(
+        heading_deg + turn_deg, seen.azimuth_deg, seen.elevation_deg, period=360.0
+    )
+    up = np.tan(np.radians(elevation_deg)) - np.tan(np.radians(raised_deg))
+    row_px = 400.0 - width / np.radians(fov_deg) * up
+    query = QuerySkyline(row_px, np.ones(width), width, 801, said_deg, Projection.CYLINDRICAL)
+    best = Matcher(store, terrain, config=BOLD).match(query).answer
+    assert np.hypot(best.easting_m - east, best.northing_m - north) < 10.0
+    assert best.heading_deg == pytest.approx(heading_deg, abs=0.2)
+    assert best.pitch_deg == pytest.approx(raised_deg, abs=0.2)
+    assert best.fov_deg == pytest.approx(fov_deg, abs=0.5)
 
 
 @pytest.mark.parametrize("wrong", [{"refraction_k": "x"}, {"radius_m": [1]}, {"radius_m": -1.0}])

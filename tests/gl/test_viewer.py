@@ -20,6 +20,7 @@ from skyline import (
     read_query,
 )
 from skyline.camera import HEADINGS
+from skyline.photo.projection import Projection
 from skyline.pipeline.config import curvature_of
 from skyline.render.horizon import HorizonRenderer
 from skyline.report.projection import Panorama, PosedPicture
@@ -99,6 +100,17 @@ def test_a_sight_is_what_four_fine_views_show(
     assert np.percentile(off_px, 99) < 2.0 * a_column_px
     assert sight.column_px.min() < 10.0
     assert sight.column_px.max() > query.width_px - 10.0
+
+
+def test_a_sight_has_a_field_of_view_that_the_photo_can_have(matcher, query):
+    with Viewer(matcher) as viewer:
+        pose = replace(true_pose(viewer, matcher.frame), fov_deg=200.0)
+        with pytest.raises(InputError, match="200 degrees; expected 1 to 179"):
+            viewer.look(pose, query)
+        around = replace(query, projection=Projection.CYLINDRICAL, fov_deg=200.0)
+        sight = viewer.look(pose, around)
+    assert np.ptp(sight.column_px) > query.width_px
+    assert np.isfinite(sight.gap_deg[around.trusted]).all()
 
 
 def test_summits_are_named_where_they_are_seen(matcher, query, tmp_path):

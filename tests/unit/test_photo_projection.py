@@ -1,4 +1,4 @@
-"""Panoramas: their rays, what XMP notes of them, and what is too wide."""
+"""Panoramas: their rays, what XMP and traces note of them, and what is too wide."""
 
 import numpy as np
 import pytest
@@ -10,6 +10,7 @@ from skyline.errors import InputError
 from skyline.photo.projection import Projection, panorama_of_xmp
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import extract_photo, read_query
+from skyline.photo.trace import write_trace
 
 CYLINDER, SPHERE = Projection.CYLINDRICAL, Projection.EQUIRECTANGULAR
 
@@ -24,19 +25,19 @@ def panorama(azimuth_deg, elevation_deg, width, height, fov_deg, projection):
 
 
 @pytest.mark.parametrize("projection", [CYLINDER, SPHERE])
-@pytest.mark.parametrize("fov_deg", [40.0, 130.0, 160.0])
+@pytest.mark.parametrize("fov_deg", [40.0, 160.0, 360.0])
 def test_rays_of_a_panorama_point_where_it_looks(projection, fov_deg):
     width = 320
     azimuth = (np.arange(width) + 0.5) / width * fov_deg - fov_deg / 2.0
     elevation = 8.0 + 6.0 * np.sin(np.radians(7.0 * azimuth))
     query = panorama(azimuth, elevation, width, 120, fov_deg, projection)
     u, v = query.image_plane()
-    assert_allclose(np.degrees(np.arctan(u)), azimuth, atol=1e-9)
-    assert_allclose(np.degrees(np.arctan(v / np.hypot(u, 1.0))), elevation, atol=1e-9)
+    assert_allclose(np.degrees(u), azimuth, atol=1e-9)
+    assert_allclose(np.degrees(np.arctan(v)), elevation, atol=1e-9)
 
 
 @pytest.mark.parametrize("projection", Projection)
-@pytest.mark.parametrize("fov_deg", [5.0, 60.0, 150.0])
+@pytest.mark.parametrize("fov_deg", [5.0, 60.0, 150.0, 179.0])
 def test_places_are_where_rays_come_from(projection, fov_deg):
     across, above = np.linspace(-1.0, 1.0, 41), np.linspace(-0.6, 0.6, 41)
     rays = projection.rays(across, above, fov_deg)
@@ -59,11 +60,11 @@ def test_panorama_sees_the_same_angle_in_each_column():
 
 
 def test_what_has_no_rays_is_refused():
-    with pytest.raises(InputError, match=r"170 degrees; expected 1 to 160: cut the panorama"):
-        QuerySkyline(np.zeros(3), np.ones(3), 3, 3, 170.0, CYLINDER)
+    with pytest.raises(InputError, match=r"361 degrees; expected 1 to 360: a full turn"):
+        QuerySkyline(np.zeros(3), np.ones(3), 3, 3, 361.0, CYLINDER)
     with pytest.raises(InputError, match=r"180 degrees; expected 1 to 179.* cylindrical"):
         QuerySkyline(np.zeros(3), np.ones(3), 3, 3, 180.0)
-    with pytest.raises(InputError, match="the panorama spans 361 degrees"):
+    with pytest.raises(InputError, match="361 degrees; expected 1 to 360"):
         read_query("absent.jpg", 361.0, projection=CYLINDER)
 
 
@@ -105,22 +106,23 @@ def test_panorama_file_says_its_own_span(tmp_path):
     assert (told.projection, told.fov_deg) == (SPHERE, 100.0)
 
 
-def test_wider_than_rays_reach_is_cut_to_its_middle_and_said(tmp_path, caplog):
+def test_a_whole_turn_is_read(tmp_path):
     save_panorama(tmp_path / "round.jpg", 960)
     image, query = extract_photo(tmp_path / "round.jpg")
-    assert "panorama of 360 degrees cut to the 160 in its middle" in caplog.text
-    assert image.shape[1] == query.width_px == 960 * 160 // 360
-    assert query.fov_deg == pytest.approx(160.0, abs=360 / 960)
-    whole = extract_photo(tmp_path / "round.jpg", 150.0)[0]
-    assert_allclose(image, whole[:, 267 : 267 + image.shape[1]])
+    assert image.shape[1] == query.width_px == 960
+    assert query.fov_deg == 360.0
 
 
-def test_the_trace_of_a_wide_panorama_is_cut_as_the_panorama_is(tmp_path, caplog):
+def test_a_trace_notes_its_projection(tmp_path):
     path = tmp_path / "wide.csv"
-    path.write_text("# width=480 height=100\ncolumn_px,row_px\n0,10\n40,50\n80,90\n")
-    drawn = read_query(path, 160.0, projection=Projection.CYLINDRICAL)
-    assert (drawn.width_px, drawn.fov_deg) == (480, 160.0)
-    cut = read_query(path, 240.0, projection=Projection.CYLINDRICAL)
-    assert (cut.width_px, cut.fov_deg) == (320, 160.0)
-    np.testing.assert_array_equal(cut.row_px, drawn.row_px[80:400])
-    assert "panorama of 240 degrees cut to the 160 in its middle" in caplog.text
+    rows = np.r_[np.nan, np.linspace(10.0, 40.0, 479)]
+    drawn = QuerySkyline(rows, np.isfinite(rows) * 1.0, 480, 100, 240.0, CYLINDER)
+    write_trace(drawn, path)
+    read = read_query(path)
+    assert (read.width_px, read.fov_deg, read.projection) == (480, 240.0, CYLINDER)
+    np.testing.assert_array_equal(read.row_px, rows)
+    told = read_query(path, 200.0, projection=SPHERE)
+    assert (told.fov_deg, told.projection) == (200.0, SPHERE)
+    path.write_text("# width=480 height=100 projection=round\ncolumn_px,row_px\n0,10\n")
+    with pytest.raises(InputError, match="projection is round; expected perspective, cylind"):
+        read_query(path)

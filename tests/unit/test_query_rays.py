@@ -1,5 +1,7 @@
 """Rays of a query under another field of view."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -29,20 +31,33 @@ def test_a_known_field_of_view_is_its_own_range() -> None:
 
 def test_a_field_of_view_is_searched_about_the_one_given() -> None:
     rays = _rays()
-    about = QueryRays.about(rays.u, rays.v, rays.weight, 60.0, 1.5)
+    about = rays.about(1.5)
     assert about.fov_sd_deg == pytest.approx(1.5)
     assert about.fov_bounds_deg == pytest.approx((54.0, 66.0))
     # The deviation of log(tan(fov / 2)), by differences.
     wider, narrower = (np.log(np.tan(np.radians(fov / 2.0))) for fov in (60.001, 59.999))
     assert about.log_scale_sd == pytest.approx(1.5 * (wider - narrower) / 0.002, rel=1e-5)
     assert about.with_fov(58.0).fov_sd_deg == np.inf
-    wide = QueryRays.about(rays.u, rays.v, rays.weight, 170.0, 85.0)
+    wide = replace(rays, fov_deg=170.0).about(85.0)
     assert 0.0 < wide.fov_bounds_deg[0] < 170.0 < wide.fov_bounds_deg[1] < 180.0
 
 
 def test_a_field_of_view_without_slack_is_known() -> None:
     rays = _rays()
-    assert QueryRays.about(rays.u, rays.v, rays.weight, 60.0, 0.0).fov_bounds_deg == (60.0, 60.0)
+    assert rays.about(0.0).fov_bounds_deg == (60.0, 60.0)
+
+
+def test_a_panorama_s_scale_is_its_field_of_view_s() -> None:
+    u = np.radians([-110.0, 110.0])
+    around = QueryRays(u, np.array([0.1, 0.2]), np.ones(2), 220.0, is_panorama=True)
+    wider = around.with_fov(242.0)
+    np.testing.assert_allclose(wider.u, 1.1 * u)
+    np.testing.assert_allclose(wider.v, [0.11, 0.22])
+    np.testing.assert_allclose(around.fov_at(around.log_scale(242.0)), 242.0)
+    assert around.about(2.2).log_scale_sd == pytest.approx(0.01)
+    assert around.about(100.0).fov_bounds_deg == (110.0, 360.0)
+    with pytest.raises(InputError, match="0 to 360"):
+        replace(around, fov_deg=361.0)
 
 
 def test_a_deviation_that_is_none_is_refused() -> None:
@@ -61,6 +76,21 @@ def test_what_is_levelled_projects_back_to_where_it_was(pitch_deg: float, roll_d
     u, v = np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-0.3, 0.3, 5))
     back = project(*level(u, v, pitch_deg, roll_deg), pitch_deg, roll_deg)
     np.testing.assert_allclose(back, (u, v), rtol=0.0, atol=1e-10)
+
+
+@given(pitch_deg=st.floats(-20.0, 20.0), roll_deg=st.floats(-20.0, 20.0))
+def test_so_does_a_panorama_that_sees_behind(pitch_deg: float, roll_deg: float) -> None:
+    u, v = np.meshgrid(np.linspace(-3.1, 3.1, 9), np.linspace(-0.3, 0.3, 5))
+    levelled = level(u, v, pitch_deg, roll_deg, is_panorama=True)
+    back = project(*levelled, pitch_deg, roll_deg, is_panorama=True)
+    np.testing.assert_allclose(back, (u, v), rtol=0.0, atol=1e-10)
+
+
+def test_a_panorama_s_pitch_raises_its_horizon_alike_all_round() -> None:
+    around = np.radians([-170.0, 0.0, 90.0])
+    azimuth, y = level(around, np.full(3, 0.05), 3.0, 0.0, is_panorama=True)
+    np.testing.assert_allclose(azimuth, around)
+    np.testing.assert_allclose(y, 0.05 + np.tan(np.radians(3.0)))
 
 
 def test_a_camera_that_looks_up_sees_the_horizon_low_and_nothing_behind() -> None:

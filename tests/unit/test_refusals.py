@@ -15,7 +15,7 @@ GIVEN_DEG, SD_DEG = 60.0, 1.5
 @pytest.fixture
 def rays():
     u = np.linspace(-0.5, 0.5, 100)
-    return QueryRays.about(u, 0.0 * u, np.ones_like(u), GIVEN_DEG, SD_DEG)
+    return QueryRays(u, 0.0 * u, np.ones_like(u), GIVEN_DEG).about(SD_DEG)
 
 
 def query(fov_deg):

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
-from query_scenes import equally_trusted
+from query_scenes import equally_trusted, swept
 
 from skyline.errors import InputError
 from skyline.matching.query import QueryRays
@@ -39,6 +39,17 @@ def test_a_pose_is_found_back_whatever_the_heading(places, seed, heading, pitch,
     assert found.roll_deg[0] == pytest.approx(roll, abs=0.3)
     assert found.fov_deg[0] == 60.0
     assert (np.diff(found.score) >= 0.0).all()
+
+
+@pytest.mark.parametrize(("heading", "fov_deg"), [(10.0, 120.0), (170.0, 230.0), (300.0, 360.0)])
+def test_a_panorama_is_found_back_however_wide(places, heading, fov_deg):
+    query = swept(lambda azimuth: curve(13, np.degrees(azimuth)), heading, -4.0, fov_deg)
+    searched = query.with_fov(min(1.03 * fov_deg, 360.0)).about(0.025 * fov_deg)
+    found = Retriever(places).shortlist(searched, 3)
+    assert abs(found.easting_m[0] - 1300.0) < 50.0
+    assert turned(found.heading_deg[0], heading) < 0.3
+    assert found.pitch_deg[0] == pytest.approx(-4.0, abs=0.1)
+    assert found.fov_deg[0] == pytest.approx(fov_deg, rel=0.005)
 
 
 @pytest.mark.parametrize("heading", [0.0, 44.9, 45.0, 135.2, 225.0, 315.0, 359.9])

@@ -4,19 +4,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from query_scenes import BINS, hills, panorama_of, poses, rays_of, seen
+from query_scenes import BINS, hills, panorama_of, poses, rays_of, seen, swept
 
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.matching.eye_height import EyeHeight
 from skyline.matching.noise import Noise
 from skyline.matching.panoramas import Panoramas
-from skyline.matching.query import level
+from skyline.matching.query import QueryRays, level
 from skyline.matching.rays import level_with_changes, thinned
 from skyline.matching.solver import Curves, Solver, SolverConfig
 from skyline.terrain.edge import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
+SWEPT = 200.0, 4.0, 230.0
+"""A panorama's heading, how far its middle row is above the horizon, and its width, degrees."""
 EYE = EyeHeight(2.0, 5.0)
 HEIGHT_SD_M = 5.0
 
@@ -41,16 +43,19 @@ def _query(**change):
     return rays_of(*seen(hills, **TRUTH), 60.0, **change)
 
 
-def test_levelled_rays_are_those_of_every_matcher():
+@pytest.mark.parametrize("is_panorama", [False, True])
+def test_levelled_rays_are_those_of_every_matcher(is_panorama):
     u, v = np.random.default_rng(0).normal(0.0, 0.3, (2, 9))
-    rays = level_with_changes(u, v, np.array([0.1]), np.array([-0.2]), np.array([np.log(1.2)]))
-    azimuth, y = level(1.2 * u, 1.2 * v, np.degrees(0.1), np.degrees(-0.2))
+    query = QueryRays(u, v, np.ones(9), 60.0, is_panorama=is_panorama)
+    rays = level_with_changes(query, np.array([0.1]), np.array([-0.2]), np.array([np.log(1.2)]))
+    angles_deg = np.degrees(0.1), np.degrees(-0.2)
+    azimuth, y = level(1.2 * u, 1.2 * v, *angles_deg, is_panorama=is_panorama)
     np.testing.assert_allclose(rays.azimuth_rad[0], azimuth, atol=1e-12)
     np.testing.assert_allclose(rays.y[0], y, atol=1e-12)
 
 
-def test_derivatives_agree_with_differences():
-    query = _query()
+@pytest.mark.parametrize("query", [rays_of(*seen(hills, **TRUTH), 60.0), swept(hills, *SWEPT)])
+def test_derivatives_agree_with_differences(query):
     solver = Solver(query, SolverConfig(), EYE, HEIGHT_SD_M)
     curves = curves_of(panorama_of(hills))
     state = np.array([[0.0, 0.0, 3.0, np.radians(351.0), 0.03, -0.02, 0.04]])
@@ -66,6 +71,17 @@ def test_derivatives_agree_with_differences():
         # the factor from tangents to angles counts as constant.
         off = there.jacobian[0, :, k] - expected
         assert np.sqrt(np.mean(off**2)) < 0.05 * np.sqrt(np.mean(expected**2)) + 1e-9, k
+
+
+def test_a_panorama_finds_its_heading_horizon_and_width():
+    true = swept(hills, *SWEPT)
+    query = true.with_fov(1.02 * true.fov_deg).about(5.0)
+    start = poses(heading_deg=SWEPT[0] - 2.0, fov_deg=query.fov_deg)
+    found = settled(start, panorama_of(hills), query)
+    assert found.heading_deg[0] == pytest.approx(SWEPT[0], abs=0.02)
+    assert found.pitch_deg[0] == pytest.approx(SWEPT[1], abs=0.02)
+    assert found.roll_deg[0] == pytest.approx(0.0, abs=0.05)
+    assert found.fov_deg[0] == pytest.approx(SWEPT[2], abs=0.1)
 
 
 def test_attitude_and_field_of_view_are_recovered():

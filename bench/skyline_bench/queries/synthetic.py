@@ -173,7 +173,7 @@ class SyntheticQuery:
         u, v = self.skyline.image_plane()
         weight = self.skyline.confidence[self.skyline.trusted]
         sd_deg = self.fov_slack * self.given_fov_deg
-        return QueryRays.about(u, v, weight, self.given_fov_deg, sd_deg)
+        return QueryRays(u, v, weight, self.given_fov_deg).about(sd_deg)
 
 
 def make_queries(

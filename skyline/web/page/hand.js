@@ -1,6 +1,6 @@
 // The pose: set by a candidate or by hand. The skyline rendered at it follows while it moves.
 import * as server from "./server.js";
-import { $, alertUser, element, on, say, state, tell } from "./state.js";
+import { $, alertUser, element, on, say, state, tell, widest } from "./state.js";
 import { middle } from "./map.js";
 
 const SLIDERS = [
@@ -50,6 +50,7 @@ function changed(stillMoving) {
 }
 
 function fill() {
+  $("hand-fov").max = $("hand-fov-number").max = widest(state.photo);
   for (const [name, , , , step] of SLIDERS) {
     for (const id of [`hand-${name}`, `hand-${name}-number`]) {
       if (document.activeElement !== $(id) || !state.typing) $(id).value = round(state.pose[name], step);

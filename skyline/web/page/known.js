@@ -1,5 +1,5 @@
 // What a person knows of where a photo was taken, and what the photo says itself.
-import { $, alertUser, on, state } from "./state.js";
+import { $, alertUser, on, state, widest } from "./state.js";
 import { circled, middle, showCircle } from "./map.js";
 
 const LEAST_KM = 0.5, MOST_KM = 100;
@@ -45,6 +45,7 @@ function circle(place = null) {
 function fromPhoto(photo) {
   if (!photo) return;
   $("fov-known").checked = Boolean(photo.fov);
+  $("fov").max = widest(photo);
   if (photo.fov) $("fov").value = photo.fov;
   for (const name of ["heading", "near", "elevation"]) $(`${name}-known`).checked = false;
   if (photo.heading !== null && photo.heading !== undefined) $("heading").value = Math.round(photo.heading);

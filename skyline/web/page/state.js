@@ -30,6 +30,9 @@ export function element(tag, attributes = {}, ...children) {
   return made;
 }
 
+// The widest field of view that a photo is given: one that says more than a lens has is a panorama.
+export const widest = (photo) => (photo?.fov > 120 ? 360 : 120);
+
 export function say(text) {
   $("status").textContent = text;
 }
