@@ -30,7 +30,7 @@ from skyline.report.records import (
 )
 from skyline.report.results import Results, open_results, row_of
 
-_OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "beyond_share")
+_OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share")
 
 
 class Answers:

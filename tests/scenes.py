@@ -23,7 +23,7 @@ def candidate_at(
     """Return the candidate of one pose."""
     pose = easting_m, northing_m, eye_elevation_m, grid_heading_deg, pitch_deg, roll_deg, fov_deg
     ranking = Ranking(
-        Hypotheses(*(np.array([float(value)]) for value in (*pose, score))),
+        Hypotheses(*(np.array([float(value)]) for value in (*pose, 0.0, score))),
         None if confidence is None else np.array([confidence]),
         None if covariance_m2 is None else np.array([covariance_m2]),
         None if confidence_1km is None else np.array([confidence_1km]),

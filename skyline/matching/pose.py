@@ -328,7 +328,7 @@ class Refinement:
         easting_m, northing_m = particles.easting_m, particles.northing_m
         eye_m = self._scene.ground_m(easting_m, northing_m) + particles.fit.state[:, EYE_HEIGHT]
         none = np.zeros(len(particles))
-        places = Hypotheses(easting_m, northing_m, eye_m, none, none, none, none, none)
+        places = Hypotheses(easting_m, northing_m, eye_m, *[none] * 6)
         return solver.posed(places, particles.fit)
 
     def poses(self, particles: Particles) -> Poses:

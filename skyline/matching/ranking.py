@@ -27,6 +27,9 @@ class Candidate:
         Optical axis above the horizon; camera turned clockwise as seen from behind.
     fov_deg : float
         Horizontal field of view.
+    distortion : float
+        Of a wide lens: a point at r halves of the photo's width from its middle is seen where a
+        lens without distortion has 1 + ``distortion * r**2`` times r. 0 of others.
     easting_m, northing_m : float
         The place again, in the store's frame.
     eye_elevation_m : float
@@ -59,6 +62,7 @@ class Candidate:
     eye_elevation_m: float
     convergence_deg: float
     score: float
+    distortion: float = 0.0
     confidence: float | None = None
     confidence_1km: float | None = None
     refined: bool = False
@@ -121,6 +125,7 @@ class Ranking:
                 eye_elevation_m=float(self.poses.eye_elevation_m[index]),
                 convergence_deg=float(convergence_deg[index]),
                 score=float(self.poses.score[index]),
+                distortion=float(self.poses.distortion[index]),
                 confidence=_of(self.confidence, index),
                 confidence_1km=_of(self.confidence_1km, index),
                 refined=self.covariance_m2 is not None,
@@ -202,6 +207,7 @@ def select(
         fits.pitch_deg,
         fits.roll_deg,
         np.full(len(profiles), fov_deg),
+        np.zeros(len(profiles)),
         fits.score,
     )
     return Ranking(poses[poses.suppress_non_maxima(top, separation_m)])

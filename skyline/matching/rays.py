@@ -18,20 +18,32 @@ class LevelledRays:
     """(M, R) float64. Tangent of the elevation angle: up over horizontal distance."""
     azimuth_change: Float64Array
     y_change: Float64Array
-    """``azimuth_change``, ``y_change``: (M, R, 3) float64. Derivatives by pitch, by roll, both in
-    radians, and by the logarithm of the scale."""
+    """``azimuth_change``, ``y_change``: (M, R, 3 or 4) float64. Derivatives by pitch, by roll, both
+    in radians, by the logarithm of the scale, and by the distortion of a lens that has one."""
 
 
 def level_with_changes(
-    query: QueryRays, pitch_rad: Float64Array, roll_rad: Float64Array, log_scale: Float64Array
+    query: QueryRays,
+    pitch_rad: Float64Array,
+    roll_rad: Float64Array,
+    log_scale: Float64Array,
+    distortion: Float64Array | None = None,
 ) -> LevelledRays:
-    """Level a query's R rays at M attitudes and scales, as `skyline.matching.query.level`."""
+    """Level a query's R rays at M attitudes, scales and distortions; as `query.level`."""
     axes = _panorama_axes if query.is_panorama else _lens_axes
     angles = (angle[:, np.newaxis] for angle in (pitch_rad, roll_rad))
     scale = np.exp(log_scale)[:, np.newaxis]
+    stretch = 1.0 if distortion is None else 1.0 + distortion[:, np.newaxis] * query.reach
     (right, up, forward), (right_change, up_change, forward_change) = axes(
-        query.u * scale, query.v * scale, *angles
+        query.u * scale * stretch, query.v * scale * stretch, *angles
     )
+    if distortion is not None:
+        # Like the scale, it moves rays outwards, but the more the farther out they are.
+        share = (query.reach / stretch)[..., np.newaxis]
+        right_change, up_change, forward_change = (
+            np.concatenate([change, change[..., 2:] * share], axis=-1)
+            for change in (right_change, up_change, forward_change)
+        )
     flat = np.hypot(right, forward)
     right_, forward_, up_, flat_ = (a[..., np.newaxis] for a in (right, forward, up, flat))
     flat_change = (right_ * right_change + forward_ * forward_change) / flat_

@@ -263,6 +263,7 @@ class Retriever:
                 np.degrees(pitch),
                 np.degrees(roll),
                 _fov_deg(query, zoom),
+                np.zeros(len(zoom)),
                 score - self.config.alike_weight * some.score.astype(np.float64),
             )
 

@@ -9,7 +9,7 @@ horizontal distance d move by
     \mathrm{d}y = (y\,(e \sin a + n \cos a) - up) / d
 
 and it moves on the ground, whose slope ties up to e and n, at a height above it; so one rendering
-with its depth gives the derivatives by all seven unknowns. The noise starts wide and is narrowed as
+with its depth gives the derivatives by all unknowns. The noise starts wide and is narrowed as
 the fit improves: far terrain, which moves least, leads, and near terrain follows.
 """
 
@@ -31,9 +31,10 @@ from skyline.matching.rays import level_with_changes
 from skyline.rows import Rows
 from skyline.terrain.edge import DataEdge
 
-EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE = range(7)
+EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, DISTORTION = range(8)
 """Columns of a state: the eye's displacement, metres; its height above the ground, metres; angles,
-radians; `QueryRays.log_scale` of the field of view."""
+radians; `QueryRays.log_scale` of the field of view; and, only where a query's lens may have one,
+its distortion."""
 
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
 _MOVES = slice(EAST, HEADING)
@@ -45,6 +46,8 @@ _UPWARD = 0.25
 _NO_STEP_M = 1e-6
 _LOG_HEIGHT_SD = 0.7
 """Of the logarithm of the heights' deviation about that of the one to be expected."""
+_MOST_DISTORTION = 0.3
+"""A lens that moves the side of its image by more is no lens with a wide field, but a fisheye."""
 _HELD = 1e14
 """Precision that holds a parameter."""
 _AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
@@ -147,8 +150,8 @@ class Fit(Rows):
     """How well M states of the camera fit the query."""
 
     state: Float64Array
-    """(M, 7) float64. See `EAST` to `LOG_SCALE`; the displacement is from where the curve was
-    seen."""
+    """(M, P) float64, P 7 or 8. See `EAST` to `DISTORTION`; the displacement is from where the
+    curve was seen."""
     angle: IntArray
     height: IntArray
     """``angle``, ``height``: (M,) intp. The deviations chosen, indices into `Noise`."""
@@ -166,7 +169,7 @@ class Linear:
     residual_rad: Float64Array
     """(M, R) float64. Query over terrain; NaN where unknown."""
     jacobian: Float64Array
-    """(M, R, 7) float64."""
+    """(M, R, P) float64."""
     azimuth_rad: Float64Array
     distance_m: Float64Array
     """``azimuth_rad``, ``distance_m``: (M, R) float64. Of the terrain's skyline under each
@@ -204,17 +207,24 @@ class Solver:
         self.noise = replace(config.noise, height_sd_m=height_sd_m)
         self._eye = eye
         low, high = query.log_scale_bounds
-        self._low, self._high = np.full(7, -np.inf), np.full(7, np.inf)
+        self.size = size = DISTORTION + (query.distortion_sd > 0.0)
+        """Unknowns P of a state."""
+        self._low, self._high = np.full(size, -np.inf), np.full(size, np.inf)
         self._low[[EYE_HEIGHT, LOG_SCALE]] = eye.least_m, low
         self._high[[EYE_HEIGHT, LOG_SCALE]] = eye.most_m, high
         # Within its range a field of view is as likely as any other, but for its own deviation.
         range_sd = max((high - low) / np.sqrt(12.0), 1e-6)
         pitch_sd, roll_sd = np.radians((config.pitch_sd_deg, config.roll_sd_deg))
-        self._prior = np.zeros(7)
+        self._prior = np.zeros(size)
         self._prior[[PITCH, ROLL]] = pitch_sd**-2, roll_sd**-2
         self._prior[LOG_SCALE] = query.log_scale_sd**-2.0
         place_sd, eye_sd = config.position_sd_m, max(eye.sd_m, _NO_STEP_M)
-        free = np.array([place_sd, place_sd, eye_sd, np.pi, np.inf, np.inf, range_sd])
+        free = np.full(size, np.inf)
+        free[:PITCH] = place_sd, place_sd, eye_sd, np.pi
+        free[LOG_SCALE] = range_sd
+        if query.distortion_sd > 0.0:
+            self._prior[DISTORTION] = query.distortion_sd**-2.0
+            self._low[DISTORTION], self._high[DISTORTION] = -_MOST_DISTORTION, _MOST_DISTORTION
         self._information = self._prior + free**-2.0
         off = np.log(self.noise.height_shares) / _LOG_HEIGHT_SD
         self._noise_cost = config.terrain_weight * 0.5 * off**2
@@ -222,13 +232,14 @@ class Solver:
     def start(self, hypotheses: Hypotheses) -> Fit:
         """Return hypotheses as states, the noise as wide as it may be; not yet judged."""
         count = len(hypotheses)
-        state = np.zeros((count, 7))
+        state = np.zeros((count, self.size))
         state[:, EYE_HEIGHT] = self._eye.usual_m
         state[:, HEADING] = np.radians(hypotheses.heading_deg)
         state[:, PITCH] = np.radians(hypotheses.pitch_deg)
         state[:, ROLL] = np.radians(hypotheses.roll_deg)
         scale = self.query.log_scale(hypotheses.fov_deg)
         state[:, LOG_SCALE] = np.clip(scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
+        state[:, DISTORTION:] = hypotheses.distortion[:, np.newaxis]
         angle, height = (np.full(count, index) for index in self.noise.widest)
         odds = np.ones((count, len(self.query.u)))
         return Fit(state, angle, height, np.full(count, np.inf), odds)
@@ -248,11 +259,12 @@ class Solver:
             pitch_deg=np.degrees(fit.state[:, PITCH]),
             roll_deg=np.degrees(fit.state[:, ROLL]),
             fov_deg=self.fov_deg(fit.state),
+            distortion=fit.state[:, DISTORTION:].sum(axis=1),
             score=fit.cost,
         )
 
     def fov_deg(self, state: Float64Array) -> Float64Array:
-        """Return the field of view of states (M, 7), degrees."""
+        """Return the field of view of states (M, P), degrees."""
         return self.query.fov_at(state[:, LOG_SCALE])
 
     def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
@@ -310,14 +322,14 @@ class Solver:
         return linear, self._judge(fit, linear, errors, (fit.angle, fit.height))
 
     def covariance(self, linear: Linear, judged: Judged) -> Float64Array:
-        """Return the covariance (M, 7, 7) of states, priors included."""
+        """Return the covariance (M, P, P) of states, priors included."""
         normal = judged.product(linear.jacobian, linear.jacobian) + np.diag(self._information)
         self._draw(linear, normal, np.zeros(normal.shape[:2]))
         return np.asarray(np.linalg.inv(normal))
 
     def linearize(self, curves: Curves, state: Float64Array) -> Linear:
-        """Return residuals and their derivatives at states (M, 7)."""
-        rays = level_with_changes(self.query, state[:, PITCH], state[:, ROLL], state[:, LOG_SCALE])
+        """Return residuals and their derivatives at states (M, P)."""
+        rays = level_with_changes(self.query, *state[:, PITCH:].T)
         azimuth = rays.azimuth_rad + state[:, HEADING, np.newaxis]
         there = curves.at(azimuth)
         slope, change = there[..., 1:2], there[..., 2:5]
@@ -425,7 +437,7 @@ class Solver:
         damping[:, EYE_HEIGHT] = (_UPWARD * step_m) ** -2
         damping[:, HEADING:] = _DAMPING_RAD**-2
         normal = judged.product(linear.jacobian, linear.jacobian)
-        normal += (prior + damping)[:, np.newaxis] * np.eye(7)
+        normal += (prior + damping)[:, np.newaxis] * np.eye(self.size)
         gradient = judged.product(linear.jacobian, miss)[..., 0] + prior * off
         gradient[:, LOG_SCALE] -= judged.magnification_pull(miss[..., 0])
         self._draw(linear, normal, gradient)
@@ -435,7 +447,7 @@ class Solver:
         if outside.any():
             # Where one meets a bound, the others are solved with it held there.
             held = np.where(outside, _HELD, 0.0)
-            normal += held[:, np.newaxis] * np.eye(7)
+            normal += held[:, np.newaxis] * np.eye(self.size)
             gradient += np.where(outside, _HELD * (fit.state - bounded), 0.0)
             state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
             state = np.clip(state, self._low, self._high)

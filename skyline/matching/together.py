@@ -147,7 +147,7 @@ class JointRefinement:
         for one in self._each:
             fov_deg = none + one.scout.query.fov_deg
             every = Hypotheses(
-                east_m[row], north_m[row], none, heading_deg, none, none, fov_deg, none
+                east_m[row], north_m[row], none, heading_deg, none, none, fov_deg, none, none
             )
             seen = one.started(one.scout, every)
             cost = seen.fit.cost.reshape(len(east_m), len(turn_deg))

@@ -39,6 +39,10 @@ from skyline.store import open_store
 from skyline.terrain.surface import Dem
 from skyline.terrain.viewpoints import Viewpoints
 
+_WIDE_DEG = 75.0
+"""Lenses of a wider field of view may distort: phones correct what their main camera does."""
+_DISTORTION_SD = 0.05
+"""Of what those leave."""
 _log = logging.getLogger(__name__)
 
 
@@ -267,6 +271,7 @@ class Matcher:
             start.pitch_deg,
             start.roll_deg,
             start.fov_deg,
+            start.distortion,
         )
         ranking = self._ranker.fit_from(self._rays(query.with_fov(start.fov_deg)), pose)
         if ranking is None:
@@ -305,7 +310,14 @@ class Matcher:
             sd_deg = self._config.fov_slack * fov_deg if lens.sd_deg is None else lens.sd_deg
             if fov_deg == MAX_PANORAMA_DEG:
                 sd_deg = 0.0
-            rays = QueryRays(*query.image_plane(), weight, fov_deg, is_panorama=is_panorama)
+            distortion_sd = _DISTORTION_SD if fov_deg > _WIDE_DEG and not is_panorama else 0.0
+            rays = QueryRays(
+                *query.image_plane(),
+                weight,
+                fov_deg,
+                is_panorama=is_panorama,
+                distortion_sd=distortion_sd,
+            )
             return rays.about(sd_deg, lens.most_deg or math.inf)
         if self._ranker.finds_fov and not is_panorama:
             fov_deg, sd_deg = self._config.usual_fov_deg

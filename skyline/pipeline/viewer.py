@@ -130,6 +130,7 @@ class Viewer:
             pitch_deg,
             roll_deg,
             fov_deg,
+            0.0,
         )
         return Ranking(pose).candidates(self.frame)[0]
 

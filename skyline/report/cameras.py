@@ -21,7 +21,8 @@ def write_cameras(path: Path, matches: Sequence[Matched]) -> None:
 
     A point X (easting, northing, elevation) is seen at the pixel ``matrix @ rotation @ (X -
     position)``, divided by its third component: columns to the right and rows down, the middle of
-    the first pixel at 0.5, 0.5. A panorama has no matrix.
+    the first pixel at 0.5, 0.5. A panorama has no matrix. A wide lens may bend what it shows by
+    `Candidate.distortion`.
 
     Raises `InputError` where the file cannot be written.
     """
@@ -48,6 +49,7 @@ def _camera(query: QuerySkyline, candidate: Candidate) -> dict[str, object]:
         "position_m": [easting_m, northing_m, candidate.eye_elevation_m],
         "rotation": _rotation(grid_deg, candidate.pitch_deg, candidate.roll_deg).tolist(),
         "matrix": _matrix(query, candidate.fov_deg),
+        "distortion": candidate.distortion,
         "confidence": candidate.confidence,
     }
 

@@ -21,6 +21,7 @@ class CandidateRecord(TypedDict):
     pitch_deg: float
     roll_deg: float
     fov_deg: float
+    distortion: float
     score: float
     confidence: float | None
     confidence_1km: float | None

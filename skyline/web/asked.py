@@ -79,7 +79,7 @@ def pose_of(asked: Any, viewer: Viewer) -> Candidate:
     """Return the pose that a person has set by hand."""
     if not isinstance(asked, Mapping):
         raise InputError("there is no pose; place the camera on the map")
-    return viewer.pose(
+    pose = viewer.pose(
         number(asked, "lon", -180.0, 180.0),
         number(asked, "lat", -90.0, 90.0),
         number(asked, "heading", -360.0, 720.0),
@@ -88,6 +88,8 @@ def pose_of(asked: Any, viewer: Viewer) -> Candidate:
         fov_deg=number(asked, "fov", 1.0, 360.0),
         eye_height_m=number(asked, "eyeHeight", 0.0, 5000.0),
     )
+    distortion = number(asked, "distortion", -1.0, 1.0) if "distortion" in asked else 0.0
+    return replace(pose, distortion=distortion)
 
 
 def _part(asked: Mapping[str, Any], name: str) -> Mapping[str, Any]:

@@ -34,6 +34,7 @@ def candidate_json(candidate: Candidate, ground: Ground) -> dict[str, Any]:
         "pitch": candidate.pitch_deg,
         "roll": candidate.roll_deg,
         "fov": candidate.fov_deg,
+        "distortion": candidate.distortion,
         "elevation": candidate.eye_elevation_m,
         "eyeHeight": above_m,
         "confidence": candidate.confidence,

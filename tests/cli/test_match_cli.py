@@ -37,6 +37,7 @@ def test_extract_then_match_the_trace(run, store, photo, tmp_path):
         "pitch_deg", "roll_deg", "fov_deg", "score", "confidence", "confidence_1km",
         "refined",
         "beyond_share",
+        "distortion",
     }  # fmt: skip
     assert record["answer"] == record["candidates"][0]
     assert record["answer"]["refined"] is True

@@ -22,7 +22,7 @@ def retrieved(easting_m: list[float], score: list[float]) -> Hypotheses:
     """Poses along a line to the east."""
     zero = np.zeros(len(score))
     return Hypotheses(
-        np.array(easting_m), zero, zero, zero, zero, zero, zero + 60.0, np.array(score)
+        np.array(easting_m), zero, zero, zero, zero, zero, zero + 60.0, zero, np.array(score)
     )
 
 

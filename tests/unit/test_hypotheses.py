@@ -17,6 +17,7 @@ def _hypotheses(easting_m: list[float], heading_deg: list[float], score: list[fl
         zero,
         zero,
         zero + 60.0,
+        zero,
         np.array(score),
     )
 

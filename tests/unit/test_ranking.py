@@ -63,13 +63,13 @@ def test_the_same_place_in_two_frames_is_one_candidate():
 
 def test_a_ranking_is_its_poses_in_order():
     frame = FRAMES["EPSG:32632"]
-    columns = np.arange(24.0).reshape(8, 3)
+    columns = np.arange(27.0).reshape(9, 3)
     columns[:2] += np.array([[6e5], [5.2e6]])
     covariance_m2 = np.arange(12.0).reshape(3, 2, 2)
     ranking = Ranking(Hypotheses(*columns), np.array([0.3, 0.2, 0.1]), covariance_m2)
     found = ranking.candidates(frame)
     assert [one.confidence for one in found] == [0.3, 0.2, 0.1]
-    assert [one.score for one in found] == [21.0, 22.0, 23.0]
+    assert [one.score for one in found] == [24.0, 25.0, 26.0]
     assert [one.eye_elevation_m for one in found] == [6.0, 7.0, 8.0]
     assert found[1].covariance_m2 == ((4.0, 5.0), (6.0, 7.0))
     assert all(one.refined for one in found)

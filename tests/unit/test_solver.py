@@ -11,7 +11,7 @@ from skyline.geodesy import Curvature
 from skyline.matching.eye_height import EyeHeight
 from skyline.matching.noise import Noise
 from skyline.matching.panoramas import Panoramas
-from skyline.matching.query import QueryRays, level
+from skyline.matching.query import QueryRays, distorted, level
 from skyline.matching.rays import level_with_changes, thinned
 from skyline.matching.solver import Curves, Solver, SolverConfig
 from skyline.terrain.edge import DataEdge
@@ -54,15 +54,19 @@ def test_levelled_rays_are_those_of_every_matcher(is_panorama):
     np.testing.assert_allclose(rays.y[0], y, atol=1e-12)
 
 
-@pytest.mark.parametrize("query", [rays_of(*seen(hills, **TRUTH), 60.0), swept(hills, *SWEPT)])
+LENS = rays_of(*seen(hills, **TRUTH), 60.0)
+
+
+@pytest.mark.parametrize("query", [LENS, replace(LENS, distortion_sd=0.05), swept(hills, *SWEPT)])
 def test_derivatives_agree_with_differences(query):
     solver = Solver(query, SolverConfig(), EYE, HEIGHT_SD_M)
     curves = curves_of(panorama_of(hills))
-    state = np.array([[0.0, 0.0, 3.0, np.radians(351.0), 0.03, -0.02, 0.04]])
+    state = np.array([[0.0, 0.0, 3.0, np.radians(351.0), 0.03, -0.02, 0.04, 0.05]])
+    state = state[:, : solver.size]
+    steps = np.diag([1.0, 1.0, 1.0, 2e-3, 1e-4, 1e-4, 1e-4, 1e-3])[: solver.size, : solver.size]
     there = solver.linearize(curves, state)
-    for k, step in enumerate([1.0, 1.0, 1.0, 2e-3, 1e-4, 1e-4, 1e-4]):
-        move = np.zeros((1, 7))
-        move[0, k] = step
+    for k, move in enumerate(steps):
+        step = move[k]
         after, before = (
             solver.linearize(curves, state + sign * move).residual_rad[0] for sign in (1.0, -1.0)
         )
@@ -71,6 +75,18 @@ def test_derivatives_agree_with_differences(query):
         # the factor from tangents to angles counts as constant.
         off = there.jacobian[0, :, k] - expected
         assert np.sqrt(np.mean(off**2)) < 0.05 * np.sqrt(np.mean(expected**2)) + 1e-9, k
+
+
+def test_a_wide_lens_finds_its_distortion():
+    u, v = seen(hills, heading_deg=350.0, pitch_deg=2.0, roll_deg=-1.5, fov_deg=100.0)
+    true = QueryRays(*distorted(u, v, 0.1, np.tan(np.radians(50.0))), np.ones_like(u), 100.0)
+    bent = replace(true, distortion_sd=0.05)
+    found = settled(poses(heading_deg=348.0, fov_deg=100.0), panorama_of(hills), bent)
+    straight = settled(poses(heading_deg=348.0, fov_deg=100.0), panorama_of(hills), true)
+    assert found.distortion[0] == pytest.approx(0.1, abs=0.005)
+    assert found.heading_deg[0] == pytest.approx(350.0, abs=0.02)
+    assert straight.distortion[0] == 0.0
+    assert found.score[0] < straight.score[0]
 
 
 def test_a_panorama_finds_its_heading_horizon_and_width():

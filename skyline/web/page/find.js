@@ -42,7 +42,7 @@ export function choose(index) {
   if (!one) return;
   state.chosen = index;
   setPose({ lon: one.lon, lat: one.lat, heading: one.heading, pitch: one.pitch, roll: one.roll, fov: one.fov,
-    eyeHeight: one.eyeHeight ?? $("eye").valueAsNumber });
+    distortion: one.distortion, eyeHeight: one.eyeHeight ?? $("eye").valueAsNumber });
   tell("chosen");
   show();
 }

@@ -104,7 +104,7 @@ async function fit() {
   try {
     const found = await server.fit(photo, state.pose);
     if (photo !== state.photo) return;
-    moveTo({ lon: found.lon, lat: found.lat, heading: found.heading, pitch: found.pitch, roll: found.roll, fov: found.fov, eyeHeight: found.eyeHeight ?? state.pose.eyeHeight });
+    moveTo({ lon: found.lon, lat: found.lat, heading: found.heading, pitch: found.pitch, roll: found.roll, fov: found.fov, distortion: found.distortion, eyeHeight: found.eyeHeight ?? state.pose.eyeHeight });
     say("Fitted");
   } catch (error) {
     say("");

@@ -7,7 +7,7 @@ export const state = {
   trust: null, // Float32Array, 0 to 1
   results: new Map(), // photo id -> result of its match
   chosen: null, // index of the chosen candidate
-  pose: null, // {lon, lat, heading, pitch, roll, fov, eyeHeight}
+  pose: null, // {lon, lat, heading, pitch, roll, fov, distortion, eyeHeight}
   byHand: false, // whether the pose has been moved since it was chosen
   sight: null, // the skyline rendered at the pose
 };
