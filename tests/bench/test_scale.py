@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -116,7 +117,7 @@ def test_a_pose_is_there_within_a_spacing_and_looking_the_right_way():
         np.zeros(1), np.zeros(1), np.zeros(1, np.float32), np.full(1, 40.0, np.float32),
         np.zeros(1, np.float32), *(empty.astype(kind) for kind in (np.int8, np.uint8, np.uint8)),
     )  # fmt: skip
-    traced = Traced(place, lambda east, north: 0.0 * east, None, FRAME)
+    traced = Traced(place, lambda east, north: 0.0 * east, SimpleNamespace(edge=None), FRAME)
     assert traced.spacing_m == 80.0
     truth = truth_at(0.0, 0.0)
     assert traced._is_there([500.0, 60.0], [0.0, -50.0], [90.0, 98.0], truth)

@@ -53,7 +53,7 @@ class Traced:
 
     def __init__(self, places: PlaceSource, ground: Ground, scene: Scene, frame: Frame) -> None:
         self._frame = frame
-        self._retriever = _Noting(places, ground, MATCHING.retrieval)
+        self._retriever = _Noting(places, ground, MATCHING.retrieval, scene.edge)
         self._matcher = FullMatcher(self._retriever, scene, MATCHING.full)
         self.spacing_m = 2.0 * float(np.median(sample_of(places).tolerance_m))
         """Between places."""
