@@ -26,7 +26,7 @@ class Hypotheses(Rows):
     """``pitch_deg``, ``roll_deg``, ``fov_deg``: (M,) float64. Optical axis above the horizon;
     camera turned clockwise as seen from behind; horizontal field of view."""
     distortion: Float64Array
-    """(M,) float64. Of the lens; see `skyline.matching.query.undistorted`."""
+    """(M,) float64. Of the lens; see `QueryRays.distortion_sd`."""
     score: Float64Array
     """(M,) float64. Lower is better; its unit is that of the step that gave it. Infinite where
     nothing fits."""

@@ -11,8 +11,6 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError
 
 _FULL_CIRCLE_DEG = 360.0
-_NEWTON_STEPS = 30
-_MET = 1e-9
 _FOV_DEVIATIONS = 4.0
 """To either side of the one that is given."""
 
@@ -41,8 +39,8 @@ class QueryRays:
     is as likely."""
     is_panorama: bool = False
     distortion_sd: float = 0.0
-    """Standard deviation of the lens's distortion about none; 0 where it has none. See
-    `undistorted`."""
+    """Standard deviation of the lens's distortion about none; 0 where it has none. A distortion k
+    moves a ray outwards by k times its `reach`; see `skyline.photo.projection.undistorted`."""
 
     def __post_init__(self) -> None:
         if not self.u.shape == self.v.shape == self.weight.shape or self.u.ndim != 1:
@@ -138,41 +136,6 @@ class QueryRays:
         widest_deg = min(fov_deg + _FOV_DEVIATIONS * sd_deg, possible_deg, most_deg)
         narrowest_deg = max(fov_deg - _FOV_DEVIATIONS * sd_deg, 0.5 * fov_deg)
         return replace(self, fov_range_deg=(narrowest_deg, widest_deg), fov_sd_deg=sd_deg)
-
-
-def undistorted(
-    u: Float64Array, v: Float64Array, distortion: float, half_width: float
-) -> tuple[Float64Array, Float64Array]:
-    """Return where a pin-hole would see what a lens sees at u and v.
-
-    A distortion k moves a point at distance r from the middle, in halves of the width, outwards by
-    k r^2 of r: a barrel's is above 0.
-    """
-    if distortion == 0.0:
-        return u, v
-    stretch = 1.0 + distortion * (u**2 + v**2) / half_width**2
-    return u * stretch, v * stretch
-
-
-def distorted(
-    u: Float64Array, v: Float64Array, distortion: float, half_width: float
-) -> tuple[Float64Array, Float64Array]:
-    """Return where a lens sees what a pin-hole sees at u and v: the inverse of `undistorted`.
-
-    NaN for what no point of the image shows.
-    """
-    if distortion == 0.0:
-        return u, v
-    aim = np.hypot(u, v) / half_width
-    # Beyond this, a lens that draws its image in would show things twice.
-    farthest = np.inf if distortion > 0.0 else 1.0 / np.sqrt(-3.0 * distortion)
-    r = np.minimum(aim, 0.9 * min(farthest, 1.0))
-    for _ in range(_NEWTON_STEPS):
-        r = r - (r + distortion * r**3 - aim) / (1.0 + 3.0 * distortion * r**2)
-        r = np.minimum(r, (1.0 - _MET) * farthest)
-    met = np.abs(r + distortion * r**3 - aim) < _MET
-    shrink = np.where(met, 1.0 / (1.0 + distortion * r**2), np.nan)
-    return u * shrink, v * shrink
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,8 @@ from skyline.errors import InputError
 MIN_FOV_DEG = 1.0
 MAX_FOV_DEG = 179.0
 MAX_PANORAMA_DEG = 360.0
+_NEWTON_STEPS = 30
+_MET = 1e-9
 
 _GPANO = re.compile(r"GPano:(\w+)\s*(?:=\s*[\"']|>)\s*([\w.]+)")
 
@@ -90,6 +92,36 @@ class Projection(StrEnum):
         u, _ = self.rays(edges, np.zeros_like(edges), fov_deg)
         azimuth = u if self.is_panorama else np.arctan(u)
         return np.asarray(np.degrees(np.diff(azimuth)), dtype=np.float64)
+
+
+def undistorted(
+    across: Float64Array, above: Float64Array, distortion: float
+) -> tuple[Float64Array, Float64Array]:
+    """Return the places in a photo at which a lens that bends nothing would show what is at places.
+
+    A distortion k moves what is shown r halves of the width from the middle outwards by k r^2 of r:
+    a barrel's is above 0.
+    """
+    stretch = 1.0 + distortion * (across**2 + above**2)
+    return across * stretch, above * stretch
+
+
+def distorted(
+    across: Float64Array, above: Float64Array, distortion: float
+) -> tuple[Float64Array, Float64Array]:
+    """Return the inverse of `undistorted`; NaN for what no place in the photo shows."""
+    if distortion == 0.0:
+        return across, above
+    aim = np.hypot(across, above)
+    # Beyond this, a lens that draws its image in would show things twice.
+    farthest = np.inf if distortion > 0.0 else 1.0 / np.sqrt(-3.0 * distortion)
+    r = np.minimum(aim, 0.9 * min(farthest, 1.0))
+    for _ in range(_NEWTON_STEPS):
+        r = r - (r + distortion * r**3 - aim) / (1.0 + 3.0 * distortion * r**2)
+        r = np.minimum(r, (1.0 - _MET) * farthest)
+    met = np.abs(r + distortion * r**3 - aim) < _MET
+    shrink = np.where(met, 1.0 / (1.0 + distortion * r**2), np.nan)
+    return across * shrink, above * shrink
 
 
 def panorama_of_xmp(xmp: str) -> tuple[Projection, float] | None:

@@ -9,7 +9,7 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace
 from skyline.photo.lens import Lens
-from skyline.photo.projection import MIN_FOV_DEG, Projection
+from skyline.photo.projection import MIN_FOV_DEG, Projection, undistorted
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,13 +82,17 @@ class QuerySkyline:
         """Return the same skyline with another horizontal field of view, degrees."""
         return replace(self, fov_deg=fov_deg, lens=None)
 
-    def image_plane(self, fov_deg: float | None = None) -> tuple[Float64Array, Float64Array]:
+    def image_plane(
+        self, fov_deg: float | None = None, distortion: float = 0.0
+    ) -> tuple[Float64Array, Float64Array]:
         """Return the trusted columns on an image of unit focal length.
 
         Parameters
         ----------
         fov_deg : float, optional
             Horizontal field of view, degrees; overrides the query's own.
+        distortion : float
+            Of the lens; see `skyline.photo.projection.undistorted`.
 
         Returns
         -------
@@ -105,6 +109,7 @@ class QuerySkyline:
         columns = np.flatnonzero(self.trusted)
         across = (2.0 * columns + 1.0) / self.width_px - 1.0
         above = (self.height_px - 1.0 - 2.0 * self.row_px[columns]) / self.width_px
+        across, above = undistorted(across, above, distortion)
         return self.projection.rays(across, above, self._known_fov_deg(fov_deg))
 
     def visible_deg(self, fov_deg: float | None = None) -> float:

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float64Array
-from skyline.matching.query import distorted, level, project, undistorted
+from skyline.matching.query import level, project
 from skyline.matching.ranking import Candidate
-from skyline.photo.projection import Projection
+from skyline.photo.projection import Projection, distorted
 from skyline.photo.query import QuerySkyline
 from skyline.views import Views
 
@@ -41,7 +41,7 @@ class PosedPicture:
             turn, y, pose.pitch_deg, pose.roll_deg, is_panorama=self.projection.is_panorama
         )
         across, above = self.projection.places(u, v, pose.fov_deg)
-        across, above = distorted(across, above, pose.distortion, 1.0)
+        across, above = distorted(across, above, pose.distortion)
         half_px = self.width_px / 2.0
         return (
             across * half_px + (self.width_px - 1.0) / 2.0,
@@ -50,9 +50,7 @@ class PosedPicture:
 
     def directions(self, query: QuerySkyline) -> tuple[Float64Array, Float64Array]:
         """Return grid azimuths, degrees, and elevation tangents of the trusted columns."""
-        fov_deg, distortion = self.candidate.fov_deg, self.candidate.distortion
-        u, v = query.image_plane(fov_deg)
-        u, v = undistorted(u, v, distortion, float(np.tan(np.radians(fov_deg) / 2.0)))
+        u, v = query.image_plane(self.candidate.fov_deg, self.candidate.distortion)
         turn, y = level(
             u,
             v,

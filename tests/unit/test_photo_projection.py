@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from photo_scenes import make_scene
 from PIL import Image
 
 from skyline.errors import InputError
-from skyline.photo.projection import Projection, panorama_of_xmp
+from skyline.photo.projection import Projection, distorted, panorama_of_xmp, undistorted
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import extract_photo, read_query
 from skyline.photo.trace import write_trace
@@ -43,6 +45,18 @@ def test_places_are_where_rays_come_from(projection, fov_deg):
     rays = projection.rays(across, above, fov_deg)
     back = projection.places(*rays, fov_deg)
     assert_allclose(back, (across, above), atol=1e-12)
+
+
+@given(distortion=st.floats(-0.25, 0.25))
+def test_what_a_lens_bends_is_unbent(distortion):
+    places = np.stack(np.meshgrid(np.linspace(-1.0, 1.0, 9), np.linspace(-0.4, 0.4, 5)))
+    back = distorted(*undistorted(*places, distortion), distortion)
+    assert_allclose(back, places, rtol=0.0, atol=1e-7)
+
+
+def test_what_no_place_of_a_bent_photo_shows_is_nowhere():
+    across, _ = distorted(np.array([0.5, 5.0]), np.zeros(2), -0.2)
+    np.testing.assert_array_equal(np.isnan(across), [False, True])
 
 
 def test_narrow_panorama_is_nearly_a_photo():

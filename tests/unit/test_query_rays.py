@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from query_scenes import equally_trusted
 
 from skyline.errors import InputError
-from skyline.matching.query import QueryRays, distorted, level, project, undistorted
+from skyline.matching.query import QueryRays, level, project
 
 
 def _rays(fov_range_deg: tuple[float, float] | None = None) -> QueryRays:
@@ -84,18 +84,6 @@ def test_so_does_a_panorama_that_sees_behind(pitch_deg: float, roll_deg: float) 
     levelled = level(u, v, pitch_deg, roll_deg, is_panorama=True)
     back = project(*levelled, pitch_deg, roll_deg, is_panorama=True)
     np.testing.assert_allclose(back, (u, v), rtol=0.0, atol=1e-10)
-
-
-@given(distortion=st.floats(-0.25, 0.25), half_width=st.floats(0.5, 2.0))
-def test_what_a_lens_bends_is_unbent(distortion: float, half_width: float) -> None:
-    u, v = half_width * np.stack(np.meshgrid(np.linspace(-1.0, 1.0, 9), np.linspace(-0.4, 0.4, 5)))
-    back = distorted(*undistorted(u, v, distortion, half_width), distortion, half_width)
-    np.testing.assert_allclose(back, (u, v), rtol=0.0, atol=1e-7)
-
-
-def test_what_no_point_of_a_bent_image_shows_is_nowhere() -> None:
-    u, _ = distorted(np.array([0.5, 5.0]), np.zeros(2), -0.2, 1.0)
-    np.testing.assert_array_equal(np.isnan(u), [False, True])
 
 
 def test_a_panorama_s_pitch_raises_its_horizon_alike_all_round() -> None:

@@ -11,9 +11,10 @@ from skyline.geodesy import Curvature
 from skyline.matching.eye_height import EyeHeight
 from skyline.matching.noise import Noise
 from skyline.matching.panoramas import Panoramas
-from skyline.matching.query import QueryRays, distorted, level
+from skyline.matching.query import QueryRays, level
 from skyline.matching.rays import level_with_changes, thinned
 from skyline.matching.solver import Curves, Solver, SolverConfig
+from skyline.photo.projection import distorted
 from skyline.terrain.edge import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
@@ -79,9 +80,11 @@ def test_derivatives_agree_with_differences(query):
 
 def test_a_wide_lens_finds_its_distortion():
     u, v = seen(hills, heading_deg=350.0, pitch_deg=2.0, roll_deg=-1.5, fov_deg=100.0)
-    true = QueryRays(*distorted(u, v, 0.1, np.tan(np.radians(50.0))), np.ones_like(u), 100.0)
-    bent = replace(true, distortion_sd=0.05)
-    found = settled(poses(heading_deg=348.0, fov_deg=100.0), panorama_of(hills), bent)
+    half_width = np.tan(np.radians(50.0))
+    bent = half_width * np.stack(distorted(u / half_width, v / half_width, 0.1))
+    true = QueryRays(*bent, np.ones_like(u), 100.0)
+    free = replace(true, distortion_sd=0.05)
+    found = settled(poses(heading_deg=348.0, fov_deg=100.0), panorama_of(hills), free)
     straight = settled(poses(heading_deg=348.0, fov_deg=100.0), panorama_of(hills), true)
     assert found.distortion[0] == pytest.approx(0.1, abs=0.005)
     assert found.heading_deg[0] == pytest.approx(350.0, abs=0.02)
