@@ -21,7 +21,7 @@ from PIL.ExifTags import IFD, Base
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.photo.exif import NotedPlace, place_from_exif
-from skyline.photo.lens import Lens, lens_of
+from skyline.photo.lens import Lens, lens_of, swept_lens_of
 from skyline.photo.projection import Projection, panorama_of_xmp
 from skyline.photo.query import QuerySkyline
 
@@ -102,16 +102,26 @@ def decode_image(path: str | Path) -> Photo:
 def _decode(path: Path) -> Photo:
     with Image.open(path, formats=_formats()) as image:
         exif = image.getexif()
-        turned = exif.get(Base.Orientation) in _TURNED_ORIENTATIONS
-        panorama = panorama_of_xmp(_xmp(image))
-        lens = None
-        if panorama is None:
-            lens = lens_of({**exif, **exif.get_ifd(IFD.Exif)}, image.size, turned)
-        noted = None if lens is None else lens.fov_deg
-        projection, fov_deg = panorama or (Projection.PERSPECTIVE, noted)
+        projection, fov_deg, lens = _camera(_xmp(image), exif, image.size)
         _require_bounded(path, image)
         place = place_from_exif(exif.get_ifd(IFD.GPSInfo))
         return Photo(_to_rgb(ImageOps.exif_transpose(image)), fov_deg, projection, place, lens)
+
+
+def _camera(
+    xmp: str, exif: Image.Exif, stored_size: tuple[int, int]
+) -> tuple[Projection, float | None, Lens | None]:
+    """Return what a file notes of its projection and its field of view."""
+    panorama = panorama_of_xmp(xmp)
+    if panorama is not None:
+        return *panorama, None
+    turned = exif.get(Base.Orientation) in _TURNED_ORIENTATIONS
+    tags = {**exif, **exif.get_ifd(IFD.Exif)}
+    swept = swept_lens_of(tags, stored_size[::-1] if turned else stored_size)
+    if swept is not None:
+        return Projection.CYLINDRICAL, swept.fov_deg, swept
+    lens = lens_of(tags, stored_size, turned)
+    return Projection.PERSPECTIVE, lens.fov_deg, lens
 
 
 def _formats() -> list[str]:

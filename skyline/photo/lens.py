@@ -13,7 +13,7 @@ from math import atan, degrees, hypot, log, radians, sin, sqrt
 from PIL.ExifTags import Base
 
 from skyline.photo.exif import number_of
-from skyline.photo.projection import MIN_FOV_DEG
+from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG
 
 _FULL_FRAME_DIAGONAL_MM = hypot(36.0, 24.0)
 _MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
@@ -27,6 +27,11 @@ _SENSOR_MM = (2.0, 80.0)
 """Diagonals of sensors, of phones to medium format."""
 _AGREE = log(1.1)
 """Estimates of the focal length nearer than this are one: a 35 mm equivalent is rounded."""
+_SWEPT = 6.0
+"""CustomRendered of a panorama, as Apple's phones note it."""
+_SWEPT_HEIGHT, _SWEPT_SD = 0.83, 0.12
+"""Part of the camera's height that a panorama has, between 0.7 and nearly all, and how sure its
+width is."""
 _KEPT_MEAN, _KEPT_SD, _KEPT_MOST = 0.75, 0.5 / sqrt(12.0), 1.05
 """Of the greatest field of view that a crop can have: between half and all of it, evenly."""
 
@@ -87,6 +92,24 @@ def lens_of(tags: Mapping[int, object], stored_size: tuple[int, int], turned: bo
     said = f"{focal.source}, but the photo was cropped: at most {most_deg:.1f} degrees"
     said = "; ".join(filter(None, [said, dropped]))
     return Lens(_KEPT_MEAN * most_deg, _KEPT_SD * most_deg, _KEPT_MOST * most_deg, said)
+
+
+def swept_lens_of(tags: Mapping[int, object], size_px: tuple[int, int]) -> Lens | None:
+    """Return what EXIF says of a panorama that a phone swept; None where it does not say so.
+
+    ``size_px`` is the panorama's width and height, upright. Its scale is the camera's, held on end,
+    but phones keep more or less of the height.
+    """
+    if _positive(tags.get(Base.CustomRendered)) != _SWEPT:
+        return None
+    equivalent_mm = _positive(tags.get(Base.FocalLengthIn35mmFilm))
+    if equivalent_mm is None:
+        return Lens(said="EXIF says that the photo is a panorama, and not how wide")
+    width, height = size_px
+    focal_px = equivalent_mm / 36.0 * height / _SWEPT_HEIGHT
+    fov_deg = min(degrees(width / focal_px), MAX_PANORAMA_DEG)
+    said = f"EXIF says that the photo is a panorama: about {fov_deg:.0f} degrees"
+    return Lens(fov_deg, _SWEPT_SD * fov_deg, MAX_PANORAMA_DEG, said)
 
 
 def _focal(tags: Mapping[int, object], frame: tuple[float, float]) -> tuple[_Focal | None, str]:

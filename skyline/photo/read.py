@@ -24,7 +24,6 @@ log = logging.getLogger(__name__)
 
 SkyModel = SkySession | str | Path | None
 
-_LENSES = (None, Projection.PERSPECTIVE)
 _SKYLINE_RGB = (255, 0, 60)
 
 
@@ -102,7 +101,8 @@ def read_photo(
     check_fov(fov_deg, projection)
     decoded = decode_image(path)
     # What the lens was says nothing of a panorama, nor where a person knows better.
-    lens = decoded.lens if fov_deg is None and projection in _LENSES else None
+    is_as_noted = projection in (None, decoded.projection)
+    lens = decoded.lens if fov_deg is None and is_as_noted else None
     if fov_deg is None and (lens is not None or decoded.lens is None):
         fov_deg = decoded.fov_deg
     projection = projection or decoded.projection

@@ -302,22 +302,20 @@ class Matcher:
         return narrowed
 
     def _rays(self, query: QuerySkyline) -> QueryRays:
-        fov_deg = query.fov_deg
+        fov_deg, is_panorama = query.fov_deg, query.projection.is_panorama
         weight = query.confidence[query.trusted]
-        is_panorama = query.projection.is_panorama
         if fov_deg is not None:
-            lens = query.lens or Lens(fov_deg)
-            sd_deg = self._config.fov_slack * fov_deg if lens.sd_deg is None else lens.sd_deg
-            if fov_deg == MAX_PANORAMA_DEG:
-                sd_deg = 0.0
-            distortion_sd = _DISTORTION_SD if fov_deg > _WIDE_DEG and not is_panorama else 0.0
+            may_bend = fov_deg > _WIDE_DEG and not is_panorama
             rays = QueryRays(
                 *query.image_plane(),
                 weight,
                 fov_deg,
                 is_panorama=is_panorama,
-                distortion_sd=distortion_sd,
+                distortion_sd=_DISTORTION_SD if may_bend else 0.0,
             )
+            lens = query.lens or Lens(fov_deg)
+            slack = 0.0 if fov_deg == MAX_PANORAMA_DEG else self._config.fov_slack
+            sd_deg = slack * fov_deg if lens.sd_deg is None else lens.sd_deg
             return rays.about(sd_deg, lens.most_deg or math.inf)
         if self._ranker.finds_fov and not is_panorama:
             fov_deg, sd_deg = self._config.usual_fov_deg

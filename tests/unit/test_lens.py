@@ -5,7 +5,7 @@ import pytest
 from PIL.ExifTags import Base
 from PIL.TiffImagePlugin import IFDRational
 
-from skyline.photo.lens import Lens, lens_of
+from skyline.photo.lens import Lens, lens_of, swept_lens_of
 
 SIZE = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
 PLANE = {
@@ -40,6 +40,21 @@ def test_the_focal_plane_of_a_whole_frame_however_resized(size):
         Base.FocalPlaneXResolution: IFDRational(4_000_000, 2540),
     }
     assert lens_of(PLANE | centimetres, size, False).fov_deg == pytest.approx(90.0, abs=1e-3)
+
+
+def test_a_panorama_of_a_phone_is_as_wide_as_its_height_says():
+    tags = {Base.CustomRendered: 6, Base.FocalLengthIn35mmFilm: 28}
+    told = swept_lens_of(tags, (8000, 2500))
+    # Of the camera's height, which sees 36 mm of film, 2500 pixels are between 70 and 100 %.
+    for kept in (0.7, 0.97):
+        assert told.fov_deg == pytest.approx(
+            np.degrees(8000 / (28 / 36 * 2500 / kept)), abs=2.0 * told.sd_deg
+        )
+    assert told.most_deg == 360.0
+    assert "panorama" in told.said
+    assert swept_lens_of(tags, (30_000, 2500)).fov_deg == 360.0
+    assert swept_lens_of({Base.CustomRendered: 6}, (8000, 2500)).fov_deg is None
+    assert swept_lens_of(tags | {Base.CustomRendered: 0}, (8000, 2500)) is None
 
 
 def test_sources_that_agree_are_one():

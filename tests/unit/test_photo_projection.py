@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from photo_scenes import make_scene
 from PIL import Image
+from PIL.ExifTags import IFD, Base
 
 from skyline.errors import InputError
 from skyline.photo.projection import Projection, distorted, panorama_of_xmp, undistorted
@@ -118,6 +119,19 @@ def test_panorama_file_says_its_own_span(tmp_path):
     # What the person says wins.
     told = read_query(tmp_path / "wide.jpg", 100.0, projection=SPHERE)
     assert (told.projection, told.fov_deg) == (SPHERE, 100.0)
+
+
+def test_a_phone_s_panorama_is_known_as_one(tmp_path):
+    exif = Image.Exif()
+    exif.get_ifd(IFD.Exif).update({Base.CustomRendered: 6, Base.FocalLengthIn35mmFilm: 28})
+    scene = make_scene("clear", 104, 960, 240)
+    Image.fromarray(scene.image).save(tmp_path / "swept.jpg", quality=95, exif=exif)
+    query = read_query(tmp_path / "swept.jpg")
+    assert query.projection is CYLINDER
+    assert 200.0 < query.fov_deg < 300.0
+    assert query.lens.sd_deg > 20.0
+    told = read_query(tmp_path / "swept.jpg", projection=Projection.PERSPECTIVE)
+    assert (told.projection, told.fov_deg, told.lens) == (Projection.PERSPECTIVE, None, None)
 
 
 def test_a_whole_turn_is_read(tmp_path):
