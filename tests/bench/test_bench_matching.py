@@ -59,7 +59,7 @@ def test_stores_matchers_and_queries_are_compared(measure, tmp_path):
             ("uniform-300", "correlation"),
             ("places-300", "retrieved"),
         )
-        for kind in ("plain", "white", "other-dem", "occluded")
+        for kind in ("plain", "white", "other-dem", "occluded", "aligned")
     ]
     for row in rows:
         assert row.keys() >= KEYS
@@ -68,8 +68,8 @@ def test_stores_matchers_and_queries_are_compared(measure, tmp_path):
         assert row["median_m"] <= row["p90_m"] < 5000.0
         assert row["build_s"] > 0.0
         assert row["store"] in printed
-    assert rows[0]["places"] < rows[4]["places"] == rows[8]["places"]
-    assert rows[0]["bytes"] < rows[4]["bytes"]
+    assert rows[0]["places"] < rows[5]["places"] == rows[10]["places"]
+    assert rows[0]["bytes"] < rows[5]["bytes"]
     assert cv2.imread(str(plot)) is not None
 
 

@@ -151,3 +151,9 @@ def test_bad_requests_are_refused(terrain):
         make_queries(terrain, AREA, 1, seed=-1)
     with pytest.raises(InputError, match="no place on the surface"):
         make_queries(terrain, (1600.0, -1700.0, 1700.0, -1600.0), 1)
+
+
+def test_aligned_queries_look_as_stored_views_do(terrain):
+    config = replace(EXACT, is_aligned=True)
+    headings = {one.truth.heading_deg for one in make_queries(terrain, AREA, 20, 6, config)}
+    assert headings == {0.0, 90.0, 180.0, 270.0}

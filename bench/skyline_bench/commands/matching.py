@@ -95,6 +95,7 @@ def uniform_adaptive(
         float, Option(help="Between places that a planner chooses from, metres.")
     ] = Spacing().candidate_m,
     matcher: Matcher = None,
+    kind: Annotated[str, Option(help=f"Of queries, of {', '.join(KINDS)}.")] = PLAIN,
     queries: Annotated[int, Option(help="Queries, at least 3.")] = 300,
     workers: Annotated[
         int, Option(metavar="N", help="Processes at work.", show_default="one a core")
@@ -126,7 +127,7 @@ def uniform_adaptive(
             for renderings in sorted(budget or _BUDGETS)
         ),
         matchers=tuple(matcher or _COMPARED),
-        kinds=(PLAIN,),
+        kinds=(kind,),
         queries=queries,
         grouped=True,
         seed=seed,

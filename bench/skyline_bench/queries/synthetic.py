@@ -43,6 +43,8 @@ class QueryConfig:
         The field of view given is wrong by up to this share; 0 where it is known.
     max_tilt_deg : float
         Pitch and roll are within this, at most 20.
+    is_aligned : bool
+        Whether cameras look to grid north, east, south or west, as stored views do.
     noise_deg : (float, float)
         Standard deviation of the skyline's error, an angle at the image's centre.
     smooth_share : float
@@ -69,6 +71,7 @@ class QueryConfig:
     fov_deg: tuple[float, float] = (60.0, 60.0)
     fov_error: float = 0.05
     max_tilt_deg: float = 5.0
+    is_aligned: bool = False
     noise_deg: tuple[float, float] = (0.1, 0.1)
     smooth_share: float = 0.5
     smooth_deg: float = 1.0
@@ -248,8 +251,11 @@ def _hold(
     """Draw a place on the surface and a camera."""
     generator = np.random.default_rng([*entropy, _POSE])
     west, south, east, north = bounds_m
+    heading_deg = generator.uniform(0.0, 360.0)
+    if config.is_aligned:
+        heading_deg = 90.0 * (heading_deg // 90.0)
     camera = Camera(
-        heading_deg=generator.uniform(0.0, 360.0),
+        heading_deg=heading_deg,
         pitch_deg=generator.uniform(-config.max_tilt_deg, config.max_tilt_deg),
         roll_deg=generator.uniform(-config.max_tilt_deg, config.max_tilt_deg),
         fov_deg=generator.uniform(*config.fov_deg),

@@ -50,15 +50,18 @@ DEFAULT_AREA_M = (5_000.0, 10_000.0)
 """East by north, in the DEM's middle."""
 
 PLAIN, WHITE, OTHER_DEM, OCCLUDED = "plain", "white", "other-dem", "occluded"
+ALIGNED = "aligned"
 KINDS: Mapping[str, str] = MappingProxyType(
     {
         PLAIN: "a tenth of the columns masked, 0.1 degrees of noise, half of it smooth",
         WHITE: "the same with noise drawn anew in each column",
         OTHER_DEM: "plain from a DEM of another spacing and phase, 10 m rms off",
         OCCLUDED: "plain with 30 % of the columns hidden, half of it unnoticed",
+        ALIGNED: "level, 90 degrees, to grid north, east, south or west, 0.03 degrees of noise",
     }
 )
-"""Kinds of queries. Those of one number have one place and pose in every kind."""
+"""Kinds of queries. Those of one number have one place in every kind, and one pose but where they
+are aligned."""
 
 _OTHER_SPACING, _OTHER_PHASE = 1.3, (0.37, 0.61)
 _HIDDEN_SHARE = 0.3
@@ -356,4 +359,13 @@ def _queries(
         query = replace(query, smooth_share=0.0)
     elif kind == OCCLUDED:
         query = replace(query, occluded_share=(_HIDDEN_SHARE, _HIDDEN_SHARE))
+    elif kind == ALIGNED:
+        query = QueryConfig(
+            fov_deg=(90.0, 90.0),
+            fov_error=0.0,
+            max_tilt_deg=0.0,
+            is_aligned=True,
+            noise_deg=(0.03, 0.03),
+            masked_share=0.0,
+        )
     return make_queries(seen, map_bounds(terrain, bounds_deg), config.queries, config.seed, query)
