@@ -46,7 +46,8 @@ class Projection(StrEnum):
             hint = (
                 "a full turn is the most"
                 if self.is_panorama
-                else "a phone's main camera has about 65, a wide panorama is cylindrical"
+                else "a phone's main camera has about 65; a panorama needs its projection, too, "
+                "usually cylindrical"
             )
             raise InputError(
                 f"horizontal field of view is {fov_deg:g} degrees; expected {MIN_FOV_DEG:g} to "
