@@ -24,12 +24,12 @@ from .photo.projection import Projection
 from .photo.query import QuerySkyline
 from .photo.read import read_photo, read_query
 from .photo.trace import read_trace, write_trace
-from .pipeline.build import BuildResult, render_to_store, render_views
+from .pipeline.build import BuildResult, build_places, build_uniform, render_to_store
 from .pipeline.config import PlaceConfig, RenderConfig
 from .pipeline.local_horizons import horizon
 from .pipeline.match import Matcher
 from .pipeline.panorama import PanoramaConfig, save_panorama
-from .pipeline.places import build_places, build_uniform
+from .pipeline.renderings import render_views
 from .pipeline.reports import report_matches
 from .pipeline.results import JointResult, MatchResult
 from .pipeline.tables import to_geodataframe

@@ -27,11 +27,11 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.paper.planning.plan import PlanConfig, PlanProgress
 from skyline.paper.planning.strategies import STRATEGIES
-from skyline.pipeline.build import BuildResult, render_to_store, save_depth_pictures
+from skyline.pipeline.build import BuildResult, build_store, render_to_store
 from skyline.pipeline.config import ROWS, PlaceConfig, RenderConfig
 from skyline.pipeline.layout import DEFAULT_LOSS, DEFAULT_TILE_M, Layout
-from skyline.pipeline.places import build_store
 from skyline.pipeline.planned import PlannedResult, build_planned
+from skyline.pipeline.renderings import save_depth_pictures
 from skyline.pipeline.shards import build_sharded
 from skyline.places import Places
 from skyline.planning.uniform import uniform_grid

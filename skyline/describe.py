@@ -6,8 +6,8 @@ import numpy as np
 
 from skyline.camera import pixel_size
 from skyline.geodesy import Frame
-from skyline.pipeline.build import render_views
 from skyline.pipeline.config import RenderConfig
+from skyline.pipeline.renderings import render_views
 from skyline.store import StoreHeader, open_store
 from skyline.store.header import PLACES, SCHEMA_VERSION
 from skyline.terrain.heightfield import HeightField

@@ -1,27 +1,30 @@
-"""Rendering viewpoints: into memory, into a store, onto pictures."""
+"""Building stores: of places, planned or on a grid, each with its skyline all round.
+
+A store of renderings, for the paper's matcher, is built on a grid too, or as `planned.py` says.
+"""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, Self, TypeVar
 
-import cv2
 import numpy as np
 
-from skyline import report
 from skyline.camera import HEADINGS
-from skyline.features import polyline_keypoints
-from skyline.pipeline.config import RenderConfig, make_renderer, store_header
+from skyline.errors import InputError
+from skyline.pipeline.config import (
+    BuildConfig,
+    PlaceConfig,
+    RenderConfig,
+)
 from skyline.pipeline.jobs import Progress
+from skyline.pipeline.layout import DEFAULT_LOSS, Layout
+from skyline.pipeline.rows import RowRenderer, Work, rows_of, view_rows
 from skyline.planning.adaptive import Blocks
-from skyline.render.depth import DepthRenderer
-from skyline.render.horizon import ColumnRenderer
+from skyline.planning.uniform import map_bounds
 from skyline.store import StoreHeader, StoreWriter, create_store, open_for_append, open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import Views
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,73 +44,63 @@ class BuildResult:
     seconds: float
 
 
-Work = TypeVar("Work", Viewpoints, Blocks)
-"""What is rendered: viewpoints, or blocks of the map whose viewpoints are planned."""
-
-VIEWPOINTS_AT_A_TIME = 64
-
-
-@dataclass(frozen=True)
-class RowRenderer(Generic[Work]):
-    """Renders viewpoints, or what a planner makes of blocks, as rows of one kind of store."""
-
-    renderer: ColumnRenderer
-    """Released at the end of a ``with`` block."""
-    header: StoreHeader
-    """Of the store that the rows are for."""
-    at_a_time: int
-    """How much of the work to do between two looks at the progress."""
-    render_into: Callable[[StoreWriter, Work], None]
-    """Appends the rows of some work to a store."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.renderer.release()
-
-
-def view_rows(
-    terrain: HeightField, config: RenderConfig, plan: dict[str, object]
-) -> RowRenderer[Viewpoints]:
-    """Return what renders views in all four headings, and their keypoints, by a configuration."""
-    renderer = make_renderer(terrain, config)
-
-    def render_into(writer: StoreWriter, viewpoints: Viewpoints) -> None:
-        append_views(writer, renderer.render(viewpoints), config)
-
-    header = store_header(terrain, renderer.description, config, plan)
-    return RowRenderer(renderer, header, VIEWPOINTS_AT_A_TIME, render_into)
-
-
-def append_views(writer: StoreWriter, views: Views, config: RenderConfig) -> None:
-    """Append views to a store, with their keypoints."""
-    writer.append(views, polyline_keypoints(views, config.keypoint_tolerance_px))
-
-
-def render_views(
-    terrain: HeightField, viewpoints: Viewpoints, config: RenderConfig | None = None
-) -> Views:
-    """Render the skylines of viewpoints to grid north, east, south, west (4 N views)."""
-    config = config or RenderConfig()
-    with make_renderer(terrain, config) as renderer:
-        return renderer.render(viewpoints)
-
-
-def render_missing(
-    path: str | Path, rows: RowRenderer[Work], work: Work, progress: Progress | None = None
+def build_places(
+    terrain: HeightField,
+    path: str | Path,
+    spacing_m: float | None = None,
+    bounds_deg: tuple[float, float, float, float] | None = None,
+    config: PlaceConfig | None = None,
+    progress: Progress | None = None,
+    *,
+    loss: float = DEFAULT_LOSS,
 ) -> BuildResult:
-    """Render what a store lacks of some work; the store is made where there is none.
+    """Render places into a store; an interrupted build goes on.
 
-    Raises `StoreMismatchError` where the store at ``path`` was built from another DEM or with
-    another configuration.
+    Parameters
+    ----------
+    path : str or Path
+        The store.
+    spacing_m : float, optional
+        Metres between the places of a uniform grid. By default places lie densely where skylines
+        are near, and sparsely where they are far; see `skyline.planning.adaptive`.
+    bounds_deg : tuple, optional
+        W, S, E, N in degrees; by default all of the terrain.
+    progress : callable, optional
+        Called with how much of the area is done, and with how much there is.
+    loss : float
+        Without a spacing: the share of the views, 60 degrees wide, that may be lost because
+        places lie apart. The smaller the share, the more places.
+
+    Raises
+    ------
+    InputError
+        A spacing that suits no grid on the terrain, a loss that no places come down to, or an
+        area so small that no place falls in it.
+    StoreMismatchError
+        The store at ``path`` holds renderings, or was built from another DEM or with another
+        configuration.
     """
-    if not Path(path).exists():
-        with create_store(path, rows.header) as writer:
-            return _render_into(writer, rows, work, len(work), progress)
-    with open_for_append(path, rows.header) as writer:
-        left = missing(path, work)
-        return _render_into(writer, rows, left, len(work), progress)
+    layout = Layout(spacing_m, bounds_deg=bounds_deg, loss=loss)
+    return build_store(terrain, path, layout, config or PlaceConfig(), progress)
+
+
+def build_uniform(
+    terrain: HeightField,
+    path: str | Path,
+    spacing_m: float,
+    bounds_deg: tuple[float, float, float, float] | None = None,
+    config: RenderConfig | None = None,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Render a uniform grid into a store; an interrupted build goes on where it stopped.
+
+    Raises
+    ------
+    StoreMismatchError
+        The store at ``path`` was built from another DEM or with another configuration.
+    """
+    layout = Layout(spacing_m, bounds_deg=bounds_deg)
+    return build_store(terrain, path, layout, config or RenderConfig(), progress)
 
 
 def render_to_store(
@@ -132,21 +125,49 @@ def render_to_store(
         return _render_into(writer, rows, viewpoints, len(viewpoints), progress)
 
 
-def save_depth_pictures(
-    terrain: HeightField, viewpoints: Viewpoints, folder: Path, config: RenderConfig
-) -> None:
-    """Save depth images (TIFF, float32 metres, inf = sky) and a picture of each viewpoint.
+def build_store(
+    terrain: HeightField,
+    path: str | Path,
+    layout: Layout,
+    config: BuildConfig,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Render what a store lacks of a layout, in this process; raises as `build_places`."""
+    area = map_bounds(terrain, layout.bounds_deg)
+    work = layout.work(terrain, area, config.eye_height_m)
+    with rows_of(terrain, area, config, layout) as rows:
+        built = render_missing(path, rows, work, progress)
+    return refuse_empty(built, path, layout)
 
-    The files are ``NNNN_heading_H.tif`` and ``NNNN.png``, numbered in the viewpoints' order.
+
+def refuse_empty(built: BuildResult, path: str | Path, layout: Layout) -> BuildResult:
+    """Return what a build came to; a store without rows is removed, and `InputError` raised."""
+    if built.rows:
+        return built
+    Path(path).unlink()
+    area = "all of the DEM"
+    if layout.bounds_deg is not None:
+        area = ",".join(f"{side:g}" for side in layout.bounds_deg)
+    raise InputError(
+        f"the area is {area}, and no place planned for a loss of {layout.loss:g} falls on the "
+        "surface in it; choose a larger area, a smaller loss, or the spacing of a uniform grid"
+    )
+
+
+def render_missing(
+    path: str | Path, rows: RowRenderer[Work], work: Work, progress: Progress | None = None
+) -> BuildResult:
+    """Render what a store lacks of some work; the store is made where there is none.
+
+    Raises `StoreMismatchError` where the store at ``path`` was built from another DEM or with
+    another configuration.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with DepthRenderer(terrain, config.width, config.curvature) as renderer:
-        for index in range(len(viewpoints)):
-            images = renderer.depth_images(viewpoints, index)
-            for heading in HEADINGS:
-                cv2.imwrite(str(folder / f"{index:04d}_heading_{heading}.tif"), images[heading])
-            views = renderer.render(viewpoints[index : index + 1])
-            report.save_depth_images(images, views, folder / f"{index:04d}.png")
+    if not Path(path).exists():
+        with create_store(path, rows.header) as writer:
+            return _render_into(writer, rows, work, len(work), progress)
+    with open_for_append(path, rows.header) as writer:
+        left = missing(path, work)
+        return _render_into(writer, rows, left, len(work), progress)
 
 
 def _render_into(

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass
 
+from skyline.geodesy import Rectangle
 from skyline.planning.adaptive import Blocks, blocks_of
-from skyline.planning.uniform import map_bounds, uniform_grid
+from skyline.planning.uniform import uniform_grid
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -34,9 +35,10 @@ class Layout:
             return {"planner": "adaptive", "loss": self.loss, "bounds_deg": self.bounds_deg}
         return {"planner": "uniform", "spacing_m": self.spacing_m, "bounds_deg": self.bounds_deg}
 
-    def work(self, terrain: HeightField, eye_height_m: float) -> Viewpoints | Blocks:
-        """Return what there is to render."""
-        area = map_bounds(terrain, self.bounds_deg)
+    def work(
+        self, terrain: HeightField, area: Rectangle, eye_height_m: float
+    ) -> Viewpoints | Blocks:
+        """Return what there is to render in an area of the map."""
         if self.spacing_m is None:
             return blocks_of(area)
         return uniform_grid(terrain, self.spacing_m, area, eye_height_m)

@@ -15,8 +15,9 @@ from skyline.paper.planning.predicted import predict
 from skyline.paper.planning.tolerance import Neighbourhood, ToleranceMeter
 from skyline.paper.planning.truth import true_errors_px
 from skyline.paper.planning.verify import Checks, Verification, verify_coverage
-from skyline.pipeline.build import BuildResult, append_views
+from skyline.pipeline.build import BuildResult
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
+from skyline.pipeline.rows import append_views
 from skyline.planning.uniform import map_bounds
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import (

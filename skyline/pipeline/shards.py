@@ -11,7 +11,7 @@ often a worker died shows nowhere in the result.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
@@ -21,11 +21,17 @@ from typing import Any
 import numpy as np
 
 from skyline.errors import InputError, StoreError, StoreMismatchError
-from skyline.pipeline.build import BuildResult, RowRenderer, missing, render_missing, rows_each
-from skyline.pipeline.config import BuildConfig, RenderConfig, store_header
+from skyline.pipeline.build import (
+    BuildResult,
+    missing,
+    refuse_empty,
+    render_missing,
+    rows_each,
+)
+from skyline.pipeline.config import BuildConfig, RenderConfig
 from skyline.pipeline.jobs import Progress, Runner, collect, run_here
 from skyline.pipeline.layout import Layout
-from skyline.pipeline.places import refuse_empty, rows_of
+from skyline.pipeline.rows import RowRenderer, rows_of
 from skyline.planning.adaptive import Blocks
 from skyline.planning.uniform import map_bounds
 from skyline.store import merge_stores, open_for_append
@@ -89,7 +95,9 @@ def build_shard(settings: ShardSettings, shard: Shard) -> BuildResult:
     if settings not in _here:
         while _here:
             _here.popitem()[1].__exit__()
-        _here[settings] = rows_of(settings.read_terrain(), settings.config, settings.layout)
+        terrain, layout = settings.read_terrain(), settings.layout
+        area = map_bounds(terrain, layout.bounds_deg)
+        _here[settings] = rows_of(terrain, area, settings.config, layout)
     return _build(Path(settings.folder), _here[settings], shard)
 
 
@@ -163,11 +171,13 @@ def build_sharded(
     """
     started = time.perf_counter()
     path, config = Path(path).resolve(), config or RenderConfig()
-    work = layout.work(terrain, config.eye_height_m)
+    area = map_bounds(terrain, layout.bounds_deg)
+    work = layout.work(terrain, area, config.eye_height_m)
     shards = cut_into_shards(work, layout.tile_m)
     folder = path.with_name(f"{path.name}.shards")
+    rows = partial(rows_of, terrain, area, config, layout)
     if path.exists():
-        held = _held_already(terrain, path, layout, config, work)
+        held = _held_already(path, rows, work)
         _remove(folder, shards)
         return held
     settings = ShardSettings(
@@ -178,19 +188,19 @@ def build_sharded(
         config,
         str(folder),
     )
-    done = _run_all(settings, shards, runner, terrain, progress)
+    done = _run_all(settings, shards, runner, rows, progress)
     merged = merge_stores([folder / f"{shard.name}.h5" for shard in shards], path)
     _remove(folder, shards)
     rendered = sum(result.rendered for result in done)
     built = BuildResult(merged.rows, rendered, time.perf_counter() - started)
-    return refuse_empty(built, path, map_bounds(terrain, layout.bounds_deg))
+    return refuse_empty(built, path, layout)
 
 
 def _run_all(
     settings: ShardSettings,
     shards: Sequence[Shard],
     runner: Runner | None,
-    terrain: HeightField,
+    rows_here: Callable[[], RowRenderer[Any]],
     progress: Progress | None,
 ) -> list[BuildResult]:
     """Do all jobs."""
@@ -206,7 +216,7 @@ def _run_all(
     if progress:
         progress(0, len(shards))
     if runner is None:
-        with rows_of(terrain, settings.config, settings.layout) as rows:
+        with rows_here() as rows:
             work = partial(_build, Path(settings.folder), rows)
             return collect(run_here(work, shards, names), names, tell)
     if not settings.dem_files:
@@ -215,20 +225,16 @@ def _run_all(
 
 
 def _held_already(
-    terrain: HeightField,
-    path: Path,
-    layout: Layout,
-    config: BuildConfig,
-    work: Viewpoints | Blocks,
+    path: Path, rows_here: Callable[[], RowRenderer[Any]], work: Viewpoints | Blocks
 ) -> BuildResult:
     """Return what a store has that was there before; it must be whole and of this build."""
-    if isinstance(work, Blocks):
-        # Which places it should have shows only as they are planned: what is left is done here.
-        with rows_of(terrain, config, layout) as rows:
-            return render_missing(path, rows, work)
     started = time.perf_counter()
-    with open_for_append(path, store_header(terrain, "", config, layout.record)) as writer:
-        held = len(writer)
+    with rows_here() as rows:
+        if isinstance(work, Blocks):
+            # Which places it should have shows only as they are planned: what is left is done here.
+            return render_missing(path, rows, work)
+        with open_for_append(path, rows.header) as writer:
+            held = len(writer)
     if len(missing(path, work)):
         raise StoreError(
             f"store {path} is there and lacks some of {len(work)} viewpoints; finish it "

@@ -21,7 +21,7 @@ from skyline.places import Places
 from skyline.planning.loss import lost_shares
 from skyline.rows import Rows
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
 
 Look = Callable[[Viewpoints], Horizons]
 """Renders viewpoints."""
@@ -88,14 +88,17 @@ def blocks_of(area: Rectangle) -> Blocks:
     return Blocks(cols.ravel(), rows.ravel())
 
 
-def price_of(loss: float, sample: Horizons) -> float:
+def price_of(
+    loss: float, terrain: HeightField, area: Rectangle, look: Look, eye_height_m: float
+) -> float:
     """Return what a place must save, square metres of views, for a plan to lose at most a share.
 
-    ``sample`` is of viewpoints spread over the area; see `spread_over`. Raises `InputError` for a
-    loss outside (0, 1), or below that of the finest lattice.
+    It is worked out from viewpoints that are spread over the area. Raises `InputError` for a loss
+    outside (0, 1), or below that of the finest lattice, and for an area of holes.
     """
     if not 0.0 < loss < 1.0:
         raise InputError(f"loss is {loss}; expected a share between 0 and 1, for example 0.2")
+    sample = look(spread_over(terrain, area, eye_height_m))
     lost = lost_shares(sample.distance_m, _SPACING_M)
     least = float(lost[:, -1].mean())
     if loss < least:
@@ -126,13 +129,13 @@ def spread_over(terrain: HeightField, area: Rectangle, eye_height_m: float) -> V
     west, south, east, north = area
     easting = west + share[:, 0] * (east - west)
     northing = south + share[:, 1] * (north - south)
-    on_surface = ~np.isnan(terrain.height_at(easting, northing))
-    if not on_surface.any():
+    eyes, _ = stand_where_possible(terrain, easting, northing, eye_height_m)
+    if not len(eyes):
         raise InputError(
             f"no viewpoint falls on the surface in easting {west:.0f} to {east:.0f}, northing "
             f"{south:.0f} to {north:.0f}; choose another area"
         )
-    return stand_on(terrain, easting[on_surface], northing[on_surface], eye_height_m)
+    return eyes
 
 
 class AdaptivePlanner:
@@ -179,10 +182,9 @@ class AdaptivePlanner:
         """Render what has not been rendered of nodes (N, 2)."""
         left = nodes[seen.row(nodes) == _UNSEEN]
         easting, northing = seen.position_m(left)
-        stands = ~np.isnan(self._terrain.height_at(easting, northing))
+        eyes, stands = stand_where_possible(self._terrain, easting, northing, self._eye_height_m)
         seen.bar(left[~stands])
-        if stands.any():
-            eyes = stand_on(self._terrain, easting[stands], northing[stands], self._eye_height_m)
+        if len(eyes):
             seen.add(left[stands], self._look(eyes))
 
     def _pays(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:

@@ -5,7 +5,7 @@ import numpy as np
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Rectangle
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
 
 def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
@@ -60,10 +60,10 @@ def uniform_grid(
             "choose a larger spacing or smaller bounds"
         )
     easting, northing = (grid.ravel() for grid in np.meshgrid(cols * spacing_m, rows * spacing_m))
-    on_surface = ~np.isnan(field.height_at(easting, northing))
-    if not on_surface.any():
+    eyes, _ = stand_where_possible(field, easting, northing, eye_height_m)
+    if not len(eyes):
         raise InputError(
             f"no viewpoint of a {spacing_m} m grid falls on the surface in easting {west:.0f} to "
             f"{east:.0f}, northing {south:.0f} to {north:.0f}; choose a smaller spacing"
         )
-    return stand_on(field, easting[on_surface], northing[on_surface], eye_height_m)
+    return eyes

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import Float64Array
+from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError, OffMapError
 from skyline.rows import Rows
 from skyline.terrain.heightfield import HeightField
@@ -51,30 +51,8 @@ def stand_on(
         A location off the map or on a hole, or an eye height below 0.
     """
     easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
-    ground = _ground_m(field, easting, northing)
-    return Viewpoints(easting, northing, _above_ground(ground, ground + eye_height))
-
-
-def at_elevation(
-    field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike, eye_elevation_m: ArrayLike
-) -> Viewpoints:
-    """Place eyes at elevations above the datum; as `stand_on` otherwise."""
-    easting, northing, eye_elevation = _flat(easting_m, northing_m, eye_elevation_m)
-    ground = _ground_m(field, easting, northing)
-    return Viewpoints(easting, northing, _above_ground(ground, eye_elevation))
-
-
-def _flat(*values: ArrayLike) -> list[Float64Array]:
-    arrays = np.broadcast_arrays(*[np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values])
-    flat = [np.ascontiguousarray(array).reshape(-1) for array in arrays]
-    if not all(np.isfinite(array).all() for array in flat):
-        raise InputError("a viewpoint has a coordinate that is not a finite number")
-    return flat
-
-
-def _ground_m(field: HeightField, easting: Float64Array, northing: Float64Array) -> Float64Array:
-    ground = field.height_at(easting, northing)
-    missing = np.flatnonzero(np.isnan(ground))
+    eyes, stands = stand_where_possible(field, easting, northing, eye_height)
+    missing = np.flatnonzero(~stands)
     if missing.size:
         first = missing[0]
         west, south, east, north = field.bounds_m
@@ -87,15 +65,49 @@ def _ground_m(field: HeightField, easting: Float64Array, northing: Float64Array)
             f"to {east:.1f}, northing {south:.1f} to {north:.1f}: move it "
             f"or remove it ({missing.size} such)"
         )
-    return ground
+    return eyes
 
 
-def _above_ground(ground: Float64Array, eye: Float64Array) -> Float64Array:
-    below = np.flatnonzero(eye < ground)
+def stand_where_possible(
+    field: HeightField,
+    easting_m: ArrayLike,
+    northing_m: ArrayLike,
+    eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
+) -> tuple[Viewpoints, BoolArray]:
+    """Place eyes as `stand_on` does, but leave out locations off the map or on a hole.
+
+    Returns the eyes, and at which of the locations (N,) they stand. Raises `OffMapError` for an eye
+    height below 0.
+    """
+    easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
+    _check_heights(eye_height)
+    ground = field.height_at(easting, northing)
+    stands = ~np.isnan(ground)
+    return Viewpoints(easting, northing, ground + eye_height)[stands], stands
+
+
+def at_elevation(
+    field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike, eye_elevation_m: ArrayLike
+) -> Viewpoints:
+    """Place eyes at elevations above the datum; as `stand_on` otherwise."""
+    easting, northing, eye_elevation = _flat(easting_m, northing_m, eye_elevation_m)
+    _check_heights(eye_elevation - stand_on(field, easting, northing, 0.0).eye_elevation_m)
+    return Viewpoints(easting, northing, eye_elevation)
+
+
+def _flat(*values: ArrayLike) -> list[Float64Array]:
+    arrays = np.broadcast_arrays(*[np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values])
+    flat = [np.ascontiguousarray(array).reshape(-1) for array in arrays]
+    if not all(np.isfinite(array).all() for array in flat):
+        raise InputError("a viewpoint has a coordinate that is not a finite number")
+    return flat
+
+
+def _check_heights(eye_height_m: Float64Array) -> None:
+    below = np.flatnonzero(eye_height_m < 0.0)
     if below.size:
         first = below[0]
         raise OffMapError(
-            f"viewpoint {first} has its eye at {eye[first]:.2f} m, below the ground at "
-            f"{ground[first]:.2f} m; raise the eye to the ground or above ({below.size} such)"
+            f"viewpoint {first} has its eye {-eye_height_m[first]:.2f} m below the ground; raise "
+            f"the eye to the ground or above ({below.size} such)"
         )
-    return eye

@@ -77,15 +77,12 @@ class TestLoss:
 
 
 class TestPrice:
-    def sample(self, plain):
-        eyes = spread_over(plain, AREA, 2.0)
-        return looking(lambda easting: np.where(easting < BLOCK_M, 300.0, 3e4))(eyes)
+    look = staticmethod(looking(lambda easting: np.where(easting < BLOCK_M, 300.0, 3e4)))
 
     @pytest.mark.parametrize("loss", [0.05, 0.2, 0.35])
     def test_it_suits_the_loss(self, plain, loss):
-        sample = self.sample(plain)
-        price = price_of(loss, sample)
-        lost = lost_shares(sample.distance_m, SPACINGS_M)
+        price = price_of(loss, plain, AREA, self.look, 2.0)
+        lost = lost_shares(self.look(spread_over(plain, AREA, 2.0)).distance_m, SPACINGS_M)
 
         def lost_at(price):
             level = np.argmin(lost + price / SPACINGS_M**2, axis=1)
@@ -97,11 +94,11 @@ class TestPrice:
     @pytest.mark.parametrize("loss", [0.0, 1.0, -0.1, np.nan])
     def test_a_loss_is_a_share(self, plain, loss):
         with pytest.raises(InputError, match=r"expected a share between 0 and 1"):
-            price_of(loss, self.sample(plain))
+            price_of(loss, plain, AREA, self.look, 2.0)
 
     def test_a_loss_that_no_places_come_down_to(self, plain):
         with pytest.raises(InputError, match=r"20 m apart, the closest there are, .* larger one"):
-            price_of(1e-4, self.sample(plain))
+            price_of(1e-4, plain, AREA, self.look, 2.0)
 
     def test_viewpoints_spread_evenly_over_the_area(self, plain):
         eyes = spread_over(plain, AREA, 2.0)
@@ -135,7 +132,7 @@ class TestPlan:
             return np.where(easting < BLOCK_M, 300.0, 3e4)
 
         sample = looking(distance_m)(spread_over(plain, AREA, 2.0))
-        price = price_of(0.15, sample)
+        price = price_of(0.15, plain, AREA, looking(distance_m), 2.0)
         places = planned(plain, distance_m, price)
         west = places.easting_m < BLOCK_M
         wanted = SPACINGS_M[
@@ -152,9 +149,8 @@ class TestPlan:
         def distance_m(easting):
             return np.full(len(easting), 3e4)
 
-        places = planned(plain, distance_m, price_of(0.2, looking(distance_m)(
-            spread_over(plain, AREA, 2.0)
-        )))  # fmt: skip
+        price = price_of(0.2, plain, AREA, looking(distance_m), 2.0)
+        places = planned(plain, distance_m, price)
         assert len(places) <= AREA[2] * AREA[3] / 1e6
 
     def test_blocks_are_planned_each_on_its_own(self, plain):

@@ -20,8 +20,8 @@ from skyline.arrays import Float64Array
 from skyline.matching.confidence import DISTANCES_M, Logistic, model_name
 from skyline.matching.full import FullMatcher
 from skyline.matching.retrieval import Retriever
+from skyline.pipeline.build import build_places
 from skyline.pipeline.jobs import Progress
-from skyline.pipeline.places import build_places
 from skyline.pipeline.scene import RenderedScene
 from skyline.store import open_store
 from skyline.terrain.dem import DemOptions

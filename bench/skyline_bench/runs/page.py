@@ -17,8 +17,8 @@ import numpy as np
 from PIL import Image
 
 from skyline.errors import BuildError
+from skyline.pipeline.build import build_places
 from skyline.pipeline.jobs import Progress
-from skyline.pipeline.places import build_places
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem
 from skyline.terrain.viewpoints import stand_on

@@ -11,9 +11,9 @@ from PIL import Image
 
 from skyline.features import polyline_keypoints
 from skyline.photo.read import read_query
+from skyline.pipeline.build import build_places, build_uniform
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import MATCHERS
-from skyline.pipeline.places import build_places, build_uniform
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.store.header import PLACES, RENDERINGS

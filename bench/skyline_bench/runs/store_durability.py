@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from skyline.pipeline.build import build_uniform
 from skyline.pipeline.config import RenderConfig
-from skyline.pipeline.places import build_uniform
 from skyline.store import RowCoding, create_store, open_store
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

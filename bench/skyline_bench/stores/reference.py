@@ -17,12 +17,14 @@ from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
 from skyline.geodesy import Bounds
 from skyline.paper.planning.plan import PlanConfig
-from skyline.pipeline.build import BuildResult, render_missing
+from skyline.pipeline.build import BuildResult, build_store, render_missing
 from skyline.pipeline.config import PlaceConfig, RenderConfig, store_header
 from skyline.pipeline.layout import DEFAULT_LOSS, Layout
-from skyline.pipeline.places import build_store, place_renderer, place_rows
 from skyline.pipeline.planned import build_planned
+from skyline.pipeline.rows import place_rows
+from skyline.places import BINS
 from skyline.planning.uniform import map_bounds, uniform_grid
+from skyline.render.panorama import PanoramaRenderer
 from skyline.store import open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
@@ -145,7 +147,7 @@ def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) 
 
     def render() -> BuildResult:
         config = PlaceConfig()
-        renderer = place_renderer(terrain, config)
+        renderer = PanoramaRenderer(terrain, BINS, config.curvature, config.tolerance_deg)
         header = store_header(terrain, renderer.description, config, {"planner": "viewpoints"})
         with place_rows(renderer, header, tolerance) as rows:
             return render_missing(path, rows, Viewpoints(*np.ascontiguousarray(eyes)))
