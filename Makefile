@@ -4,9 +4,11 @@ PYTHON ?= python3
 VENV := .venv
 IN_VENV := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
-TESTS := tests/bench tests/gl tests/cli tests/unit tests/web
-# Tests use one core for the most part: two folders run at once, each says what it found at its end.
-AT_ONCE := --jobs=2 --output-sync --keep-going --no-print-directory
+# The longest first.
+TESTS := tests/cli tests/gl tests/bench tests/unit tests/web
+# Tests use a core for the most part, and wait now and then: three folders run at once on two cores,
+# and each says at its end what it found.
+AT_ONCE := --jobs=3 --output-sync --keep-going --no-print-directory
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test test-all $(TESTS) check docs bench clean

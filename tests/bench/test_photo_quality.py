@@ -21,6 +21,7 @@ def silent(done, total):
     assert done <= total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("condition", "wrong"),
     [

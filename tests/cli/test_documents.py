@@ -221,6 +221,7 @@ def test_what_pages_share_is_what_they_say(world):
         assert store.header.config["planner"] == "lpov"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("document", DOCS, ids=page_id)
 def test_what_the_docs_show_runs(world, document):
     with chdir(world):

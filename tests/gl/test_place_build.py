@@ -101,7 +101,7 @@ def test_other_settings_are_refused(terrain, built, tmp_path):
 @pytest.fixture(scope="module")
 def wide(tmp_path_factory):
     path = tmp_path_factory.mktemp("dem") / "dem.tif"
-    return read_dem([write_dem(path, fractal(350, 420, 700.0, seed=12))])
+    return read_dem([write_dem(path, fractal(240, 350, 700.0, seed=12))])
 
 
 @pytest.fixture(scope="module")

@@ -118,6 +118,7 @@ def _open_places(bare, canopy, count):
     return np.array(places)
 
 
+@pytest.mark.slow
 def test_with_a_surface_places_in_a_forest_are_found_nearer(bare, canopy, forest):
     off_m = {"without": [], "with": []}
     config = RenderConfig(width=320)
@@ -125,7 +126,7 @@ def test_with_a_surface_places_in_a_forest_are_found_nearer(bare, canopy, forest
         "without": RenderedScene(bare, config),
         "with": RenderedScene(bare, config, surface=read_surface(forest, bare)),
     }
-    for index, place in enumerate(_open_places(bare, canopy, 16)):
+    for index, place in enumerate(_open_places(bare, canopy, 10)):
         camera = {"heading_deg": 37.0 * index, "pitch_deg": 1.0, "roll_deg": -1.0, "fov_deg": 60.0}
         query = _photo(forest, bare, place, camera)
         ring = 60.0 * np.exp(2j * np.pi * np.arange(6) / 6)
