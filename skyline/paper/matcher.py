@@ -123,9 +123,10 @@ def _fits(stored: StoredCurves, query: QueryCurve) -> Fits:
     left = np.isfinite(distance)
     directions = []
     for _ in range(_DIRECTIONS):
-        directions.append(agreeing_shifts(raw_shift, left, stored.y_px.shape[1]))
+        directions.append(_agreeing_shifts(raw_shift, left, stored.y_px.shape[1]))
         left = left & ~directions[-1][1]
     shift, agreeing = (np.concatenate(parts) for parts in zip(*directions, strict=True))
+    # All directions are fitted together; that takes the skylines alone of what is stored.
     repeated = replace(stored, y_px=np.tile(stored.y_px, (_DIRECTIONS, 1)))
     fits = _fits_in_direction(repeated, query, shift, agreeing).split(_DIRECTIONS)
     return reduce(Fits.best_with, fits)
@@ -150,7 +151,7 @@ def _fits_in_direction(
     return _pose(affine, _distance_after_warp_px(affine, query, stored), query, stored)
 
 
-def agreeing_shifts(shift: IntArray, known: BoolArray, bins: int) -> tuple[IntArray, BoolArray]:
+def _agreeing_shifts(shift: IntArray, known: BoolArray, bins: int) -> tuple[IntArray, BoolArray]:
     """Unwrap the shifts of correspondences and say which could share a plausible map.
 
     Azimuth is circular, an affine map is not. And a location is seen all the way round, the
@@ -158,20 +159,8 @@ def agreeing_shifts(shift: IntArray, known: BoolArray, bins: int) -> tuple[IntAr
     most others come within `_VOTE_TURNS` of. Those further off than `_REACH_TURNS`, more than a
     plausible map stretches a 60 degree view, could only be outliers and are left out.
 
-    Parameters
-    ----------
-    shift : (C, Q) int
-        Stored minus query bin of each correspondence.
-    known : (C, Q) bool
-        Which correspondences there are.
-    bins : int
-        In a full turn.
-
-    Returns
-    -------
-    shift : (C, Q) int
-        Within half a turn of the agreed one.
-    agreeing : (C, Q) bool
+    Shifts (C, Q) are stored minus query bin of each correspondence, of which ``known`` (C, Q) says
+    whether it is there. They are returned within half a turn of the agreed one.
     """
     half = bins // 2
     apart = np.abs((shift[:, :, np.newaxis] - shift[:, np.newaxis, :] + half) % bins - half)
@@ -186,14 +175,9 @@ def _corresponding_points(
 ) -> tuple[Float64Array, Float64Array]:
     """Return the points in px that each correspondence puts on top of each other.
 
-    Besides the keypoint these are a point of the local skyline to either side of it; shifts (C, Q)
+    These are points of the query (3 Q, 2) and of the stored locations (C, 3 Q, 2), where y is NaN
+    if unknown: the keypoint, and a point of the local skyline to either side of it. Shifts (C, Q)
     are stored minus query bin.
-
-    Returns
-    -------
-    source : (3 Q, 2) float64
-    target : (C, 3 Q, 2) float64
-        Of the query and of the stored locations; y is NaN where unknown.
     """
     x_px = query.local_px[:, :, 0] + shift[:, :, np.newaxis] * stored.bin_px
     bins = query.bins[:, np.newaxis] + query.local_bins + shift[:, :, np.newaxis]
