@@ -63,7 +63,7 @@ class CandidateMap:
     northing_m: Float64Array
     """(rows,) float64. Descending."""
     square: Int64Array
-    """(rows, cols) int64. Which square of the coarse grid a candidate lies in."""
+    """(rows, cols) int64. A number for each square of the coarse grid that candidates lie in."""
     coarse: Int64Array
     """(N,) int64. The valid candidates on the coarse grid."""
     eye_height_m: float
@@ -108,9 +108,8 @@ def lay_out(
             f"{west:.0f} to {east:.0f}, northing {south:.0f} to {north:.0f}; choose a smaller "
             "spacing or a larger area"
         )
-    square_row, square_col = row // stride, col // stride
-    square = (square_row[:, None] - square_row[-1]) * (square_col[-1] - square_col[0] + 1.0)
-    square = square + square_col - square_col[0]
+    # Ascending from south to north, and in a row from west to east.
+    square = (row // stride)[:, None] * len(col) + col // stride
     return CandidateMap(
         field,
         grid,
