@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from skyline.paper.planning.budget import check_coarse, spaced_for
+from skyline.paper.planning.budget import spaced_for
 from skyline.paper.planning.candidates import lay_out
 from skyline.paper.planning.plan import Headings, Plan, PlanConfig, PlanProgress, plan
 from skyline.paper.planning.reprojection import ToleranceMeter
@@ -86,8 +86,7 @@ def build_planned(
         "bounds_deg": bounds_deg,
     }
     # An area that cannot be planned is refused before a store is made for it.
-    candidates = lay_out(terrain, planned.spacing, area, planned.eye_height_m)
-    check_coarse(candidates, planned.budget)
+    lay_out(terrain, planned.spacing, area, planned.eye_height_m, planned.budget)
     with make_renderer(terrain, config) as renderer, ExitStack() as held:
         there: Views | None = None
         if Path(path).exists():

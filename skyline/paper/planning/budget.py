@@ -12,9 +12,8 @@ import numpy as np
 
 from skyline.arrays import Float32Array, Int64Array
 from skyline.camera import HEADINGS
-from skyline.errors import InputError
 from skyline.geodesy import Rectangle
-from skyline.paper.planning.candidates import CandidateMap, Spacing
+from skyline.paper.planning.candidates import Spacing
 from skyline.paper.planning.coverage import CandidateGrid
 
 AIMS = (0.6, 0.9, 1.0)
@@ -55,16 +54,6 @@ def spaced_for(spacing: Spacing, budget: int, bounds_m: Rectangle) -> Spacing:
     if spacing.coarse_m <= candidate_m * widest:
         coarse = min(coarse, widest)
     return Spacing(float(coarse * candidate_m), float(candidate_m), float(reach * candidate_m))
-
-
-def check_coarse(candidates: CandidateMap, budget: int | None) -> None:
-    """Raise `InputError` where the coarse grid alone is beyond a budget."""
-    needed = len(HEADINGS) * len(candidates.coarse)
-    if budget is not None and needed > budget:
-        raise InputError(
-            f"budget is {budget} renderings, the coarse grid alone takes {needed}; give a larger "
-            "budget, a larger spacing or a smaller area"
-        )
 
 
 @dataclass(slots=True)

@@ -20,7 +20,7 @@ from skyline.arrays import Float32Array, Int64Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, named
 from skyline.geodesy import Rectangle
-from skyline.paper.planning.budget import AIMS, ENOUGH, Outlook, check_coarse, covering_px
+from skyline.paper.planning.budget import AIMS, ENOUGH, Outlook, covering_px
 from skyline.paper.planning.candidates import CandidateMap, Spacing, lay_out
 from skyline.paper.planning.coverage import Coverage, Problem, Requests
 from skyline.paper.planning.models import InterpolatedModel, Measure, PredictedModel
@@ -147,8 +147,7 @@ def plan(
         Called with a `PlanProgress` after each batch.
     """
     config = config or PlanConfig()
-    candidates = lay_out(terrain, config.spacing, bounds_m, config.eye_height_m)
-    check_coarse(candidates, config.budget)
+    candidates = lay_out(terrain, config.spacing, bounds_m, config.eye_height_m, config.budget)
     return _Loop(candidates, render, measure, config, rendered, progress).run()
 
 
