@@ -9,6 +9,9 @@ _PAIRS = 4096
 
 _FAR_PX = np.float32(1e6)
 
+_CLOSELY = 4
+"""Stored patches that a query patch is compared with by Chamfer distance."""
+
 
 def chamfer_px(a: Float32Array, b: Float32Array, step_px: float) -> Float32Array:
     """Return the symmetric Chamfer distances (M,) of pairs of patches.
@@ -58,13 +61,12 @@ def nearest_patches(
     stored: Float32Array,
     mean_squared: Float32Array,
     step_px: float,
-    shortlist: int,
 ) -> tuple[IntArray, Float32Array]:
     """Return the stored patch of each location nearest to each query patch, and how near.
 
-    The Chamfer distance is computed for the ``shortlist`` stored patches that come nearest by
-    mean squared vertical difference. A curve that is near by Chamfer is near vertically unless
-    it is steep, so few short lists miss the nearest; one as long as K is exact.
+    The Chamfer distance is computed for the few stored patches that come nearest by mean squared
+    vertical difference. A curve that is near by Chamfer is near vertically unless it is steep, so
+    few short lists miss the nearest.
 
     Parameters
     ----------
@@ -84,7 +86,7 @@ def nearest_patches(
     distance_px : (C, Q) float32
         Infinite where nothing could be compared.
     """
-    shortlist = min(shortlist, stored.shape[1])
+    shortlist = min(_CLOSELY, stored.shape[1])
     near = np.argpartition(mean_squared, shortlist - 1, axis=2)[:, :, :shortlist]
     comparable = np.isfinite(np.take_along_axis(mean_squared, near, axis=2))
     which, q, slot = np.nonzero(comparable)

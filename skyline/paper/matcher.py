@@ -10,12 +10,12 @@ Not every location is worth that at every assumed attitude: `skyline.paper.short
 which of them it is. Without a shortlist every one is tried, which takes seconds a query.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import replace
+from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import Float64Array, IntArray
+from skyline.arrays import BoolArray, Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
@@ -25,105 +25,55 @@ from skyline.matching.ranking import Fits, Ranking, select
 from skyline.matching.screening import Alike
 from skyline.paper.alignment import align_curves
 from skyline.paper.chamfer import mean_squared_px2, nearest_patches
-from skyline.paper.patches import QueryCurve, StoredCurves
+from skyline.paper.patches import MIN_OVERLAP, QueryCurve, StoredCurves, patch_offsets
 from skyline.paper.ransac import Ransac
 from skyline.paper.shortlist import Shortlist
 
 _CHUNK = 64
 """Locations at a time."""
 
+_DIRECTIONS = 3
+"""Tried at a location: those that most correspondences agree on."""
+
+_RANSAC = Ransac(iterations=100, inlier_px=4.0, min_inliers=3, max_scale=1.25, max_turn_deg=15.0)
+
 _VOTE_TURNS = 1.0 / 64.0
 _REACH_TURNS = 1.0 / 32.0
 
 
-@dataclass(frozen=True, slots=True)
-class PaperMatcher:
-    """The paper's matcher over whole 360 degree profiles."""
+class PaperMatcher(Ranker):
+    """The paper's matcher over whole 360 degree profiles; `Ranker` says what it answers."""
 
-    attitudes: Attitudes = field(default_factory=Attitudes)
-    """Assumed pitches and rolls; the affine map takes up what lies between."""
-    tolerance_px: float = 1.0
-    """Of the query's polyline; best that of the store's."""
-    max_keypoints: int = 64
-    """Of the query."""
-    patch_half_px: float = 40.0
-    patch_step_px: float = 4.0
-    """``patch_half_px``, ``patch_step_px``: reach of a local skyline to either side of its keypoint
-    and distance of its samples."""
-    shortlist_poses: int | None = 100
-    """Pairs of a location and an assumed attitude that are looked at closely, by Chamfer distance,
-    RANSAC and warping: those `skyline.paper.shortlist` finds most alike. None looks at all."""
-    shortlist: int = 4
-    """Stored patches a query patch is compared with by Chamfer distance."""
-    directions: int = 3
-    """Directions tried at a location: those that most correspondences agree on."""
-    inlier_px: float = 4.0
-    """RANSAC's threshold."""
-    iterations: int = 100
-    """Samples RANSAC draws."""
-    min_inliers: int = 3
-    """Fewer are no fit; at least 3."""
-    max_scale: float = 1.25
-    """Singular values of the map must lie between 1 / max_scale and max_scale."""
-    max_turn_deg: float = 15.0
-    """Greatest turn of the map in the image."""
-    min_overlap: float = 0.8
-    """Least share of the query's weight that must land on known profile, in (0, 1]."""
-    separation_m: float = 0.0
-    """Candidates are at least this far apart."""
+    def __init__(
+        self,
+        profiles: Profiles,
+        attitudes: Attitudes | None = None,
+        shortlist_poses: int | None = 100,
+    ) -> None:
+        """Do once what is the same for every query.
 
-    def __post_init__(self) -> None:
-        if self.min_inliers < 3:
+        Parameters
+        ----------
+        attitudes : Attitudes, optional
+            Assumed pitches and rolls; the affine map takes up what lies between.
+        shortlist_poses : int, optional
+            Pairs of a location and an assumed attitude that are looked at closely, by Chamfer
+            distance, RANSAC and warping: those `skyline.paper.shortlist` finds most alike, at
+            least 1. None looks at all.
+        """
+        if shortlist_poses is not None and shortlist_poses < 1:
             raise InputError(
-                f"least number of inliers is {self.min_inliers}; an affine map needs at least 3"
+                f"poses on the shortlist are {shortlist_poses}; expected at least 1, or None"
             )
-        if not 0.0 < self.min_overlap <= 1.0:
-            raise InputError(f"least overlap is {self.min_overlap}; expected above 0, at most 1")
-        if self.shortlist_poses is not None and self.shortlist_poses < 1:
-            raise InputError(
-                f"poses on the shortlist are {self.shortlist_poses}; expected at least 1, or None"
-            )
-        if not 0.0 <= self.max_turn_deg < 90.0:
-            raise InputError(
-                f"greatest turn is {self.max_turn_deg}; expected 0 to below 90 degrees"
-            )
-        if not self.max_scale >= 1.0:
-            raise InputError(f"greatest scale is {self.max_scale}; expected at least 1")
-
-    def prepare(self, profiles: Profiles) -> "PreparedPaper":
-        """Do once what is the same for every query."""
-        offsets = self._offsets(profiles.bin_px)
-        if self.shortlist_poses is None:
-            return PreparedPaper(self, profiles, offsets, None)
-        return PreparedPaper(self, profiles, offsets, Shortlist.of(profiles, offsets))
-
-    def _offsets(self, bin_px: float) -> IntArray:
-        """Return the offsets of a patch's samples in bins, symmetric about 0."""
-        step = max(1, round(self.patch_step_px / bin_px))
-        half = max(1, round(self.patch_half_px / bin_px / step))
-        return np.arange(-half, half + 1, dtype=np.intp) * step
-
-    @property
-    def ransac(self) -> Ransac:
-        """How maps are drawn."""
-        return Ransac(
-            self.iterations, self.inlier_px, self.min_inliers, self.max_scale, self.max_turn_deg
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PreparedPaper(Ranker):
-    """The paper's matcher with a store it is ready to match to; see `PaperMatcher.prepare`."""
-
-    matcher: PaperMatcher
-    profiles: Profiles
-    _offsets: IntArray
-    _shortlist: Shortlist | None
+        self.profiles = profiles
+        self._attitudes = attitudes or Attitudes()
+        self._poses = shortlist_poses
+        self._shortlist = None if shortlist_poses is None else Shortlist(profiles)
 
     @classmethod
-    def open(cls, source: Source) -> "PreparedPaper":
+    def open(cls, source: Source) -> "PaperMatcher":
         """See `Ranker.open`."""
-        return PaperMatcher().prepare(source.profiles())
+        return cls(source.profiles())
 
     def rank(
         self,
@@ -133,96 +83,75 @@ class PreparedPaper(Ranker):
         screened: Alike | None = None,
     ) -> Ranking:
         """Return the best poses, best first; see `Ranker.rank`."""
-        separation_m = self.matcher.separation_m
-        return select(self.profiles, self.fit(query), query.fov_deg, top, separation_m)
+        return select(self.profiles, self.fit(query), query.fov_deg, top)
 
     def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score in px, infinite where nothing fits.
 
         Nothing fits at a location that is on no shortlist.
         """
-        matcher = self.matcher
-        curves = QueryCurves.of(query, matcher.attitudes, self.profiles.bins)
-        assumed = [
-            QueryCurve.of(curves, row, matcher.tolerance_px, matcher.max_keypoints, self._offsets)
-            for row in range(len(curves.y))
-        ]
+        curves = QueryCurves.of(query, self._attitudes, self.profiles.bins)
+        assumed = [QueryCurve.of(curves, row) for row in range(len(curves.y))]
         fits = Fits.none(len(self.profiles))
-        for query_curve, listed in zip(assumed, self._listed(assumed), strict=True):
+        for one, listed in zip(assumed, self._listed(assumed), strict=True):
             for start in range(0, len(listed), _CHUNK):
                 rows = listed[start : start + _CHUNK]
-                stored = StoredCurves.of(self.profiles, rows, self._offsets)
-                found = self._fit_chunk(stored, query_curve)
+                found = _fits(StoredCurves.of(self.profiles, rows), one)
                 fits = fits.best_with(found.placed_among(rows, len(fits.score)))
         return fits
 
     def _listed(self, assumed: list[QueryCurve]) -> list[IntArray]:
         """Return the locations, ascending, at which each attitude is worth a closer look."""
-        most = self.matcher.shortlist_poses
-        if self._shortlist is None or most is None:
+        if self._shortlist is None:
             return [np.arange(len(self.profiles))] * len(assumed)
-        distance = self._shortlist.distances_px(assumed, self._min_known, self.matcher.min_overlap)
+        distance = self._shortlist.distances_px(assumed)
         flat = distance.ravel()
-        best = np.argsort(flat, kind="stable")[:most]
+        best = np.argsort(flat, kind="stable")[: self._poses]
         listed = np.zeros(distance.shape, dtype=np.bool_)
         listed.ravel()[best[np.isfinite(flat[best])]] = True
         return [np.flatnonzero(column) for column in listed.T]
 
-    @property
-    def _min_known(self) -> int:
-        """Samples that two patches must have in common."""
-        return 3 * len(self._offsets) // 4
 
-    def _fit_chunk(self, stored: StoredCurves, query: QueryCurve) -> Fits:
-        """Return the fits of one assumed attitude at a chunk of locations."""
-        if not stored.bins.shape[1] or not len(query.bins):
-            return Fits.none(len(stored))
-        squared = mean_squared_px2(query.patches, stored.patches, self._min_known)
-        step_px = stored.bin_px * float(self._offsets[1] - self._offsets[0])
-        nearest, distance = nearest_patches(
-            query.patches, stored.patches, squared, step_px, self.matcher.shortlist
-        )
-        raw_shift = np.take_along_axis(stored.bins, nearest, axis=1) - query.bins
-        left = np.isfinite(distance)
-        directions = []
-        for _ in range(self.matcher.directions):
-            directions.append(agreeing_shifts(raw_shift, left, stored.y_px.shape[1]))
-            left = left & ~directions[-1][1]
-        shift, agreeing = (np.concatenate(parts) for parts in zip(*directions, strict=True))
-        fits = self._fit_directions(stored.repeated(len(directions)), query, shift, agreeing)
-        best, *others = fits.split(len(directions))
-        for other in others:
-            best = best.best_with(other)
-        return best
-
-    def _fit_directions(
-        self,
-        stored: StoredCurves,
-        query: QueryCurve,
-        shift: IntArray,
-        agreeing: NDArray[np.bool_],
-    ) -> Fits:
-        """Return the fits of the correspondences that agree on a direction at each location."""
-        source, target = _corresponding_points(query, stored, shift)
-        used = np.repeat(agreeing, len(query.local_bins), axis=1)
-        used &= np.isfinite(target[..., 1] + source[..., 1])
-        ransac = self.matcher.ransac
-        affine = align_curves(
-            ransac.maps(source, target, used),
-            query.points_px,
-            query.weight,
-            stored.y_px,
-            stored.bin_px,
-            self.matcher.inlier_px,
-        )
-        affine[~ransac.plausible(affine)] = np.nan
-        score = _distance_after_warp_px(affine, query, stored, self.matcher.min_overlap)
-        return _pose(affine, score, query, stored)
+def _fits(stored: StoredCurves, query: QueryCurve) -> Fits:
+    """Return the fits of one assumed attitude at some locations."""
+    if not stored.bins.shape[1] or not len(query.bins):
+        return Fits.none(len(stored))
+    squared = mean_squared_px2(query.patches, stored.patches, query.min_known)
+    step_px = stored.bin_px * float(np.diff(patch_offsets(stored.bin_px))[0])
+    nearest, distance = nearest_patches(query.patches, stored.patches, squared, step_px)
+    raw_shift = np.take_along_axis(stored.bins, nearest, axis=1) - query.bins
+    left = np.isfinite(distance)
+    directions = []
+    for _ in range(_DIRECTIONS):
+        directions.append(_agreeing_shifts(raw_shift, left, stored.y_px.shape[1]))
+        left = left & ~directions[-1][1]
+    shift, agreeing = (np.concatenate(parts) for parts in zip(*directions, strict=True))
+    # All directions are fitted together; that takes the skylines alone of what is stored.
+    repeated = replace(stored, y_px=np.tile(stored.y_px, (_DIRECTIONS, 1)))
+    fits = _fits_in_direction(repeated, query, shift, agreeing).split(_DIRECTIONS)
+    return reduce(Fits.best_with, fits)
 
 
-def agreeing_shifts(
-    shift: IntArray, known: NDArray[np.bool_], bins: int
-) -> tuple[IntArray, NDArray[np.bool_]]:
+def _fits_in_direction(
+    stored: StoredCurves, query: QueryCurve, shift: IntArray, agreeing: BoolArray
+) -> Fits:
+    """Return the fits of the correspondences that agree on a direction at each location."""
+    source, target = _corresponding_points(query, stored, shift)
+    used = np.repeat(agreeing, len(query.local_bins), axis=1)
+    used &= np.isfinite(target[..., 1] + source[..., 1])
+    affine = align_curves(
+        _RANSAC.maps(source, target, used),
+        query.points_px,
+        query.weight,
+        stored.y_px,
+        stored.bin_px,
+        _RANSAC.inlier_px,
+    )
+    affine[~_RANSAC.plausible(affine)] = np.nan
+    return _pose(affine, _distance_after_warp_px(affine, query, stored), query, stored)
+
+
+def _agreeing_shifts(shift: IntArray, known: BoolArray, bins: int) -> tuple[IntArray, BoolArray]:
     """Unwrap the shifts of correspondences and say which could share a plausible map.
 
     Azimuth is circular, an affine map is not. And a location is seen all the way round, the
@@ -230,20 +159,8 @@ def agreeing_shifts(
     most others come within `_VOTE_TURNS` of. Those further off than `_REACH_TURNS`, more than a
     plausible map stretches a 60 degree view, could only be outliers and are left out.
 
-    Parameters
-    ----------
-    shift : (C, Q) int
-        Stored minus query bin of each correspondence.
-    known : (C, Q) bool
-        Which correspondences there are.
-    bins : int
-        In a full turn.
-
-    Returns
-    -------
-    shift : (C, Q) int
-        Within half a turn of the agreed one.
-    agreeing : (C, Q) bool
+    Shifts (C, Q) are stored minus query bin of each correspondence, of which ``known`` (C, Q) says
+    whether it is there. They are returned within half a turn of the agreed one.
     """
     half = bins // 2
     apart = np.abs((shift[:, :, np.newaxis] - shift[:, np.newaxis, :] + half) % bins - half)
@@ -258,14 +175,9 @@ def _corresponding_points(
 ) -> tuple[Float64Array, Float64Array]:
     """Return the points in px that each correspondence puts on top of each other.
 
-    Besides the keypoint these are a point of the local skyline to either side of it; shifts (C, Q)
+    These are points of the query (3 Q, 2) and of the stored locations (C, 3 Q, 2), where y is NaN
+    if unknown: the keypoint, and a point of the local skyline to either side of it. Shifts (C, Q)
     are stored minus query bin.
-
-    Returns
-    -------
-    source : (3 Q, 2) float64
-    target : (C, 3 Q, 2) float64
-        Of the query and of the stored locations; y is NaN where unknown.
     """
     x_px = query.local_px[:, :, 0] + shift[:, :, np.newaxis] * stored.bin_px
     bins = query.bins[:, np.newaxis] + query.local_bins + shift[:, :, np.newaxis]
@@ -275,13 +187,13 @@ def _corresponding_points(
 
 
 def _distance_after_warp_px(
-    affine: Float64Array, query: QueryCurve, stored: StoredCurves, min_overlap: float
+    affine: Float64Array, query: QueryCurve, stored: StoredCurves
 ) -> Float64Array:
     """Return (C,) rms distances of warped query and stored skylines, infinite for no fit.
 
     Each point of the query skyline is warped; the distance is vertical, to the stored skyline
     at the azimuth it lands on, rms by the points' weights. There is no fit where the map is NaN
-    or less than ``min_overlap`` of the weight lands on known profile.
+    or less than `MIN_OVERLAP` of the weight lands on known profile.
     """
     bins = stored.y_px.shape[1]
     warped = np.where(np.isfinite(affine), affine, 0.0)
@@ -293,7 +205,7 @@ def _distance_after_warp_px(
     difference = moved[:, :, 1] - there
     weight = np.where(np.isfinite(difference), query.weight, 0.0)
     total = weight.sum(axis=1)
-    fits = np.isfinite(affine).all(axis=(1, 2)) & (total >= min_overlap * query.weight.sum())
+    fits = np.isfinite(affine).all(axis=(1, 2)) & (total >= MIN_OVERLAP * query.weight.sum())
     squared = (weight * np.nan_to_num(difference) ** 2).sum(axis=1)
     return np.where(fits, np.sqrt(squared / np.where(fits, total, 1.0)), np.inf)
 

@@ -1,6 +1,6 @@
 """Query and stored skylines in px with the local skylines around their keypoints."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -9,6 +9,25 @@ from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.features import NO_KEYPOINT, local_patches, polyline_vertices
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import QueryCurves
+
+_TOLERANCE_PX = 1.0
+"""Of the query's polyline; best that of the store's."""
+
+_MAX_KEYPOINTS = 64
+"""Of the query."""
+
+_HALF_PX, _STEP_PX = 40.0, 4.0
+"""Reach of a local skyline to either side of its keypoint, and distance of its samples."""
+
+MIN_OVERLAP = 0.8
+"""Least share of the query's weight that must land on known profile."""
+
+
+def patch_offsets(bin_px: float) -> IntArray:
+    """Return the offsets of a patch's samples in bins of a width, symmetric about 0."""
+    step = max(1, round(_STEP_PX / bin_px))
+    half = max(1, round(_HALF_PX / bin_px / step))
+    return np.arange(-half, half + 1, dtype=np.intp) * step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,20 +52,14 @@ class QueryCurve:
     roll_deg: float
 
     @classmethod
-    def of(
-        cls,
-        curves: QueryCurves,
-        row: int,
-        tolerance_px: float,
-        max_keypoints: int,
-        offsets: IntArray,
-    ) -> Self:
-        """Take the query at attitude ``row``, with patches sampled at ``offsets`` bins."""
+    def of(cls, curves: QueryCurves, row: int) -> Self:
+        """Take the query at attitude ``row``."""
         y = curves.y[row : row + 1]
-        table = polyline_vertices(y, tolerance_px * TANGENT_PER_PX, max_keypoints)
+        table = polyline_vertices(y, _TOLERANCE_PX * TANGENT_PER_PX, _MAX_KEYPOINTS)
         keypoints = table[table != NO_KEYPOINT].astype(np.intp)
         y_px = y[0] / TANGENT_PER_PX
         bin_px = 2.0 * np.pi / len(y_px) / TANGENT_PER_PX
+        offsets = patch_offsets(bin_px)
         x_px = (np.arange(len(y_px)) - len(y_px) // 2) * bin_px
         seen = np.flatnonzero(curves.weight[row] > 0.0)
         local_bins = np.array([-1, 0, 1], dtype=np.intp) * (offsets[-1] // 2)
@@ -65,6 +78,11 @@ class QueryCurve:
             float(curves.roll_deg[row]),
         )
 
+    @property
+    def min_known(self) -> int:
+        """Samples that two patches must have in common."""
+        return 3 * int(self.patches.shape[1]) // 4
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StoredCurves:
@@ -81,8 +99,9 @@ class StoredCurves:
     """Width of a bin."""
 
     @classmethod
-    def of(cls, profiles: Profiles, rows: IntArray, offsets: IntArray) -> Self:
-        """Take the locations ``rows``, with patches sampled at ``offsets`` bins."""
+    def of(cls, profiles: Profiles, rows: IntArray) -> Self:
+        """Take the locations ``rows``."""
+        offsets = patch_offsets(profiles.bin_px)
         y_px = profiles.y[rows] / np.float32(TANGENT_PER_PX)
         begin = profiles.keypoint_start[rows]
         count = profiles.keypoint_start[rows + 1] - begin
@@ -101,12 +120,3 @@ class StoredCurves:
     def at(self, bins: IntArray) -> Float32Array:
         """Return y in px (C, ...) at bins (C, ...) of each location, which may be off the turn."""
         return np.take_along_axis(self.y_px, bins % self.y_px.shape[1], axis=1)
-
-    def repeated(self, times: int) -> Self:
-        """Return the same locations several times over, one round after the other."""
-        return replace(
-            self,
-            y_px=np.tile(self.y_px, (times, 1)),
-            bins=np.tile(self.bins, (times, 1)),
-            patches=np.tile(self.patches, (times, 1, 1)),
-        )

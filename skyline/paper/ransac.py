@@ -56,7 +56,7 @@ class Ransac:
         b = np.take_along_axis(target, order[:, :, np.newaxis], axis=1)
         b = np.where(there[:, :, np.newaxis], b, np.inf)
         maps = np.full((len(target), 2, 3), np.nan)
-        enough = np.flatnonzero(count >= max(self.min_inliers, 2))
+        enough = np.flatnonzero(count >= self.min_inliers)
         if len(enough):
             a, b = a[enough], b[enough]
             maps[enough] = self._refitted(a, b, self._drawn(a, b, count[enough]))

@@ -21,11 +21,10 @@ from typing import Self
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array, Float64Array, IntArray
+from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
-from skyline.paper.patches import QueryCurve, StoredCurves
+from skyline.paper.patches import MIN_OVERLAP, QueryCurve, StoredCurves
 
 _AT_ONCE = 32
 """Locations whose patches are compared together; keeps a product in the cache."""
@@ -45,6 +44,8 @@ _RUN = 4
 _REACH = 4
 """Thinned bins that a direction is off by at most, either way."""
 
+_STEPS = 2 * _REACH + 1
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Patches:
@@ -53,16 +54,13 @@ class _Patches:
     rows: IntArray  # (C,)
     bins: IntArray  # (C, K)
     terms: Float32Array  # (2 S + 1, C * K): squares, values, and how far padding is off
-    comparable: NDArray[np.bool_]  # (C,): which locations have patches that are wholly known
+    comparable: BoolArray  # (C,): which locations have patches that are wholly known
 
     @classmethod
-    def of(cls, profiles: Profiles, rows: IntArray, offsets: IntArray) -> Self:
-        stored = StoredCurves.of(profiles, rows, offsets)
-        patches = (
-            stored.patches[:, :, ::_SAMPLES]
-            .transpose(2, 0, 1)
-            .reshape(len(offsets[::_SAMPLES]), -1)
-        )
+    def of(cls, profiles: Profiles, rows: IntArray) -> Self:
+        stored = StoredCurves.of(profiles, rows)
+        patches = stored.patches[:, :, ::_SAMPLES].transpose(2, 0, 1)
+        patches = patches.reshape(len(patches), -1)
         whole = np.asarray(np.isfinite(patches).all(axis=0))
         values = np.where(whole, patches, np.float32(0.0))
         far = np.where(whole, np.float32(0.0), _FAR)[np.newaxis]
@@ -70,61 +68,43 @@ class _Patches:
         return cls(rows, stored.bins, np.concatenate([values**2, values, far]), comparable)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Shortlist:
     """What of a store of L locations is compared with every query; see the module.
 
     Stored patches with unknown samples, at the borders of what is known, have no vote.
     """
 
-    _bins: int
-    _patches: tuple[_Patches, ...]
-    _around: Float32Array  # (L, 2 B / _RUN + 2 _REACH), thinned skylines in px, gaps bridged
-    _known: Float32Array | None  # likewise, the known share of each; None where all is known
-
-    @classmethod
-    def of(cls, profiles: Profiles, offsets: IntArray) -> Self:
-        """Prepare a store; a patch has samples at ``offsets`` bins from its keypoint."""
+    def __init__(self, profiles: Profiles) -> None:
         by_count = np.argsort(np.diff(profiles.keypoint_start), kind="stable")
-        blocks = [by_count[k : k + _AT_ONCE] for k in range(0, len(by_count), _AT_ONCE)]
         known = np.isfinite(profiles.y)
         y = profiles.y if known.all() else _bridged(profiles.y, known)
-        return cls(
-            profiles.bins,
-            tuple(_Patches.of(profiles, rows, offsets) for rows in blocks),
-            _around(y / np.float32(TANGENT_PER_PX)),
-            None if known.all() else _around(known.astype(np.float32)),
-        )
+        self._bins = profiles.bins
+        self._patches = [
+            _Patches.of(profiles, by_count[k : k + _AT_ONCE])
+            for k in range(0, len(by_count), _AT_ONCE)
+        ]
+        # (L, 2 B / _RUN + 2 _REACH), thinned skylines in px, gaps bridged; and the known share of
+        # each thinned bin, None where all is known.
+        self._around = _around(y / np.float32(TANGENT_PER_PX))
+        self._known = None if known.all() else _around(known.astype(np.float32))
 
-    def distances_px(
-        self, queries: list[QueryCurve], min_known: int, min_overlap: float
-    ) -> Float32Array:
+    def distances_px(self, queries: list[QueryCurve]) -> Float32Array:
         """Return the least distance (L, A) of every location to the query at A attitudes.
 
-        Parameters
-        ----------
-        queries : list of QueryCurve
-            The query at each attitude.
-        min_known : int
-            Query patches with fewer known samples have no vote.
-        min_overlap : float
-            Least share of the query's weight that must land on known profile; the distance is
-            infinite where it does not, and where there is no correspondence.
+        It is infinite where less than `MIN_OVERLAP` of the query's weight lands on known profile,
+        and where there is no correspondence.
         """
         least = np.full((len(self._around), len(queries)), np.inf, dtype=np.float32)
-        used = [np.isfinite(query.patches).sum(axis=1) >= min_known for query in queries]
+        used = [np.isfinite(query.patches).sum(axis=1) >= query.min_known for query in queries]
         shifts = self._shifts(queries, used)
         for column, (query, shift) in enumerate(zip(queries, shifts, strict=True)):
-            if not shift.shape[1]:
-                continue
-            thin = _ThinQuery.of(query)
-            turn = most_voted(shift, self._bins)
-            least[:, column] = thin.distances_px(self._around, self._known, turn, min_overlap)
+            if shift.shape[1]:
+                least[:, column] = self._distances_px(query, most_voted(shift, self._bins))
         for block in self._patches:
             least[block.rows[~block.comparable]] = np.inf
         return least
 
-    def _shifts(self, queries: list[QueryCurve], used: list[NDArray[np.bool_]]) -> list[IntArray]:
+    def _shifts(self, queries: list[QueryCurve], used: list[BoolArray]) -> list[IntArray]:
         """Return stored minus query bin (L, Q) of the used keypoints' correspondences.
 
         Keypoints of all attitudes are compared in one product. Stored patches that take part are
@@ -148,72 +128,58 @@ class Shortlist:
             shift[block.rows] = np.take_along_axis(block.bins, nearest, axis=1) - bins
         return np.split(shift, np.cumsum([rows.sum() for rows in used])[:-1], axis=1)
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _ThinQuery:
-    """A query's skyline on N thinned bins, as what products with stored windows are made of."""
-
-    first: int  # thinned bin of the first
-    squares: Float64Array  # (N,): weights
-    values: Float64Array  # (N, 1 + F): w q and w times each basis curve
-    constant: Float64Array  # (1 + F,): the same products of q with itself
-
-    @classmethod
-    def of(cls, query: QueryCurve) -> Self:
-        thin_bin = query.point_bins // _RUN
-        first = int(thin_bin[0])
-        slot = thin_bin - first
-        weight: Float64Array = np.bincount(slot, query.weight).astype(np.float64)
-        seen = weight > 0.0
-        x, q = (
-            np.bincount(slot, query.weight * values) / np.where(seen, weight, 1.0)
-            for values in query.points_px.T
-        )
-        azimuth = x * TANGENT_PER_PX
-        whole = np.pad(np.interp(np.arange(len(q)), np.flatnonzero(seen), q[seen]), 1, "edge")
-        slope = whole[2:] - whole[:-2]
-        curves = np.stack([np.ones_like(x), np.cos(azimuth), np.sin(azimuth), slope, x * slope])
-        root = np.sqrt(weight)
-        left, size, _ = np.linalg.svd((curves * root).T, full_matrices=False)
-        basis = left[:, size > 1e-6 * size[0]]
-        q = np.where(seen, q - np.average(q, weights=weight), 0.0)
-        values = np.concatenate([(weight * q)[:, np.newaxis], root[:, np.newaxis] * basis], axis=1)
-        return cls(first, weight, values, q @ values)
-
-    def distances_px(
-        self,
-        around: Float32Array,
-        known: Float32Array | None,
-        turn: IntArray,
-        min_overlap: float,
-    ) -> Float32Array:
+    def _distances_px(self, query: QueryCurve, turn: IntArray) -> Float32Array:
         """Return the least distance (L,) within `_REACH` of each location's turn in bins."""
-        steps, weight = 2 * _REACH + 1, self.squares.sum()
-        start = (self.first + (turn + _RUN // 2) // _RUN - _REACH) % _thinned_bins(around)
-        window = self._window(around, start)
+        first = query.point_bins[0] // _RUN
+        weight, thin, constant = _thinned(query)
+        start = (first + (turn + _RUN // 2) // _RUN - _REACH) % (self._bins // _RUN)
+        rows, size = np.arange(len(start)), len(weight) + 2 * _REACH
+        weights = _slid(weight[:, np.newaxis])
+        window = sliding_window_view(self._around, size, axis=1)[rows, start]
         window = window - window.mean(axis=1, keepdims=True)
-        squares = window**2 @ _slid(self.squares[:, np.newaxis], steps)
-        values = (window @ _slid(self.values, steps)).reshape(len(window), steps, -1)
-        values -= self.constant.astype(np.float32)
-        rest = squares - 2.0 * values[:, :, 0] - np.square(values[:, :, 1:]).sum(axis=2)
-        rest -= np.float32(self.constant[0])
-        if known is not None:
-            landed = self._window(known, start) @ _slid(self.squares[:, np.newaxis], steps)
-            rest[landed < min_overlap * weight] = np.inf
-        least = np.maximum(rest.min(axis=1), 0.0) / np.float32(weight)
+        rest = window**2 @ weights
+        values = (window @ _slid(thin)).reshape(len(window), _STEPS, -1)
+        values -= constant.astype(np.float32)
+        rest = rest - 2.0 * values[:, :, 0] - np.square(values[:, :, 1:]).sum(axis=2)
+        rest -= np.float32(constant[0])
+        if self._known is not None:
+            known = sliding_window_view(self._known, size, axis=1)[rows, start]
+            rest[known @ weights < MIN_OVERLAP * weight.sum()] = np.inf
+        least = np.maximum(rest.min(axis=1), 0.0) / np.float32(weight.sum())
         return np.asarray(np.sqrt(least), dtype=np.float32)
 
-    def _window(self, around: Float32Array, start: IntArray) -> Float32Array:
-        size = len(self.squares) + 2 * _REACH
-        windows = sliding_window_view(around, size, axis=1)
-        return np.asarray(windows[np.arange(len(start)), start])
+
+def _thinned(query: QueryCurve) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return a query's skyline on N thinned bins, as products with stored windows are made of it.
+
+    These are the weights w (N,), w q and w times each of F basis curves (N, 1 + F), and the
+    latter's products with q itself (1 + F,).
+    """
+    slot = query.point_bins // _RUN
+    slot = slot - slot[0]
+    weight: Float64Array = np.bincount(slot, query.weight).astype(np.float64)
+    seen = weight > 0.0
+    x, q = (
+        np.bincount(slot, query.weight * values) / np.where(seen, weight, 1.0)
+        for values in query.points_px.T
+    )
+    azimuth = x * TANGENT_PER_PX
+    whole = np.pad(np.interp(np.arange(len(q)), np.flatnonzero(seen), q[seen]), 1, "edge")
+    slope = whole[2:] - whole[:-2]
+    curves = np.stack([np.ones_like(x), np.cos(azimuth), np.sin(azimuth), slope, x * slope])
+    root = np.sqrt(weight)
+    left, size, _ = np.linalg.svd((curves * root).T, full_matrices=False)
+    basis = left[:, size > 1e-6 * size[0]]
+    q = np.where(seen, q - np.average(q, weights=weight), 0.0)
+    values = np.concatenate([(weight * q)[:, np.newaxis], root[:, np.newaxis] * basis], axis=1)
+    return weight, values, q @ values
 
 
-def _slid(values: Float64Array, steps: int) -> Float32Array:
-    """Return values (N, F) slid down by 0 to steps - 1 rows, as (N + steps - 1, steps * F)."""
+def _slid(values: Float64Array) -> Float32Array:
+    """Return values (N, F) slid down by 0 to T - 1 rows, T `_STEPS`, as (N + T - 1, T * F)."""
     count, curves = values.shape
-    slid = np.zeros((count + steps - 1, steps, curves), dtype=np.float32)
-    for step in range(steps):
+    slid = np.zeros((count + _STEPS - 1, _STEPS, curves), dtype=np.float32)
+    for step in range(_STEPS):
         slid[step : step + count, step] = values
     return slid.reshape(len(slid), -1)
 
@@ -224,11 +190,7 @@ def _around(y: Float32Array) -> Float32Array:
     return np.concatenate([thin, thin, thin[:, : 2 * _REACH]], axis=1)
 
 
-def _thinned_bins(around: Float32Array) -> int:
-    return int(around.shape[1] - 2 * _REACH) // 2
-
-
-def _bridged(y: Float32Array, known: NDArray[np.bool_]) -> Float32Array:
+def _bridged(y: Float32Array, known: BoolArray) -> Float32Array:
     """Return curves (L, B) with straight lines over what is unknown; 0 where all is."""
     bins = np.arange(y.shape[1])
     filled = np.zeros_like(y)

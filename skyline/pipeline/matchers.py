@@ -7,12 +7,12 @@ from skyline.errors import InputError
 from skyline.matching.correlation import PreparedCorrelation
 from skyline.matching.full import FullMatcher
 from skyline.matching.ranker import Ranker
-from skyline.paper.matcher import PreparedPaper
+from skyline.paper.matcher import PaperMatcher
 
 FULL = "full"
 
 MATCHERS: Mapping[str, type[Ranker]] = MappingProxyType(
-    {FULL: FullMatcher, "paper": PreparedPaper, "correlation": PreparedCorrelation}
+    {FULL: FullMatcher, "paper": PaperMatcher, "correlation": PreparedCorrelation}
 )
 """Matchers by the name the command line gives them: ours, the paper's, the plain baseline."""
 

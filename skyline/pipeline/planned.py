@@ -7,14 +7,12 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from skyline.paper.planning.budget import check_coarse, spaced_for
+from skyline.paper.planning.budget import spaced_for
 from skyline.paper.planning.candidates import lay_out
-from skyline.paper.planning.loop import plan
-from skyline.paper.planning.plan import Headings, Oracles, Plan, PlanConfig, PlanProgress
-from skyline.paper.planning.predicted import predict
-from skyline.paper.planning.tolerance import Neighbourhood, ToleranceMeter
+from skyline.paper.planning.plan import Headings, Plan, PlanConfig, PlanProgress, plan
+from skyline.paper.planning.reprojection import ToleranceMeter
 from skyline.paper.planning.truth import true_errors_px
-from skyline.paper.planning.verify import Checks, Verification, verify_coverage
+from skyline.paper.planning.verify import Verification, verify_coverage
 from skyline.pipeline.build import BuildResult
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
 from skyline.pipeline.rows import append_views
@@ -89,8 +87,7 @@ def build_planned(
         "bounds_deg": bounds_deg,
     }
     # An area that cannot be planned is refused before a store is made for it.
-    candidates = lay_out(terrain, planned.spacing, area, planned.eye_height_m)
-    check_coarse(candidates, planned.budget)
+    lay_out(terrain, planned.spacing, area, planned.eye_height_m, planned.budget)
     with make_renderer(terrain, config) as renderer, ExitStack() as held:
         there: Views | None = None
         if Path(path).exists():
@@ -103,26 +100,21 @@ def build_planned(
         else:
             writer = held.enter_context(open_for_append(path, header))
         before = len(writer)
-        oracles = _oracles(terrain, planned, partial(_render_and_keep, renderer, writer, config))
-        done = plan(terrain, oracles, planned, area, there, progress)
+        render = partial(_render_and_keep, renderer, writer, config)
+        done = plan(terrain, render, _meter(terrain, planned), planned, area, there, progress)
         writer.close()
         built = BuildResult(len(writer), len(writer) - before, time.perf_counter() - started)
         if planned.budget is not None:
             amend_config(path, {_REACHED: done.threshold_px})
-        # Stored views are rendered again rather than held: a rendering costs less than its memory.
-        checks = Checks(renderer.render, renderer.render, true_errors_px)
-        return PlannedResult(built, done, verify_coverage(done, checks, done.threshold_px))
+        return PlannedResult(built, done, verify_coverage(done, renderer.render, true_errors_px))
 
 
-def _oracles(
-    terrain: HeightField, planned: PlanConfig, render: Callable[[Viewpoints, Headings], Views]
-) -> Oracles:
+def _meter(terrain: HeightField, planned: PlanConfig) -> ToleranceMeter:
     spacing = planned.spacing
     size = 2 * int(spacing.reach_m // spacing.candidate_m) + 1
-    around = Neighbourhood(size, spacing.candidate_m)
-    meter = ToleranceMeter(terrain.height_at, around, eye_height_m=planned.eye_height_m)
-    # ROV computes the areas of candidates; the others interpolate them.
-    return Oracles(render, meter, predict if planned.strategy == "rov" else None)
+    return ToleranceMeter(
+        terrain.height_at, size, spacing.candidate_m, eye_height_m=planned.eye_height_m
+    )
 
 
 def _render_and_keep(

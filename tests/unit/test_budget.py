@@ -9,8 +9,7 @@ from skyline.errors import InputError
 from skyline.paper.planning.budget import Outlook, covering_px, spaced_for
 from skyline.paper.planning.candidates import Spacing, lay_out
 from skyline.paper.planning.coverage import CandidateGrid
-from skyline.paper.planning.loop import plan
-from skyline.paper.planning.plan import Oracles, PlanConfig
+from skyline.paper.planning.plan import PlanConfig, plan
 from skyline.views import Views
 
 REACH = 6
@@ -114,7 +113,7 @@ def terrain():
 
 def run_plan(terrain, name, **options):
     config = PlanConfig(name, SPACING, coverage=0.95, threshold_px=0.5, **options)
-    return plan(terrain, Oracles(views_at, rough_in_the_east), config)
+    return plan(terrain, views_at, rough_in_the_east, config)
 
 
 @pytest.mark.parametrize("budget", [160, 320])
@@ -137,9 +136,9 @@ def test_more_renderings_cover_to_a_lower_threshold(terrain):
 
 def test_the_threshold_asked_for_is_not_undercut(terrain):
     config = {"coverage": 0.9, "threshold_px": 4.0}
-    oracles = Oracles(views_at, rough_in_the_east)
-    free = plan(terrain, oracles, PlanConfig("lpov", SPACING, **config))
-    ample = plan(terrain, oracles, PlanConfig("lpov", SPACING, budget=5_000, **config))
+    asked = terrain, views_at, rough_in_the_east
+    free = plan(*asked, PlanConfig("lpov", SPACING, **config))
+    ample = plan(*asked, PlanConfig("lpov", SPACING, budget=5_000, **config))
     assert ample.threshold_px == 4.0
     for one, other in zip(free.coverages, ample.coverages, strict=True):
         np.testing.assert_array_equal(one.viewpoints, other.viewpoints)

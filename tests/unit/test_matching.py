@@ -94,13 +94,21 @@ def test_levelling_undoes_pitch_and_roll():
     np.testing.assert_allclose(found_y, y, atol=1e-12)
 
 
-@pytest.mark.parametrize("matcher", [PaperMatcher(LEVEL), CorrelationMatcher(LEVEL)])
-def test_stored_places_are_found_with_their_heading(profiles, viewpoints, matcher):
+def paper(profiles):
+    return PaperMatcher(profiles, LEVEL)
+
+
+def correlation(profiles):
+    return CorrelationMatcher(LEVEL).prepare(profiles)
+
+
+@pytest.mark.parametrize("prepare", [paper, correlation])
+def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepare):
     # 44.9 and 315 look across the seams between headings, 359.5 across north.
     right = 0
     cases = [(3, 44.9), (9, 315.0), (17, 359.5), (22, 200.0), (30, 100.0), (41, 271.0)]
     for index, heading_deg in cases:
-        best = matcher.prepare(profiles).rank(query_at(viewpoints, index, heading_deg), 3).poses
+        best = prepare(profiles).rank(query_at(viewpoints, index, heading_deg), 3).poses
         right += (
             np.hypot(
                 best.easting_m[0] - viewpoints.easting_m[index],
@@ -110,7 +118,7 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, matche
             and turned_by(best.heading_deg[0], heading_deg) < 1.0
         )
     # Keypoints are the paper's weak spot: now and then a low skyline has too few.
-    assert right >= (len(cases) if isinstance(matcher, CorrelationMatcher) else len(cases) - 1)
+    assert right >= (len(cases) if prepare is correlation else len(cases) - 1)
 
 
 def test_an_assumed_pitch_is_told_from_the_others(profiles, viewpoints):
@@ -139,10 +147,8 @@ def test_correlation_equals_a_direct_loop(profiles, viewpoints):
 
 def test_ranking_is_the_same_each_time_and_each_place_once(profiles, viewpoints):
     query = query_at(viewpoints, 15, 20.0)
-    for matcher in (PaperMatcher(LEVEL), CorrelationMatcher(LEVEL)):
-        first, again = (
-            matcher.prepare(profiles).rank(query, 8).candidates(FRAME) for _ in range(2)
-        )
+    for prepare in (paper, correlation):
+        first, again = (prepare(profiles).rank(query, 8).candidates(FRAME) for _ in range(2))
         assert first == again
         assert [c.score for c in first] == sorted(c.score for c in first)
         assert len({(c.easting_m, c.northing_m) for c in first}) == len(first)
@@ -189,13 +195,13 @@ def flat_query():
 
 
 def test_degenerate_queries_and_stores_have_an_answer(profiles):
-    for matcher in (PaperMatcher(LEVEL), CorrelationMatcher(LEVEL)):
+    for prepare in (paper, correlation):
         for query in (
             flat_query(),
             equally_trusted(np.array([0.0]), np.array([0.1]), 60.0),
             equally_trusted(np.array([-0.1, 0.1]), np.array([0.1, 0.2]), 60.0),
         ):
-            assert np.isfinite(matcher.prepare(profiles).rank(query, 3).poses.score).all()
+            assert np.isfinite(prepare(profiles).rank(query, 3).poses.score).all()
         unknown = Profiles(
             profiles.easting_m[:2],
             profiles.northing_m[:2],
@@ -204,7 +210,7 @@ def test_degenerate_queries_and_stores_have_an_answer(profiles):
             np.zeros(0, dtype=np.intp),
             np.zeros(3, dtype=np.intp),
         )
-        assert matcher.prepare(unknown).rank(flat_query(), 3).candidates(FRAME) == ()
+        assert prepare(unknown).rank(flat_query(), 3).candidates(FRAME) == ()
 
 
 def test_queries_and_stores_of_nothing_say_so(profiles):

@@ -1,7 +1,5 @@
 """The fast steps of the paper's matcher against slow, plain ones, on random profiles."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from query_scenes import equally_trusted
@@ -51,7 +49,7 @@ def query_of(profiles, location, axis_bin, seed=0):
 
 def assumed(query, attitudes):
     curves = QueryCurves.of(query, attitudes, BINS)
-    return [QueryCurve.of(curves, row, 1.0, 64, OFFSETS) for row in range(len(curves.y))]
+    return [QueryCurve.of(curves, row) for row in range(len(curves.y))]
 
 
 def voted_turn(shifts):
@@ -103,7 +101,7 @@ def plain_distance_px(profiles, location, query):
 def test_shortlist_equals_a_plain_loop():
     profiles = random_profiles(1, 10)
     queries = assumed(query_of(profiles, 6, 300), Attitudes((-4.0, 0.0)))
-    found = Shortlist.of(profiles, OFFSETS).distances_px(queries, 15, 0.8)
+    found = Shortlist(profiles).distances_px(queries)
     expected = np.array([[plain_distance_px(profiles, k, q) for q in queries] for k in range(10)])
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=0.02)
     assert found.argmin() // 2 == 6
@@ -118,8 +116,8 @@ def test_shortlist_leaves_out_what_is_mostly_unknown():
     y[2, :400] = y[2, 600:] = np.nan
     profiles = profiles_of(y)
     distances = [
-        Shortlist.of(profiles, OFFSETS).distances_px(
-            assumed(query_of(whole, location, 500), Attitudes((0.0,))), 15, 0.8
+        Shortlist(profiles).distances_px(
+            assumed(query_of(whole, location, 500), Attitudes((0.0,)))
         )[location, 0]
         for location in range(3)
     ]
@@ -130,8 +128,8 @@ def test_shortlist_leaves_out_what_is_mostly_unknown():
 def test_shortlist_of_everything_is_no_shortlist():
     profiles, attitudes = random_profiles(3, 12), Attitudes((-5.0, 0.0))
     query = query_of(profiles, 7, 40)
-    plain = PaperMatcher(attitudes, shortlist_poses=None).prepare(profiles).fit(query)
-    all_listed = PaperMatcher(attitudes, shortlist_poses=24).prepare(profiles).fit(query)
+    plain = PaperMatcher(profiles, attitudes, None).fit(query)
+    all_listed = PaperMatcher(profiles, attitudes, 24).fit(query)
     # Correspondences without a vote may leave a location out; else nothing differs.
     assert np.isfinite(all_listed.score).sum() >= 10
     listed = np.isfinite(all_listed.score)
@@ -143,9 +141,9 @@ def test_shortlist_of_everything_is_no_shortlist():
 def test_listed_poses_are_scored_as_without_a_shortlist(seed):
     profiles = random_profiles(10 + seed, 30)
     query = query_of(profiles, 3 * seed, 100 * seed + 50, seed)
-    matcher = PaperMatcher(Attitudes((0.0,)), shortlist_poses=None)
-    plain = matcher.prepare(profiles).fit(query)
-    listed = replace(matcher, shortlist_poses=8).prepare(profiles).fit(query)
+    level = Attitudes((0.0,))
+    plain = PaperMatcher(profiles, level, None).fit(query)
+    listed = PaperMatcher(profiles, level, 8).fit(query)
     chosen = np.isfinite(listed.score)
     assert 1 <= chosen.sum() <= 8
     np.testing.assert_allclose(listed.score[chosen], plain.score[chosen], rtol=1e-6)
@@ -267,9 +265,6 @@ def test_normal_equations_are_the_sums_over_points():
     np.testing.assert_allclose(gradient, np.einsum("cr,crk,cr->ck", pull, change, miss))
 
 
-@pytest.mark.parametrize(
-    ("setting", "named"), [({"shortlist_poses": 0}, "are 0"), ({"max_turn_deg": 90.0}, "is 90")]
-)
-def test_settings_out_of_range_are_refused(setting, named):
-    with pytest.raises(InputError, match=named):
-        PaperMatcher(**setting)
+def test_an_empty_shortlist_is_refused():
+    with pytest.raises(InputError, match="are 0"):
+        PaperMatcher(random_profiles(1, 1), shortlist_poses=0)

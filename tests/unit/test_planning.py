@@ -7,10 +7,9 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline.paper.planning.candidates import Spacing, lay_out
 from skyline.paper.planning.coverage import CandidateGrid, Coverage, Problem
-from skyline.paper.planning.loop import plan
-from skyline.paper.planning.plan import Oracles, PlanConfig
+from skyline.paper.planning.plan import PlanConfig, plan
 from skyline.paper.planning.strategies import STRATEGIES
-from skyline.paper.planning.verify import Checks, verify_coverage, wilson_interval
+from skyline.paper.planning.verify import verify_coverage, wilson_interval
 from skyline.views import Views
 from skyline_bench.truth.simulation import TABLE_1, Simulation, simulate
 
@@ -38,7 +37,7 @@ def follow(name, valid, radius=3.0, target=0.95, seed=0):
     """Run a strategy to its end, as the loop does; return the coverage."""
     coverage = Coverage(CandidateGrid(valid, REACH))
     model = Discs(radius)
-    problem = Problem(coverage, model, 3.0, target, valid)
+    problem = Problem(coverage, model.predict_errors, 3.0, target, valid)
     first = np.flatnonzero(valid)[:1]
     coverage.add(first, model.predict_errors(first) <= 3.0)
     requests = STRATEGIES[name](problem, np.random.default_rng(seed))
@@ -136,7 +135,7 @@ def terrain():
 def run_plan(terrain, render, name="lpov", rendered=None, **options):
     measure = lambda views: np.broadcast_to(disc(3.0), (len(views), 9, 9))  # noqa: E731
     config = PlanConfig(name, SPACING, coverage=0.9, **options)
-    return plan(terrain, Oracles(render, measure), config, rendered=rendered)
+    return plan(terrain, render, measure, config, rendered=rendered)
 
 
 def chosen(done):
@@ -187,7 +186,7 @@ def test_holes_and_the_border_are_never_chosen(terrain):
 def test_verification_says_what_share_holds(terrain, true_px, share):
     done = run_plan(terrain, Renderer())
     errors = lambda stored, rendered: np.full(len(stored), true_px)  # noqa: E731
-    proof = verify_coverage(done, Checks(Renderer(2), Renderer(3), errors), 3.0, sample=50)
+    proof = verify_coverage(done, Renderer(2), errors, sample=50)
     assert proof.share == share
     assert proof.low - 1e-9 <= share <= proof.high + 1e-9
     assert proof.verified == share * done.coverage

@@ -9,8 +9,7 @@ from prediction_scenes import WIDTH, U, mountains, views_of
 from skyline.camera import columns_u
 from skyline.errors import InputError
 from skyline.paper.planning.reprojection import IDENTITY
-from skyline.paper.planning.truth import block_means, true_errors_px
-from skyline.paper.planning.warp_fit import WarpFit
+from skyline.paper.planning.truth import MAX_CHANGE, block_means, fitted_warps, true_errors_px
 
 PX = 2.0 / WIDTH
 
@@ -78,8 +77,8 @@ def test_the_fit_finds_the_warp_that_made_a_curve():
     curve = mountains(u)
     x, y = true @ np.stack([finer, mountains(finer), np.ones_like(finer)])
     target = np.interp(u, x, y)
-    distance, found = WarpFit(rounds=20).distances_px(
-        curve[np.newaxis], target[np.newaxis], IDENTITY[np.newaxis, np.newaxis], WIDTH
+    distance, found = fitted_warps(
+        curve[np.newaxis], target[np.newaxis], IDENTITY[np.newaxis], WIDTH, rounds=20
     )
     assert distance[0] < 0.1
     np.testing.assert_allclose(found[0], true, atol=0.01)
@@ -88,21 +87,20 @@ def test_the_fit_finds_the_warp_that_made_a_curve():
 def test_the_fit_stays_within_its_bounds():
     u = columns_u(80)
     curve, flattened = mountains(u)[np.newaxis], 0.1 * mountains(u)[np.newaxis]
-    fit = WarpFit(rounds=20)
-    distance, found = fit.distances_px(curve, flattened, IDENTITY[np.newaxis, np.newaxis], WIDTH)
-    assert (np.abs(found[0, :, :2] - np.eye(2)) <= fit.max_change + 1e-9).all()
+    distance, found = fitted_warps(curve, flattened, IDENTITY[np.newaxis], WIDTH, rounds=20)
+    assert (np.abs(found[0, :, :2] - np.eye(2)) <= MAX_CHANGE + 1e-9).all()
     assert distance[0] > 3.0
 
 
-def test_the_fit_begins_with_the_best_start_and_ignores_missing_ones():
+def test_the_fit_begins_with_its_start_and_within_the_bounds_without_one():
     u = columns_u(80)
-    curve, target = mountains(u), mountains(u + 0.3)
+    curves, targets = np.tile(mountains(u), (2, 1)), np.tile(mountains(u + 0.3), (2, 1))
     shifted = IDENTITY + np.array([[0.0, 0.0, -0.3], [0.0, 0.0, 0.0]])
-    starts = np.stack([np.full((2, 3), np.nan), IDENTITY, shifted])[np.newaxis]
-    distance, _ = WarpFit(rounds=0).distances_px(
-        curve[np.newaxis], target[np.newaxis], starts, WIDTH
-    )
+    starts = np.stack([shifted, np.full((2, 3), np.nan)])
+    distance, found = fitted_warps(curves, targets, starts, WIDTH, rounds=0)
     assert distance[0] < 0.2
+    assert np.isfinite(found).all()
+    assert (np.abs(found[1, :, :2] - np.eye(2)) <= MAX_CHANGE).all()
 
 
 @given(width=st.integers(1, 50), blocks=st.integers(1, 50), seed=st.integers(0, 1000))

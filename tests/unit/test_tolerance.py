@@ -6,8 +6,7 @@ from prediction_scenes import WIDTH, U, mountains, views_of
 from scenes import field_from
 
 from skyline.errors import InputError
-from skyline.paper.planning.reprojection import PREDICTORS
-from skyline.paper.planning.tolerance import Neighbourhood, ToleranceMeter
+from skyline.paper.planning.reprojection import PREDICTORS, ToleranceMeter
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
@@ -26,14 +25,21 @@ def view_at(heading=0, depth_m=1500.0, east=990.0, north=1990.0):
 
 
 def test_rows_go_south_and_columns_east():
-    east, north = Neighbourhood(4, 25.0).offsets_m()
+    asked = []
+
+    def ground(easting, northing):
+        asked[:] = easting.reshape(4, 4), northing.reshape(4, 4)
+        return level(easting, northing)
+
+    ToleranceMeter(ground, 4, 25.0)(view_at(east=0.0, north=0.0))
+    east, north = asked
     np.testing.assert_array_equal(east[0], [-50.0, -25.0, 0.0, 25.0])
     np.testing.assert_array_equal(north[:, 0], [50.0, 25.0, 0.0, -25.0])
 
 
 @pytest.mark.parametrize("heading", range(4))
 def test_ground_is_looked_up_on_the_map_whatever_the_heading(heading):
-    meter = ToleranceMeter(plateau, Neighbourhood(5, 20.0), PREDICTORS["non-affine"])
+    meter = ToleranceMeter(plateau, 5, 20.0, PREDICTORS["non-affine"])
     errors = meter(view_at(heading))[0]
     assert np.isinf(errors[:, 3:]).all()
     assert np.isfinite(errors[:, :3]).all()
@@ -45,7 +51,7 @@ def test_ground_is_looked_up_on_the_map_whatever_the_heading(heading):
 
 @pytest.mark.parametrize("heading", range(4))
 def test_moving_towards_the_mountains_is_along_the_heading(heading):
-    meter = ToleranceMeter(level, Neighbourhood(3, 400.0), PREDICTORS["affine-mean"])
+    meter = ToleranceMeter(level, 3, 400.0, PREDICTORS["affine-mean"])
     errors = meter(view_at(heading, depth_m=300.0))[0]
     north, east, south, west = errors[0, 1], errors[1, 2], errors[2, 1], errors[1, 0]
     around = np.roll([north, east, south, west], -heading)
@@ -54,7 +60,7 @@ def test_moving_towards_the_mountains_is_along_the_heading(heading):
 
 
 def test_farther_mountains_tolerate_more():
-    meter = ToleranceMeter(level, Neighbourhood(9, 60.0))
+    meter = ToleranceMeter(level, 9, 60.0)
     views = views_of(np.tile(mountains(U), (2, 1)), [[800.0], [6000.0]] * (1.0 + 0.3 * U), eye=2.0)
     near, far = (meter(views) <= 1.0).sum(axis=(1, 2))
     assert 1 <= near < far <= 81
@@ -73,22 +79,22 @@ def test_far_mountains_tolerate_every_move_and_near_ones_few():
     for radius_m in (400.0, 8000.0):
         field = bowl(radius_m)
         views = oracle.skyline(field, stand_on(field, 0.0, 0.0), 128)
-        meter = ToleranceMeter(field.height_at, Neighbourhood(11, 25.0))
+        meter = ToleranceMeter(field.height_at, 11, 25.0)
         sizes.append((meter(views) <= 1.5).sum(axis=(1, 2)))
     assert (sizes[1] == 121).all()
     assert (sizes[0] < 100).all()
 
 
 def test_a_location_alone_is_its_own_neighbourhood():
-    meter = ToleranceMeter(level, Neighbourhood(1, 30.0))
+    meter = ToleranceMeter(level, 1, 30.0)
     np.testing.assert_array_equal(meter(view_at()), [[[0.0]]])
 
 
 def test_bad_settings_say_what_is_wrong():
     with pytest.raises(InputError, match="0 locations wide; expected 1"):
-        Neighbourhood(0)
+        ToleranceMeter(level, 0)
     for pitch in (0.0, -3.0, np.nan, np.inf):
         with pytest.raises(InputError, match=r"spacing of .* m; expected a positive"):
-            Neighbourhood(10, pitch)
+            ToleranceMeter(level, 10, pitch)
     with pytest.raises(InputError, match="eye height is -1"):
         ToleranceMeter(level, eye_height_m=-1.0)

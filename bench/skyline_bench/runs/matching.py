@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from skyline.errors import InputError
-from skyline.paper.planning.budget import check_coarse, spaced_for
+from skyline.paper.planning.budget import spaced_for
 from skyline.paper.planning.candidates import lay_out
 from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline.config import PlaceConfig, RenderConfig
@@ -198,7 +198,7 @@ def check(terrain: HeightField, config: MatchingConfig) -> BoundsDeg:
         spacing = plan.spacing
         if plan.budget is not None:
             spacing = spaced_for(spacing, plan.budget, area)
-        check_coarse(lay_out(terrain, spacing, area, plan.eye_height_m), plan.budget)
+        lay_out(terrain, spacing, area, plan.eye_height_m, plan.budget)
     for store in (given_store(terrain, path) for path in config.stores):
         if store.holds not in config.searched():
             raise InputError(

@@ -292,7 +292,7 @@ def simulate(simulation: Simulation, strategy: Strategy, seed: int) -> Run:
     row = simulation.row
     model, coverage = SimulatedModel(simulation), Coverage(simulation.grid)
     everywhere = simulation.grid.valid
-    problem = Problem(coverage, model, row.threshold_px, row.coverage, everywhere)
+    problem = Problem(coverage, model.predict_errors, row.threshold_px, row.coverage, everywhere)
 
     def rendered(candidates: Int64Array) -> Float32Array:
         seen = simulation.render(candidates)

@@ -9,13 +9,11 @@ next lower one, where they cover less.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Int64Array
 from skyline.camera import HEADINGS
-from skyline.errors import InputError
 from skyline.geodesy import Rectangle
-from skyline.paper.planning.candidates import CandidateMap, Spacing
+from skyline.paper.planning.candidates import Spacing
 from skyline.paper.planning.coverage import CandidateGrid
 
 AIMS = (0.6, 0.9, 1.0)
@@ -38,15 +36,6 @@ _VIEWS_A_DISC = 2.0
 _BISECTIONS = 40
 
 
-def check_budget(budget: int | None) -> int | None:
-    """Return a number of renderings that can be planned for, else raise `InputError`."""
-    if budget is not None and budget < len(HEADINGS):
-        raise InputError(
-            f"budget is {budget} renderings; expected at least {len(HEADINGS)}, one location"
-        )
-    return budget
-
-
 def spaced_for(spacing: Spacing, budget: int, bounds_m: Rectangle) -> Spacing:
     """Return distances that suit a number of renderings; none is below the given one.
 
@@ -65,16 +54,6 @@ def spaced_for(spacing: Spacing, budget: int, bounds_m: Rectangle) -> Spacing:
     if spacing.coarse_m <= candidate_m * widest:
         coarse = min(coarse, widest)
     return Spacing(float(coarse * candidate_m), float(candidate_m), float(reach * candidate_m))
-
-
-def check_coarse(candidates: CandidateMap, budget: int | None) -> None:
-    """Raise `InputError` where the coarse grid alone is beyond a budget."""
-    needed = len(HEADINGS) * len(candidates.coarse)
-    if budget is not None and needed > budget:
-        raise InputError(
-            f"budget is {budget} renderings, the coarse grid alone takes {needed}; give a larger "
-            "budget, a larger spacing or a smaller area"
-        )
 
 
 @dataclass(slots=True)
@@ -127,13 +106,9 @@ def covering_px(
 
     Their errors are those of one heading, their viewpoints candidates.
     """
-    least: NDArray[np.float32] = np.full(grid.shape, np.inf, dtype=np.float32)
-    least = np.pad(least, grid.reach, constant_values=np.inf)
-    windows = np.lib.stride_tricks.sliding_window_view(
-        least, (grid.window, grid.window), writeable=True
-    )
+    least = np.full(np.pad(grid.valid, grid.reach).shape, np.inf, dtype=np.float32)
+    windows = grid.windows(least)
     for row, col, one in zip(*grid.row_col(viewpoints), errors, strict=True):
         np.minimum(windows[row, col], one, out=windows[row, col])
-    side = grid.reach
-    held = np.sort(least[side:-side, side:-side][grid.valid])
+    held = np.sort(grid.inner(least)[grid.valid])
     return float(held[max(int(np.ceil(share * len(held) - 1e-9)), 1) - 1])

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
+from skyline.camera import HEADINGS
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.paper.planning.coverage import CandidateGrid
@@ -63,7 +64,7 @@ class CandidateMap:
     northing_m: Float64Array
     """(rows,) float64. Descending."""
     square: Int64Array
-    """(rows, cols) int64. Which square of the coarse grid a candidate lies in."""
+    """(rows, cols) int64. A number for each square of the coarse grid that candidates lie in."""
     coarse: Int64Array
     """(N,) int64. The valid candidates on the coarse grid."""
     eye_height_m: float
@@ -79,10 +80,12 @@ def lay_out(
     spacing: Spacing,
     bounds_m: Rectangle | None = None,
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
+    budget: int | None = None,
 ) -> CandidateMap:
     """Lay candidates over an area.
 
-    Raises `InputError` for a spacing larger than the area, or an area wholly in holes.
+    Raises `InputError` for a spacing larger than the area, an area wholly in holes, or a coarse
+    grid that alone is beyond the budget of renderings.
     """
     west, south, east, north = bounds_m or field.bounds_m
     if spacing.coarse_m > max(east - west, north - south):
@@ -108,17 +111,17 @@ def lay_out(
             f"{west:.0f} to {east:.0f}, northing {south:.0f} to {north:.0f}; choose a smaller "
             "spacing or a larger area"
         )
-    square_row, square_col = row // stride, col // stride
-    square = (square_row[:, None] - square_row[-1]) * (square_col[-1] - square_col[0] + 1.0)
-    square = square + square_col - square_col[0]
+    coarse = np.flatnonzero(on_coarse)
+    needed = len(HEADINGS) * len(coarse)
+    if budget is not None and needed > budget:
+        raise InputError(
+            f"budget is {budget} renderings, the coarse grid alone takes {needed}; give a larger "
+            "budget, a larger spacing or a smaller area"
+        )
+    # Ascending from south to north, and in a row from west to east.
+    square = (row // stride)[:, None] * len(col) + col // stride
     return CandidateMap(
-        field,
-        grid,
-        col * apart,
-        row * apart,
-        square.astype(np.int64),
-        np.flatnonzero(on_coarse),
-        eye_height_m,
+        field, grid, col * apart, row * apart, square.astype(np.int64), coarse, eye_height_m
     )
 
 

@@ -8,13 +8,16 @@ whatever the heading. Strategies see candidates, windows and nothing else: no te
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TypeVar
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
 
 _INTERPOLATED_FROM = 4
 """Views, the nearest ones."""
@@ -24,22 +27,20 @@ _INTERPOLATED_FROM = 4
 class CandidateGrid:
     """Where viewpoints may be placed.
 
-    Raises `InputError` where no candidate is valid, or the reach is below 1.
+    Raises `InputError` where no candidate is valid.
     """
 
     valid: BoolArray
     """(rows, cols) bool. False where no eye can stand: holes, the map's border."""
     reach: int
-    """How far a tolerance area may extend, in candidates."""
+    """How far a tolerance area may extend, in candidates; at least 1."""
 
     def __post_init__(self) -> None:
-        if self.valid.ndim != 2 or not self.valid.any():
+        if not self.valid.any():
             raise InputError(
                 f"none of the {self.valid.size} candidate locations can be stood on: the area lies "
                 "wholly in holes or off the map; choose another area"
             )
-        if self.reach < 1:
-            raise InputError(f"reach is {self.reach} candidates; expected at least 1")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -56,12 +57,16 @@ class CandidateGrid:
         """Return the rows and columns of candidate indices."""
         return candidates // self.valid.shape[1], candidates % self.valid.shape[1]
 
-    def apart(self, candidates: Int64Array, others: Int64Array) -> Float64Array:
-        """Return distances (N, M) between candidates (N) and others (M), in candidates."""
-        row, col = self.row_col(candidates)
-        other_row, other_col = self.row_col(others)
-        apart = np.hypot(row[:, None] - other_row, col[:, None] - other_col)
-        return np.asarray(apart, dtype=np.float64)
+    def windows(self, padded: NDArray[_Scalar]) -> NDArray[_Scalar]:
+        """Return the windows (rows, cols, K, K) of all candidates; they can be written to.
+
+        ``padded`` has `reach` more rows and columns than the grid to every side.
+        """
+        return sliding_window_view(padded, (self.window, self.window), writeable=True)
+
+    def inner(self, padded: NDArray[_Scalar]) -> NDArray[_Scalar]:
+        """Return an array without its padding, (rows, cols)."""
+        return padded[self.reach : -self.reach, self.reach : -self.reach]
 
     def nearest(
         self, candidates: Int64Array, others: Int64Array, number: int
@@ -70,7 +75,9 @@ class CandidateGrid:
 
         Both are (N, min(number, M)), nearest first.
         """
-        apart = self.apart(candidates, others)
+        row, col = self.row_col(candidates)
+        other_row, other_col = self.row_col(others)
+        apart = np.hypot(row[:, None] - other_row, col[:, None] - other_col)
         chosen = np.argsort(apart, axis=1, kind="stable")[:, :number]
         return chosen, np.take_along_axis(apart, chosen, axis=1)
 
@@ -90,17 +97,6 @@ class CandidateGrid:
         return total
 
 
-class AreaModel(Protocol):
-    """What is known of tolerance areas without rendering, from the views rendered so far."""
-
-    def predict_errors(self, candidates: Int64Array) -> Float32Array:
-        """Return predicted reprojection errors of views at candidates (N), shape (N, K, K), px.
-
-        ``inf`` where a location is outside whatever the threshold. The view's own cell is 0.
-        """
-        ...
-
-
 class Coverage:
     """Which candidates are covered by the tolerance areas of rendered views.
 
@@ -109,60 +105,32 @@ class Coverage:
     viewpoints : (N,) int64
         Candidates rendered so far, in the order they were added.
     areas : (N, K, K) bool
-        Their tolerance areas.
+        Their tolerance areas, clipped to valid candidates.
+    uncovered : (rows, cols) bool
+        Valid candidates in no tolerance area.
+    counts : (rows, cols) int32
+        In how many tolerance areas each candidate is.
     """
 
     def __init__(self, grid: CandidateGrid) -> None:
         self.grid = grid
-        side = grid.reach
-        self._valid = np.pad(grid.valid, side)
-        self._count = np.zeros(self._valid.shape, dtype=np.int32)
-        self._open = self._valid.copy()
-        self._count_windows = np.lib.stride_tricks.sliding_window_view(
-            self._count, (grid.window, grid.window), writeable=True
-        )
-        self._open_windows = np.lib.stride_tricks.sliding_window_view(
-            self._open, (grid.window, grid.window), writeable=True
-        )
-        self._valid_windows = np.lib.stride_tricks.sliding_window_view(
-            self._valid, (grid.window, grid.window)
-        )
-        self._views = 0
-        self._viewpoints = np.zeros(16, dtype=np.int64)
-        self._areas = np.zeros((16, grid.window, grid.window), dtype=bool)
-
-    @property
-    def viewpoints(self) -> Int64Array:
-        """Candidates rendered so far."""
-        return self._viewpoints[: self._views]
-
-    @property
-    def areas(self) -> BoolArray:
-        """Tolerance areas of the viewpoints, of shape (N, K, K), clipped to valid candidates."""
-        return self._areas[: self._views]
-
-    @property
-    def uncovered(self) -> BoolArray:
-        """Valid candidates in no tolerance area, (rows, cols)."""
-        side = self.grid.reach
-        return self._open[side:-side, side:-side]
-
-    @property
-    def counts(self) -> NDArray[np.int32]:
-        """In how many tolerance areas each candidate is, (rows, cols)."""
-        side = self.grid.reach
-        return self._count[side:-side, side:-side]
+        valid = np.pad(grid.valid, grid.reach)
+        count, uncovered = np.zeros(valid.shape, dtype=np.int32), valid.copy()
+        self.uncovered, self.counts = grid.inner(uncovered), grid.inner(count)
+        self._valid_windows = grid.windows(valid)
+        self._open_windows, self._count_windows = grid.windows(uncovered), grid.windows(count)
+        self.viewpoints = np.zeros(0, dtype=np.int64)
+        self.areas = np.zeros((0, grid.window, grid.window), dtype=bool)
 
     def add(self, candidates: Int64Array, areas: BoolArray) -> None:
         """Add the tolerance areas (N, K, K) of views rendered at candidates (N)."""
-        self._make_room(len(candidates))
-        for row, col, area in zip(*self.grid.row_col(candidates), areas, strict=True):
-            inside = area & self._valid_windows[row, col]
-            self._count_windows[row, col] += inside
-            self._open_windows[row, col] &= ~inside
-            self._areas[self._views] = inside
-            self._viewpoints[self._views] = row * self.grid.shape[1] + col
-            self._views += 1
+        row, col = self.grid.row_col(candidates)
+        areas = areas & self._valid_windows[row, col]
+        for at, area in zip(zip(row, col, strict=True), areas, strict=True):
+            self._count_windows[at] += area
+            self._open_windows[at] &= ~area
+        self.viewpoints = np.concatenate([self.viewpoints, candidates])
+        self.areas = np.concatenate([self.areas, areas])
 
     def gains(self, candidates: Int64Array, areas: BoolArray) -> Int64Array:
         """Return how many uncovered candidates areas (N, K, K) at candidates (N) would cover."""
@@ -179,39 +147,27 @@ class Coverage:
     @property
     def overlap(self) -> int:
         """The paper's criterion (B): inclusions in tolerance areas less covered candidates."""
-        counts = self.counts
-        return int(counts.sum()) - int(np.count_nonzero(counts))
-
-    def _make_room(self, more: int) -> None:
-        room = len(self._viewpoints)
-        if self._views + more > room:
-            grown = max(2 * room, self._views + more) - room
-            self._viewpoints = np.concatenate([self._viewpoints, np.zeros(grown, np.int64)])
-            self._areas = np.concatenate(
-                [self._areas, np.zeros((grown, *self._areas.shape[1:]), dtype=bool)]
-            )
+        return int(self.counts.sum()) - int(np.count_nonzero(self.counts))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """What a strategy is given.
-
-    Raises `InputError` for a target outside (0, 1] or a threshold that is not positive.
-    """
+    """What a strategy is given."""
 
     coverage: Coverage
     """Kept up to date by whoever drives the strategy; strategies of one heading may share it."""
-    model: AreaModel
+    predict_errors: Callable[[Int64Array], Float32Array]
+    """Returns predicted reprojection errors of views at candidates (N), shape (N, K, K), px.
+
+    They come from the views rendered so far. ``inf`` where a location is outside whatever the
+    threshold. The view's own cell is 0.
+    """
     threshold_px: float
     """A location is in a tolerance area when its reprojection error is at most this."""
     target: float
     """The share of the region's valid candidates to cover, in (0, 1]."""
     region: BoolArray
     """(rows, cols) bool. The candidates this strategy is to cover and may choose."""
-
-    def __post_init__(self) -> None:
-        check_target(self.target)
-        check_threshold(self.threshold_px)
 
     @property
     def grid(self) -> CandidateGrid:
@@ -235,21 +191,3 @@ The problem's coverage holds the views' areas before the generator is resumed.
 """
 
 Strategy = Callable[[Problem, np.random.Generator], Requests]
-
-
-def check_target(target: float) -> float:
-    """Return a coverage that can be asked for, else raise `InputError`."""
-    if not 0.0 < target <= 1.0:
-        raise InputError(
-            f"coverage is {target}; expected a share above 0 and at most 1, for example 0.98"
-        )
-    return target
-
-
-def check_threshold(threshold_px: float) -> float:
-    """Return a usable tolerance threshold, else raise `InputError`."""
-    if not 0.0 < threshold_px < np.inf:
-        raise InputError(
-            f"threshold is {threshold_px} px; expected a positive number of pixels, for example 3"
-        )
-    return threshold_px

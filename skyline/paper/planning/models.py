@@ -5,8 +5,9 @@ from collections.abc import Callable
 import numpy as np
 
 from skyline.arrays import Float32Array, Int64Array
+from skyline.camera import HEADINGS
 from skyline.paper.planning.candidates import CandidateMap
-from skyline.terrain.viewpoints import Viewpoints
+from skyline.paper.planning.predicted import predict
 from skyline.views import Views
 
 Measure = Callable[[Views], Float32Array]
@@ -14,9 +15,6 @@ Measure = Callable[[Views], Float32Array]
 
 `inf` where a view says nothing; the view's own cell is 0.
 """
-
-Predict = Callable[[Views, Int64Array, Viewpoints], Views]
-"""Views predicted at viewpoints (M), each from one of the stored views (M indices)."""
 
 _PREDICTED_AT_ONCE = 256
 
@@ -57,11 +55,10 @@ class InterpolatedModel:
         apart = np.maximum(self._apart, 0.5)
         weight = (self._apart > 0.0) / apart
         log_rate = np.log(np.clip(errors, *_BELIEVED_PX) / apart) * weight
-        window = self._grid.window
+        weights, log_rates = self._grid.windows(self._weight), self._grid.windows(self._log_rate)
         for row, col, one in zip(*self._grid.row_col(candidates), log_rate, strict=True):
-            place = slice(row, row + window), slice(col, col + window)
-            self._weight[place] += weight
-            self._log_rate[place] += one
+            weights[row, col] += weight
+            log_rates[row, col] += one
 
     def predict_errors(self, candidates: Int64Array) -> Float32Array:
         """Return predicted reprojection errors of views at candidates (N), (N, K, K) px."""
@@ -74,38 +71,36 @@ class InterpolatedModel:
 
     def _by_rate(self, candidates: Int64Array) -> Float32Array:
         """Return errors (N, K, K) by the rates at both ends, NaN where no view reaches one."""
-        reach, window = self._grid.reach, self._grid.window
+        reach = self._grid.reach
         with np.errstate(invalid="ignore", divide="ignore"):
             rate = np.exp(self._log_rate / self._weight).astype(np.float32)
-        row, col = self._grid.row_col(candidates)
-        windows = np.lib.stride_tricks.sliding_window_view(rate, (window, window))[row, col]
+        windows = self._grid.windows(rate)[self._grid.row_col(candidates)]
         return 0.5 * (windows + windows[:, reach, reach][:, None, None]) * self._apart
 
 
 class PredictedModel:
     """Measures views predicted from the nearest view rendered in one heading.
 
-    ``archive`` holds the views rendered in all headings.
+    ``archive`` holds the views rendered so far by candidate and heading. The models of all headings
+    share it: what was rendered in other headings shows what enters a predicted view at its sides.
     """
 
     def __init__(
         self,
         candidates: CandidateMap,
         heading: int,
-        predict: Predict,
         measure: Measure,
-        archive: "Archive",
+        archive: dict[tuple[int, int], Views],
     ) -> None:
-        self._candidates = candidates
-        self._heading = heading
-        self._predict = predict
-        self._measure = measure
-        self._archive = archive
+        self._candidates, self._heading = candidates, heading
+        self._measure, self._archive = measure, archive
         self._viewpoints = np.zeros(0, dtype=np.int64)
 
     def learn(self, candidates: Int64Array, views: Views, errors: Float32Array) -> None:
         """Add views rendered at candidates (N)."""
         self._viewpoints = np.concatenate([self._viewpoints, candidates])
+        for row, candidate in enumerate(candidates.tolist()):
+            self._archive[candidate, self._heading] = views[row : row + 1]
 
     def predict_errors(self, candidates: Int64Array) -> Float32Array:
         """Return predicted reprojection errors of views at candidates (N), (N, K, K) px."""
@@ -117,36 +112,15 @@ class PredictedModel:
         order = np.argsort(source, kind="stable")
         for start in range(0, len(order), _PREDICTED_AT_ONCE):
             part = order[start : start + _PREDICTED_AT_ONCE]
-            stored, rows = self._archive.at(source[part], self._heading)
             targets = self._candidates.viewpoints(candidates[part])
-            errors[part] = self._measure(self._predict(stored, rows, targets))
+            errors[part] = self._measure(predict(*self._stored(source[part]), targets))
         return errors
 
-
-class Archive:
-    """Rendered views by candidate and heading, for predictions to start from."""
-
-    def __init__(self) -> None:
-        self._views: dict[tuple[int, int], Views] = {}
-
-    def add(self, candidates: Int64Array, views: Views) -> None:
-        """Add views rendered at candidates (N)."""
-        for row, key in enumerate(zip(candidates.tolist(), views.heading.tolist(), strict=True)):
-            self._views[key] = views[row : row + 1]
-
-    def at(self, candidates: Int64Array, heading: int) -> tuple[Views, Int64Array]:
-        """Return views and, for each candidate (N), the row of its view in a heading.
-
-        The other headings rendered there come along: they show what enters at the sides.
-        """
-        places, place_of = np.unique(candidates, return_inverse=True)
-        parts: list[Views] = []
-        row_of = np.zeros(len(places), dtype=np.int64)
-        for place, candidate in enumerate(places.tolist()):
-            for other in range(4):
-                view = self._views.get((candidate, other))
-                if view is not None:
-                    if other == heading:
-                        row_of[place] = len(parts)
-                    parts.append(view)
-        return Views.concatenate(parts), row_of[place_of]
+    def _stored(self, viewpoints: Int64Array) -> tuple[Views, Int64Array]:
+        """Return the views rendered at viewpoints (N), and the row of each one's own heading."""
+        places = np.unique(viewpoints).tolist()
+        keys = [(place, heading) for place in places for heading in HEADINGS]
+        keys = [key for key in keys if key in self._archive]
+        row = {key: number for number, key in enumerate(keys)}
+        rows = np.array([row[place, self._heading] for place in viewpoints.tolist()])
+        return Views.concatenate([self._archive[key] for key in keys]), rows

@@ -56,12 +56,21 @@ def predict(stored: Views, source: NDArray[np.integer], targets: Viewpoints) -> 
         M eyes; their views are in this order.
     """
     source = np.asarray(source)
-    _check(stored, source, targets)
+    if source.shape != (len(targets),):
+        raise InputError(
+            f"sources have shape {source.shape}; expected ({len(targets)},), one stored view for "
+            "each target"
+        )
+    if source.size and (source.min() < 0 or source.max() >= len(stored)):
+        raise InputError(
+            f"sources run from {source.min()} to {source.max()}; expected rows of the "
+            f"{len(stored)} stored views"
+        )
     sides = flanks(stored)
     tan = np.empty((len(source), stored.width), dtype=np.float32)
     depth = np.empty_like(tan)
-    for rows in _rows_of_sources(source):
-        view = int(source[rows[0]])
+    for view in np.unique(source).tolist():
+        rows = np.flatnonzero(source == view)
         there = displacements_m(
             stored[view : view + 1],
             targets.easting_m[np.newaxis, rows],
@@ -82,26 +91,6 @@ def predict(stored: Views, source: NDArray[np.integer], targets: Viewpoints) -> 
         depth,
         np.where(np.isnan(tan), FLAG_NO_DATA, 0).astype(np.uint8),
     )
-
-
-def _rows_of_sources(source: NDArray[np.integer]) -> list[IntArray]:
-    """Return, for each source in use, which targets have it."""
-    order = np.argsort(source, kind="stable")
-    ends = np.flatnonzero(np.diff(source[order])) + 1
-    return [rows for rows in np.split(order, ends) if rows.size]
-
-
-def _check(stored: Views, source: NDArray[np.integer], targets: Viewpoints) -> None:
-    if source.shape != (len(targets),):
-        raise InputError(
-            f"sources have shape {source.shape}; expected ({len(targets)},), one stored view for "
-            "each target"
-        )
-    if source.size and (source.min() < 0 or source.max() >= len(stored)):
-        raise InputError(
-            f"sources run from {source.min()} to {source.max()}; expected rows of the "
-            f"{len(stored)} stored views"
-        )
 
 
 def reach_m(displacements_m: NDArray[np.floating]) -> float:
@@ -149,16 +138,14 @@ def polylines(views: Views, view: int, sides: IntArray, reach_m: float) -> Polyl
     reach_m : float
         Along the ground.
     """
-    left, right = sides
-    turned = [(left, _left), (view, _own), (right, _right)]
-    shown = [(index, turn) for index, turn in turned if index != NO_VIEW]
-    tan = np.concatenate([views.elevation_tan[index] for index, _ in shown]).astype(np.float32)
-    depths = [views.depth_m[index].astype(np.float32) for index, _ in shown]
+    # Right and forward of a point at u and depth 1 in the view to the left, itself, to the right.
     u = columns_u(views.width).astype(np.float32)
-    ground = [turn(u, depth) for depth, (_, turn) in zip(depths, shown, strict=True)]
-    right_m, forward_m = (np.concatenate(part) for part in zip(*ground, strict=True))
-    depth = np.concatenate(depths)
-
+    ones = np.ones_like(u)
+    turns = [(sides[0], (-ones, u)), (view, (u, ones)), (sides[1], (ones, -u))]
+    shown = [(index, turn) for index, turn in turns if index != NO_VIEW]
+    tan = np.concatenate([views.elevation_tan[index] for index, _ in shown]).astype(np.float32)
+    depth = np.concatenate([views.depth_m[index] for index, _ in shown]).astype(np.float32)
+    right_m, forward_m = np.concatenate([turn for _, turn in shown], axis=1) * depth
     known = np.isfinite(tan) & np.isfinite(depth)
     # The frame's sides are diagonals, so an eye moves at most sqrt(2) reach against them.
     wanted = known & (np.abs(right_m) - forward_m <= np.sqrt(2.0) * reach_m)
@@ -192,100 +179,61 @@ def seen_from(
     elevation_tan, depth_m : (C, Q) float32
         At the column centres, NaN where no polyline passes.
     """
-    image = Image.of(lines, displacements_m, columns)
-    cell, elevation_tan = image.eye * columns + image.column, image.elevation_tan()
+    right, up, forward = displacements_m.astype(np.float32).T[:, :, np.newaxis]
+    # An eye that is nowhere has everything behind it.
+    behind = lines.forward_m - np.where(np.isfinite(up), forward, np.float32(np.inf))
+    nearness = 1.0 / np.where(behind > MIN_DEPTH_M, behind, np.float32(np.nan))
+    position = (lines.right_m - right) * nearness
+    position *= np.float32(columns / 2.0)
+    position += np.float32((columns - 1) / 2.0)
+    start, segment, column, along = _crossings(position, lines.joined, columns)
+
+    def at_columns(values: FloatArray) -> FloatArray:
+        flat = values.ravel()
+        begin = flat[start]
+        rise = flat[start + 1] - begin
+        return begin[segment] + along * rise[segment]
+
+    cell = (start // max(len(lines.joined), 1))[segment] * columns + column
+    elevation_tan = at_columns((lines.up_m - up) * nearness)
     tan = np.full(len(displacements_m) * columns, -np.inf, dtype=np.float32)
     np.maximum.at(tan, cell, elevation_tan)
     highest = elevation_tan == tan[cell]
     depth = np.full_like(tan, np.nan)
-    np.fmin.at(depth, cell[highest], image.depth_m()[highest])
+    np.fmin.at(depth, cell[highest], (1.0 / at_columns(nearness))[highest])
     tan[np.isneginf(tan)] = np.nan
     shape = (len(displacements_m), columns)
     return tan.reshape(shape), depth.reshape(shape)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Image:
-    """Where the segments of polylines pass column centres in the images of C displaced eyes.
+def _crossings(
+    position: Float32Array, joined: BoolArray, columns: int
+) -> tuple[IntArray, IntArray, IntArray, Float32Array]:
+    """Return where the segments between points pass column centres in the images of C eyes.
 
-    There are P passing segments, and S places where one passes a column.
+    ``position`` (C, M) is the points' columns; ``joined`` (M,) says which are joined to the next.
+    Returned are the first point of each passing segment, its eye times M plus its index (P,); and
+    of each place where one passes a column, the segment, the column and how far along the segment
+    that is in the image (S,).
     """
-
-    start: IntArray
-    """(P,) intp. The segment's first point: its eye times M plus its index."""
-    segment: IntArray
-    """(S,) intp. Which of the segments passes."""
-    eye: IntArray
-    column: IntArray
-    """``eye``, ``column``: (S,) intp."""
-    along: Float32Array
-    """(S,) float32. How far along the segment, in the image."""
-    height_tan: Float32Array
-    nearness_per_m: Float32Array
-    """``height_tan``, ``nearness_per_m``: (C, M) float32. Image-plane ordinate and inverse depth of
-    the points."""
-
-    @classmethod
-    def of(cls, lines: Polylines, displacements_m: FloatArray, columns: int) -> "Image":
-        """Project polylines for displaced eyes (C, 3)."""
-        right, up, forward = displacements_m.astype(np.float32).T[:, :, np.newaxis]
-        # An eye that is nowhere has everything behind it.
-        depth = lines.forward_m - np.where(np.isfinite(up), forward, np.float32(np.inf))
-        nearness = 1.0 / np.where(depth > MIN_DEPTH_M, depth, np.float32(np.nan))
-        position = (lines.right_m - right) * nearness
-        position *= np.float32(columns / 2.0)
-        position += np.float32((columns - 1) / 2.0)
-
-        flat = position.ravel()
-        first = np.ceil(np.maximum(np.minimum(flat[:-1], flat[1:]), 0.0))
-        last = np.floor(np.minimum(np.maximum(flat[:-1], flat[1:]), np.float32(columns - 1)))
-        passes = np.zeros(position.shape, dtype=bool)
-        passes.ravel()[:-1] = first <= last
-        passes &= lines.joined
-        start = np.flatnonzero(passes)
-
-        first = first[start]
-        count = (last[start] - first).astype(np.intp) + 1
-        segment = np.repeat(np.arange(len(start)), count)
-        skipped = np.cumsum(count) - count - first.astype(np.intp)
-        column = np.arange(len(segment)) - skipped[segment]
-        span = flat[start + 1] - flat[start]
-        # A segment seen end on counts as its beginning.
-        rate = np.divide(1.0, span, out=np.zeros_like(span), where=np.abs(span) > 1e-6)
-        along = (column.astype(np.float32) - flat[start][segment]) * rate[segment]
-        return cls(
-            start,
-            segment,
-            (start // max(len(lines.joined), 1))[segment],
-            column,
-            along,
-            np.asarray((lines.up_m - up) * nearness, dtype=np.float32),
-            np.asarray(nearness, dtype=np.float32),
-        )
-
-    def elevation_tan(self) -> Float32Array:
-        """Return the ordinates at the column centres, (S,)."""
-        return self._between(self.height_tan)
-
-    def depth_m(self) -> Float32Array:
-        """Return the depths at the column centres, (S,)."""
-        return np.asarray(1.0 / self._between(self.nearness_per_m), dtype=np.float32)
-
-    def _between(self, values: Float32Array) -> Float32Array:
-        flat = values.ravel()
-        begin = flat[self.start]
-        rise = flat[self.start + 1] - begin
-        return np.asarray(begin[self.segment] + self.along * rise[self.segment], dtype=np.float32)
-
-
-def _own(u: Float32Array, depth_m: Float32Array) -> tuple[Float32Array, Float32Array]:
-    """Return right and forward of points seen straight on."""
-    return u * depth_m, depth_m
-
-
-def _left(u: Float32Array, depth_m: Float32Array) -> tuple[Float32Array, Float32Array]:
-    return -depth_m, u * depth_m
-
-
-def _right(u: Float32Array, depth_m: Float32Array) -> tuple[Float32Array, Float32Array]:
-    return depth_m, -u * depth_m
+    flat = position.ravel()
+    first = np.ceil(np.maximum(np.minimum(flat[:-1], flat[1:]), 0.0))
+    last = np.floor(np.minimum(np.maximum(flat[:-1], flat[1:]), np.float32(columns - 1)))
+    passes = np.zeros(position.shape, dtype=bool)
+    passes.ravel()[:-1] = first <= last
+    passes &= joined
+    start = np.flatnonzero(passes)
+    first = first[start]
+    count = (last[start] - first).astype(np.intp) + 1
+    segment = np.repeat(np.arange(len(start)), count)
+    skipped = np.cumsum(count) - count - first.astype(np.intp)
+    column = np.arange(len(segment)) - skipped[segment]
+    span = flat[start + 1] - flat[start]
+    # A segment seen end on counts as its beginning.
+    rate = np.divide(1.0, span, out=np.zeros_like(span), where=np.abs(span) > 1e-6)
+    return (
+        start,
+        segment,
+        column,
+        (column.astype(np.float32) - flat[start][segment]) * rate[segment],
+    )

@@ -1,4 +1,4 @@
-"""The paper's reprojection error (section 4.2), Equations 1 to 4.
+"""The paper's reprojection error (section 4.2), Equations 1 to 4, and tolerance areas.
 
 The points of a stored skyline are projected from a displaced eye, and a warp of the stored
 skyline is held to their images. A displacement t is (right, up, forward) in the view's own axes,
@@ -11,11 +11,13 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, FloatArray
 from skyline.camera import HEADINGS, columns_u, rotation
 from skyline.errors import InputError
+from skyline.terrain.heightfield import Ground
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
 from skyline.views import Views
 
 IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -27,6 +29,12 @@ _RIDGE = 1e-9
 
 _AT_ONCE = 1 << 18
 """Projected points evaluated together, to stay in the processor's cache."""
+
+_COLUMNS = 80
+"""At most so many points a view, evenly spread. On Davos, 80 decide as 640 do."""
+
+_FEWEST_POINTS = 3
+"""Fewer in frame are no answer."""
 
 _ROTATIONS = np.stack([rotation(heading) for heading in HEADINGS])
 
@@ -52,16 +60,6 @@ def displacements_m(
         "nij,ncj->nci", _ROTATIONS[views.heading][:, ::2, ::2], east_up_north[..., ::2]
     )
     return np.stack([turned[..., 0], east_up_north[..., 1], turned[..., 1]], axis=-1)
-
-
-def check_displacements(views: Views, displacements_m: NDArray[np.floating]) -> None:
-    """Raise `InputError` unless displacements have one row of (C, 3) a view."""
-    shape = displacements_m.shape
-    if len(shape) != 3 or shape[0] != len(views) or shape[2] != 3:
-        raise InputError(
-            f"displacements have shape {shape}; expected ({len(views)}, C, 3): right, up and "
-            "forward of C eyes for each view"
-        )
 
 
 def equation_4(depth_m: FloatArray, displacements_m: FloatArray) -> Float64Array:
@@ -175,19 +173,12 @@ class Projected:
         return cls(points, np.stack([abscissa, ordinate], axis=-1), usable, depth, moved)
 
 
-Warp = Callable[[Projected], Float64Array]
-
-
 @dataclass(frozen=True, slots=True)
 class Reprojection:
     """Mean distance of warped points from their true images, over those in front and in frame."""
 
-    warp: Warp
+    warp: Callable[[Projected], Float64Array]
     """Returns the warps (N, C, 2, 3), NaN where there is none."""
-    columns: int = 80
-    """At most so many points a view, evenly spread. On Davos, 80 decide as 640 do."""
-    min_points: int = 3
-    """Fewer in frame are no answer."""
 
     def errors_px(self, views: Views, displacements_m: FloatArray) -> Float32Array:
         """Return reprojection errors of candidates.
@@ -207,17 +198,21 @@ class Reprojection:
             Mean distance in px (2 / W in v); inf where the view predicts nothing: no warp, too
             little of the skyline in frame, no eye.
         """
-        check_displacements(views, displacements_m)
-        candidates = displacements_m.shape[1]
-        errors = np.empty((len(views), candidates), dtype=np.float32)
-        some = max(1, _AT_ONCE // max(1, candidates * min(self.columns, views.width)))
+        shape = displacements_m.shape
+        if len(shape) != 3 or shape[0] != len(views) or shape[2] != 3:
+            raise InputError(
+                f"displacements have shape {shape}; expected ({len(views)}, C, 3): right, up and "
+                "forward of C eyes for each view"
+            )
+        errors = np.empty(shape[:2], dtype=np.float32)
+        some = max(1, _AT_ONCE // max(1, shape[1] * min(_COLUMNS, views.width)))
         for begin in range(0, len(views), some):
             part = slice(begin, begin + some)
             errors[part] = self._errors_px(views[part], displacements_m[part])
         return errors
 
     def _errors_px(self, views: Views, displacements_m: FloatArray) -> FloatArray:
-        projected = Projected.of(views, displacements_m, self.columns)
+        projected = Projected.of(views, displacements_m, _COLUMNS)
         affine = self.warp(projected)
         warped = projected.points_uv[:, np.newaxis] @ np.swapaxes(affine[..., :2], 2, 3)
         warped += affine[..., np.newaxis, :, 2]
@@ -225,35 +220,72 @@ class Reprojection:
         missed = np.where(usable[..., np.newaxis], warped - projected.there_uv, 0.0)
         count = usable.sum(axis=2)
         mean = np.hypot(missed[..., 0], missed[..., 1]).sum(axis=2) / np.maximum(count, 1)
-        answered = (count >= self.min_points) & np.isfinite(mean)
+        answered = (count >= _FEWEST_POINTS) & np.isfinite(mean)
         return np.where(answered, mean * (views.width / 2.0), np.inf)
 
 
-def _no_warp(projected: Projected) -> Float64Array:
-    return np.broadcast_to(IDENTITY, (*projected.usable.shape[:2], 2, 3))
-
-
-def _mean_depth_warp(projected: Projected) -> Float64Array:
-    return equation_4(mean_depth_m(projected.depth_m), projected.displacements_m)
-
-
-def _median_depth_warp(projected: Projected) -> Float64Array:
-    return equation_4(median_depth_m(projected.depth_m), projected.displacements_m)
-
-
-def _least_squares_warp(projected: Projected) -> Float64Array:
-    return least_squares(projected.points_uv, projected.there_uv, projected.usable)
-
-
-AFFINE_MEAN = Reprojection(_mean_depth_warp)
-"""The paper's own."""
-
 PREDICTORS: Mapping[str, Reprojection] = MappingProxyType(
     {
-        "non-affine": Reprojection(_no_warp),
-        "affine-mean": AFFINE_MEAN,
-        "affine-median": Reprojection(_median_depth_warp),
-        "affine-least-squares": Reprojection(_least_squares_warp),
+        "non-affine": Reprojection(
+            lambda seen: np.broadcast_to(IDENTITY, (*seen.usable.shape[:2], 2, 3))
+        ),
+        "affine-mean": Reprojection(
+            lambda seen: equation_4(mean_depth_m(seen.depth_m), seen.displacements_m)
+        ),
+        "affine-median": Reprojection(
+            lambda seen: equation_4(median_depth_m(seen.depth_m), seen.displacements_m)
+        ),
+        "affine-least-squares": Reprojection(
+            lambda seen: least_squares(seen.points_uv, seen.there_uv, seen.usable)
+        ),
     }
 )
-"""By name: ``affine-mean`` is the planners', the others are compared with it."""
+"""By name: ``affine-mean`` is the paper's and the planners', the others are compared with it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ToleranceMeter:
+    """Measures how far around views their skylines serve: a call returns reprojection errors."""
+
+    ground: Ground
+    """Heights at map coordinates: `HeightField.height_at`."""
+    size: int = 10
+    """K: rows and columns of the locations around a view, which is at [K // 2, K // 2]; 10 in the
+    paper."""
+    spacing_m: float = 30.0
+    """Distance between neighbouring locations."""
+    predictor: Reprojection = PREDICTORS["affine-mean"]
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    """Of the eyes at the other locations, above the ground."""
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.size <= 1001:
+            raise InputError(
+                f"neighbourhood is {self.size} locations wide; expected 1 to 1001 (the paper "
+                "takes 10)"
+            )
+        if not (np.isfinite(self.spacing_m) and self.spacing_m > 0.0):
+            raise InputError(
+                f"neighbourhood has a spacing of {self.spacing_m} m; expected a positive number"
+            )
+        if not (np.isfinite(self.eye_height_m) and self.eye_height_m >= 0.0):
+            raise InputError(f"eye height is {self.eye_height_m} m; expected at least 0")
+
+    def __call__(self, views: Views) -> Float32Array:
+        """Return the reprojection errors of the neighbourhoods of N views.
+
+        Returns
+        -------
+        (N, K, K) float32
+            In px; row 0 is the northernmost, column 0 the westernmost, whatever the heading. inf
+            off the map, on holes and where the predictor has no answer; 0 at the view itself.
+        """
+        size, centre = self.size, self.size // 2
+        steps = (np.arange(size) - centre) * self.spacing_m
+        easting = views.easting_m[:, np.newaxis] + np.tile(steps, size)
+        northing = views.northing_m[:, np.newaxis] - np.repeat(steps, size)
+        eye_elevation = self.ground(easting, northing) + self.eye_height_m
+        moved = displacements_m(views, easting, northing, eye_elevation)
+        errors = self.predictor.errors_px(views, moved).reshape(len(views), size, size)
+        errors[:, centre, centre] = 0.0
+        return errors

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Int64Array
+from skyline.arrays import BoolArray, Float64Array, Int64Array
 from skyline.paper.planning.coverage import Coverage, Problem, Requests, Strategy
 
 _DRAWN = 10
@@ -22,7 +22,7 @@ def rov(problem: Problem, generator: np.random.Generator) -> Requests:
     """
     while not problem.done:
         drawn = draw(generator, problem.open_candidates(), _DRAWN)
-        areas = problem.model.predict_errors(drawn) <= problem.threshold_px
+        areas = problem.predict_errors(drawn) <= problem.threshold_px
         yield best(problem.coverage, drawn, areas)
 
 
@@ -47,8 +47,11 @@ def hov(problem: Problem, generator: np.random.Generator) -> Requests:
 
 
 def _level(problem: Problem, spacing: int) -> Requests:
+    """Select among the region's candidates at whole multiples of a spacing, from half of it on."""
     coverage = problem.coverage
-    lattice = _lattice(problem, spacing)
+    chosen = np.zeros(problem.grid.shape, dtype=bool)
+    chosen[spacing // 2 :: spacing, spacing // 2 :: spacing] = True
+    lattice = np.flatnonzero(chosen & problem.region)
     # At spacing 1 the region's own target says when to stop.
     allowed = int(len(lattice) * (1.0 - problem.target)) if spacing > 1 else 0
     left = lattice[coverage.uncovered.ravel()[lattice]]
@@ -65,14 +68,6 @@ def _level(problem: Problem, spacing: int) -> Requests:
             bound[top] = gain
             top = np.argmax(bound)
         yield left[[top]]
-
-
-def _lattice(problem: Problem, spacing: int) -> Int64Array:
-    """Return the region's candidates at whole multiples of a spacing, from half a spacing on."""
-    rows, cols = problem.grid.shape
-    chosen = np.zeros((rows, cols), dtype=bool)
-    chosen[spacing // 2 :: spacing, spacing // 2 :: spacing] = True
-    return np.flatnonzero(chosen & problem.region)
 
 
 def sov(problem: Problem, generator: np.random.Generator) -> Requests:
@@ -98,7 +93,7 @@ def _pack(problem: Problem, known: int, packed: BoolArray) -> None:
         packed[to_row[inside], to_col[inside]] = True
 
 
-def minor_axes(areas: BoolArray) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def minor_axes(areas: BoolArray) -> Float64Array:
     """Return the minor semi-axes (N, 2) (rows, columns) of the ellipses with areas' moments.
 
     Moments are taken about the viewpoint, since that is what the ellipse is centred on. A filled

@@ -38,31 +38,26 @@ class Verification:
         return self.predicted * self.share
 
 
-@dataclass(frozen=True, slots=True)
-class Checks:
-    """What verification asks others for."""
-
-    render: Render
-    stored: Render
-    """Returns stored views at viewpoints along headings, in any order."""
-    errors: TrueErrors
-
-
 def verify_coverage(
-    plan: Plan, checks: Checks, threshold_px: float, sample: int = 400
+    plan: Plan, render: Render, errors: TrueErrors, sample: int = 400
 ) -> Verification:
     """Render a random sample of covered locations and compare them with the views that cover them.
 
+    These are rendered again rather than kept: a rendering costs less than its memory.
     A location that was rendered itself counts as any other. Of the views whose tolerance areas
     hold a location, up to four, the nearest, are tried.
 
     Raises `InputError` for a sample below 1, or a plan that covers nothing.
     """
     heading, location = _draw(plan, sample)
-    rendered = _views(checks.render, plan, location, heading)
-    pair, viewpoint = _pairs(plan, heading, location)
-    stored = _views(checks.stored, plan, viewpoint, heading[pair])
-    within = checks.errors(stored, rendered[pair]) <= threshold_px
+    rendered = _views(render, plan, location, heading)
+    covering = [
+        _covering(plan.coverages[one], where)
+        for one, where in zip(heading.tolist(), location.tolist(), strict=True)
+    ]
+    pair = np.repeat(np.arange(len(covering)), [len(found) for found in covering])
+    stored = _views(render, plan, np.concatenate(covering), heading[pair])
+    within = errors(stored, rendered[pair]) <= plan.threshold_px
     true = int(np.count_nonzero(np.bincount(pair[within], minlength=len(location))))
     low, high = wilson_interval(true, len(location))
     return Verification(true / len(location), low, high, len(location), plan.coverage)
@@ -90,32 +85,19 @@ def _draw(plan: Plan, sample: int) -> tuple[Headings, Int64Array]:
     return heading.astype(np.uint8), location
 
 
-def _pairs(plan: Plan, heading: Headings, location: Int64Array) -> tuple[Int64Array, Int64Array]:
-    """Return for each pair to compare the place in the sample and the viewpoint that covers it."""
-    pair, viewpoint = [], []
-    for place, (one, where) in enumerate(zip(heading.tolist(), location.tolist(), strict=True)):
-        found = _covering(plan.coverages[one], where)
-        pair += [place] * len(found)
-        viewpoint += found.tolist()
-    return np.array(pair, dtype=np.int64), np.array(viewpoint, dtype=np.int64)
-
-
 def _covering(coverage: Coverage, location: int) -> Int64Array:
     """Return the viewpoints whose areas hold a location, nearest first, the first few."""
-    grid = coverage.grid
-    row, col = grid.row_col(np.array([location]))
-    seen_row, seen_col = grid.row_col(coverage.viewpoints)
-    down, across = row - seen_row + grid.reach, col - seen_col + grid.reach
-    near = (np.abs(down - grid.reach) <= grid.reach) & (np.abs(across - grid.reach) <= grid.reach)
-    near = np.flatnonzero(near)
-    holds = near[coverage.areas[near, down[near], across[near]]]
-    apart = np.hypot(down[holds] - grid.reach, across[holds] - grid.reach)
-    nearest = holds[np.argsort(apart, kind="stable")[:_VIEWS_TRIED]]
-    return np.asarray(coverage.viewpoints[nearest], dtype=np.int64)
+    grid, reach = coverage.grid, coverage.grid.reach
+    row, col = grid.row_col(coverage.viewpoints)
+    down, across = location // grid.shape[1] - row, location % grid.shape[1] - col
+    near = np.flatnonzero(np.maximum(np.abs(down), np.abs(across)) <= reach)
+    holds = near[coverage.areas[near, down[near] + reach, across[near] + reach]]
+    apart = np.hypot(down[holds], across[holds])
+    return coverage.viewpoints[holds[np.argsort(apart, kind="stable")[:_VIEWS_TRIED]]]
 
 
-def _views(source: Render, plan: Plan, candidates: Int64Array, heading: Headings) -> Views:
+def _views(render: Render, plan: Plan, candidates: Int64Array, heading: Headings) -> Views:
     """Return views at candidates along headings, in that order; each is asked for once."""
     once = np.unique(np.stack([heading, candidates]), axis=1)
-    views = source(plan.candidates.viewpoints(once[1]), once[0].astype(np.uint8))
+    views = render(plan.candidates.viewpoints(once[1]), once[0].astype(np.uint8))
     return as_asked(views, places(plan.candidates.viewpoints(candidates), heading))
