@@ -9,19 +9,17 @@ photo. A column is trusted where the network holds it likely that the skyline ru
 import logging
 from dataclasses import dataclass
 from math import ceil
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
-from skyline.arrays import Float64Array, IntArray, UInt8Array
+from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
 from skyline.photo.evidence import Evidence, gather_evidence, to_lab
 from skyline.photo.frame import Content, content_of
-from skyline.photo.paths import Steps, shortest_path
 from skyline.photo.query import QuerySkyline
 
 log = logging.getLogger(__name__)
-
 
 TRUST_THRESHOLD = 0.59
 """Columns of less confidence are masked."""
@@ -29,6 +27,18 @@ MIN_TRUSTED_SHARE = 0.1
 """A photo with a smaller share of trusted columns has no skyline."""
 _SMOOTHED_PX = 9
 """Working columns over which confidence is averaged."""
+
+
+class Steps(NamedTuple):
+    """What a step from one column to the next may do and what it costs."""
+
+    reach_rows: int
+    """Largest step that is priced by its slope."""
+    price_per_row: float
+    """Price of each row of such a step."""
+    jump_price: float
+    """Price of a step of any size: a cliff, a trunk, the edge of an occluder."""
+
 
 STEPS = Steps(reach_rows=8, price_per_row=0.1, jump_price=3.0)
 FORBIDDEN = 1e3
@@ -51,7 +61,15 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
         )
     extraction = Extraction.of(image)
     query = extraction.query(extraction.row_px, extraction.confidence)
-    _require_skyline(query, extraction.content)
+    content = extraction.content
+    share = float(query.trusted[content.left : content.right].mean())
+    log.debug("skyline trusted in %.0f %% of the columns", 100.0 * share)
+    if share < MIN_TRUSTED_SHARE:
+        raise InputError(
+            f"no skyline found: {100.0 * share:.0f} % of the columns show a clear border between "
+            f"sky and ground, expected at least {100.0 * MIN_TRUSTED_SHARE:.0f} %; draw it as a "
+            "trace (CSV column_px,row_px) or a mask (PNG, white = sky)"
+        )
     return query
 
 
@@ -138,12 +156,28 @@ def refine_rows(photo: UInt8Array, row: Float64Array, scale: float) -> Float64Ar
     return np.asarray(centre - reach + inner - 0.5 + np.clip(shift, -0.5, 0.5), dtype=np.float64)
 
 
-def _require_skyline(query: QuerySkyline, content: Content) -> None:
-    share = float(query.trusted[content.left : content.right].mean())
-    log.debug("skyline trusted in %.0f %% of the columns", 100.0 * share)
-    if share < MIN_TRUSTED_SHARE:
-        raise InputError(
-            f"no skyline found: {100.0 * share:.0f} % of the columns show a clear border between "
-            f"sky and ground, expected at least {100.0 * MIN_TRUSTED_SHARE:.0f} %; draw it as a "
-            "trace (CSV column_px,row_px) or a mask (PNG, white = sky)"
-        )
+def shortest_path(cost: Float32Array, steps: Steps) -> IntArray:
+    """Return the cheapest path's row in each column, (W,) intp, for costs (H, W) float32."""
+    n_rows, n_columns = cost.shape
+    reach = steps.reach_rows
+    offsets = np.arange(-reach, reach + 1)
+    step_price = (steps.price_per_row * np.abs(offsets)).astype(np.float32)
+    rows = np.arange(n_rows)
+    best = cost[:, 0]
+    arrived_from = np.zeros((n_columns, n_rows), dtype=np.int32)
+    padded = np.full(n_rows + 2 * reach, np.inf, dtype=np.float32)
+    reachable = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1)
+    for column in range(1, n_columns):
+        padded[reach : reach + n_rows] = best
+        candidates = reachable + step_price
+        choice = np.argmin(candidates, axis=1)
+        stepped = candidates[rows, choice]
+        start = int(np.argmin(best))
+        jumped = best[start] + np.float32(steps.jump_price)
+        best = cost[:, column] + np.minimum(stepped, jumped)
+        arrived_from[column] = np.where(stepped <= jumped, rows + offsets[choice], start)
+    row = np.empty(n_columns, dtype=np.intp)
+    row[-1] = int(np.argmin(best))
+    for column in range(n_columns - 1, 0, -1):
+        row[column - 1] = arrived_from[column, row[column]]
+    return row

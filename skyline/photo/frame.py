@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import Float64Array, UInt8Array
+from skyline.arrays import BoolArray, Float64Array, UInt8Array
 from skyline.errors import InputError
 from skyline.photo.query import QuerySkyline
 
@@ -93,17 +92,13 @@ def _bar_length(image: UInt8Array) -> int:
         return 0
     image = image[:, :: max(1, image.shape[1] // _SAMPLES)]
     colour = np.median(image[0], axis=0)
-    length = 0
-    while length <= longest:
-        if _alike(image[length], colour).mean() < _BAR_SHARE:
-            break
-        length += 1
-    mixed = image[length : length + _BAR_BLUR_PX]
-    ends_straight = length <= longest and any(_is_content(row, colour) for row in mixed)
+    rows = range(longest + 1)
+    length = next((k for k in rows if _alike(image[k], colour).mean() < _BAR_SHARE), 0)
+    ends_straight = any(_is_content(row, colour) for row in image[length : length + _BAR_BLUR_PX])
     return length + _BAR_BLUR_PX if length and ends_straight else 0
 
 
-def _is_content(row: UInt8Array, colour: NDArray[np.float64]) -> bool:
+def _is_content(row: UInt8Array, colour: Float64Array) -> bool:
     """Return whether a row (N, 3) differs from a bar's colour nearly everywhere.
 
     Borders of that colour at the row's ends are left out, as long as most of the row remains.
@@ -114,6 +109,6 @@ def _is_content(row: UInt8Array, colour: NDArray[np.float64]) -> bool:
     return bool(differs.size >= _EDGE_SHARE * (differs[-1] + 1 - differs[0]))
 
 
-def _alike(pixels: UInt8Array, colour: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _alike(pixels: UInt8Array, colour: Float64Array) -> BoolArray:
     """Return which of pixels (N, 3) are of a colour."""
     return np.asarray(np.abs(pixels - colour).max(axis=-1) <= _COLOUR_TOLERANCE)

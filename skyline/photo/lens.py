@@ -84,13 +84,12 @@ def lens_of(tags: Mapping[int, object], stored_size: tuple[int, int], turned: bo
     most_deg = 2.0 * degrees(atan(across / 2.0 / (focal.diagonals * hypot(*frame))))
     if most_deg < MIN_FOV_DEG:
         return Lens(said=f"{focal.source} left aside: {most_deg:.2g} degrees are no photo's")
+    said = "; ".join(filter(None, [focal.source, dropped]))
     if _is_whole(stored_size, frame) or _is_unscaled(stored_size, frame):
-        sd_deg = None
-        if focal.share is not None:
-            sd_deg = degrees(focal.share * sin(radians(most_deg)))
-        return Lens(most_deg, sd_deg, None, "; ".join(filter(None, [focal.source, dropped])))
-    said = f"{focal.source}, but the photo was cropped: at most {most_deg:.1f} degrees"
-    said = "; ".join(filter(None, [said, dropped]))
+        sd_deg = None if focal.share is None else degrees(focal.share * sin(radians(most_deg)))
+        return Lens(most_deg, sd_deg, None, said)
+    cropped = f"{focal.source}, but the photo was cropped: at most {most_deg:.1f} degrees"
+    said = "; ".join(filter(None, [cropped, dropped]))
     return Lens(_KEPT_MEAN * most_deg, _KEPT_SD * most_deg, _KEPT_MOST * most_deg, said)
 
 
@@ -165,14 +164,11 @@ def _frame(tags: Mapping[int, object], stored: tuple[int, int]) -> tuple[float, 
     if width is None or height is None:
         return float(stored[0]), float(stored[1])
     frames = (width, height), (height, width)
-    return max(
-        frames,
-        key=lambda frame: (
-            _is_whole(stored, frame),
-            _is_unscaled(stored, frame),
-            _kept(stored, frame)[0],
-        ),
-    )
+
+    def fit(frame: tuple[float, float]) -> tuple[bool, bool, float]:
+        return _is_whole(stored, frame), _is_unscaled(stored, frame), _kept(stored, frame)[0]
+
+    return max(frames, key=fit)
 
 
 def _kept(stored: tuple[int, int], frame: tuple[float, float]) -> tuple[float, float]:

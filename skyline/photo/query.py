@@ -3,9 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import Float64Array
+from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace
 from skyline.photo.lens import Lens
@@ -74,7 +73,7 @@ class QuerySkyline:
         )
 
     @property
-    def trusted(self) -> NDArray[np.bool_]:
+    def trusted(self) -> BoolArray:
         """Which columns have a skyline, shape (W,)."""
         return np.isfinite(self.row_px)
 

@@ -8,7 +8,7 @@ rounded to multiples of 32.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol, cast
 
 import cv2
 import numpy as np
@@ -29,15 +29,10 @@ _MIN_CONFIDENCE = 0.5
 _CONTRACT = "expected one input (1, 3, h, w) and an output (1, 1, h, w), (1, h, w) or (1, 2, h, w)"
 
 
-class _Tensor(Protocol):
-    name: str
-    shape: Sequence[object]
-
-
 class SkySession(Protocol):
     """What of ``onnxruntime.InferenceSession`` is used."""
 
-    def get_inputs(self) -> Sequence[_Tensor]:
+    def get_inputs(self) -> Sequence[Any]:
         """Return the model's inputs."""
 
     def run(self, names: None, feed: dict[str, Float32Array]) -> Sequence[object]:
@@ -54,12 +49,10 @@ def load_sky_model(path: str | Path) -> SkySession:
         raise MissingFileError(f"{path} does not exist; expected a sky model (ONNX)")
     runtime = library("onnxruntime", "onnx", str(path))
     try:
-        session: SkySession = runtime.InferenceSession(
-            str(path), providers=["CPUExecutionProvider"]
-        )
+        session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     except Exception as error:  # The runtime's own errors share no base class.
         raise InputError(f"{path} is not a model that can be run ({_line(error)})") from error
-    return session
+    return cast(SkySession, session)
 
 
 def model_skyline(image: UInt8Array, session: SkySession) -> QuerySkyline:
@@ -99,8 +92,7 @@ def _probability(photo: UInt8Array, session: SkySession) -> Float64Array:
         raise InputError(f"the sky model's output has shape {sky.shape}; {_CONTRACT}")
     if not np.isfinite(sky).all():
         raise InputError(f"the sky model's output is not finite; {_CONTRACT}")
-    is_probability = sky.min() >= 0.0 and sky.max() <= 1.0
-    if is_probability:
+    if sky.min() >= 0.0 and sky.max() <= 1.0:  # Probabilities.
         return np.asarray(sky[0, -1])
     logit = sky[0, 0] if sky.shape[1] == 1 else sky[0, 1] - sky[0, 0]
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))

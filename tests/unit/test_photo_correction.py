@@ -14,10 +14,10 @@ from skyline.photo.extract import (
     Extraction,
     extract_skyline,
     refine_rows,
+    shortest_path,
     to_photo_rows,
     to_work_columns,
 )
-from skyline.photo.paths import shortest_path
 
 WIDTH, HEIGHT = 960, 640
 
