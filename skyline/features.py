@@ -111,14 +111,10 @@ def _split(
     flat: Float64Array, left: IntArray, right: IntArray, tolerance: float
 ) -> tuple[IntArray, Float64Array]:
     """Return flat indices and significances of the vertices inside segments left..right."""
-    positions: list[IntArray] = []
-    significances: list[Float64Array] = []
+    positions, significances = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
     bound = np.full(len(left), np.inf)
-    while True:
-        long = right - left > 1
+    while (long := right - left > 1).any():
         left, right, bound = left[long], right[long], bound[long]
-        if not len(left):
-            break
         worst, middle = _worst_miss(flat, left, right)
         missed = worst > tolerance
         left, right, middle = left[missed], right[missed], middle[missed]
@@ -127,10 +123,7 @@ def _split(
         significances.append(bound)
         left, right = np.concatenate([left, middle]), np.concatenate([middle, right])
         bound = np.concatenate([bound, bound])
-    return (
-        np.concatenate([np.zeros(0, dtype=np.intp), *positions]),
-        np.concatenate([np.zeros(0), *significances]),
-    )
+    return np.concatenate(positions), np.concatenate(significances)
 
 
 def _worst_miss(

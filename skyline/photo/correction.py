@@ -19,15 +19,13 @@ from skyline.photo.extract import (
     FORBIDDEN,
     STEPS,
     Extraction,
-    path_confidence,
-    refine_rows,
+    on_photo,
     shortest_path,
-    to_photo_rows,
     to_work_columns,
 )
-from skyline.photo.mask import is_sky_mask, skyline_of_mask
 from skyline.photo.query import QuerySkyline, check_of_image
 from skyline.photo.read import Photo
+from skyline.photo.sky_model import is_sky_mask, skyline_of_mask
 
 _PAINTED_CONFIDENCE = 0.6
 """Least confidence of a column that a brush has touched: a person has looked at it."""
@@ -159,14 +157,14 @@ class Correction:
         cost = np.where(_forbidden(labels), evidence.cost + np.float32(FORBIDDEN), evidence.cost)
         path = shortest_path(cost, STEPS)
         changed = (path != extraction.path) | (labels != 0).any(axis=0)
-        at_work = to_work_columns(len(row_px), evidence)
-        near = np.rint(at_work).astype(np.intp).clip(0, len(path) - 1)
+        near = (
+            np.rint(to_work_columns(len(row_px), evidence)).astype(np.intp).clip(0, len(path) - 1)
+        )
         columns = np.flatnonzero(changed[near])
         around = slice(max(columns[0] - _HULL_PX, 0), columns[-1] + _HULL_PX + 1)
-        guess = to_photo_rows(path, evidence, at_work[around])
-        refined = refine_rows(extraction.photo[:, around], guess, evidence.row_scale)
-        row_px[columns] = refined[columns - around.start]
-        confidence[columns] = path_confidence(evidence, path, at_work[columns])
+        rows, confidences = on_photo(extraction.photo, evidence, path, around)
+        row_px[columns] = rows[columns - around.start]
+        confidence[columns] = confidences[columns - around.start]
 
 
 def _columns(stroke: Stroke, width: int) -> IntArray:

@@ -13,13 +13,31 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
 from skyline.photo.evidence import Evidence, gather_evidence, to_lab
-from skyline.photo.frame import Content, content_of
 from skyline.photo.query import QuerySkyline
 
 log = logging.getLogger(__name__)
+
+MIN_CONTENT_PX = 32
+"""Smallest width and height in which a skyline is looked for."""
+MAX_ASPECT = 30.0
+"""Longest side over shortest; full circles of a low panorama have about 12."""
+
+_COLOUR_TOLERANCE = 10
+"""Greatest difference per channel within one uniform border; JPEG rings by a few levels."""
+_BAR_SHARE = 0.6
+"""Share of a row that must be a bar's own colour; the rest may be its caption."""
+_EDGE_SHARE = 0.9
+"""Share of the first row of content that must differ from the bar, but for the borders at its
+ends: bars end in a straight line."""
+_BAR_BLUR_PX = 3
+"""Rows beyond a bar that resizing and JPEG have mixed with it."""
+_MAX_BAR_SHARE = 0.3
+"""Tallest bar, as a share of the image."""
+_SAMPLES = 500
+"""Pixels of a row that are looked at, at least; of a shorter row all."""
 
 TRUST_THRESHOLD = 0.59
 """Columns of less confidence are masked."""
@@ -73,6 +91,34 @@ def extract_skyline(image: UInt8Array) -> QuerySkyline:
     return query
 
 
+@dataclass(frozen=True, slots=True)
+class Content:
+    """The rectangle of an image that is photo: half-open ranges of rows and columns."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+    def crop(self, image: UInt8Array) -> UInt8Array:
+        """Return the photo inside its borders, a view."""
+        return image[self.top : self.bottom, self.left : self.right]
+
+    def skyline(
+        self, row_px: Float64Array, confidence: Float64Array, shape: tuple[int, ...]
+    ) -> QuerySkyline:
+        """Return the skyline of an image of a shape (H, W, ...) from that of its photo, (w,) each.
+
+        Columns without a row (NaN) are masked, and so is all beside the photo.
+        """
+        height, width = shape[:2]
+        rows, confidences = np.full(width, np.nan), np.zeros(width)
+        inside = slice(self.left, self.right)
+        rows[inside] = row_px + self.top
+        confidences[inside] = np.where(np.isfinite(row_px), confidence, 0.0)
+        return QuerySkyline(rows, confidences, width, height)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Extraction:
     """A photo's skyline with what it was found from, so that it can be found again."""
@@ -97,9 +143,7 @@ class Extraction:
         photo = content.crop(image)
         evidence = gather_evidence(photo)
         path = shortest_path(evidence.cost, STEPS)
-        at_work = to_work_columns(photo.shape[1], evidence)
-        row_px = refine_rows(photo, to_photo_rows(path, evidence, at_work), evidence.row_scale)
-        confidence = path_confidence(evidence, path, at_work)
+        row_px, confidence = on_photo(photo, evidence, path)
         height, width = image.shape[:2]
         return cls((height, width), content, photo, evidence, path, row_px, confidence)
 
@@ -109,14 +153,22 @@ class Extraction:
         return self.content.skyline(trusted_px, confidence, self.shape)
 
 
-def path_confidence(evidence: Evidence, path: IntArray, at_work: Float64Array) -> Float64Array:
-    """Return the confidence in a working path, 0 to 1 and smoothed, at places along it."""
+def on_photo(
+    photo: UInt8Array, evidence: Evidence, path: IntArray, columns: slice = slice(None)
+) -> tuple[Float64Array, Float64Array]:
+    """Return the rows of a working path, refined on the photo, and the confidence in them, 0 to 1.
+
+    Both are of some of the photo's columns.
+    """
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415  (slow to load)
 
+    at_work, whole = to_work_columns(photo.shape[1], evidence)[columns], np.arange(len(path))
+    row = (np.interp(at_work, whole, path) + 0.5) / evidence.row_scale - 0.5
     sure = evidence.confidence(path)
     smooth = uniform_filter1d(sure, _SMOOTHED_PX, mode="nearest")
     smooth = np.minimum(smooth, np.where(sure > 0.0, 1.0, 0.0))
-    return np.interp(at_work, np.arange(len(sure)), smooth)
+    refined = _refined(photo[:, columns], row, evidence.row_scale)
+    return refined, np.interp(at_work, whole, smooth)
 
 
 def to_work_columns(width: int, evidence: Evidence) -> Float64Array:
@@ -125,12 +177,7 @@ def to_work_columns(width: int, evidence: Evidence) -> Float64Array:
     return np.asarray(at_work, dtype=np.float64)
 
 
-def to_photo_rows(row: IntArray, evidence: Evidence, at_work: Float64Array) -> Float64Array:
-    """Return a working path's row in each photo column, photo pixels."""
-    return (np.interp(at_work, np.arange(len(row)), row) + 0.5) / evidence.row_scale - 0.5
-
-
-def refine_rows(photo: UInt8Array, row: Float64Array, scale: float) -> Float64Array:
+def _refined(photo: UInt8Array, row: Float64Array, scale: float) -> Float64Array:
     """Return the rows of the steepest change near a path, to sub-pixel.
 
     Within a band around the path a second shortest path follows the greatest difference between
@@ -181,3 +228,61 @@ def shortest_path(cost: Float32Array, steps: Steps) -> IntArray:
     for column in range(n_columns - 1, 0, -1):
         row[column - 1] = arrived_from[column, row[column]]
     return row
+
+
+def content_of(image: UInt8Array) -> Content:
+    """Find the photo inside uniform borders and caption bars.
+
+    A bar is a run of rows (or columns) from the image's edge, mostly of one colour, that ends
+    in a straight line: the next row differs from that colour nearly everywhere. Overcast sky
+    and dark ground are uniform too, but they end in a skyline. Raises `InputError` where less than
+    32 x 32 pixels are left of the image (H, W, 3) uint8, or it is a sliver.
+    """
+    height, width = image.shape[:2]
+    if max(height, width) > MAX_ASPECT * min(height, width):
+        raise InputError(
+            f"the image has {width} x {height} px; expected a photo or a panorama, sides of at "
+            f"most 1 to {MAX_ASPECT:g}"
+        )
+    top = _bar_length(image)
+    bottom = len(image) - _bar_length(image[::-1])
+    sideways = image[top:bottom].transpose(1, 0, 2)
+    left = _bar_length(sideways)
+    right = len(sideways) - _bar_length(sideways[::-1])
+    content = Content(top, bottom, left, right)
+    if min(bottom - top, right - left) < MIN_CONTENT_PX:
+        raise InputError(
+            f"the photo has {width} x {height} px, {max(right - left, 0)} x "
+            f"{max(bottom - top, 0)} within its borders; expected at least {MIN_CONTENT_PX} x "
+            f"{MIN_CONTENT_PX}: use a larger photo"
+        )
+    return content
+
+
+def _bar_length(image: UInt8Array) -> int:
+    """Return how many rows at the start of the image are a bar."""
+    longest = int(_MAX_BAR_SHARE * len(image))
+    if longest < 1:
+        return 0
+    image = image[:, :: max(1, image.shape[1] // _SAMPLES)]
+    colour = np.median(image[0], axis=0)
+    rows = range(longest + 1)
+    length = next((k for k in rows if _alike(image[k], colour).mean() < _BAR_SHARE), 0)
+    ends_straight = any(_is_content(row, colour) for row in image[length : length + _BAR_BLUR_PX])
+    return length + _BAR_BLUR_PX if length and ends_straight else 0
+
+
+def _is_content(row: UInt8Array, colour: Float64Array) -> bool:
+    """Return whether a row (N, 3) differs from a bar's colour nearly everywhere.
+
+    Borders of that colour at the row's ends are left out, as long as most of the row remains.
+    """
+    differs = np.flatnonzero(~_alike(row, colour))
+    if differs.size < _BAR_SHARE * len(row):
+        return False
+    return bool(differs.size >= _EDGE_SHARE * (differs[-1] + 1 - differs[0]))
+
+
+def _alike(pixels: UInt8Array, colour: Float64Array) -> BoolArray:
+    """Return which of pixels (N, 3) are of a colour."""
+    return np.asarray(np.abs(pixels - colour).max(axis=-1) <= _COLOUR_TOLERANCE)

@@ -23,13 +23,24 @@ from PIL.ExifTags import IFD, Base
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
-from skyline.photo.exif import NotedPlace, place_from_exif
+from skyline.photo.exif import (
+    MAX_PINHOLE_ASPECT,
+    Lens,
+    NotedPlace,
+    lens_of,
+    place_from_exif,
+    swept_lens_of,
+)
 from skyline.photo.extract import extract_skyline
-from skyline.photo.lens import MAX_PINHOLE_ASPECT, Lens, lens_of, swept_lens_of
-from skyline.photo.mask import is_sky_mask, skyline_of_mask
 from skyline.photo.projection import Projection, panorama_of_xmp
 from skyline.photo.query import QuerySkyline, check_of_image
-from skyline.photo.sky_model import SkySession, load_sky_model, model_skyline
+from skyline.photo.sky_model import (
+    SkySession,
+    is_sky_mask,
+    load_sky_model,
+    model_skyline,
+    skyline_of_mask,
+)
 from skyline.photo.trace import read_trace
 
 log = logging.getLogger(__name__)

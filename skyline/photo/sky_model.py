@@ -1,9 +1,10 @@
-"""A sky segmentation model of the user's own, in ONNX, in place of the built-in extraction.
+"""Images of the sky: masks, white for sky and black for ground, and what a model of one's own says.
 
-The contract: one input, float32 (1, 3, h, w), RGB from 0 to 1; the first output is (1, 1, h', w'),
-(1, h', w') or (1, 2, h', w'), the sky's probability or logits; of two channels the second is the
-sky. A model that states its h and w gets these, any other the photo with at most 1024 px a side,
-rounded to multiples of 32.
+A sky segmentation model in ONNX stands in place of the built-in extraction. The contract: one
+input, float32 (1, 3, h, w), RGB from 0 to 1; the first output is (1, 1, h', w'), (1, h', w') or
+(1, 2, h', w'), the sky's probability or logits; of two channels the second is the sky. A model that
+states its h and w gets these, any other the photo with at most 1024 px a side, rounded to multiples
+of 32.
 """
 
 from collections.abc import Sequence
@@ -13,12 +14,18 @@ from typing import Any, Protocol, cast
 import cv2
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array, UInt8Array
+from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.extras import library
-from skyline.photo.frame import Content, content_of
-from skyline.photo.mask import topmost_border
+from skyline.photo.extract import Content, content_of
 from skyline.photo.query import QuerySkyline
+
+_NEARLY = 24
+"""Levels from black or white that still count as such: masks saved as JPEG ring."""
+_MIN_SHARE = 0.98
+"""Share of a mask's pixels that are nearly black or white; the rest is its smoothed border."""
+_SAMPLES = 500
+_MIDDLE = 127.5
 
 _LONGEST_PX = 1024
 _MULTIPLE_PX = 32
@@ -78,7 +85,13 @@ def _probability(photo: UInt8Array, session: SkySession) -> Float64Array:
     inputs = session.get_inputs()
     if len(inputs) != 1 or len(inputs[0].shape) != 4:
         raise InputError(f"the sky model's inputs are {[i.shape for i in inputs]}; {_CONTRACT}")
-    height, width = _input_size(inputs[0].shape, photo.shape)
+    shrink = min(1.0, _LONGEST_PX / max(photo.shape[:2]))
+    height, width = (
+        stated
+        if isinstance(stated, int) and stated > 0
+        else max(1, round(side * shrink / _MULTIPLE_PX)) * _MULTIPLE_PX
+        for stated, side in zip(inputs[0].shape[2:], photo.shape[:2], strict=True)
+    )
     small = cv2.resize(photo, (width, height), interpolation=cv2.INTER_AREA)
     planes = np.ascontiguousarray(small.transpose(2, 0, 1)[np.newaxis], dtype=np.float32)
     try:
@@ -96,15 +109,6 @@ def _probability(photo: UInt8Array, session: SkySession) -> Float64Array:
         return np.asarray(sky[0, -1])
     logit = sky[0, 0] if sky.shape[1] == 1 else sky[0, 1] - sky[0, 0]
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
-
-
-def _input_size(shape: Sequence[object], photo: tuple[int, ...]) -> tuple[int, int]:
-    shrink = min(1.0, _LONGEST_PX / max(photo[:2]))
-    sides = []
-    for stated, side in zip(shape[2:], photo[:2], strict=True):
-        free = max(1, round(side * shrink / _MULTIPLE_PX)) * _MULTIPLE_PX
-        sides.append(stated if isinstance(stated, int) and stated > 0 else free)
-    return sides[0], sides[1]
 
 
 def _border(probability: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -137,3 +141,48 @@ def _on_photo(
 
 def _line(error: Exception) -> str:
     return str(error).strip().partition("\n")[0][:160]
+
+
+def is_sky_mask(image: UInt8Array) -> bool:
+    """Return whether an RGB image (H, W, 3) uint8 is grey, and nearly all of it black or white.
+
+    About five hundred rows and columns are looked at.
+    """
+    step_down, step_across = (max(1, side // _SAMPLES) for side in image.shape[:2])
+    sample = image[::step_down, ::step_across].astype(np.int16)
+    grey = sample[:, :, 1]
+    coloured = np.abs(sample - grey[:, :, np.newaxis]).max(axis=2) > _NEARLY
+    extreme = (grey <= _NEARLY) | (grey >= 255 - _NEARLY)
+    return not coloured.any() and float(extreme.mean()) >= _MIN_SHARE
+
+
+def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
+    """Return the border of each column's topmost ground; NaN where a column has no sky above it.
+
+    A smoothed border is found to a fraction of a pixel, halfway from white to black. Raises
+    `InputError` where no column of the mask, (H, W, 3) uint8, has sky (white) above ground.
+    """
+    row_px, _ = topmost_border(image[:, :, 1].astype(np.float64), _MIDDLE)
+    drawn = np.isfinite(row_px)
+    if not drawn.any():
+        raise InputError(
+            "no skyline found: the mask has no column with sky (white) above ground (black); "
+            "expected white for the sky"
+        )
+    return QuerySkyline(row_px, drawn.astype(np.float64), image.shape[1], len(image))
+
+
+def topmost_border(sky: Float64Array, middle: float) -> tuple[Float64Array, IntArray]:
+    """Return where each column (w,) of how much is sky (h, w) first falls below a middle.
+
+    That is to a fraction of a row, NaN where it never does or begins below, and the row of the
+    first pixel of ground.
+    """
+    is_ground = sky < middle
+    first = np.argmax(is_ground, axis=0)
+    # A column that starts with ground has its skyline above the image, one without below it.
+    seen = is_ground.any(axis=0) & (first > 0)
+    columns = np.arange(sky.shape[1])
+    above, below = sky[first - 1, columns], sky[first, columns]
+    row_px = first - 1 + (above - middle) / np.where(seen, above - below, 1.0)
+    return np.where(seen, row_px, np.nan), first

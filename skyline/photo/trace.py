@@ -10,7 +10,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
-from skyline.photo.lens import Lens
+from skyline.photo.exif import Lens
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 
@@ -83,15 +83,14 @@ def read_trace(
     row_px = _joined(column, row, width)
     if np.isnan(row_px).all():
         raise InputError(f"{path} draws no column of the skyline; add points to it")
-    lens, height_m = None, notes.get("eye_height_m")
+    lens = None
     if fov_deg is None and "fov_deg" in notes:
-        fov_deg = notes["fov_deg"]
-        slack = notes.get("fov_slack")
+        fov_deg, slack = notes["fov_deg"], notes.get("fov_slack")
         lens = None if slack is None else Lens(fov_deg, slack * fov_deg)
     try:
         return QuerySkyline(
             row_px, np.isfinite(row_px).astype(float), width, height, fov_deg,
-            projection or noted_projection, lens=lens, eye_height_m=height_m,
+            projection or noted_projection, lens=lens, eye_height_m=notes.get("eye_height_m"),
         )  # fmt: skip
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -135,8 +134,7 @@ def _points(
         for number, record in enumerate(records[1:], start=heading + 2)
         if any(field.strip() for field in record)
     ]
-    table = np.array(sorted(points), dtype=np.float64).reshape(-1, 2)
-    column, row = table[:, 0], table[:, 1]
+    column, row = np.array(sorted(points), dtype=np.float64).reshape(-1, 2).T
     twice = np.flatnonzero(np.diff(column) == 0.0)
     if twice.size:
         raise InputError(

@@ -9,8 +9,7 @@ from photo_scenes import KINDS, compose, expose, ground, make_scene, ridge, sky,
 from PIL import Image
 
 from skyline.errors import InputError
-from skyline.photo.extract import Steps, extract_skyline, shortest_path
-from skyline.photo.frame import Content, content_of
+from skyline.photo.extract import Content, Steps, content_of, extract_skyline, shortest_path
 from skyline.photo.read import extract_photo
 
 # A border known to the whole pixel only errs uniformly by -0.5 to 0.5 px.
