@@ -69,30 +69,24 @@ class Answers:
             progress(done, len(queries))
             with nullcontext() if matches else patience(f"matching {one.path}"):
                 result = refused.get(one) or next(found)
+            record: MatchRecord | FailureRecord
             if isinstance(result, SkylineError):
-                self._tell_failed(one, result, is_said=one in refused)
-                continue
-            matches.append((Path(one.path), result))
-            record = _describe_match(one.path, result, self.loading_s)
-            if self._as_json:
-                typer.echo(json.dumps(record))
+                self.exit_code = result.exit_code
+                record = FailureRecord(query=one.path, error=str(result))
+                said: list[str] = []
+                if one not in refused:
+                    complain(str(result))
             else:
-                typer.echo("\n".join(_match_in_words(one.path, result, self._top)))
-            if self._file is not None:
+                matches.append((Path(one.path), result))
+                record = _describe_match(one.path, result, self.loading_s)
+                said = _match_in_words(one.path, result, self._top)
+            for line in [json.dumps(record)] if self._as_json else said:
+                typer.echo(line)
+            # A query that was not tried is tried again.
+            if self._file is not None and one not in refused:
                 self._file.add(row_of(record, self._search))
         progress(len(queries), len(queries))
         return matches
-
-    def _tell_failed(self, one: Query, error: SkylineError, is_said: bool) -> None:
-        """Tell of a query that cannot be matched; one that was not tried is tried again."""
-        self.exit_code = error.exit_code
-        record = FailureRecord(query=one.path, error=str(error))
-        if not is_said:
-            complain(str(error))
-        if self._as_json:
-            typer.echo(json.dumps(record))
-        if self._file is not None and not is_said:
-            self._file.add(row_of(record, self._search))
 
     def tell_together(
         self, matching: Matcher, asked: Sequence[tuple[Query, QuerySkyline]]

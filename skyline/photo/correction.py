@@ -155,7 +155,7 @@ class Correction:
         """Write the rows and the confidence of the columns that painted pixels change."""
         extraction, evidence = self._extraction, self._extraction.evidence
         cost = np.where(_forbidden(labels), evidence.cost + np.float32(FORBIDDEN), evidence.cost)
-        path = shortest_path(cost, STEPS)
+        path = shortest_path(cost, *STEPS)
         changed = (path != extraction.path) | (labels != 0).any(axis=0)
         near = (
             np.rint(to_work_columns(len(row_px), evidence)).astype(np.intp).clip(0, len(path) - 1)

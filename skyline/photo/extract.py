@@ -9,7 +9,7 @@ photo. A column is trusted where the network holds it likely that the skyline ru
 import logging
 from dataclasses import dataclass
 from math import ceil
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
@@ -46,22 +46,12 @@ MIN_TRUSTED_SHARE = 0.1
 _SMOOTHED_PX = 9
 """Working columns over which confidence is averaged."""
 
-
-class Steps(NamedTuple):
-    """What a step from one column to the next may do and what it costs."""
-
-    reach_rows: int
-    """Largest step that is priced by its slope."""
-    price_per_row: float
-    """Price of each row of such a step."""
-    jump_price: float
-    """Price of a step of any size: a cliff, a trunk, the edge of an occluder."""
-
-
-STEPS = Steps(reach_rows=8, price_per_row=0.1, jump_price=3.0)
+STEPS = (8, 0.1, 3.0)
+"""Of a path at working size; see `shortest_path`."""
 FORBIDDEN = 1e3
 
-_REFINE_STEPS = Steps(reach_rows=2, price_per_row=0.05, jump_price=1.0)
+_REFINE_STEPS = (2, 0.05, 1.0)
+"""Of a path along the edge of the full photo."""
 _REFINE_REACH = 1.5
 """Working pixels by which a working path may be off; at least three photo pixels are searched."""
 
@@ -142,7 +132,7 @@ class Extraction:
         content = content_of(image)
         photo = content.crop(image)
         evidence = gather_evidence(photo)
-        path = shortest_path(evidence.cost, STEPS)
+        path = shortest_path(evidence.cost, *STEPS)
         row_px, confidence = on_photo(photo, evidence, path)
         height, width = image.shape[:2]
         return cls((height, width), content, photo, evidence, path, row_px, confidence)
@@ -193,7 +183,7 @@ def _refined(photo: UInt8Array, row: Float64Array, scale: float) -> Float64Array
     below, above = lab[2:-1] + lab[3:], lab[:-3] + lab[1:-2]
     step = np.linalg.norm(below - above, axis=2) / 2.0
     strength = step / (step.max(axis=0) + 1.0)
-    best = shortest_path((-strength).astype(np.float32), _REFINE_STEPS)
+    best = shortest_path((-strength).astype(np.float32), *_REFINE_STEPS)
     columns = np.arange(width)
     inner = np.clip(best, 1, len(step) - 2)
     before, at, after = (step[inner + k, columns] for k in (-1, 0, 1))
@@ -203,12 +193,17 @@ def _refined(photo: UInt8Array, row: Float64Array, scale: float) -> Float64Array
     return np.asarray(centre - reach + inner - 0.5 + np.clip(shift, -0.5, 0.5), dtype=np.float64)
 
 
-def shortest_path(cost: Float32Array, steps: Steps) -> IntArray:
-    """Return the cheapest path's row in each column, (W,) intp, for costs (H, W) float32."""
+def shortest_path(
+    cost: Float32Array, reach: int, price_per_row: float, jump_price: float
+) -> IntArray:
+    """Return the cheapest path's row in each column, (W,) intp, for costs (H, W) float32.
+
+    A step of up to ``reach`` rows costs a price for each, and one of any size, at a cliff, a trunk
+    or the edge of an occluder, ``jump_price``.
+    """
     n_rows, n_columns = cost.shape
-    reach = steps.reach_rows
     offsets = np.arange(-reach, reach + 1)
-    step_price = (steps.price_per_row * np.abs(offsets)).astype(np.float32)
+    step_price = (price_per_row * np.abs(offsets)).astype(np.float32)
     rows = np.arange(n_rows)
     best = cost[:, 0]
     arrived_from = np.zeros((n_columns, n_rows), dtype=np.int32)
@@ -220,7 +215,7 @@ def shortest_path(cost: Float32Array, steps: Steps) -> IntArray:
         choice = np.argmin(candidates, axis=1)
         stepped = candidates[rows, choice]
         start = int(np.argmin(best))
-        jumped = best[start] + np.float32(steps.jump_price)
+        jumped = best[start] + np.float32(jump_price)
         best = cost[:, column] + np.minimum(stepped, jumped)
         arrived_from[column] = np.where(stepped <= jumped, rows + offsets[choice], start)
     row = np.empty(n_columns, dtype=np.intp)

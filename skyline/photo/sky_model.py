@@ -17,7 +17,7 @@ import numpy as np
 from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.extras import library
-from skyline.photo.extract import Content, content_of
+from skyline.photo.extract import content_of
 from skyline.photo.query import QuerySkyline
 
 _NEARLY = 24
@@ -73,8 +73,15 @@ def model_skyline(image: UInt8Array, session: SkySession) -> QuerySkyline:
     photo = content.crop(image)
     probability = _probability(photo, session)
     row_px, confidence = _border(probability)
-    photo_row = (row_px + 0.5) * len(photo) / len(probability) - 0.5
-    query = _on_photo(photo_row, confidence, content, image.shape[:2])
+    row_px = (row_px + 0.5) * len(photo) / len(probability) - 0.5
+    at = (np.arange(photo.shape[1]) + 0.5) * len(row_px) / photo.shape[1] - 0.5
+    at = np.clip(at, 0.0, len(row_px) - 1.0)
+    left = np.floor(at).astype(np.intp)
+    right = np.minimum(left + 1, len(row_px) - 1)
+    # Beside a masked column there is nothing to interpolate to: NaN passes on.
+    share = at - left
+    row = np.where(share > 0.0, (1.0 - share) * row_px[left] + share * row_px[right], row_px[left])
+    query = content.skyline(row, np.minimum(confidence[left], confidence[right]), image.shape)
     if not query.trusted.any():
         raise InputError("no skyline found: the sky model sees no sky above ground in any column")
     return query
@@ -122,21 +129,6 @@ def _border(probability: Float64Array) -> tuple[Float64Array, Float64Array]:
     confidence = np.where(np.isfinite(row_px), np.clip(sky - ground, 0.0, 1.0), 0.0)
     trusted = confidence >= _MIN_CONFIDENCE
     return np.where(trusted, row_px, np.nan), np.where(trusted, confidence, 0.0)
-
-
-def _on_photo(
-    row_px: Float64Array, confidence: Float64Array, content: Content, shape: tuple[int, ...]
-) -> QuerySkyline:
-    """Return the query of a whole photo from rows and confidences at the model's columns, (w,)."""
-    across = content.right - content.left
-    at = (np.arange(across) + 0.5) * len(row_px) / across - 0.5
-    at = np.clip(at, 0.0, len(row_px) - 1.0)
-    left = np.floor(at).astype(np.intp)
-    right = np.minimum(left + 1, len(row_px) - 1)
-    # Beside a masked column there is nothing to interpolate to: NaN passes on.
-    share = at - left
-    row = np.where(share > 0.0, (1.0 - share) * row_px[left] + share * row_px[right], row_px[left])
-    return content.skyline(row, np.minimum(confidence[left], confidence[right]), shape)
 
 
 def _line(error: Exception) -> str:

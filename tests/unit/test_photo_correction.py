@@ -132,7 +132,7 @@ def test_the_quick_way_is_the_slow_way():
     evidence = whole.evidence
     forbidden = _forbidden(_labels([painted], whole))
     cost = np.where(forbidden, evidence.cost + np.float32(FORBIDDEN), evidence.cost)
-    path = shortest_path(cost, STEPS)
+    path = shortest_path(cost, *STEPS)
     slow, _ = on_photo(image, evidence, path)
     inner = np.arange(690, 1090)
     known = inner[after.trusted[inner]]
