@@ -2,11 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import cast
+from typing import TypeVar, cast
 
 import typer
 
@@ -25,6 +25,8 @@ from skyline.report.exports import export_matches
 from skyline.report.peaks import Peaks
 from skyline.report.records import FailureRecord, LensRecord, MatchRecord, describe_candidates
 from skyline.report.results import Results, open_results, row_of
+
+T = TypeVar("T")
 
 _OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share")
 
@@ -129,19 +131,22 @@ def search_of(store: Path, matcher: str, config: MatchConfig, common: Query, *su
     return hashlib.sha256(settings.encode()).hexdigest()[:12]
 
 
-def refused_at_once(queries: Sequence[Query]) -> dict[Query, SkylineError]:
-    """Return what cannot be matched and why, said at once.
+def tried(
+    queries: Sequence[Query], attempt: Callable[[Query], T]
+) -> tuple[list[tuple[Query, T]], dict[Query, SkylineError]]:
+    """Return the queries an attempt succeeds for, with what it gives, and why others fail.
 
-    A store is opened for minutes, and a DEM read: nobody should wait for a wrong name.
+    That is said at once: a store is opened for minutes, and nobody should wait for a wrong name.
     """
+    done: list[tuple[Query, T]] = []
     refused: dict[Query, SkylineError] = {}
     for one in queries:
         try:
-            one.check()
+            done.append((one, attempt(one)))
         except SkylineError as error:
             refused[one] = error
             complain(str(error))
-    return refused
+    return done, refused
 
 
 def _describe_match(query: str, result: MatchResult, loading_seconds: float) -> MatchRecord:

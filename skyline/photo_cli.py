@@ -10,14 +10,13 @@ import numpy as np
 import typer
 from typer import Argument, Option
 
-from skyline.answers import Answers, refused_at_once, search_of, write_files
+from skyline.answers import Answers, search_of, tried, write_files
 from skyline.console import (
     AsJson,
     Scheduler,
     StoreDem,
     Surfaces,
     Workers,
-    complain,
     panel,
     parse_bounds,
     parse_numbers,
@@ -28,7 +27,6 @@ from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowing
 from skyline.photo.projection import Projection
-from skyline.photo.query import QuerySkyline
 from skyline.photo.read import extract_photo, write_overlay
 from skyline.photo.trace import write_trace
 from skyline.pipeline.batch import match_many
@@ -163,22 +161,21 @@ def match(
     _check_outputs([*exports, results], [store, *query, *(Path(one.path) for one in queries)])
     for path in exports:
         check_export(path)
-    is_unrefined = no_refine or matcher != FULL
-    is_spread = workers is not None or scheduler is not None
-    for is_given, why in (
-        (is_unrefined, "compares renderings of the terrain; leave --no-refine and --matcher out"),
-        (results is not None, "has one answer, not a row a photo; leave --results out"),
-        (is_spread, "matches in this process; leave --workers and --scheduler out"),
-    ):
-        if same_place and is_given:
-            raise InputError(f"--same-place {why}")
+    if same_place:
+        is_spread = workers is not None or scheduler is not None
+        _check_together(no_refine or matcher != FULL, results is not None, is_spread)
     surfaces = tuple(absolute_name(one) for one in surface or ())
     search = search_of(store, matcher, config, common, *surfaces)
     answers = Answers(results, search, as_json, top)
     queries = answers.left(queries)
-    refused = refused_at_once(queries)
-    usable = [one for one in queries if one not in refused]
-    skylines = _read_together(usable) if same_place else []
+    checked, refused = tried(queries, Query.check)
+    usable = [one for one, _ in checked]
+    skylines, _ = tried(usable if same_place else [], Query.read)
+    if same_place and len(skylines) < 2:
+        raise InputError(
+            f"--same-place needs two photos or more that can be read, and has {len(skylines)}; "
+            "name more, or leave --same-place out"
+        )
     if not usable:
         answers.tell_all(queries, refused, iter(()))
         raise typer.Exit(answers.exit_code)
@@ -192,8 +189,7 @@ def match(
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
     if same_place:
         matches = answers.tell_together(matching, skylines)
-        failed = len(matches) < len(queries)
-        answers.exit_code = InputError.exit_code if failed else 0
+        answers.exit_code = InputError.exit_code if len(matches) < len(queries) else 0
     else:
         with runner_of(workers, scheduler) as runner:
             if runner is None:
@@ -209,20 +205,15 @@ def match(
         raise typer.Exit(answers.exit_code)
 
 
-def _read_together(queries: Sequence[Query]) -> list[tuple[Query, QuerySkyline]]:
-    """Return the photos that can be read, and say of the others why not."""
-    read: list[tuple[Query, QuerySkyline]] = []
-    for one in queries:
-        try:
-            read.append((one, one.read()))
-        except SkylineError as error:
-            complain(str(error))
-    if len(read) < 2:
-        raise InputError(
-            f"--same-place needs two photos or more that can be read, and has {len(read)}; name "
-            "more, or leave --same-place out"
-        )
-    return read
+def _check_together(is_unrefined: bool, has_results: bool, is_spread: bool) -> None:
+    """Refuse what does not go with photos of one place."""
+    for is_given, why in (
+        (is_unrefined, "compares renderings of the terrain; leave --no-refine and --matcher out"),
+        (has_results, "has one answer, not a row a photo; leave --results out"),
+        (is_spread, "matches in this process; leave --workers and --scheduler out"),
+    ):
+        if is_given:
+            raise InputError(f"--same-place {why}")
 
 
 def extract(
