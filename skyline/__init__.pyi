@@ -17,12 +17,10 @@ from .matching.refine_config import RefineConfig
 from .matching.retrieval import RetrievalConfig
 from .matching.screening import Alike
 from .photo.correction import Correction, Stroke, StrokeKind
-from .photo.decode import Photo
-from .photo.exif import NotedPlace
-from .photo.lens import Lens
+from .photo.exif import Lens, NotedPlace
 from .photo.projection import Projection
 from .photo.query import QuerySkyline
-from .photo.read import read_photo, read_query
+from .photo.read import Photo, read_photo, read_query
 from .photo.trace import read_trace, write_trace
 from .pipeline.build import BuildResult, build_places, build_uniform, render_to_store
 from .pipeline.config import PlaceConfig, RenderConfig

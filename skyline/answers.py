@@ -2,33 +2,31 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import asdict
 from pathlib import Path
+from typing import TypeVar, cast
 
 import typer
 
 from skyline.console import complain, patience, remark, told
 from skyline.errors import SkylineError
 from skyline.matching.match_config import MatchConfig
+from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.opened import terrain_at_hand
 from skyline.pipeline.queries import Query
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.results import JointResult, MatchResult
-from skyline.report.beyond import beyond_in_words
-from skyline.report.claims import claim_in_words, describe_claim
+from skyline.report.claims import describe_claim
 from skyline.report.exports import export_matches
 from skyline.report.peaks import Peaks
-from skyline.report.records import (
-    CandidateRecord,
-    FailureRecord,
-    LensRecord,
-    MatchRecord,
-    describe_candidates,
-)
+from skyline.report.records import FailureRecord, LensRecord, MatchRecord, describe_candidates
 from skyline.report.results import Results, open_results, row_of
+
+T = TypeVar("T")
 
 _OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share")
 
@@ -73,44 +71,37 @@ class Answers:
             progress(done, len(queries))
             with nullcontext() if matches else patience(f"matching {one.path}"):
                 result = refused.get(one) or next(found)
+            record: MatchRecord | FailureRecord
             if isinstance(result, SkylineError):
-                self._tell_failed(one, result, is_said=one in refused)
-                continue
-            matches.append((Path(one.path), result))
-            record = describe_match(one.path, result, self.loading_s)
-            said = match_in_words(record, self._top)
-            typer.echo(json.dumps(record) if self._as_json else "\n".join(said))
-            if self._file is not None:
+                self.exit_code = result.exit_code
+                record = FailureRecord(query=one.path, error=str(result))
+                said: list[str] = []
+                if one not in refused:
+                    complain(str(result))
+            else:
+                matches.append((Path(one.path), result))
+                record = _describe_match(one.path, result, self.loading_s)
+                said = _match_in_words(one.path, result, self._top)
+            for line in [json.dumps(record)] if self._as_json else said:
+                typer.echo(line)
+            # A query that was not tried is tried again.
+            if self._file is not None and one not in refused:
                 self._file.add(row_of(record, self._search))
         progress(len(queries), len(queries))
         return matches
-
-    def _tell_failed(self, one: Query, error: SkylineError, is_said: bool) -> None:
-        """Tell of a query that cannot be matched; one that was not tried is tried again."""
-        self.exit_code = error.exit_code
-        record = FailureRecord(query=one.path, error=str(error))
-        if not is_said:
-            complain(str(error))
-        if self._as_json:
-            typer.echo(json.dumps(record))
-        if self._file is not None and not is_said:
-            self._file.add(row_of(record, self._search))
 
     def tell_together(
         self, matching: Matcher, asked: Sequence[tuple[Query, QuerySkyline]]
     ) -> list[tuple[Path, MatchResult]]:
         """Match photos of one place and tell what was found; return it photo by photo."""
         with patience(f"matching {len(asked)} photos together"):
-            found = matching.match_together(
-                [skyline for _, skyline in asked],
-                None,
-                self._top,
-                [one.narrowing for one, _ in asked],
-            )
+            skylines, known = [one for _, one in asked], [one.narrowing for one, _ in asked]
+            found = matching.match_together(skylines, None, self._top, known)
         names = [one.path for one, _ in asked]
-        record = describe_together(names, found, self.loading_s)
-        said = together_in_words(names, found)
-        typer.echo(json.dumps(record) if self._as_json else "\n".join(said))
+        if self._as_json:
+            typer.echo(json.dumps(_describe_together(names, found, self.loading_s)))
+        else:
+            typer.echo("\n".join(_together_in_words(names, found)))
         return [(Path(name), result) for name, result in zip(names, found.results, strict=True)]
 
 
@@ -140,23 +131,25 @@ def search_of(store: Path, matcher: str, config: MatchConfig, common: Query, *su
     return hashlib.sha256(settings.encode()).hexdigest()[:12]
 
 
-def refused_at_once(queries: Sequence[Query]) -> dict[Query, SkylineError]:
-    """Return what cannot be matched and why, said at once.
+def tried(
+    queries: Sequence[Query], attempt: Callable[[Query], T]
+) -> tuple[list[tuple[Query, T]], dict[Query, SkylineError]]:
+    """Return the queries an attempt succeeds for, with what it gives, and why others fail.
 
-    A store is opened for minutes, and a DEM read: nobody should wait for a wrong name.
+    That is said at once: a store is opened for minutes, and nobody should wait for a wrong name.
     """
+    done: list[tuple[Query, T]] = []
     refused: dict[Query, SkylineError] = {}
     for one in queries:
         try:
-            one.check()
+            done.append((one, attempt(one)))
         except SkylineError as error:
             refused[one] = error
             complain(str(error))
-    return refused
+    return done, refused
 
 
-def describe_match(query: str, result: MatchResult, loading_seconds: float) -> MatchRecord:
-    """Return what was found for a query, in the public JSON's terms."""
+def _describe_match(query: str, result: MatchResult, loading_seconds: float) -> MatchRecord:
     candidates = describe_candidates(result.candidates)
     record = MatchRecord(
         query=query,
@@ -170,62 +163,57 @@ def describe_match(query: str, result: MatchResult, loading_seconds: float) -> M
         record["refusal"] = result.refusal
     lens = result.query.lens
     if lens is not None and lens.said:
-        record["lens"] = LensRecord(
-            fov_deg=lens.fov_deg, sd_deg=lens.sd_deg, most_deg=lens.most_deg, said=lens.said
-        )
+        record["lens"] = cast(LensRecord, asdict(lens))
     claim = describe_claim(result.query.noted, next(iter(result.candidates), None))
     if claim is not None:
         record["exif"] = claim
     return record
 
 
-def match_in_words(record: MatchRecord, asked_for: int) -> list[str]:
-    """Return what was found for a query as lines for a person who asked for so many candidates."""
-    places = record["candidates"]
-    said = [f"{record['query']} ({record['seconds']:.2f} s)"]
-    if record["answer"] is not None:
-        within_m = record["answer_within_m"]
-        near = "" if within_m is None else f", right within {within_m:g} m"
+def _match_in_words(query: str, result: MatchResult, asked_for: int) -> list[str]:
+    """Return lines for a person who asked for so many candidates."""
+    places, lens = result.candidates, result.query.lens
+    said = [f"{query} ({result.seconds:.2f} s)"]
+    if result.answer is not None:
+        near = "" if result.within_m is None else f", right within {result.within_m:g} m"
         said.append(f"  the answer is candidate 1{near}; all candidates, best first:")
-    if "refusal" in record:
-        said.append(f"  no answer: {record['refusal']}")
-    said += [
-        f"  {rank}. lat {place['lat']:.5f} lon {place['lon']:.5f}  easting "
-        f"{place['easting_m']:.0f} northing {place['northing_m']:.0f}  heading "
-        f"{place['heading_deg']:.1f} from true north  pitch {place['pitch_deg']:.1f}  fov "
-        f"{place['fov_deg']:.1f}  "
-        f"{_how_sure(place)}{'' if place['refined'] else '  (unrefined)'}"
-        for rank, place in enumerate(places, start=1)
-    ]
+    if result.refusal:
+        said.append(f"  no answer: {result.refusal}")
+    for rank, place in enumerate(places, start=1):
+        sure = f"score {place.score:.3f}"
+        if place.confidence is not None:
+            sure = f"confidence {place.confidence:.2f} (1 km: {place.confidence_1km:.2f})"
+        said.append(
+            f"  {rank}. {_where(place)}  {_look(place)}  {sure}"
+            f"{'' if place.refined else '  (unrefined)'}"
+        )
     if 0 < len(places) < asked_for:
         count = f"{len(places)} of {asked_for} candidates"
         said.append(f"  {count}: no other place was worth refining to the end")
-    beyond = beyond_in_words(places[0]["beyond_share"]) if places else None
-    said += [f"  {beyond}"] if beyond else []
-    if "lens" in record:
-        said.append(f"  field of view: {_lens_in_words(record['lens'])}")
-    if "exif" in record:
-        heading_deg = places[0]["heading_deg"] if places else None
-        is_answer = record["answer"] is not None
-        said.append(f"  {claim_in_words(record['exif'], heading_deg, is_answer)}")
+    if result.beyond:
+        said.append(f"  {result.beyond}")
+    if lens is not None and lens.said:
+        known = "not known" if lens.fov_deg is None else f"{lens.fov_deg:.1f} degrees"
+        sure = "" if lens.sd_deg is None else f", give or take {lens.sd_deg:.0f}"
+        said.append(f"  field of view: {known}{sure}; {lens.said}")
+    if result.claim:
+        said.append(f"  {result.claim}")
     return said
 
 
-def describe_together(
+def _describe_together(
     queries: Sequence[str], result: JointResult, loading_seconds: float
 ) -> dict[str, object]:
-    """Return what was found for photos of one place, in the public JSON's terms.
-
-    Places are candidates without their cameras; each photo that agrees has its own at the best.
-    """
+    # Places are candidates without their cameras; each photo that agrees has its own at the best.
     places = [
         {name: value for name, value in record.items() if name not in _OF_CAMERA}
         for record in describe_candidates(result.places)
     ]
     photos = []
     for query, one, agrees in zip(queries, result.results, result.agrees, strict=True):
-        camera = dict(describe_candidates(one.candidates[:1])[0]) if agrees else {}
-        about = {name: camera[name] for name in _OF_CAMERA if agrees} or {"refusal": one.refusal}
+        about: dict[str, object] = {"refusal": one.refusal}
+        if agrees:
+            about = {name: getattr(one.candidates[0], name) for name in _OF_CAMERA}
         photos.append({"query": query, "agrees": agrees, **about})
     return {
         "answer": places[0] if result.answer else None,
@@ -238,37 +226,35 @@ def describe_together(
     }
 
 
-def together_in_words(queries: Sequence[str], result: JointResult) -> list[str]:
-    """Return what was found for photos of one place as lines for a person."""
+def _together_in_words(queries: Sequence[str], result: JointResult) -> list[str]:
     said = [f"{len(queries)} photos of one place ({result.seconds:.2f} s)"]
     if result.answer is not None:
-        near = f"right within {result.within_m:g} m"
-        said.append(f"  the answer is place 1, {near}; all places, best first:")
+        near = f"place 1, right within {result.within_m:g} m"
+        said.append(f"  the answer is {near}; all places, best first:")
     if result.refusal:
         said.append(f"  no answer: {result.refusal}")
     said += [
-        f"  {rank}. lat {place.lat:.5f} lon {place.lon:.5f}  easting {place.easting_m:.0f} "
-        f"northing {place.northing_m:.0f}  within {place.radius_m:.0f} m (68 %)  confidence "
+        f"  {rank}. {_where(place)}  within {place.radius_m:.0f} m (68 %)  confidence "
         f"{place.confidence:.2f} (1 km: {place.confidence_1km:.2f})"
         for rank, place in enumerate(result.places, start=1)
     ]
     for query, one in zip(queries, result.results, strict=True):
-        for camera in one.candidates[:1]:
-            look = f"heading {camera.heading_deg:.1f} from true north  pitch {camera.pitch_deg:.1f}"
-            said.append(f"  {query}: {look}  fov {camera.fov_deg:.1f}")
-        if not one.candidates:
-            said.append(f"  {query}: does not agree: {one.refusal}")
+        about = f"does not agree: {one.refusal}"
+        if one.candidates:
+            about = _look(one.candidates[0])
+        said.append(f"  {query}: {about}")
     return said
 
 
-def _lens_in_words(lens: LensRecord) -> str:
-    if lens["fov_deg"] is None:
-        return f"not known; {lens['said']}"
-    sure = "" if lens["sd_deg"] is None else f", give or take {lens['sd_deg']:.0f}"
-    return f"{lens['fov_deg']:.1f} degrees{sure}; {lens['said']}"
+def _where(place: Candidate) -> str:
+    return (
+        f"lat {place.lat:.5f} lon {place.lon:.5f}  easting {place.easting_m:.0f} northing "
+        f"{place.northing_m:.0f}"
+    )
 
 
-def _how_sure(place: CandidateRecord) -> str:
-    if place["confidence"] is None:
-        return f"score {place['score']:.3f}"
-    return f"confidence {place['confidence']:.2f} (1 km: {place['confidence_1km']:.2f})"
+def _look(place: Candidate) -> str:
+    return (
+        f"heading {place.heading_deg:.1f} from true north  pitch {place.pitch_deg:.1f}  fov "
+        f"{place.fov_deg:.1f}"
+    )

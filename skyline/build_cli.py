@@ -1,11 +1,12 @@
 """The commands that make stores: ``skyline render`` and ``skyline build``."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from skyline import report
 from skyline.console import (
@@ -43,9 +44,9 @@ from skyline.terrain.viewpoint_csv import read_viewpoints
 _DEFAULTS = RenderConfig()
 _PLANNED = PlanConfig()
 
-Output = Annotated[Path, typer.Option("--output", "-o", help="The store to write (HDF5).")]
+Output = Annotated[Path, Option("--output", "-o", help="The store to write (HDF5).")]
 Bounds = Annotated[
-    str | None, typer.Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
+    str | None, Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
 ]
 _renderings = panel("Renderings, for the paper's matcher")
 _OF_PLANNERS = ("candidate_spacing", "threshold_px", "coverage", "budget", "seed")
@@ -53,13 +54,13 @@ _OF_PLANNERS = ("candidate_spacing", "threshold_px", "coverage", "budget", "seed
 
 ShardKm = Annotated[
     float | None,
-    typer.Option(
+    Option(
         metavar="K",
         help="Build in tiles of K km; each tile is a job. The default with workers is 10.",
     ),
 ]
 Rows = Annotated[
-    str, typer.Option(help=f"How the store holds rows: {' or '.join(ROWS)} (docs/store.md).")
+    str, Option(help=f"How the store holds rows: {' or '.join(ROWS)} (docs/store.md).")
 ]
 
 
@@ -68,11 +69,11 @@ def render(
     output: Output,
     viewpoints: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.csv", help="Viewpoints as CSV: easting,northing or lon,lat."),
+        Option(metavar="FILE.csv", help="Viewpoints as CSV: easting,northing or lon,lat."),
     ] = None,
     grid: Annotated[
         float | None,
-        typer.Option(metavar="SPACING_M", help="Render a uniform grid instead: metres between."),
+        Option(metavar="SPACING_M", help="Render a uniform grid instead: metres between."),
     ] = None,
     width: Width = _DEFAULTS.width,
     tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
@@ -81,7 +82,7 @@ def render(
     rows: Rows = _DEFAULTS.rows,
     depth_images: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Also save depth images (TIFF, metres) and pictures."),
+        Option(metavar="DIR", help="Also save depth images (TIFF, metres) and pictures."),
     ] = None,
     crs: Crs = None,
     reproject: Reproject = False,
@@ -89,7 +90,7 @@ def render(
     """Render the skylines of given viewpoints, to grid north, east, south, west, into a store."""
     if (viewpoints is None) == (grid is None):
         raise InputError("give one of --viewpoints FILE.csv and --grid SPACING_M")
-    config = replace(render_config(width, tolerance_px, k, no_curvature), rows=rows)
+    config = replace(_render_config(width, tolerance_px, k, no_curvature), rows=rows)
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
     if viewpoints is not None:
         eyes = read_viewpoints(viewpoints, terrain, config.eye_height_m)
@@ -108,7 +109,7 @@ def build(
     output: Output,
     spacing: Annotated[
         float | None,
-        typer.Option(
+        Option(
             help="Metres between places of a uniform grid; with a planner, between viewpoints of "
             "its coarse grid.",
             show_default=f"places are planned; {_PLANNED.spacing.coarse_m:g} with a planner",
@@ -116,7 +117,7 @@ def build(
     ] = None,
     loss: Annotated[
         float,
-        typer.Option(
+        Option(
             metavar="SHARE",
             help="Share of the photos that may be missed because places lie apart. Places are "
             "planned for it: dense where skylines are near, sparse where they are far.",
@@ -125,7 +126,7 @@ def build(
     bounds: Bounds = None,
     drawn: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--map",
             metavar="PNG",
             help="Draw a map of the places and how far apart they lie; with a planner, of "
@@ -173,105 +174,87 @@ def build(
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""
     corners = parse_bounds(bounds) if bounds is not None else None
-    job = _Job(dem, DemOptions(crs=crs, reproject=reproject), output, shard_km, workers, scheduler)
-    config = replace(render_config(width, tolerance_px, k, no_curvature), rows=rows)
+    options = DemOptions(crs=crs, reproject=reproject)
+    config = replace(_render_config(width, tolerance_px, k, no_curvature), rows=rows)
+    tiled = (shard_km, workers, scheduler) != (None, None, None)
+    tile_m = DEFAULT_TILE_M if shard_km is None else 1000.0 * shard_km
+    coarse_m = _PLANNED.spacing.coarse_m if spacing is None else spacing
+    made: PlaceConfig | RenderConfig = config
+    layout = Layout(coarse_m, tile_m, corners)
     if planner is None:
         why = "a store of renderings; give --planner too"
         _refuse_given(ctx, [*_OF_PLANNERS, "width", "tolerance_px", "rows"], why)
         if spacing is not None:
             _refuse_given(ctx, ["loss"], f"planned places, --spacing {spacing:g} for a grid")
-        layout = Layout(spacing, job.tile_m, corners, loss)
-        terrain = job.build(layout, PlaceConfig(curvature=config.curvature))
-        if drawn is not None:
-            _draw_places(terrain, output, drawn)
-        return
-    _refuse_given(ctx, ["loss"], f"places; leave out --planner {planner}")
-    if planner != "uniform" and planner not in STRATEGIES:
-        raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
-    coarse_m = _PLANNED.spacing.coarse_m if spacing is None else spacing
-    if planner == "uniform":
-        why = "a planner that chooses viewpoints; uniform does not choose"
-        _refuse_given(ctx, [*_OF_PLANNERS, "drawn"], why)
-        job.build(Layout(coarse_m, job.tile_m, corners), config)
-        return
-    if job.tiled:
-        raise InputError(
-            f"planner {planner} plans one area as a whole; tiles and workers are for uniform grids"
-        )
-    planned = PlanConfig(
-        planner,
-        replace(_PLANNED.spacing, coarse_m=coarse_m, candidate_m=candidate_spacing),
-        threshold_px,
-        coverage,
-        seed=seed,
-        budget=budget,
-    )
-    done = job.build_planned(planned, corners, config)
+        made = PlaceConfig(curvature=config.curvature)
+        layout = Layout(spacing, tile_m, corners, loss)
+    else:
+        _refuse_given(ctx, ["loss"], f"places; leave out --planner {planner}")
+        if planner == "uniform":
+            why = "a planner that chooses viewpoints; uniform does not choose"
+            _refuse_given(ctx, [*_OF_PLANNERS, "drawn"], why)
+        elif planner not in STRATEGIES:
+            raise InputError(f"planner is {planner!r}; expected uniform, {', '.join(STRATEGIES)}")
+        elif tiled:
+            raise InputError(
+                f"planner {planner} plans one area as a whole; tiles and workers are for uniform "
+                "grids"
+            )
+        else:
+            planned = PlanConfig(
+                planner,
+                replace(_PLANNED.spacing, coarse_m=coarse_m, candidate_m=candidate_spacing),
+                threshold_px,
+                coverage,
+                seed=seed,
+                budget=budget,
+            )
+            done = _build_planned(read_dem(dem, options), output, planned, corners, config)
+            if drawn is not None:
+                report.save_coverage_map(done.plan, drawn)
+            return
+    with runner_of(workers, scheduler) as runner, progress_bar("rendering") as bar:
+        terrain = read_dem(dem, options)
+        if tiled:
+            result = build_sharded(terrain, output, layout, made, runner, bar)
+        else:
+            result = build_store(terrain, output, layout, made, bar)
+    _say_built(result, output, "places" if planner is None else "renderings")
     if drawn is not None:
-        report.save_coverage_map(done.plan, drawn)
+        with open_store(output) as opened:
+            places = Places.concatenate(list(opened.places().blocks()))
+        report.save_place_map(terrain, places, drawn)
 
 
-@dataclass(frozen=True, slots=True)
-class _Job:
-    """A store to be built, and who builds it."""
+def _build_planned(
+    terrain: HeightField,
+    output: Path,
+    planned: PlanConfig,
+    bounds_deg: tuple[float, float, float, float] | None,
+    config: RenderConfig,
+) -> PlannedResult:
+    """Build what one of the paper's planners chooses, and say what it did."""
+    budget = planned.budget
+    with progress_bar("covering, %" if budget is None else "rendering") as bar:
 
-    dem: list[str]
-    options: DemOptions
-    output: Path
-    shard_km: float | None
-    workers: int | None
-    scheduler: str | None
-
-    @property
-    def tiled(self) -> bool:
-        return (self.shard_km, self.workers, self.scheduler) != (None, None, None)
-
-    @property
-    def tile_m(self) -> float:
-        return DEFAULT_TILE_M if self.shard_km is None else 1000.0 * self.shard_km
-
-    def build(self, layout: Layout, config: PlaceConfig | RenderConfig) -> HeightField:
-        """Build places or a uniform grid of renderings; return the terrain."""
-        what = "places" if isinstance(config, PlaceConfig) else "renderings"
-        with runner_of(self.workers, self.scheduler) as runner, progress_bar("rendering") as bar:
-            terrain = self.read()
-            if self.tiled:
-                result = build_sharded(terrain, self.output, layout, config, runner, bar)
+        def tell(now: PlanProgress) -> None:
+            if budget is None:
+                bar(int(100 * now.coverage), 100)
             else:
-                result = build_store(terrain, self.output, layout, config, bar)
-        _say_built(result, self.output, what)
-        return terrain
+                bar(now.renderings, budget)
 
-    def build_planned(
-        self,
-        planned: PlanConfig,
-        bounds_deg: tuple[float, float, float, float] | None,
-        config: RenderConfig,
-    ) -> PlannedResult:
-        """Build what one of the paper's planners chooses."""
-        terrain, budget = self.read(), planned.budget
-        with progress_bar("covering, %" if budget is None else "rendering") as bar:
-
-            def tell(now: PlanProgress) -> None:
-                if budget is None:
-                    bar(int(100 * now.coverage), 100)
-                else:
-                    bar(now.renderings, budget)
-
-            done = build_planned(terrain, self.output, planned, bounds_deg, config, tell)
-        _say_built(done.built, self.output, "renderings")
-        _say_planned(done)
-        return done
-
-    def read(self) -> HeightField:
-        """Read the DEM."""
-        return read_dem(self.dem, self.options)
-
-
-def _draw_places(terrain: HeightField, store: Path, path: Path) -> None:
-    with open_store(store) as opened:
-        places = Places.concatenate(list(opened.places().blocks()))
-    report.save_place_map(terrain, places, path)
+        done = build_planned(terrain, output, planned, bounds_deg, config, tell)
+    _say_built(done.built, output, "renderings")
+    proof, made = done.verification, done.plan.progress
+    typer.echo(
+        f"to {done.plan.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
+        f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "
+        f"{100 * proof.share:.1f} % hold, 95 % interval {100 * proof.low:.1f} to "
+        f"{100 * proof.high:.1f}); overlap {made.overlap}, "
+        f"{made.batches} batches, rendering {done.plan.render_s:.1f} s, planning "
+        f"{done.plan.plan_s:.1f} s"
+    )
+    return done
 
 
 def _refuse_given(ctx: typer.Context, names: Sequence[str], why: str) -> None:
@@ -283,7 +266,7 @@ def _refuse_given(ctx: typer.Context, names: Sequence[str], why: str) -> None:
             raise InputError(f"{options[name]} {ctx.params[name]} is for {why}")
 
 
-def render_config(width: int, tolerance_px: float, k: float, no_curvature: bool) -> RenderConfig:
+def _render_config(width: int, tolerance_px: float, k: float, no_curvature: bool) -> RenderConfig:
     """Return how renderings are made, from options."""
     curvature = Curvature(refraction_k=k, enabled=not no_curvature)
     return RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
@@ -294,16 +277,4 @@ def _say_built(result: BuildResult, path: Path, what: str) -> None:
     typer.echo(
         f"{path}: {result.rows} {what}, {result.rendered} of them new in "
         f"{result.seconds:.1f} s ({rate:.0f}/s), {path.stat().st_size / 1e6:.1f} MB"
-    )
-
-
-def _say_planned(done: PlannedResult) -> None:
-    proof, made = done.verification, done.plan.progress
-    typer.echo(
-        f"to {done.plan.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
-        f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "
-        f"{100 * proof.share:.1f} % hold, 95 % interval {100 * proof.low:.1f} to "
-        f"{100 * proof.high:.1f}); overlap {made.overlap}, "
-        f"{made.batches} batches, rendering {done.plan.render_s:.1f} s, planning "
-        f"{done.plan.plan_s:.1f} s"
     )

@@ -13,7 +13,7 @@ COMMANDS = {
         "photo_cli.match": "Find where photos were taken and in which direction the camera looked.",
         "photo_cli.extract": "Find the skyline in a photo and write it as a trace that a person "
         "can correct.",
-        "page_cli.serve": "Open a page in the browser: drop photos, mend skylines, find places, "
+        "photo_cli.serve": "Open a page in the browser: drop photos, mend skylines, find places, "
         "fit by hand.",
     },
     "Stores": {
@@ -24,20 +24,19 @@ COMMANDS = {
         "store_cli.store": "Check, repair, merge, compact and export stores.",
     },
     "Views from a place": {
-        "horizon_cli.horizon": "Give the horizon around places: elevation angle and distance by "
+        "views_cli.horizon": "Give the horizon around places: elevation angle and distance by "
         "azimuth from true north.",
-        "horizon_cli.sun": "Say when the sun is above the mountains on a day: CSV of times in UTC "
+        "views_cli.sun": "Say when the sun is above the mountains on a day: CSV of times in UTC "
         "(extra `sun`).",
-        "panorama_cli.panorama": "Draw what is seen from a place, with the names of the peaks that "
+        "views_cli.panorama": "Draw what is seen from a place, with the names of the peaks that "
         "are seen.",
     },
     "Data": {
-        "panorama_cli.peaks": "Fetch the named peaks of a box from an Overpass server, for "
-        "`--peaks`.",
+        "fetch_cli.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
         "info_cli.info": "Describe a DEM, a store, or the OpenGL in use.",
         "info_cli.explain": "Show which terrain a skyline depends on, what is left out, and what "
         "error that makes.",
-        "dem_cli.dem": "Elevation data for an area.",
+        "fetch_cli.dem": "Elevation data for an area.",
     },
 }
 """Commands by subject: the module and the name of each, and the first line of its own help."""

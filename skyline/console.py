@@ -17,6 +17,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as ProgressBar
+from typer import Argument, Option
 from typer.core import TyperGroup
 
 from skyline import __version__
@@ -39,11 +40,16 @@ _log = logging.getLogger(__name__)
 
 def panel(title: str) -> Callable[..., Any]:
     """Return what makes an option that stands under a title in the help."""
-    return partial(typer.Option, rich_help_panel=title)
+    return partial(Option, rich_help_panel=title)
 
 
 _terrain, _spread = panel("Terrain and rendering"), panel("Many processors")
 
+AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
+StoreDem = Annotated[
+    list[str] | None,
+    Option(metavar="DEM", help="The store's DEM, if it has moved; repeat for each tile."),
+]
 Workers = Annotated[
     int | None, _spread(metavar="N", help="Spread the work over N processes of this machine.")
 ]
@@ -53,7 +59,7 @@ Scheduler = Annotated[
 ]
 
 Dems = Annotated[
-    list[str], typer.Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
+    list[str], Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
 ]
 Surfaces = Annotated[
     list[str] | None,
@@ -84,7 +90,7 @@ def command_line(name: str, about: str, commands: type[TyperGroup] | None = None
     @app.callback(invoke_without_command=True, help=about)
     def options(
         context: typer.Context,
-        version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+        version: Annotated[bool, Option("--version", help="Print the version.")] = False,
     ) -> None:
         if version:
             typer.echo(f"skyline {__version__}")
@@ -185,27 +191,30 @@ def runner_of(workers: int | None, scheduler: str | None) -> AbstractContextMana
     return remote_runner(scheduler) if scheduler is not None else nullcontext()
 
 
+def parse_numbers(text: str, count: int, complaint: str) -> tuple[float, ...]:
+    """Return so many numbers between commas; raises `InputError` for anything else."""
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise InputError(complaint)
+    return numbers
+
+
 def parse_bounds(text: str) -> tuple[float, float, float, float]:
     """Return W, S, E, N in degrees from ``W,S,E,N``; raises `InputError` for anything else."""
-    try:
-        west, south, east, north = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(
-            f"bounds are `{text}`; expected four numbers W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
-        ) from error
+    wanted = "four numbers W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
+    west, south, east, north = parse_numbers(text, 4, f"bounds are `{text}`; expected {wanted}")
     return west, south, east, north
 
 
 def parse_place(text: str) -> tuple[float, float]:
     """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
-    try:
-        lon, lat = (float(part) for part in text.split(","))
-    except ValueError:
-        lon = lat = float("nan")
+    said = f"the place is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
+    lon, lat = parse_numbers(text, 2, said)
     if not (-180.0 <= lon <= 360.0 and -90.0 <= lat <= 90.0):
-        raise InputError(
-            f"the place is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
-        )
+        raise InputError(said)
     return lon, lat
 
 

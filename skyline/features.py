@@ -15,22 +15,9 @@ DEFAULT_MAX_KEYPOINTS = 128
 
 
 def polyline_keypoints(views: Views, tolerance_px: float) -> NDArray[np.uint16]:
-    """Return the columns of the polyline vertices of each skyline: the paper's key features.
+    """Return the `polyline_vertices` of each view's skyline: the paper's key features.
 
-    Raises `InputError` where the tolerance is not a finite number of at least 0.
-
-    Parameters
-    ----------
-    views : Views
-        N views of W columns.
-    tolerance_px : float
-        Greatest vertical distance between skyline and polyline in any column, in px (2 / W in v).
-
-    Returns
-    -------
-    (N, DEFAULT_MAX_KEYPOINTS) uint16
-        Ascending columns, padded with `NO_KEYPOINT`; see `polyline_vertices` for which are kept of
-        more.
+    The tolerance is in px (2 / W in v); of N views come (N, DEFAULT_MAX_KEYPOINTS) columns.
     """
     return polyline_vertices(views.elevation_tan, tolerance_px * pixel_size(views.width))
 
@@ -85,13 +72,9 @@ def polyline_vertices(
 
 
 def local_patches(
-    curves: NDArray[np.floating],
-    row: IntArray,
-    column: IntArray,
-    offsets: IntArray,
-    wrap: bool = False,
+    curves: NDArray[np.floating], row: IntArray, column: IntArray, offsets: IntArray
 ) -> NDArray[np.floating]:
-    """Return the curve around keypoints relative to the keypoint.
+    """Return closed curves, 360 degree profiles, around keypoints relative to the keypoint.
 
     Parameters
     ----------
@@ -100,21 +83,16 @@ def local_patches(
         Where the keypoints are.
     offsets : (S,) int
         Columns relative to the keypoint.
-    wrap : bool
-        The curve closes on itself (a 360 degree profile); otherwise past its ends is a gap.
 
     Returns
     -------
     (M, S) of the curves' type
         ``curves[row, column + offset] - curves[row, column]``, NaN in a gap.
     """
-    width = curves.shape[1]
-    at = column[:, np.newaxis] + offsets
+    at = (column[:, np.newaxis] + offsets) % curves.shape[1]
     patch: NDArray[np.floating] = (
-        curves[row[:, np.newaxis], at % width] - curves[row, column][:, np.newaxis]
+        curves[row[:, np.newaxis], at] - curves[row, column][:, np.newaxis]
     )
-    if not wrap:
-        patch[(at < 0) | (at >= width)] = np.nan
     return patch
 
 
@@ -133,14 +111,10 @@ def _split(
     flat: Float64Array, left: IntArray, right: IntArray, tolerance: float
 ) -> tuple[IntArray, Float64Array]:
     """Return flat indices and significances of the vertices inside segments left..right."""
-    positions: list[IntArray] = []
-    significances: list[Float64Array] = []
+    positions, significances = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
     bound = np.full(len(left), np.inf)
-    while True:
-        long = right - left > 1
+    while (long := right - left > 1).any():
         left, right, bound = left[long], right[long], bound[long]
-        if not len(left):
-            break
         worst, middle = _worst_miss(flat, left, right)
         missed = worst > tolerance
         left, right, middle = left[missed], right[missed], middle[missed]
@@ -149,10 +123,7 @@ def _split(
         significances.append(bound)
         left, right = np.concatenate([left, middle]), np.concatenate([middle, right])
         bound = np.concatenate([bound, bound])
-    return (
-        np.concatenate([np.zeros(0, dtype=np.intp), *positions]),
-        np.concatenate([np.zeros(0), *significances]),
-    )
+    return np.concatenate(positions), np.concatenate(significances)
 
 
 def _worst_miss(

@@ -1,32 +1,48 @@
 """``skyline info`` and ``skyline explain``: what a DEM or a store is, and what a skyline needs."""
 
 import json
+from dataclasses import replace
 from typing import Annotated
 
+import numpy as np
 import typer
+from typer import Argument, Option
 
-from skyline.console import Crs, Dems, NoCurvature, RefractionK, Reproject, Tolerance, Width
-from skyline.describe import describe_scene, describe_store, describe_terrain
+from skyline.camera import pixel_size
+from skyline.console import (
+    AsJson,
+    Crs,
+    Dems,
+    NoCurvature,
+    RefractionK,
+    Reproject,
+    Tolerance,
+    Width,
+    parse_numbers,
+)
 from skyline.errors import InputError
-from skyline.geodesy import Curvature
+from skyline.geodesy import Curvature, Frame
 from skyline.pipeline.config import RenderConfig
+from skyline.pipeline.renderings import render_views
 from skyline.render.context import describe_context
-from skyline.store import is_store
+from skyline.store import is_store, open_store
+from skyline.store.header import PLACES, SCHEMA_VERSION
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import stand_on
+from skyline.terrain.products import model_of
+from skyline.terrain.scene import scene_needs
+from skyline.terrain.viewpoints import Viewpoints, stand_on
 
 _DEFAULTS = RenderConfig()
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+Facts = dict[str, object]
 
 
 def info(
     path: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[DEM...|STORE]", help="The files of a DEM, or a store."),
+        list[str] | None, Argument(metavar="[DEM...|STORE]", help="The files of a DEM, or a store.")
     ] = None,
-    gl: Annotated[bool, typer.Option("--gl", help="Say which OpenGL is used and why.")] = False,
+    gl: Annotated[bool, Option("--gl", help="Say which OpenGL is used and why.")] = False,
     as_json: AsJson = False,
     crs: Crs = None,
     reproject: Reproject = False,
@@ -34,22 +50,19 @@ def info(
     """Describe a DEM, a store, or the OpenGL in use."""
     if not path and not gl:
         raise InputError("nothing to describe; name a DEM or a store, or give --gl")
-    facts: dict[str, object] = {**describe_context()} if gl else {}
+    facts: Facts = {**describe_context()} if gl else {}
     if path:
         if len(path) == 1 and is_store(path[0]):
             facts |= describe_store(path[0])
         else:
-            facts |= describe_terrain(read_dem(path, DemOptions(crs=crs, reproject=reproject)))
+            facts |= _describe_terrain(read_dem(path, DemOptions(crs=crs, reproject=reproject)))
     _say_facts(facts, as_json)
 
 
 def explain(
     dem: Dems,
     at: Annotated[
-        str,
-        typer.Option(
-            metavar="LON,LAT", help="Degrees (WGS 84), or easting and northing in metres."
-        ),
+        str, Option(metavar="LON,LAT", help="Degrees (WGS 84), or easting and northing in metres.")
     ],
     width: Width = _DEFAULTS.width,
     tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
@@ -62,33 +75,21 @@ def explain(
     """Show which terrain a skyline depends on, what is left out, and what error that makes."""
     curvature = Curvature(refraction_k=k, enabled=not no_curvature)
     config = RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
-    pair = _parse_pair(at)
+    wanted = "LON,LAT in degrees, or easting and northing in metres"
+    first, second = parse_numbers(at, 2, f"--at is `{at}`; expected {wanted}")
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-    eye = stand_on(terrain, *_place_m(terrain, pair), config.eye_height_m)
-    _say_facts(describe_scene(terrain, eye, config), as_json)
+    place_m = first, second
+    if abs(first) <= 180.0 and abs(second) <= 90.0:
+        east, north = (float(value) for value in terrain.frame.from_lonlat(first, second))
+        west_m, south_m, east_m, north_m = terrain.bounds_m
+        # Numbers that are degrees off the map are metres.
+        if west_m <= east <= east_m and south_m <= north <= north_m:
+            place_m = east, north
+    eye = stand_on(terrain, *place_m, config.eye_height_m)
+    _say_facts(_describe_scene(terrain, eye, config), as_json)
 
 
-def _parse_pair(text: str) -> tuple[float, float]:
-    try:
-        first, second = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise InputError(
-            f"--at is `{text}`; expected LON,LAT in degrees, or easting and northing in metres"
-        ) from error
-    return first, second
-
-
-def _place_m(terrain: HeightField, pair: tuple[float, float]) -> tuple[float, float]:
-    """Return easting and northing of degrees that lie on the map; other numbers are metres."""
-    if abs(pair[0]) <= 180.0 and abs(pair[1]) <= 90.0:
-        east, north = (float(value) for value in terrain.frame.from_lonlat(*pair))
-        low_east, low_north, high_east, high_north = terrain.bounds_m
-        if low_east <= east <= high_east and low_north <= north <= high_north:
-            return east, north
-    return pair
-
-
-def _say_facts(facts: dict[str, object], as_json: bool) -> None:
+def _say_facts(facts: Facts, as_json: bool) -> None:
     if as_json:
         typer.echo(json.dumps(facts))
         return
@@ -97,3 +98,91 @@ def _say_facts(facts: dict[str, object], as_json: bool) -> None:
         for line, item in enumerate(values):
             shown = f"{item:.9g}" if isinstance(item, float) else item
             typer.echo(f"{name if line == 0 else '':<24} {shown}")
+
+
+def _describe_terrain(field: HeightField) -> Facts:
+    west, south, east, north = field.bounds_m
+    bounds_deg = field.frame.box_deg([west, east, west, east], [south, south, north, north])
+    centre = (west + east) / 2.0, (south + north) / 2.0
+    made = field.provenance
+    return {
+        "kind": "DEM",
+        "files": list(made.files),
+        "model": model_of(made.files),
+        "frame": field.frame.name,
+        "resampling": made.resampling,
+        "samples": f"{field.cols} x {field.rows}",
+        "spacing_m": [field.spacing_east_m, field.spacing_north_m],
+        "bounds_m": [west, south, east, north],
+        "bounds_deg": list(bounds_deg),
+        "height_range_m": list(field.height_range_m),
+        "convergence_deg": float(field.frame.convergence_deg(*centre)),
+        **{name: getattr(made, name) for name in ("filled", "hollow", "despiked", "undeclared")},
+        "digest": field.digest,
+    }
+
+
+def _describe_scene(terrain: HeightField, eye: Viewpoints, config: RenderConfig) -> Facts:
+    """Return what is modelled for one viewpoint, what is left out, and at what cost."""
+    # What the tolerance leaves out shows only in skylines that were rendered without it.
+    exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
+    given = render_views(terrain, eye, config)
+    needs = scene_needs(terrain, eye, config.width, config.tolerance_px, config.curvature)
+    short = np.nanmax(exact.elevation_tan - given.elevation_tan, initial=0.0)
+    depth_m = exact.depth_m[~np.isnan(exact.depth_m)]
+    return {
+        "easting_m": float(eye.easting_m[0]),
+        "northing_m": float(eye.northing_m[0]),
+        "eye_elevation_m": float(eye.eye_elevation_m[0]),
+        "width": config.width,
+        "tolerance_px": config.tolerance_px,
+        "skyline_depth_m": np.quantile(depth_m, [0.0, 0.5, 1.0]).tolist() if depth_m.size else [],
+        "flagged_columns": float((exact.flags != 0).mean()),
+        "data_reach_m": needs.data_reach_m,
+        "sight_m": needs.sight_m,
+        "samples_beyond_sight": needs.beyond_sight,
+        "curvature": "modelled" if config.curvature.enabled else "left out (--no-curvature)",
+        "curvature_bound_px": needs.curvature_px,
+        "passed_over_bound_px": config.tolerance_px,
+        "passed_over_measured_px": float(short / pixel_size(config.width)),
+        **{
+            f"every_{step.step}_samples": f"deviates by {step.deviation_m:.1f} m in the median "
+            f"block; within the tolerance in {100.0 * step.share:.1f} % of blocks; not used: all "
+            "samples are kept"
+            for step in needs.steps
+        },
+    }
+
+
+def describe_store(path: str) -> Facts:
+    """Return the facts of a store; raises `StoreError` where it cannot be read."""
+    with open_store(path) as store:
+        header, eyes = store.header, store.eyes()
+        frame = Frame(header.frame_wkt)
+        facts: Facts = {"kind": "store", header.holds: store.committed}
+        if header.width:
+            facts["width"] = header.width
+        facts |= {
+            "frame": frame.name,
+            "dem_files": list(header.dem_files),
+            "dem_digest": header.dem_digest,
+            "config": dict(header.config),
+            "rows": header.rows,
+        }
+        if header.coding is not None:
+            # How far compact rows may be from what was rendered.
+            facts["tan_error_px"] = header.coding.tan_error_px(header.width)
+            facts["depth_error"] = header.coding.depth_error
+        facts |= {
+            "renderer": header.renderer,
+            "package_version": header.package_version,
+            "schema_version": SCHEMA_VERSION,
+        }
+        if store.committed:
+            facts["locations"] = len(np.unique(eyes.easting_m + 1j * eyes.northing_m))
+            if header.holds == PLACES:
+                blocks = store.places().blocks()
+                spacing_m = 2.0 * np.concatenate([block.tolerance_m for block in blocks])
+                facts["spacing_m"] = np.quantile(spacing_m, [0.0, 0.5, 1.0]).tolist()
+            facts["bounds_deg"] = list(frame.box_deg(eyes.easting_m, eyes.northing_m))
+        return facts

@@ -1,30 +1,32 @@
-"""``skyline match extract``: photos in, places and skylines out."""
+"""``skyline match``, ``extract`` and ``serve``: photos in, places and skylines out."""
 
-import math
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
+from typer import Argument, Option
 
-from skyline.answers import Answers, refused_at_once, search_of, write_files
+from skyline.answers import Answers, search_of, tried, write_files
 from skyline.console import (
+    AsJson,
     Scheduler,
+    StoreDem,
     Surfaces,
     Workers,
-    complain,
     panel,
     parse_bounds,
+    parse_numbers,
     patience,
     runner_of,
 )
-from skyline.errors import InputError, SkylineError
+from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowing
 from skyline.photo.projection import Projection
-from skyline.photo.query import QuerySkyline
 from skyline.photo.read import extract_photo, write_overlay
 from skyline.photo.trace import write_trace
 from skyline.pipeline.batch import match_many
@@ -43,9 +45,9 @@ _DEFAULTS = MatchConfig()
 _photos, _camera = panel("The photos"), panel("Where the camera stood, and how")
 _search, _output = panel("The search"), panel("More files to write")
 
+StoreFile = Annotated[Path, Argument(metavar="STORE.h5")]
 FieldOfView = Annotated[
-    float | None,
-    typer.Option(help="Horizontal field of view; by default from the photo's EXIF or XMP."),
+    float | None, Option(help="Horizontal field of view; by default from the photo's EXIF or XMP.")
 ]
 PhotoProjection = Annotated[
     Projection | None,
@@ -55,27 +57,23 @@ SkyModel = Annotated[Path | None, _photos(metavar="ONNX", help="Your own sky seg
 
 
 def match(
-    store: Annotated[Path, typer.Argument(metavar="STORE.h5")],
+    store: StoreFile,
     query: Annotated[
         list[Path],
-        typer.Argument(
+        Argument(
             metavar="QUERY...",
             help="Photos, folders of them, sky masks (white = sky), CSV traces or lists.",
         ),
     ],
     fov_deg: FieldOfView = None,
     near: Annotated[
-        str | None,
-        typer.Option(metavar="LON,LAT,KM", help="Search only within so many km of a point."),
+        str | None, Option(metavar="LON,LAT,KM", help="Search only within so many km of a point.")
     ] = None,
-    dem: Annotated[
-        list[str] | None,
-        typer.Option(metavar="DEM", help="The store's DEM, if it has moved; repeat for each tile."),
-    ] = None,
+    dem: StoreDem = None,
     report: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Write a page with pictures and maps.")
+        Path | None, Option(metavar="DIR", help="Write a page with pictures and maps.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    as_json: AsJson = False,
     projection: PhotoProjection = None,
     bounds: Annotated[
         str | None, _camera(metavar="W,S,E,N", help="Search only in this box, in degrees.")
@@ -150,8 +148,13 @@ def match(
     )
     if use_gps and no_refine:
         raise InputError("--use-gps acts in refinement; leave one of --use-gps, --no-refine out")
-    narrowing = replace(
-        _narrowing(near, bounds, heading, elevation), eye_height_m=eye_height, use_gps=use_gps
+    narrowing = Narrowing(
+        _numbers("near", near, "LON,LAT,KM", 3),  # type: ignore[arg-type]
+        parse_bounds(bounds) if bounds is not None else None,
+        _numbers("heading", heading, "DEG,SLACK", 2),  # type: ignore[arg-type]
+        _numbers("elevation", elevation, "LOW,HIGH", 2),  # type: ignore[arg-type]
+        eye_height,
+        use_gps,
     )
     common = Query("", fov_deg, None, projection, sky_model, narrowing)
     queries = list(listed(query, common))
@@ -159,14 +162,20 @@ def match(
     for path in exports:
         check_export(path)
     if same_place:
-        _check_together(no_refine, matcher, results, workers, scheduler)
+        is_spread = workers is not None or scheduler is not None
+        _check_together(no_refine or matcher != FULL, results is not None, is_spread)
     surfaces = tuple(absolute_name(one) for one in surface or ())
     search = search_of(store, matcher, config, common, *surfaces)
     answers = Answers(results, search, as_json, top)
     queries = answers.left(queries)
-    refused = refused_at_once(queries)
-    usable = [one for one in queries if one not in refused]
-    skylines = _read_together(usable) if same_place else []
+    checked, refused = tried(queries, Query.check)
+    usable = [one for one, _ in checked]
+    skylines, _ = tried(usable if same_place else [], Query.read)
+    if same_place and len(skylines) < 2:
+        raise InputError(
+            f"--same-place needs two photos or more that can be read, and has {len(skylines)}; "
+            "name more, or leave --same-place out"
+        )
     if not usable:
         answers.tell_all(queries, refused, iter(()))
         raise typer.Exit(answers.exit_code)
@@ -180,8 +189,7 @@ def match(
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
     if same_place:
         matches = answers.tell_together(matching, skylines)
-        failed = len(matches) < len(queries)
-        answers.exit_code = InputError.exit_code if failed else 0
+        answers.exit_code = InputError.exit_code if len(matches) < len(queries) else 0
     else:
         with runner_of(workers, scheduler) as runner:
             if runner is None:
@@ -197,48 +205,22 @@ def match(
         raise typer.Exit(answers.exit_code)
 
 
-def _check_together(
-    no_refine: bool,
-    matcher: str,
-    results: Path | None,
-    workers: int | None,
-    scheduler: str | None,
-) -> None:
+def _check_together(is_unrefined: bool, has_results: bool, is_spread: bool) -> None:
     """Refuse what does not go with photos of one place."""
-    if no_refine or matcher != FULL:
-        raise InputError(
-            "--same-place compares renderings of the terrain; leave --no-refine and --matcher out"
-        )
-    if results is not None:
-        raise InputError("--same-place has one answer, not a row a photo; leave --results out")
-    if workers is not None or scheduler is not None:
-        raise InputError(
-            "--same-place matches in this process; leave --workers and --scheduler out"
-        )
-
-
-def _read_together(queries: Sequence[Query]) -> list[tuple[Query, QuerySkyline]]:
-    """Return the photos that can be read, and say of the others why not."""
-    read: list[tuple[Query, QuerySkyline]] = []
-    for one in queries:
-        try:
-            read.append((one, one.read()))
-        except SkylineError as error:
-            complain(str(error))
-    if len(read) < 2:
-        raise InputError(
-            f"--same-place needs two photos or more that can be read, and has {len(read)}; name "
-            "more, or leave --same-place out"
-        )
-    return read
+    for is_given, why in (
+        (is_unrefined, "compares renderings of the terrain; leave --no-refine and --matcher out"),
+        (has_results, "has one answer, not a row a photo; leave --results out"),
+        (is_spread, "matches in this process; leave --workers and --scheduler out"),
+    ):
+        if is_given:
+            raise InputError(f"--same-place {why}")
 
 
 def extract(
-    photo: Annotated[Path, typer.Argument(metavar="PHOTO")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The trace to write (CSV).")],
+    photo: Annotated[Path, Argument(metavar="PHOTO")],
+    output: Annotated[Path, Option("--output", "-o", help="The trace to write (CSV).")],
     overlay: Annotated[
-        Path | None,
-        typer.Option(metavar="PNG", help="Also write the photo with its skyline drawn."),
+        Path | None, Option(metavar="PNG", help="Also write the photo with its skyline drawn.")
     ] = None,
     fov_deg: FieldOfView = None,
     projection: PhotoProjection = None,
@@ -250,8 +232,40 @@ def extract(
     write_trace(skyline, output)
     if overlay is not None:
         write_overlay(image, skyline, overlay)
-    trusted = sum(math.isfinite(row) for row in skyline.row_px)
+    trusted = np.count_nonzero(skyline.trusted)
     typer.echo(f"{output}: skyline found in {trusted} of {skyline.width_px} columns")
+
+
+def serve(
+    store: StoreFile,
+    photos: Annotated[
+        list[Path] | None, Argument(metavar="[PHOTO...]", help="Photos that the page begins with.")
+    ] = None,
+    dem: StoreDem = None,
+    peaks: Annotated[
+        Path | None, Option(metavar="FILE.csv", help="Peaks to name: name,lon,lat[,height_m].")
+    ] = None,
+    port: Annotated[
+        int, Option(min=0, max=65535, help="Port of the page; 0 takes any that is free.")
+    ] = 8765,
+    host: Annotated[
+        str, Option(help="Address to listen on; another lets other machines in.")
+    ] = "127.0.0.1",
+) -> None:
+    """Open a page in the browser: drop photos, mend skylines, find places, fit by hand."""
+    for photo in photos or ():
+        if not photo.is_file():
+            raise MissingFileError(f"{photo} does not exist; expected a photo")
+    try:
+        from skyline.web.engine import Given  # noqa: PLC0415  (an extra)
+        from skyline.web.server import serve as serve_page  # noqa: PLC0415
+    except ImportError as error:
+        raise InputError(
+            f"the page needs packages that are not installed ({error.name}); "
+            "pip install 'skyline[web]'"
+        ) from error
+    given = Given(store, tuple(dem or ()), tuple(path.absolute() for path in photos or ()), peaks)
+    serve_page(given, host, port)
 
 
 def _matched_here(
@@ -265,28 +279,9 @@ def _matched_here(
             yield error
 
 
-def _narrowing(
-    near: str | None, bounds: str | None, heading: str | None, elevation: str | None
-) -> Narrowing:
-    """Return what is known of where photos were taken; raises `InputError` for what is not so."""
-    return Narrowing(
-        _numbers("near", near, "LON,LAT,KM", 3),  # type: ignore[arg-type]
-        parse_bounds(bounds) if bounds is not None else None,
-        _numbers("heading", heading, "DEG,SLACK", 2),  # type: ignore[arg-type]
-        _numbers("elevation", elevation, "LOW,HIGH", 2),  # type: ignore[arg-type]
-    )
-
-
 def _numbers(name: str, text: str | None, wanted: str, count: int) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    try:
-        values = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        values = ()
-    if len(values) != count:
-        raise InputError(f"--{name} is `{text}`; expected {count} numbers {wanted}")
-    return values
+    said = f"--{name} is `{text}`; expected {count} numbers {wanted}"
+    return None if text is None else parse_numbers(text, count, said)
 
 
 def _check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path]) -> None:

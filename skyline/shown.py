@@ -18,8 +18,12 @@ def facts_html(facts: Mapping[str, str], picture: NDArray[np.uint8] | None = Non
     )
     drawn = ""
     if picture is not None:
+        from PIL import Image  # noqa: PLC0415  (nothing else here needs it)
+
+        file = io.BytesIO()
+        Image.fromarray(picture).save(file, format="PNG")
         style = f"width: {_LONGEST_PX * picture.shape[1] // max(picture.shape)}px"
-        source = f"data:image/png;base64,{_png(picture)}"
+        source = f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"
         drawn = f'<img alt="map" style="{style}" src="{source}">'
     return (
         '<div style="display: flex; gap: 1em; align-items: flex-start">'
@@ -46,11 +50,3 @@ def relief(heights_m: NDArray[np.floating], east_m: float, north_m: float) -> ND
     picture: NDArray[np.uint8]
     picture = np.nan_to_num(40.0 + 200.0 * light.clip(0.0, 1.0), nan=220.0).astype(np.uint8)
     return picture
-
-
-def _png(picture: NDArray[np.uint8]) -> str:
-    from PIL import Image  # noqa: PLC0415  (nothing else here needs it)
-
-    file = io.BytesIO()
-    Image.fromarray(picture).save(file, format="PNG")
-    return base64.b64encode(file.getvalue()).decode()

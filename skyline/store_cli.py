@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
+from skyline.console import AsJson
 from skyline.errors import InputError
 from skyline.report.geopackage import write_geopackage
 from skyline.store import (
@@ -26,15 +28,12 @@ store = typer.Typer(
     name="store", help="Check, repair, merge, compact and export stores.", no_args_is_help=True
 )
 
-StoreFile = Annotated[Path, typer.Argument(metavar="STORE")]
-NewStore = Annotated[Path, typer.Option("--output", "-o", help="The new store; must not exist.")]
+StoreFile = Annotated[Path, Argument(metavar="STORE")]
+NewStore = Annotated[Path, Option("--output", "-o", help="The new store; must not exist.")]
 
 
 @store.command()
-def check(
-    store: StoreFile,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-) -> None:
+def check(store: StoreFile, as_json: AsJson = False) -> None:
     """Read a whole store and compare it with its checksums; exit code 2 if it is damaged."""
     report = check_store(store)
     if as_json:
@@ -59,9 +58,7 @@ def repair(store: StoreFile, output: NewStore) -> None:
 
 
 @store.command()
-def merge(
-    stores: Annotated[list[Path], typer.Argument(metavar="STORE...")], output: NewStore
-) -> None:
+def merge(stores: Annotated[list[Path], Argument(metavar="STORE...")], output: NewStore) -> None:
     """Join several stores into one, sorted by location; equal rows are kept once."""
     _say_copied(merge_stores(stores, output), output)
 
@@ -71,16 +68,13 @@ def compact(
     store: StoreFile,
     output: NewStore,
     quantize: Annotated[
-        bool,
-        typer.Option("--quantize", help="Round exact rows; they then take a fifth of the bytes."),
+        bool, Option("--quantize", help="Round exact rows; they then take a fifth of the bytes.")
     ] = False,
     tan_error_px: Annotated[
-        float,
-        typer.Option("--tan-error-px", help="With --quantize: greatest error of skylines, px."),
+        float, Option("--tan-error-px", help="With --quantize: greatest error of skylines, px.")
     ] = 0.005,
     depth_error: Annotated[
-        float,
-        typer.Option("--depth-error", help="With --quantize: greatest relative error of depths."),
+        float, Option("--depth-error", help="With --quantize: greatest relative error of depths.")
     ] = 0.001,
 ) -> None:
     """Write a sorted copy without dead bytes; the same rows give the same bytes."""
@@ -96,7 +90,7 @@ def compact(
 def export(
     store: StoreFile,
     output: Annotated[
-        Path, typer.Option("--output", "-o", metavar="FILE.gpkg", help="The GeoPackage to write.")
+        Path, Option("--output", "-o", metavar="FILE.gpkg", help="The GeoPackage to write.")
     ],
 ) -> None:
     """Write where the places are as a GeoPackage, for QGIS, with its style (extra `geo`)."""

@@ -65,7 +65,7 @@ class QueryCurve:
         local_bins = np.array([-1, 0, 1], dtype=np.intp) * (offsets[-1] // 2)
         near = np.clip(keypoints[:, np.newaxis] + local_bins, 0, len(y_px) - 1)
         rows = np.zeros(len(keypoints), dtype=np.intp)
-        patches = local_patches(y_px[np.newaxis], rows, keypoints, offsets, wrap=True)
+        patches = local_patches(y_px[np.newaxis], rows, keypoints, offsets)
         return cls(
             np.stack([x_px[seen], y_px[seen]], axis=1),
             curves.weight[row, seen],
@@ -111,7 +111,7 @@ class StoredCurves:
         bins = np.zeros((len(rows), int(count.max(initial=0))), dtype=np.intp)
         bins[row, slot] = bin_
         patches = np.full((*bins.shape, len(offsets)), np.nan, dtype=np.float32)
-        patches[row, slot] = local_patches(y_px, row, bin_, offsets, wrap=True)
+        patches[row, slot] = local_patches(y_px, row, bin_, offsets)
         return cls(y_px, bins, patches, profiles.bin_px)
 
     def __len__(self) -> int:

@@ -6,6 +6,7 @@ it is. What no stroke changes stays as it was found.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -14,19 +15,17 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError
-from skyline.photo.decode import Photo
 from skyline.photo.extract import (
     FORBIDDEN,
     STEPS,
     Extraction,
-    path_confidence,
-    refine_rows,
-    to_photo_rows,
+    on_photo,
+    shortest_path,
     to_work_columns,
 )
-from skyline.photo.mask import is_sky_mask, skyline_of_mask
-from skyline.photo.paths import shortest_path
 from skyline.photo.query import QuerySkyline, check_of_image
+from skyline.photo.read import Photo
+from skyline.photo.sky_model import is_sky_mask, skyline_of_mask
 
 _PAINTED_CONFIDENCE = 0.6
 """Least confidence of a column that a brush has touched: a person has looked at it."""
@@ -109,9 +108,8 @@ class Correction:
 
     def restarted(self, found: QuerySkyline) -> "Correction":
         """Return the same photo's correction that begins with a skyline, such as a trace."""
-        again = object.__new__(Correction)
-        again._photo, again._extraction = self._photo, self._extraction
-        again._row_px, again._confidence = again._began(found)
+        again = copy(self)
+        again._row_px, again._confidence = self._began(found)
         return again
 
     def solve(self, strokes: Sequence[Stroke] = ()) -> QuerySkyline:
@@ -119,10 +117,13 @@ class Correction:
 
         It may have no trusted column. Its field of view and projection are the photo's.
         """
-        content = self._extraction.content
+        left, top = self._extraction.content.left, self._extraction.content.top
         row_px, confidence = self._row_px.copy(), self._confidence.copy()
         height, width = self._extraction.photo.shape[:2]
-        inside = [_moved(stroke, -content.left, -content.top) for stroke in strokes]
+        inside = [
+            replace(one, points_px=tuple((x - left, y - top) for x, y in one.points_px))
+            for one in strokes
+        ]
         labels = _labels(inside, self._extraction)
         if labels.any():
             self._solve_again(labels, row_px, confidence)
@@ -154,21 +155,16 @@ class Correction:
         """Write the rows and the confidence of the columns that painted pixels change."""
         extraction, evidence = self._extraction, self._extraction.evidence
         cost = np.where(_forbidden(labels), evidence.cost + np.float32(FORBIDDEN), evidence.cost)
-        path = shortest_path(cost, STEPS)
+        path = shortest_path(cost, *STEPS)
         changed = (path != extraction.path) | (labels != 0).any(axis=0)
-        at_work = to_work_columns(len(row_px), evidence)
-        near = np.rint(at_work).astype(np.intp).clip(0, len(path) - 1)
+        near = (
+            np.rint(to_work_columns(len(row_px), evidence)).astype(np.intp).clip(0, len(path) - 1)
+        )
         columns = np.flatnonzero(changed[near])
         around = slice(max(columns[0] - _HULL_PX, 0), columns[-1] + _HULL_PX + 1)
-        guess = to_photo_rows(path, evidence, at_work[around])
-        refined = refine_rows(extraction.photo[:, around], guess, evidence.row_scale)
-        row_px[columns] = refined[columns - around.start]
-        confidence[columns] = path_confidence(evidence, path, at_work[columns])
-
-
-def _moved(stroke: Stroke, right_px: float, down_px: float) -> Stroke:
-    points = tuple((column + right_px, row + down_px) for column, row in stroke.points_px)
-    return replace(stroke, points_px=points)
+        rows, confidences = on_photo(extraction.photo, evidence, path, around)
+        row_px[columns] = rows[columns - around.start]
+        confidence[columns] = confidences[columns - around.start]
 
 
 def _columns(stroke: Stroke, width: int) -> IntArray:
@@ -195,7 +191,7 @@ def _along(stroke: Stroke, columns: IntArray) -> Float64Array:
     return np.interp(columns, known, [rows[column] for column in known])
 
 
-_SKY_LABEL, _GROUND_LABEL = 1, 2
+_LABELS = {StrokeKind.SKY: 1, StrokeKind.GROUND: 2}
 
 
 def _labels(strokes: Sequence[Stroke], extraction: Extraction) -> UInt8Array:
@@ -205,19 +201,18 @@ def _labels(strokes: Sequence[Stroke], extraction: Extraction) -> UInt8Array:
     labels = np.zeros((work_height, work_width), dtype=np.uint8)
     scale = np.array([work_width / photo.shape[1], work_height / photo.shape[0]])
     for stroke in strokes:
-        if stroke.kind not in {StrokeKind.SKY, StrokeKind.GROUND}:
+        if stroke.kind not in _LABELS:
             continue
         points = (np.array(stroke.points_px) + 0.5) * scale - 0.5
         limit = 4 * max(work_height, work_width)
         whole = np.rint(np.clip(points, -limit, limit)).astype(np.int32)
-        colour = _SKY_LABEL if stroke.kind is StrokeKind.SKY else _GROUND_LABEL
         thickness = max(1, round(2.0 * min(stroke.radius_px * float(scale[0]), limit)))
-        cv2.polylines(labels, [whole], False, colour, thickness)
+        cv2.polylines(labels, [whole], False, _LABELS[stroke.kind], thickness)
     return labels
 
 
 def _forbidden(labels: UInt8Array) -> BoolArray:
     """Return where the skyline cannot be, (h, w): in painted sky and above, in ground and below."""
-    sky_here_or_below = np.logical_or.accumulate((labels == _SKY_LABEL)[::-1], axis=0)[::-1]
-    ground_here_or_above = np.logical_or.accumulate(labels == _GROUND_LABEL, axis=0)
-    return np.asarray(sky_here_or_below | ground_here_or_above)
+    sky, ground = (labels == label for label in _LABELS.values())
+    sky_here_or_below = np.logical_or.accumulate(sky[::-1], axis=0)[::-1]
+    return np.asarray(sky_here_or_below | np.logical_or.accumulate(ground, axis=0))

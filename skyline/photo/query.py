@@ -3,12 +3,10 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import Float64Array
+from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
-from skyline.photo.exif import NOTHING_NOTED, NotedPlace
-from skyline.photo.lens import Lens
+from skyline.photo.exif import NOTHING_NOTED, Lens, NotedPlace
 from skyline.photo.projection import MIN_FOV_DEG, Projection, undistorted
 
 
@@ -74,7 +72,7 @@ class QuerySkyline:
         )
 
     @property
-    def trusted(self) -> NDArray[np.bool_]:
+    def trusted(self) -> BoolArray:
         """Which columns have a skyline, shape (W,)."""
         return np.isfinite(self.row_px)
 

@@ -1,30 +1,101 @@
-"""Query files to query skylines, and a picture of what was found."""
+"""Query files to query skylines, and a picture of what was found.
+
+Pillow decodes, not OpenCV: it hands out EXIF along with the pixels, refuses a truncated JPEG
+(OpenCV fills the rest with grey, which has a skyline), reports through exceptions rather than on
+stderr, and shrinks huge JPEGs while decoding them.
+"""
 
 import io
 import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
+from threading import Lock
 
 import cv2
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL.ExifTags import IFD, Base
 
 from skyline.arrays import UInt8Array
-from skyline.errors import InputError
+from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
-from skyline.photo.decode import Photo, decode_image
+from skyline.photo.exif import (
+    MAX_PINHOLE_ASPECT,
+    Lens,
+    NotedPlace,
+    lens_of,
+    place_from_exif,
+    swept_lens_of,
+)
 from skyline.photo.extract import extract_skyline
-from skyline.photo.lens import MAX_PINHOLE_ASPECT
-from skyline.photo.mask import is_sky_mask, skyline_of_mask
-from skyline.photo.projection import Projection
+from skyline.photo.projection import Projection, panorama_of_xmp
 from skyline.photo.query import QuerySkyline, check_of_image
-from skyline.photo.sky_model import SkySession, load_sky_model, model_skyline
+from skyline.photo.sky_model import (
+    SkySession,
+    is_sky_mask,
+    load_sky_model,
+    model_skyline,
+    skyline_of_mask,
+)
 from skyline.photo.trace import read_trace
 
 log = logging.getLogger(__name__)
 
 SkyModel = SkySession | str | Path | None
 
+MAX_DECODED_PIXELS = 100_000_000
+"""Larger JPEGs are decoded at a half to an eighth of their size; other formats are refused."""
+MAX_JPEG_PIXELS = 400_000_000
+"""A progressive JPEG is held whole, two or three numbers a pixel, whatever it is decoded at."""
+
+_size_limit = Lock()
+
+_FORMATS = (
+    "JPEG", "MPO", "PNG", "TIFF", "WEBP", "BMP", "GIF", "PPM", "JPEG2000", "AVIF", "HEIF",
+)  # fmt: skip
+"""What Pillow may decode, as far as it can: others run programs, or are no pictures."""
+_HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
+_TURNED_ORIENTATIONS = (5, 6, 7, 8)
 _SKYLINE_RGB = (255, 0, 60)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Photo:
+    """An image file's pixels, and what the file notes of them.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+        Upright; transparent parts are white.
+    fov_deg : float or None
+        Horizontal field of view, up to 360, where EXIF or XMP has it.
+    projection : Projection
+        Perspective, unless XMP says that it is a panorama.
+    place : NotedPlace
+        Where it was taken and which way, as far as EXIF has it.
+    lens : Lens, optional
+        Whence the field of view is, where EXIF has been asked.
+    """
+
+    rgb: UInt8Array
+    fov_deg: float | None
+    projection: Projection
+    place: NotedPlace
+    lens: Lens | None = None
+
+    def described(self, query: QuerySkyline) -> QuerySkyline:
+        """Return a skyline of this photo with what the file notes of it."""
+        return replace(
+            query,
+            fov_deg=self.fov_deg,
+            projection=self.projection,
+            noted=self.place,
+            lens=self.lens,
+        )
 
 
 def read_query(
@@ -72,7 +143,16 @@ def extract_photo(
     These are (H, W, 3) uint8 RGB, upright.
     """
     photo = read_photo(path, fov_deg, projection=projection)
-    _doubt_strip(path, photo)
+    height, width = photo.rgb.shape[:2]
+    is_said = photo.fov_deg is not None or photo.projection is not Projection.PERSPECTIVE
+    if not is_said and width > MAX_PINHOLE_ASPECT * height:
+        log.warning(
+            "%s has %d x %d px and is matched as a strip of a photo; if it is a panorama, give "
+            "--projection cylindrical and --fov-deg",
+            path,
+            width,
+            height,
+        )
     try:
         query = _find(photo.rgb, sky_model)
     except InputError as error:
@@ -99,31 +179,16 @@ def read_photo(
         It cannot be decoded, or is a sliver.
     """
     check_fov(fov_deg, projection)
-    decoded = decode_image(path)
+    photo = _decoded(Path(path))
     # What the lens was says nothing of a panorama, nor where a person knows better.
-    is_as_noted = projection in (None, decoded.projection)
-    lens = decoded.lens if fov_deg is None and is_as_noted else None
-    if fov_deg is None and (lens is not None or decoded.lens is None):
-        fov_deg = decoded.fov_deg
-    projection = projection or decoded.projection
-    height, width = decoded.rgb.shape[:2]
+    is_as_noted = projection in (None, photo.projection)
+    lens = photo.lens if fov_deg is None and is_as_noted else None
+    if fov_deg is None and (lens is not None or photo.lens is None):
+        fov_deg = photo.fov_deg
+    height, width = photo.rgb.shape[:2]
     if min(height, width) < 2:
         raise InputError(f"{path} has {width} x {height} px; expected a photo or a sky mask")
-    return Photo(decoded.rgb, fov_deg, projection, decoded.place, lens)
-
-
-def _doubt_strip(path: str | Path, photo: Photo) -> None:
-    """Warn of a photo that has the shape of a panorama, where nobody says that it is none."""
-    height, width = photo.rgb.shape[:2]
-    is_said = photo.fov_deg is not None or photo.projection is not Projection.PERSPECTIVE
-    if not is_said and width > MAX_PINHOLE_ASPECT * height:
-        log.warning(
-            "%s has %d x %d px and is matched as a strip of a photo; if it is a panorama, give "
-            "--projection cylindrical and --fov-deg",
-            path,
-            width,
-            height,
-        )
+    return replace(photo, fov_deg=fov_deg, projection=projection or photo.projection, lens=lens)
 
 
 def check_fov(fov_deg: float | None, projection: Projection | None) -> None:
@@ -169,3 +234,105 @@ def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> N
     picture = io.BytesIO()
     Image.fromarray(drawn).save(picture, format="PNG", compress_level=1)
     write_whole(Path(path), picture.getvalue())
+
+
+def _decoded(path: Path) -> Photo:
+    """Read an image file; raises as `read_photo` for what cannot be decoded."""
+    if not path.exists():
+        raise MissingFileError(f"{path} does not exist; expected a photo, a sky mask or a trace")
+    if not path.is_file():
+        raise InputError(f"{path} is not a file; expected a photo, a sky mask or a trace")
+    try:
+        with warnings.catch_warnings(), _unlimited_size():
+            # Pillow warns of large images, which are bounded here, and of odd EXIF.
+            warnings.simplefilter("ignore")
+            if _is_heic(path):
+                with suppress(ImportError):
+                    import_module("pillow_heif").register_heif_opener()
+            Image.init()
+            formats = [name for name in _FORMATS if name in Image.OPEN]
+            with Image.open(path, formats=formats) as image:
+                return _photo(path, image)
+    except UnidentifiedImageError as error:
+        said = "not an image that can be read; expected JPEG, PNG, TIFF, WebP or a CSV trace"
+        if _is_heic(path):
+            said = (
+                "a HEIC photo, for which there is no decoder here; convert it to JPEG or PNG, or "
+                "pip install pillow-heif"
+            )
+        raise InputError(f"{path} is {said}") from error
+    except InputError:
+        raise
+    except Exception as error:  # Decoders raise nearly anything on damaged files.
+        raise InputError(
+            f"{path} cannot be decoded ({error}); it is damaged or cut short: copy it again, or "
+            "open and save it as PNG"
+        ) from error
+
+
+def _photo(path: Path, image: Image.Image) -> Photo:
+    exif = image.getexif()
+    projection, fov_deg, lens = _camera(image, exif)
+    _require_bounded(path, image)
+    place = place_from_exif(exif.get_ifd(IFD.GPSInfo))
+    return Photo(_to_rgb(ImageOps.exif_transpose(image)), fov_deg, projection, place, lens)
+
+
+def _camera(image: Image.Image, exif: Image.Exif) -> tuple[Projection, float | None, Lens | None]:
+    """Return what a file notes of its projection and its field of view."""
+    xmp = image.info.get("xmp", image.info.get("XML:com.adobe.xmp", ""))
+    panorama = panorama_of_xmp(xmp.decode(errors="replace") if isinstance(xmp, bytes) else str(xmp))
+    if panorama is not None:
+        return *panorama, None
+    turned = exif.get(Base.Orientation) in _TURNED_ORIENTATIONS
+    tags = {**exif, **exif.get_ifd(IFD.Exif)}
+    swept = swept_lens_of(tags, image.size[::-1] if turned else image.size)
+    if swept is not None:
+        return Projection.CYLINDRICAL, swept.fov_deg, swept
+    lens = lens_of(tags, image.size, turned)
+    return Projection.PERSPECTIVE, lens.fov_deg, lens
+
+
+@contextmanager
+def _unlimited_size() -> Iterator[None]:
+    """Lift Pillow's own limit, which refuses what `_require_bounded` shrinks."""
+    with _size_limit:
+        before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            yield
+        finally:
+            Image.MAX_IMAGE_PIXELS = before
+
+
+def _require_bounded(path: Path, image: Image.Image) -> None:
+    """Have a large JPEG decoded smaller, and refuse what cannot be."""
+    width, height = image.size
+    if width * height <= MAX_JPEG_PIXELS:
+        for shrink in (2, 4, 8):
+            if image.width * image.height > MAX_DECODED_PIXELS:
+                image.draft("RGB", (width // shrink, height // shrink))
+    if image.width * image.height > MAX_DECODED_PIXELS:
+        raise InputError(
+            f"{path} has {width * height / 1e6:.0f} megapixels; expected at most "
+            f"{MAX_DECODED_PIXELS / 1e6:.0f} ({MAX_JPEG_PIXELS / 1e6:.0f} in a JPEG): scale it "
+            "down, 20 are plenty"
+        )
+
+
+def _to_rgb(image: Image.Image) -> UInt8Array:
+    """Return any mode's pixels as (H, W, 3) uint8; deep greys are scaled to their brightest."""
+    if image.mode.startswith(("I", "F")):
+        deep = np.nan_to_num(np.asarray(image, dtype=np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+        scaled = np.clip(deep * (255.0 / max(float(deep.max()), 1e-6)), 0.0, 255.0)
+        return np.repeat(np.rint(scaled).astype(np.uint8)[:, :, np.newaxis], 3, axis=2)
+    if image.has_transparency_data:
+        image = image.convert("RGBA")
+        image = Image.alpha_composite(Image.new("RGBA", image.size, "white"), image)
+    rgb: UInt8Array = np.asarray(image.convert("RGB"))
+    return rgb
+
+
+def _is_heic(path: Path) -> bool:
+    with path.open("rb") as file:
+        head = file.read(12)
+    return head[4:8] == b"ftyp" and head[8:12] in _HEIC_BRANDS

@@ -1,24 +1,31 @@
-"""A sky segmentation model of the user's own, in ONNX, in place of the built-in extraction.
+"""Images of the sky: masks, white for sky and black for ground, and what a model of one's own says.
 
-The contract: one input, float32 (1, 3, h, w), RGB from 0 to 1; the first output is (1, 1, h', w'),
-(1, h', w') or (1, 2, h', w'), the sky's probability or logits; of two channels the second is the
-sky. A model that states its h and w gets these, any other the photo with at most 1024 px a side,
-rounded to multiples of 32.
+A sky segmentation model in ONNX stands in place of the built-in extraction. The contract: one
+input, float32 (1, 3, h, w), RGB from 0 to 1; the first output is (1, 1, h', w'), (1, h', w') or
+(1, 2, h', w'), the sky's probability or logits; of two channels the second is the sky. A model that
+states its h and w gets these, any other the photo with at most 1024 px a side, rounded to multiples
+of 32.
 """
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol, cast
 
 import cv2
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array, UInt8Array
+from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.extras import library
-from skyline.photo.frame import Content, content_of
-from skyline.photo.mask import topmost_border
+from skyline.photo.extract import content_of
 from skyline.photo.query import QuerySkyline
+
+_NEARLY = 24
+"""Levels from black or white that still count as such: masks saved as JPEG ring."""
+_MIN_SHARE = 0.98
+"""Share of a mask's pixels that are nearly black or white; the rest is its smoothed border."""
+_SAMPLES = 500
+_MIDDLE = 127.5
 
 _LONGEST_PX = 1024
 _MULTIPLE_PX = 32
@@ -29,15 +36,10 @@ _MIN_CONFIDENCE = 0.5
 _CONTRACT = "expected one input (1, 3, h, w) and an output (1, 1, h, w), (1, h, w) or (1, 2, h, w)"
 
 
-class _Tensor(Protocol):
-    name: str
-    shape: Sequence[object]
-
-
 class SkySession(Protocol):
     """What of ``onnxruntime.InferenceSession`` is used."""
 
-    def get_inputs(self) -> Sequence[_Tensor]:
+    def get_inputs(self) -> Sequence[Any]:
         """Return the model's inputs."""
 
     def run(self, names: None, feed: dict[str, Float32Array]) -> Sequence[object]:
@@ -54,12 +56,10 @@ def load_sky_model(path: str | Path) -> SkySession:
         raise MissingFileError(f"{path} does not exist; expected a sky model (ONNX)")
     runtime = library("onnxruntime", "onnx", str(path))
     try:
-        session: SkySession = runtime.InferenceSession(
-            str(path), providers=["CPUExecutionProvider"]
-        )
+        session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     except Exception as error:  # The runtime's own errors share no base class.
         raise InputError(f"{path} is not a model that can be run ({_line(error)})") from error
-    return session
+    return cast(SkySession, session)
 
 
 def model_skyline(image: UInt8Array, session: SkySession) -> QuerySkyline:
@@ -73,8 +73,15 @@ def model_skyline(image: UInt8Array, session: SkySession) -> QuerySkyline:
     photo = content.crop(image)
     probability = _probability(photo, session)
     row_px, confidence = _border(probability)
-    photo_row = (row_px + 0.5) * len(photo) / len(probability) - 0.5
-    query = _on_photo(photo_row, confidence, content, image.shape[:2])
+    row_px = (row_px + 0.5) * len(photo) / len(probability) - 0.5
+    at = (np.arange(photo.shape[1]) + 0.5) * len(row_px) / photo.shape[1] - 0.5
+    at = np.clip(at, 0.0, len(row_px) - 1.0)
+    left = np.floor(at).astype(np.intp)
+    right = np.minimum(left + 1, len(row_px) - 1)
+    # Beside a masked column there is nothing to interpolate to: NaN passes on.
+    share = at - left
+    row = np.where(share > 0.0, (1.0 - share) * row_px[left] + share * row_px[right], row_px[left])
+    query = content.skyline(row, np.minimum(confidence[left], confidence[right]), image.shape)
     if not query.trusted.any():
         raise InputError("no skyline found: the sky model sees no sky above ground in any column")
     return query
@@ -85,7 +92,13 @@ def _probability(photo: UInt8Array, session: SkySession) -> Float64Array:
     inputs = session.get_inputs()
     if len(inputs) != 1 or len(inputs[0].shape) != 4:
         raise InputError(f"the sky model's inputs are {[i.shape for i in inputs]}; {_CONTRACT}")
-    height, width = _input_size(inputs[0].shape, photo.shape)
+    shrink = min(1.0, _LONGEST_PX / max(photo.shape[:2]))
+    height, width = (
+        stated
+        if isinstance(stated, int) and stated > 0
+        else max(1, round(side * shrink / _MULTIPLE_PX)) * _MULTIPLE_PX
+        for stated, side in zip(inputs[0].shape[2:], photo.shape[:2], strict=True)
+    )
     small = cv2.resize(photo, (width, height), interpolation=cv2.INTER_AREA)
     planes = np.ascontiguousarray(small.transpose(2, 0, 1)[np.newaxis], dtype=np.float32)
     try:
@@ -99,20 +112,10 @@ def _probability(photo: UInt8Array, session: SkySession) -> Float64Array:
         raise InputError(f"the sky model's output has shape {sky.shape}; {_CONTRACT}")
     if not np.isfinite(sky).all():
         raise InputError(f"the sky model's output is not finite; {_CONTRACT}")
-    is_probability = sky.min() >= 0.0 and sky.max() <= 1.0
-    if is_probability:
+    if sky.min() >= 0.0 and sky.max() <= 1.0:  # Probabilities.
         return np.asarray(sky[0, -1])
     logit = sky[0, 0] if sky.shape[1] == 1 else sky[0, 1] - sky[0, 0]
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
-
-
-def _input_size(shape: Sequence[object], photo: tuple[int, ...]) -> tuple[int, int]:
-    shrink = min(1.0, _LONGEST_PX / max(photo[:2]))
-    sides = []
-    for stated, side in zip(shape[2:], photo[:2], strict=True):
-        free = max(1, round(side * shrink / _MULTIPLE_PX)) * _MULTIPLE_PX
-        sides.append(stated if isinstance(stated, int) and stated > 0 else free)
-    return sides[0], sides[1]
 
 
 def _border(probability: Float64Array) -> tuple[Float64Array, Float64Array]:
@@ -128,20 +131,50 @@ def _border(probability: Float64Array) -> tuple[Float64Array, Float64Array]:
     return np.where(trusted, row_px, np.nan), np.where(trusted, confidence, 0.0)
 
 
-def _on_photo(
-    row_px: Float64Array, confidence: Float64Array, content: Content, shape: tuple[int, ...]
-) -> QuerySkyline:
-    """Return the query of a whole photo from rows and confidences at the model's columns, (w,)."""
-    across = content.right - content.left
-    at = (np.arange(across) + 0.5) * len(row_px) / across - 0.5
-    at = np.clip(at, 0.0, len(row_px) - 1.0)
-    left = np.floor(at).astype(np.intp)
-    right = np.minimum(left + 1, len(row_px) - 1)
-    # Beside a masked column there is nothing to interpolate to: NaN passes on.
-    share = at - left
-    row = np.where(share > 0.0, (1.0 - share) * row_px[left] + share * row_px[right], row_px[left])
-    return content.skyline(row, np.minimum(confidence[left], confidence[right]), shape)
-
-
 def _line(error: Exception) -> str:
     return str(error).strip().partition("\n")[0][:160]
+
+
+def is_sky_mask(image: UInt8Array) -> bool:
+    """Return whether an RGB image (H, W, 3) uint8 is grey, and nearly all of it black or white.
+
+    About five hundred rows and columns are looked at.
+    """
+    step_down, step_across = (max(1, side // _SAMPLES) for side in image.shape[:2])
+    sample = image[::step_down, ::step_across].astype(np.int16)
+    grey = sample[:, :, 1]
+    coloured = np.abs(sample - grey[:, :, np.newaxis]).max(axis=2) > _NEARLY
+    extreme = (grey <= _NEARLY) | (grey >= 255 - _NEARLY)
+    return not coloured.any() and float(extreme.mean()) >= _MIN_SHARE
+
+
+def skyline_of_mask(image: UInt8Array) -> QuerySkyline:
+    """Return the border of each column's topmost ground; NaN where a column has no sky above it.
+
+    A smoothed border is found to a fraction of a pixel, halfway from white to black. Raises
+    `InputError` where no column of the mask, (H, W, 3) uint8, has sky (white) above ground.
+    """
+    row_px, _ = topmost_border(image[:, :, 1].astype(np.float64), _MIDDLE)
+    drawn = np.isfinite(row_px)
+    if not drawn.any():
+        raise InputError(
+            "no skyline found: the mask has no column with sky (white) above ground (black); "
+            "expected white for the sky"
+        )
+    return QuerySkyline(row_px, drawn.astype(np.float64), image.shape[1], len(image))
+
+
+def topmost_border(sky: Float64Array, middle: float) -> tuple[Float64Array, IntArray]:
+    """Return where each column (w,) of how much is sky (h, w) first falls below a middle.
+
+    That is to a fraction of a row, NaN where it never does or begins below, and the row of the
+    first pixel of ground.
+    """
+    is_ground = sky < middle
+    first = np.argmax(is_ground, axis=0)
+    # A column that starts with ground has its skyline above the image, one without below it.
+    seen = is_ground.any(axis=0) & (first > 0)
+    columns = np.arange(sky.shape[1])
+    above, below = sky[first - 1, columns], sky[first, columns]
+    row_px = first - 1 + (above - middle) / np.where(seen, above - below, 1.0)
+    return np.where(seen, row_px, np.nan), first

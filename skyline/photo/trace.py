@@ -10,7 +10,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
-from skyline.photo.lens import Lens
+from skyline.photo.exif import Lens
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 
@@ -83,15 +83,14 @@ def read_trace(
     row_px = _joined(column, row, width)
     if np.isnan(row_px).all():
         raise InputError(f"{path} draws no column of the skyline; add points to it")
-    lens, height_m = None, notes.get("eye_height_m")
+    lens = None
     if fov_deg is None and "fov_deg" in notes:
-        fov_deg = notes["fov_deg"]
-        slack = notes.get("fov_slack")
+        fov_deg, slack = notes["fov_deg"], notes.get("fov_slack")
         lens = None if slack is None else Lens(fov_deg, slack * fov_deg)
     try:
         return QuerySkyline(
             row_px, np.isfinite(row_px).astype(float), width, height, fov_deg,
-            projection or noted_projection, lens=lens, eye_height_m=height_m,
+            projection or noted_projection, lens=lens, eye_height_m=notes.get("eye_height_m"),
         )  # fmt: skip
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -103,28 +102,20 @@ def _notes(path: Path, lines: list[str]) -> tuple[dict[str, float], Projection, 
     notes: dict[str, float] = {}
     projection = Projection.PERSPECTIVE
     for number, line in enumerate(lines[:heading], start=1):
+        where = f"{path}, line {number}"
         for name, text in _NOTE.findall(line):
             if name not in _NOTES:
-                raise InputError(
-                    f"{path}, line {number} notes {name!r}; expected some of {', '.join(_NOTES)}"
-                )
+                raise InputError(f"{where} notes {name!r}; expected some of {', '.join(_NOTES)}")
             if name == "projection":
-                projection = _projection(path, number, text)
+                if text not in set(Projection):
+                    known = ", ".join(Projection)
+                    raise InputError(f"{where}: projection is {text}; expected {known}")
+                projection = Projection(text)
                 continue
-            value = _number(path, number, text)
-            if not (math.isfinite(value) and value >= 0.0):
-                raise InputError(f"{path}, line {number}: {name} is {text}; expected 0 or more")
-            notes[name] = value
+            notes[name] = _number(where, text)
+            if not (math.isfinite(notes[name]) and notes[name] >= 0.0):
+                raise InputError(f"{where}: {name} is {text}; expected 0 or more")
     return notes, projection, heading
-
-
-def _projection(path: Path, number: int, text: str) -> Projection:
-    try:
-        return Projection(text)
-    except ValueError:
-        raise InputError(
-            f"{path}, line {number}: projection is {text}; expected {', '.join(Projection)}"
-        ) from None
 
 
 def _points(
@@ -136,12 +127,14 @@ def _points(
     if header[:2] != _COLUMNS:
         raise InputError(f"{path} has the header {','.join(header)!r}; {_FORM}")
     points = [
-        (_coordinate(path, number, record, 0, width), _coordinate(path, number, record, 1, height))
+        [
+            _coordinate(f"{path}, line {number}", record, axis, side)
+            for axis, side in enumerate((width, height))
+        ]
         for number, record in enumerate(records[1:], start=heading + 2)
         if any(field.strip() for field in record)
     ]
-    table = np.array(sorted(points), dtype=np.float64).reshape(-1, 2)
-    column, row = table[:, 0], table[:, 1]
+    column, row = np.array(sorted(points), dtype=np.float64).reshape(-1, 2).T
     twice = np.flatnonzero(np.diff(column) == 0.0)
     if twice.size:
         raise InputError(
@@ -150,42 +143,35 @@ def _points(
     return column, row
 
 
-def _coordinate(path: Path, number: int, record: list[str], axis: int, side: int) -> float:
+def _coordinate(where: str, record: list[str], axis: int, side: int) -> float:
     """Return a point's column (axis 0) or row (axis 1) in an image of a side; a row may be NaN."""
     text = record[axis].strip() if len(record) > axis else ""
     if axis == 1 and text.lower() in {"", "nan"}:
         return math.nan
-    value = _number(path, number, text)
+    value = _number(where, text)
     if not -0.5 <= value <= side - 0.5:
         raise InputError(
-            f"{path}, line {number}: {('column', 'row')[axis]} {text} is outside the image; "
-            f"expected -0.5 to {side - 0.5}"
+            f"{where}: {('column', 'row')[axis]} {text} is outside the image; expected -0.5 to "
+            f"{side - 0.5}"
         )
     return value
 
 
-def _number(path: Path, number: int, text: str) -> float:
+def _number(where: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(
-            f"{path}, line {number}: {text.strip()!r} is not a number; expected one"
-        ) from None
+        raise InputError(f"{where}: {text.strip()!r} is not a number; expected one") from None
 
 
 def _joined(column: Float64Array, row: Float64Array, width: int) -> Float64Array:
     """Interpolate between neighbouring points; NaN over gaps, breaks and beyond the ends."""
-    row_px = np.full(width, np.nan)
-    if len(column) == 0:
-        return row_px
+    column = np.concatenate([[-2.0 * width], column, [3.0 * width]])
+    row = np.concatenate([[np.nan], row, [np.nan]])
     whole = np.arange(width)
-    last = np.searchsorted(column, whole, side="right") - 1
-    on_point = (last >= 0) & (column[last] == whole)
-    row_px[on_point] = row[last[on_point]]
-    between = np.flatnonzero((last >= 0) & (last < len(column) - 1) & ~on_point)
-    left = last[between]
+    left = np.searchsorted(column, whole, side="right") - 1
     gap = column[left + 1] - column[left]
-    weight = (between - column[left]) / gap
+    weight = (whole - column[left]) / gap
     joined = (1.0 - weight) * row[left] + weight * row[left + 1]
-    row_px[between] = np.where(gap <= max(MAX_GAP_SHARE * width, 1.0), joined, np.nan)
-    return row_px
+    joined[gap > max(MAX_GAP_SHARE * width, 1.0)] = np.nan
+    return np.where(weight == 0.0, row[left], joined)

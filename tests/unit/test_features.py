@@ -1,7 +1,6 @@
 """Polyline keypoints: the tolerance holds in every column, gaps split, the cap keeps the best."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -60,14 +59,9 @@ def test_no_data_has_no_keypoints():
     assert (table == NO_KEYPOINT).all()
 
 
-@pytest.mark.parametrize("wrap", [False, True])
-def test_patches_are_relative_to_their_keypoint(wrap):
+def test_patches_of_closed_curves_are_relative_to_their_keypoint():
     curve = np.arange(20.0)[np.newaxis] ** 2
     offsets = np.array([-2, 0, 2])
-    patches = local_patches(curve, np.array([0, 0]), np.array([10, 0]), offsets, wrap)
+    patches = local_patches(curve, np.array([0, 0]), np.array([10, 0]), offsets)
     np.testing.assert_allclose(patches[0], [64.0 - 100.0, 0.0, 144.0 - 100.0])
-    if wrap:
-        np.testing.assert_allclose(patches[1], [18.0**2, 0.0, 4.0])
-    else:
-        assert np.isnan(patches[1, 0])
-        np.testing.assert_allclose(patches[1, 1:], [0.0, 4.0])
+    np.testing.assert_allclose(patches[1], [18.0**2, 0.0, 4.0])

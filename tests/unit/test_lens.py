@@ -5,7 +5,7 @@ import pytest
 from PIL.ExifTags import Base
 from PIL.TiffImagePlugin import IFDRational
 
-from skyline.photo.lens import Lens, lens_of, swept_lens_of
+from skyline.photo.exif import Lens, lens_of, swept_lens_of
 
 SIZE = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
 PLANE = {

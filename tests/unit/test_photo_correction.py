@@ -13,11 +13,9 @@ from skyline.photo.extract import (
     STEPS,
     Extraction,
     extract_skyline,
-    refine_rows,
-    to_photo_rows,
-    to_work_columns,
+    on_photo,
+    shortest_path,
 )
-from skyline.photo.paths import shortest_path
 
 WIDTH, HEIGHT = 960, 640
 
@@ -134,9 +132,8 @@ def test_the_quick_way_is_the_slow_way():
     evidence = whole.evidence
     forbidden = _forbidden(_labels([painted], whole))
     cost = np.where(forbidden, evidence.cost + np.float32(FORBIDDEN), evidence.cost)
-    path = shortest_path(cost, STEPS)
-    guess = to_photo_rows(path, evidence, to_work_columns(1920, evidence))
-    slow = refine_rows(image, guess, evidence.row_scale)
+    path = shortest_path(cost, *STEPS)
+    slow, _ = on_photo(image, evidence, path)
     inner = np.arange(690, 1090)
     known = inner[after.trusted[inner]]
     assert len(known) > 390

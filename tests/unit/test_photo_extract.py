@@ -9,9 +9,7 @@ from photo_scenes import KINDS, compose, expose, ground, make_scene, ridge, sky,
 from PIL import Image
 
 from skyline.errors import InputError
-from skyline.photo.extract import extract_skyline
-from skyline.photo.frame import Content, content_of
-from skyline.photo.paths import Steps, shortest_path
+from skyline.photo.extract import Content, content_of, extract_skyline, shortest_path
 from skyline.photo.read import extract_photo
 
 # A border known to the whole pixel only errs uniformly by -0.5 to 0.5 px.
@@ -191,14 +189,14 @@ def test_borders_are_found_but_overcast_sky_is_not_one():
 def test_path_is_the_cheapest_of_all():
     # Against every path there is, on a grid small enough to list them.
     rng = np.random.default_rng(2)
-    steps = Steps(reach_rows=1, price_per_row=0.2, jump_price=0.5)
+    steps = {"reach": 1, "price_per_row": 0.2, "jump_price": 0.5}
     for _ in range(20):
         cost = rng.uniform(0.0, 1.0, (4, 5)).astype(np.float32)
         every = np.stack(np.meshgrid(*[np.arange(4)] * 5, indexing="ij"), axis=-1).reshape(-1, 5)
         step = np.abs(np.diff(every, axis=1))
         price = np.where(step <= 1, np.minimum(0.2 * step, 0.5), 0.5)
         total = cost[every, np.arange(5)].sum(axis=1) + price.sum(axis=1)
-        np.testing.assert_array_equal(shortest_path(cost, steps), every[np.argmin(total)])
+        np.testing.assert_array_equal(shortest_path(cost, **steps), every[np.argmin(total)])
 
 
 # A real photo

@@ -1,4 +1,4 @@
-"""``skyline horizon`` and ``skyline sun``: the horizon round places, and the sun behind it."""
+"""``skyline horizon``, ``sun`` and ``panorama``: what is seen from a place."""
 
 import logging
 from datetime import date
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from typer import Option
 
 from skyline.console import (
     Crs,
@@ -16,14 +17,18 @@ from skyline.console import (
     Reproject,
     Surfaces,
     parse_place,
+    patience,
     progress_bar,
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizons_of
+from skyline.pipeline.panorama import PanoramaConfig, save_panorama_of
+from skyline.report.peaks import read_peaks
 from skyline.solar.horizon_files import SUFFIXES, horizon_csv, write_horizons
 from skyline.solar.local_horizons import LocalHorizons
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.blocks import Blocks
+from skyline.terrain.dem import DemOptions, read_blocks, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import read_surface
 from skyline.terrain.viewpoint_csv import read_viewpoints
@@ -31,28 +36,29 @@ from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_o
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
 
 _CURVATURE = Curvature()
+_PANORAMA = PanoramaConfig()
 _log = logging.getLogger(__name__)
 
 At = Annotated[
     list[str] | None,
-    typer.Option("--at", metavar="LON,LAT", help="A place, degrees (WGS 84); may be repeated."),
+    Option("--at", metavar="LON,LAT", help="A place, degrees (WGS 84); may be repeated."),
 ]
-EyeHeight = Annotated[float, typer.Option("--eye-height", metavar="M", help="Metres above ground.")]
+EyeHeight = Annotated[float, Option("--eye-height", metavar="M", help="Metres above ground.")]
 
 
 def horizon(
     dem: Dems,
     at: At = None,
     points: Annotated[
-        Path | None, typer.Option(metavar="FILE.csv", help="Places as CSV: lon,lat[,eye_height_m].")
+        Path | None, Option(metavar="FILE.csv", help="Places as CSV: lon,lat[,eye_height_m].")
     ] = None,
     eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
     step_deg: Annotated[
-        float, typer.Option("--step-deg", help="Degrees between azimuths.")
+        float, Option("--step-deg", help="Degrees between azimuths.")
     ] = DEFAULT_STEP_DEG,
     output: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "--output",
             "-o",
             metavar="FILE",
@@ -92,7 +98,7 @@ def horizon(
 def sun(
     dem: Dems,
     at: At,
-    day: Annotated[str, typer.Option("--date", metavar="YYYY-MM-DD", help="The day at the place.")],
+    day: Annotated[str, Option("--date", metavar="YYYY-MM-DD", help="The day at the place.")],
     eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
     crs: Crs = None,
     reproject: Reproject = False,
@@ -111,6 +117,43 @@ def sun(
             times = ",".join(f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (begin, end))
             typer.echo(f"{found.lon[place]:.7f},{found.lat[place]:.7f},{times}")
     _warn(found)
+
+
+def panorama(
+    dem: Dems,
+    at: Annotated[str, Option(metavar="LON,LAT", help="The place, degrees (WGS 84).")],
+    output: Annotated[
+        Path, Option("--output", "-o", metavar="FILE", help="PNG, SVG or PDF, by its suffix.")
+    ],
+    peaks: Annotated[
+        Path | None,
+        Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV with name,lon,lat[,height_m]."),
+    ] = None,
+    heading: Annotated[
+        float, Option(metavar="DEG", help="The picture's middle, from true north.")
+    ] = _PANORAMA.heading_deg,
+    fov_deg: Annotated[
+        float, Option("--fov-deg", help="The picture's angle, 5 to 360.")
+    ] = _PANORAMA.fov_deg,
+    eye_height: EyeHeight = _PANORAMA.eye_height_m,
+    surface: Surfaces = None,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Draw what is seen from a place, with the names of the peaks that are seen."""
+    lonlat = parse_place(at)
+    config = PanoramaConfig(heading, fov_deg, eye_height)
+    options = DemOptions(crs=crs, reproject=reproject)
+    with patience(f"drawing {output}"):
+        if surface:
+            terrain = read_dem(dem, options)
+            blocks, over = Blocks.of(terrain), read_surface(surface, terrain)
+        else:
+            blocks, over = read_blocks(dem, options), None
+        gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
+        seen = save_panorama_of(blocks, lonlat, output, gazetteer, config, over)
+    named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
+    typer.echo(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
 
 
 def _eyes(terrain: HeightField, at: list[str], eye_height_m: float) -> Viewpoints:

@@ -1,16 +1,21 @@
-"""``skyline dem``: elevation data for an area."""
+"""``skyline dem`` and ``skyline peaks``: elevation data and named peaks for an area."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Option
 
 from skyline.console import parse_bounds, progress_bar
+from skyline.fetch.overpass import fetch_peaks
 from skyline.fetch.remote import HttpOptions
 from skyline.fetch.sources import SOURCES
 from skyline.fetch.tiles import fetch_dem
 
 _HTTP = HttpOptions()
+
+Box = Annotated[str, Option(metavar="W,S,E,N", help="The box, in degrees (WGS 84).")]
+Retries = Annotated[int, Option(help="How often to repeat a failed request.")]
 
 dem = typer.Typer(name="dem", help="Elevation data for an area.", no_args_is_help=True)
 
@@ -22,23 +27,21 @@ def _group() -> None:
 
 @dem.command()
 def fetch(
-    bbox: Annotated[str, typer.Option(metavar="W,S,E,N", help="The box, in degrees (WGS 84).")],
+    bbox: Box,
     folder: Annotated[
-        Path, typer.Option("--output", "-o", metavar="DIR", help="The folder for the tiles.")
+        Path, Option("--output", "-o", metavar="DIR", help="The folder for the tiles.")
     ],
     source: Annotated[
         str,
-        typer.Option(
+        Option(
             metavar="NAME|URL",
             help=f"{', '.join(SOURCES)}, or an address with {{lat:02d}}, {{lon:03d}}, {{ns}}, "
             "{ew}: the degrees of a tile's south-west corner without signs, and its hemispheres.",
         ),
     ] = "copernicus",
-    retries: Annotated[
-        int, typer.Option(help="How often to repeat a failed request.")
-    ] = _HTTP.retries,
+    retries: Retries = _HTTP.retries,
     timeout: Annotated[
-        int, typer.Option(metavar="SECONDS", help="How long to wait for an answer.")
+        int, Option(metavar="SECONDS", help="How long to wait for an answer.")
     ] = _HTTP.timeout_s,
 ) -> None:
     """Fetch elevation tiles (cloud-optimized GeoTIFF), cut to a box, for `skyline build DIR/*.tif`.
@@ -56,3 +59,20 @@ def fetch(
     )
     if done.missing:
         typer.echo(f"the source has no tile (usually sea) for: {', '.join(done.missing)}")
+
+
+def peaks(
+    bbox: Box,
+    server: Annotated[
+        str, Option(metavar="URL", help="An Overpass server: https://host/api/interpreter.")
+    ],
+    output: Annotated[Path, Option("--output", "-o", metavar="FILE", help="The GeoJSON to write.")],
+    retries: Retries = _HTTP.retries,
+    timeout: Annotated[
+        int, Option(metavar="SECONDS", help="How long to wait for the whole answer.")
+    ] = _HTTP.timeout_s,
+) -> None:
+    """Fetch the named peaks of a box from an Overpass server, for `--peaks`."""
+    options = HttpOptions(retries=retries, timeout_s=timeout)
+    count = fetch_peaks(parse_bounds(bbox), server, output, options)
+    typer.echo(f"{output}: {count} peaks (OpenStreetMap contributors, ODbL)")
