@@ -14,11 +14,9 @@ from skyline.store.header import (
     KEYPOINTS,
     PLACE_CODING,
     PLACES,
-    RENDERINGS,
     SCHEMA,
     SCHEMA_VERSION,
     VIEW_SPECS,
-    Spec,
     StoreHeader,
     package_version,
 )
@@ -49,17 +47,22 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
         raise StoreError(f"store {path} has dem_files that are not a JSON list; {REBUILD}")
     try:
-        said = _rows(path, file)
-        holds = PLACES if said["rows"] == PLACES else RENDERINGS
+        rows = _rows(path, file)
+        layout: dict[str, Any] = {"holds": PLACES}
+        if rows.pop("rows") != PLACES:
+            layout = {
+                "width": _row_length(path, file, VIEW_SPECS["elevation_tan"][0]),
+                "max_keypoints": _row_length(path, file, KEYPOINTS),
+                "coding": RowCoding(**rows) if rows else None,
+            }
         header = StoreHeader(
             frame_wkt=_text(path, file, "frame"),
             dem_digest=_text(path, file, "dem_digest"),
             dem_files=tuple(files),
             config=config,
             renderer=_text(path, file, "renderer"),
-            **(_layout_of_views(path, file, said) if holds == RENDERINGS else {}),
-            holds=holds,
             package_version=_text(path, file, "package_version"),
+            **layout,
         )
     except InputError as error:
         raise StoreError(f"store {path} is damaged: {error}; {REBUILD}") from error
@@ -85,19 +88,6 @@ def _rows(path: Path, file: h5py.File) -> dict[str, Any]:
     if kind not in ("exact", "compact", PLACES) or not whole:
         raise StoreError(f"store {path} has rows {said!r}, which skyline does not read; {REBUILD}")
     return dict(said)
-
-
-def _layout_of_views(path: Path, file: h5py.File, rows: dict[str, Any]) -> dict[str, Any]:
-    """Return the header's fields that say how rows of views are laid out.
-
-    Raises `InputError` for steps that cannot be.
-    """
-    steps = {name: step for name, step in rows.items() if name != "rows"}
-    return {
-        "width": _row_length(path, file, VIEW_SPECS["elevation_tan"][0]),
-        "max_keypoints": _row_length(path, file, KEYPOINTS),
-        "coding": RowCoding(**steps) if steps else None,
-    }
 
 
 def _check_version(path: Path, file: h5py.File) -> None:
@@ -166,16 +156,16 @@ def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
 
 
 def checked_dataset(
-    path: Path, file: h5py.File, name: str, spec: Spec, header: StoreHeader
+    path: Path, file: h5py.File, name: str, row: np.dtype[Any], header: StoreHeader
 ) -> h5py.Dataset:
     """Return a dataset if it has the schema's layout and its bytes lie in this file."""
     dataset = _hard_linked(path, file, name)
-    row_shape = header.row_shape(spec.per_row)
-    if not isinstance(dataset, h5py.Dataset) or dataset.shape[1:] != row_shape or not dataset.shape:
-        raise StoreError(f"store {path}: {name} is not rows of shape {row_shape}; {REBUILD}")
-    if dataset.dtype != np.dtype(spec.dtype):
+    if not isinstance(dataset, h5py.Dataset) or dataset.shape[1:] != row.shape or not dataset.shape:
+        raise StoreError(f"store {path}: {name} is not rows of shape {row.shape}; {REBUILD}")
+    if dataset.dtype != row.base:
         raise StoreError(
-            f"store {path}: {name} is of type {dataset.dtype}, not {spec.dtype}; {REBUILD}"
+            f"store {path}: {name} is of type {dataset.dtype}, not {row.base.str.lstrip('|')}; "
+            f"{REBUILD}"
         )
     # Rules out virtual, external, contiguous and compact storage: none of them is chunked.
     if dataset.chunks is None:
@@ -187,9 +177,9 @@ def checked_dataset(
     created = dataset.id.get_create_plist()
     filters = {created.get_filter(n)[0] for n in range(created.get_nfilters())}
     mapped = header.holds == PLACES
-    if mapped and dataset.chunks != (header.chunk_rows, *row_shape):
+    if mapped and dataset.chunks != (header.chunk_rows, *row.shape):
         raise StoreError(f"store {path}: {name} has chunks of {dataset.chunks}; {REBUILD}")
-    if filters - (_PACKED if row_shape and not mapped else _CHECKSUMMED):
+    if filters - (_PACKED if row.shape and not mapped else _CHECKSUMMED):
         raise StoreError(
             f"store {path}: {name} is packed by a filter that skyline does not use; {REBUILD}"
         )

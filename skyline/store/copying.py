@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError, StoreError
 from skyline.store.coding import RowCoding
-from skyline.store.digest import row_checksums
 from skyline.store.explain import explained
-from skyline.store.header import KEYPOINTS, RENDERINGS, StoreHeader, check_holds
+from skyline.store.header import KEYPOINTS, RENDERINGS, StoreHeader, check_holds, refuse_mismatch
 from skyline.store.integrity import Damage, whole_rows
 from skyline.store.lock import complete_or_absent, new_store
-from skyline.store.mismatch import refuse_mismatch
 from skyline.store.reader import Store, open_store
-from skyline.store.rows import Columns, stored_rows, views_of
+from skyline.store.rows import Columns, row_checksums, stored_rows, views_of
 from skyline.store.writer import block_rows, write_rows
 
 
@@ -169,10 +167,7 @@ def _spread(
     stores: Sequence[Store], header: StoreHeader, file: IO[bytes], total: int
 ) -> NDArray[np.void]:
     """Return all rows of stores, unpacked in a file, as one structured array."""
-    layout = [
-        (name, spec.dtype, header.row_shape(spec.per_row)) for name, spec in header.specs.items()
-    ]
-    record = np.dtype(layout)
+    record = np.dtype(list(header.specs.items()))
     if total == 0:
         return np.zeros(0, dtype=record)
     # Taken now: a full disk under a memory map ends the process.

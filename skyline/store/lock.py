@@ -4,7 +4,7 @@ import fcntl
 import os
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from skyline.errors import MissingFileError, StoreError
@@ -46,22 +46,20 @@ def writer_lock(path: Path) -> Iterator[None]:
 
 def _lock_file(path: Path, lock: Path) -> int:
     while True:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with ExitStack() as opened:
+            descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+            opened.callback(os.close, descriptor)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                holder = os.read(descriptor, 200).decode(errors="replace") or "another process"
+                raise StoreError(
+                    f"store {path} is being written by {holder}; wait for it to end, or stop it"
+                ) from error
             # A holder that just ended may have removed the file after it was opened here.
             if lock.exists() and os.path.samestat(os.fstat(descriptor), lock.stat()):
+                opened.pop_all()
                 return descriptor
-        except BlockingIOError as error:
-            holder = os.read(descriptor, 200).decode(errors="replace") or "another process"
-            os.close(descriptor)
-            raise StoreError(
-                f"store {path} is being written by {holder}; wait for it to end, or stop it"
-            ) from error
-        except BaseException:
-            os.close(descriptor)
-            raise
-        os.close(descriptor)
 
 
 @contextmanager

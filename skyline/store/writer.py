@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import h5py
@@ -16,7 +15,6 @@ import numpy as np
 
 from skyline.errors import StoreError
 from skyline.places import Places
-from skyline.store.digest import row_checksums
 from skyline.store.explain import RESUME, explained
 from skyline.store.header import (
     PLACES,
@@ -26,11 +24,11 @@ from skyline.store.header import (
     KeypointColumns,
     StoreHeader,
     check_holds,
+    refuse_mismatch,
 )
 from skyline.store.lock import complete_or_absent, new_store, writer_lock
-from skyline.store.mismatch import refuse_mismatch
 from skyline.store.reader import Store, open_store
-from skyline.store.rows import Columns, stored_places, stored_rows
+from skyline.store.rows import Columns, row_checksums, stored_places, stored_rows
 from skyline.views import Views
 
 _log = logging.getLogger(__name__)
@@ -78,12 +76,7 @@ class StoreWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         try:
             self.close()
         except StoreError as close_error:
@@ -304,32 +297,27 @@ def write_empty(path: Path, header: StoreHeader) -> None:
     # HDF5 makes the file in memory, since it crashes the process at exit if it cannot write it.
     image = io.BytesIO()
     with h5py.File(image, "w", libver=_LIBVER) as file:
-        _lay_out(file, header)
+        file.attrs["schema"] = SCHEMA
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        for name, text in header.attributes.items():
+            file.attrs[name] = text
+        file.attrs["header_digest"] = header.digest
+        for name, row in header.specs.items():
+            file.create_dataset(
+                name,
+                shape=(0, *row.shape),
+                maxshape=(None, *row.shape),
+                chunks=(header.chunk_rows, *row.shape),
+                dtype=row.base,
+                fletcher32=True,
+                **(_PACKING[header.rows] if row.shape else {}),
+            )
+        # A dataset, since SWMR writes no attributes.
+        file.create_dataset("committed", data=np.uint64(0))
     with path.open("xb") as target:
         target.write(image.getbuffer())
         target.flush()
         os.fsync(target.fileno())
-
-
-def _lay_out(file: h5py.File, header: StoreHeader) -> None:
-    file.attrs["schema"] = SCHEMA
-    file.attrs["schema_version"] = SCHEMA_VERSION
-    for name, text in header.attributes.items():
-        file.attrs[name] = text
-    file.attrs["header_digest"] = header.digest
-    for name, spec in header.specs.items():
-        shape = header.row_shape(spec.per_row)
-        file.create_dataset(
-            name,
-            shape=(0, *shape),
-            maxshape=(None, *shape),
-            chunks=(header.chunk_rows, *shape),
-            dtype=spec.dtype,
-            fletcher32=True,
-            **(_PACKING[header.rows] if shape else {}),
-        )
-    # A dataset, since SWMR writes no attributes.
-    file.create_dataset("committed", data=np.uint64(0))
 
 
 def open_to_write(path: Path, header: StoreHeader) -> h5py.File:
