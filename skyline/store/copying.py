@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError, StoreError
 from skyline.store.coding import RowCoding
-from skyline.store.explain import explained
 from skyline.store.header import KEYPOINTS, RENDERINGS, StoreHeader, check_holds, refuse_mismatch
 from skyline.store.integrity import Damage, whole_rows
-from skyline.store.lock import complete_or_absent, new_store
+from skyline.store.lock import complete_or_absent, explained, new_store
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns, row_checksums, stored_rows, views_of
 from skyline.store.writer import block_rows, write_rows
@@ -62,7 +61,11 @@ def merge_stores(
     """
     if not paths:
         raise InputError("no stores to merge; name one or more")
-    stores = [_looked_at(path) for path in paths]
+    stores = []
+    for path in paths:
+        # Closed again: there may be more of them than files can be open.
+        with open_store(path) as store:
+            stores.append(store)
     for store in stores[1:]:
         one, other = stores[0].path, store.path
         refuse_mismatch(
@@ -71,7 +74,15 @@ def merge_stores(
             f"stores {one} and {other} were built otherwise",
             "merge stores of one DEM and configuration",
         )
-    return _copy(stores, _joint_header(stores), Path(out))
+    headers = [store.header for store in stores]
+    # Whatever the stores' order.
+    joint = replace(
+        headers[0],
+        dem_files=min(header.dem_files for header in headers),
+        renderer="; ".join(sorted({header.renderer for header in headers})),
+        package_version=max(header.package_version for header in headers),
+    )
+    return _copy(stores, joint, Path(out))
 
 
 def compact_store(
@@ -123,23 +134,6 @@ def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> C
     with open_store(path) as store, _new_file(Path(out)) as partial:
         write_rows(partial, store.header, filter(len, whole(store)))
     return CopyReport(kept, store.header.holds, 0, tuple(damage))
-
-
-def _looked_at(path: str | os.PathLike[str]) -> Store:
-    """Return a store that is closed again: there may be more of them than files can be open."""
-    with open_store(path) as store:
-        return store
-
-
-def _joint_header(stores: Sequence[Store]) -> StoreHeader:
-    """Return the header of a merged store, whatever the stores' order."""
-    headers = [store.header for store in stores]
-    return replace(
-        headers[0],
-        dem_files=min(header.dem_files for header in headers),
-        renderer="; ".join(sorted({header.renderer for header in headers})),
-        package_version=max(header.package_version for header in headers),
-    )
 
 
 def _copy(stores: Sequence[Store], header: StoreHeader, out: Path) -> CopyReport:

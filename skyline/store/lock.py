@@ -1,14 +1,34 @@
-"""One writer at a time, and files that are complete or absent."""
+"""One writer at a time, files that are complete or absent, and what h5py raises in one line."""
 
 import fcntl
 import os
+import re
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from skyline.errors import MissingFileError, StoreError
-from skyline.store.explain import explained
+from skyline.errors import MissingFileError, SkylineError, StoreError
+
+RESUME = "committed rows are safe: make room, then resume it"
+REBUILD = "copy or build it again"
+
+UNREADABLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
+"""What h5py raises on files that are damaged or made by someone else."""
+
+
+@contextmanager
+def explained(path: Path, what: str, advice: str = REBUILD) -> Iterator[None]:
+    """Turn what h5py raises into one line about the store."""
+    try:
+        yield
+    except SkylineError:
+        raise
+    except UNREADABLE as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        cause = re.search(r"error message = '([^']+)'", reason)
+        reason = cause[1] if cause else reason
+        raise StoreError(f"store {path}: {what} ({reason}); {advice}") from error
 
 
 @contextmanager

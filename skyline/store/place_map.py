@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError, StoreError
 from skyline.places import Places
-from skyline.store.explain import REBUILD
 from skyline.store.header import PLACE_CHECKSUM, StoreHeader
+from skyline.store.lock import REBUILD
 from skyline.store.rows import checksums_of_bytes
 
 Offsets = dict[str, NDArray[np.int64]]

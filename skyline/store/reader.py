@@ -19,7 +19,6 @@ from skyline.geodesy import Frame
 from skyline.shown import facts_html
 from skyline.store.checks import checked_dataset, read_committed, read_header
 from skyline.store.dataset import dataset_of_places, dataset_of_views, table_of_places
-from skyline.store.explain import REBUILD, UNREADABLE, explained
 from skyline.store.header import (
     EYE,
     KEYPOINTS,
@@ -28,6 +27,7 @@ from skyline.store.header import (
     KeypointColumns,
     check_holds,
 )
+from skyline.store.lock import REBUILD, UNREADABLE, explained
 from skyline.store.place_map import Offsets, PlaceMap
 from skyline.store.rows import Columns, row_checksums, stored_places, views_of
 from skyline.store.superblock import WholeFile

@@ -15,7 +15,6 @@ import numpy as np
 
 from skyline.errors import StoreError
 from skyline.places import Places
-from skyline.store.explain import RESUME, explained
 from skyline.store.header import (
     PLACES,
     RENDERINGS,
@@ -26,7 +25,7 @@ from skyline.store.header import (
     check_holds,
     refuse_mismatch,
 )
-from skyline.store.lock import complete_or_absent, new_store, writer_lock
+from skyline.store.lock import RESUME, complete_or_absent, explained, new_store, writer_lock
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns, row_checksums, stored_places, stored_rows
 from skyline.views import Views
@@ -57,6 +56,13 @@ class StoreWriter:
     `close`: a packed chunk that is written twice leaves its first copy behind as dead bytes.
     Leaving the ``with`` block commits what was appended also when an exception, such as Ctrl-C,
     ends it.
+
+    Attributes
+    ----------
+    header : StoreHeader
+        What the store is built from and how.
+    committed : int
+        Number of rows that a reader sees and a kill cannot take away.
     """
 
     def __init__(
@@ -64,12 +70,12 @@ class StoreWriter:
     ) -> None:
         """Take over a checked store; ``resources`` closes the file and releases the lock."""
         self._path = path
-        self._header = header
+        self.header = header
         self._file = file
         self._resources = resources
         self._datasets = {name: self._file[name] for name in header.specs}
         self._marker = self._file["committed"]
-        self._committed = int(self._marker[()])
+        self.committed = int(self._marker[()])
         self._pending: list[Columns] = []
         self._failed = False
 
@@ -86,19 +92,7 @@ class StoreWriter:
 
     def __len__(self) -> int:
         """Rows appended so far, committed or not."""
-        return self._committed + sum(
-            len(columns[self._header.checksum]) for columns in self._pending
-        )
-
-    @property
-    def header(self) -> StoreHeader:
-        """What the store is built from and how."""
-        return self._header
-
-    @property
-    def committed(self) -> int:
-        """Number of rows that a reader sees and a kill cannot take away."""
-        return self._committed
+        return self.committed + sum(len(columns[self.header.checksum]) for columns in self._pending)
 
     def append(self, views: Views, keypoint_columns: KeypointColumns) -> None:
         """Add renderings.
@@ -118,8 +112,8 @@ class StoreWriter:
             The rows cannot be written (disk full, for one). Committed rows are safe.
         """
         self._check_usable()
-        check_holds(self._path, self._header, RENDERINGS)
-        self.append_stored(stored_rows(self._header, views, keypoint_columns))
+        check_holds(self._path, self.header, RENDERINGS)
+        self.append_stored(stored_rows(self.header, views, keypoint_columns))
 
     def append_places(self, places: Places, *, all_or_none: bool = False) -> None:
         """Add places to a store of places; raises as `append`.
@@ -127,14 +121,14 @@ class StoreWriter:
         With ``all_or_none`` they are committed at once, and a kill leaves all of them or none.
         """
         self._check_usable()
-        check_holds(self._path, self._header, PLACES)
-        self.append_stored(stored_places(self._header, places), all_or_none=all_or_none)
+        check_holds(self._path, self.header, PLACES)
+        self.append_stored(stored_places(self.header, places), all_or_none=all_or_none)
 
     def append_stored(self, columns: Columns, *, all_or_none: bool = False) -> None:
         """Add rows of a store with the same header, as `Store.stored` reads them."""
         self._check_usable()
-        self._pending.append({**columns, self._header.checksum: row_checksums(columns)})
-        left = 0 if all_or_none else len(self) % self._header.chunk_rows
+        self._pending.append({**columns, self.header.checksum: row_checksums(columns)})
+        left = 0 if all_or_none else len(self) % self.header.chunk_rows
         self._commit(len(self) - left)
 
     def flush(self) -> None:
@@ -157,7 +151,7 @@ class StoreWriter:
 
     def _commit(self, stop: int) -> None:
         """Write pending rows up to row ``stop`` and count them once they are in the file."""
-        start, count = self._committed, stop - self._committed
+        start, count = self.committed, stop - self.committed
         if count <= 0:
             return
         pending = {
@@ -180,10 +174,8 @@ class StoreWriter:
             self._divert()
             raise
         # At once, so that an interrupt finds each row either pending or committed.
-        self._committed, self._pending = (
-            stop,
-            [{name: values[count:] for name, values in pending.items()}],
-        )
+        rest = {name: values[count:] for name, values in pending.items()}
+        self.committed, self._pending = stop, [rest]
 
     def _divert(self) -> None:
         """Let HDF5 write the rest to nowhere; the file stays as a killed writer leaves it.
