@@ -130,14 +130,21 @@ class DepthRenderer:
         self.release()
 
     def _render_batch(self, viewpoints: Viewpoints) -> Views:
+        self._skyline["inverse_depth"] = 0
+        self._skyline["size"] = self.width
         for index in range(len(viewpoints)):
             for heading in self._drawn(viewpoints, index):
-                self._scan_columns(len(HEADINGS) * index + heading)
+                # The skyline of the image just drawn goes into one row of the result.
+                self._depth.use(0)
+                self._rows_target.use()
+                row = len(HEADINGS) * index + heading
+                self._context.ctx.viewport = (0, row, self.width, 1)
+                self._scan.render(moderngl.TRIANGLES, vertices=3)
         count = len(HEADINGS) * len(viewpoints)
         read = self._rows_target.read((0, 0, self.width, count), components=3, dtype="f4")
         pixels = np.frombuffer(read, dtype=np.float32).reshape(count, self.width, 3)
-        row = pixels[..., 2]
-        seen = row >= 0.0
+        covered = pixels[..., 2]
+        seen = covered >= 0.0
         tan = np.where(seen, pixels[..., 0], np.float32(np.nan))
         depth = np.where(seen, pixels[..., 1], np.float32(np.nan))
         return Views(
@@ -147,7 +154,7 @@ class DepthRenderer:
             np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints)),
             tan,
             depth,
-            self._flags(viewpoints, row, tan),
+            self._flags(viewpoints, covered, tan),
         )
 
     def _flags(
@@ -207,15 +214,6 @@ class DepthRenderer:
             ctx.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
             ctx.enable_only(moderngl.NOTHING)
             yield heading
-
-    def _scan_columns(self, row: int) -> None:
-        """Extract the skyline of the image just drawn into one row of the result."""
-        self._skyline["inverse_depth"] = 0
-        self._skyline["size"] = self.width
-        self._depth.use(0)
-        self._rows_target.use()
-        self._context.ctx.viewport = (0, row, self.width, 1)
-        self._scan.render(moderngl.TRIANGLES, vertices=3)
 
 
 def _camera_matrix(heading: int, near_m: float, far_m: float) -> Float64Array:
