@@ -22,7 +22,6 @@ OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so.6")
 CORE_VERSIONS = ((4, 6), (4, 5), (4, 3), (3, 3))
 """OpenGL versions asked for in turn: some drivers give exactly what was asked, others the best."""
 
-GL_VENDOR = 0x1F00
 GL_RENDERER = 0x1F01
 GL_VERSION = 0x1F02
 

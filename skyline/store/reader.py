@@ -296,7 +296,7 @@ class Store:
                 self._datasets = self._open_datasets()
             return read()
 
-        return patiently(self._raw, read_anew)
+        return _patiently(self._raw, read_anew)
 
     def _read_once(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
         with explained(self.path, f"{name} cannot be read"):
@@ -351,11 +351,12 @@ def open_store(path: str | os.PathLike[str]) -> Store:
         Not a store, truncated or damaged, of a newer schema, or not readable.
     """
     path = Path(path).resolve()
-    with ExitStack() as resources:
-        raw = resources.enter_context(WholeFile(path))
-        store = patiently(raw, lambda: Store(path, raw))
-        resources.pop_all()
-    return store
+    raw = WholeFile(path)
+    try:
+        return _patiently(raw, lambda: Store(path, raw))
+    except BaseException:
+        raw.close()
+        raise
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
@@ -368,7 +369,7 @@ def is_store(path: str | os.PathLike[str]) -> bool:
         return path.suffix == ".h5" and path.is_file()
 
 
-def patiently(raw: WholeFile, read: Callable[[], _T]) -> _T:
+def _patiently(raw: WholeFile, read: Callable[[], _T]) -> _T:
     """Return ``read()``, tried again where a writer at work may have changed what it read."""
     for _ in range(_READ_AGAIN):
         try:
