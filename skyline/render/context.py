@@ -24,7 +24,6 @@ import moderngl
 from skyline.errors import ContextError, InputError
 from skyline.render.offscreen import (
     GL_RENDERER,
-    GL_VENDOR,
     GL_VERSION,
     Egl,
     EglContext,
@@ -39,6 +38,7 @@ BACKENDS = ("egl", "osmesa")
 """In the order they are tried."""
 
 _DEBIAN_PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
+_DRIVER_SAYS = ("VENDOR", "RENDERER", "VERSION")
 _MINIMUM_VERSION = 330
 _COMPUTE_VERSION = 430
 _SOFTWARE = re.compile(
@@ -48,37 +48,21 @@ _SOFTWARE = re.compile(
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Attempt:
-    """One way to a context that was tried, and what it said."""
-
-    backend: str
-    """``egl`` or ``osmesa``."""
-    device: str
-    """What was asked, in words."""
-    said: str
-    """The OpenGL version and renderer, or the reason of the failure."""
-    worked: bool
-
-    def __str__(self) -> str:
-        return f"{self.backend}, {self.device}: {self.said}"
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class GlContext:
     """The process's OpenGL context, and how it came to be."""
 
     ctx: moderngl.Context
+    native: OffscreenContext
+    """What ``ctx`` was made of."""
     backend: str
     """``egl`` or ``osmesa``."""
-    device: str
     vendor: str
     renderer: str
     version: str
-    """``device``, ``vendor``, ``renderer``, ``version``: what it runs on; the driver's GL_VENDOR,
-    GL_RENDERER and GL_VERSION."""
-    attempts: tuple[Attempt, ...]
-    """All that was tried, in order."""
+    """``vendor``, ``renderer``, ``version``: the driver's GL_VENDOR, GL_RENDERER and GL_VERSION."""
+    attempts: tuple[str, ...]
+    """All that was tried, in order: backend, device, and what it said."""
     forced: bool
     """Whether ``SKYLINE_GL`` named the backend."""
 
@@ -115,7 +99,6 @@ class _SharedContext:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._context: GlContext | None = None
-        self._native: OffscreenContext | None = None
         self._process: int | None = None
         self._thread = threading.current_thread()
 
@@ -141,20 +124,16 @@ class _SharedContext:
                 'spawn" method or fork before rendering'
             )
         with self._lock:
-            if self._context is None or self._native is None:
-                return self._make()
-            if self._thread is not threading.current_thread():
+            if self._context is None:
+                self._context = _choose_context()
+                self._process = os.getpid()
+                self._thread = threading.current_thread()
+                _log.info("OpenGL context: %s (%s)", self._context.renderer, self._context.reason)
+            elif self._thread is not threading.current_thread():
                 raise self._refuse_thread()
-            self._native.__enter__()
+            else:
+                self._context.native.__enter__()
             return self._context
-
-    def _make(self) -> GlContext:
-        with _quiet_drivers():
-            self._native, self._context = _choose_context(_forced_backend())
-        self._process = os.getpid()
-        self._thread = threading.current_thread()
-        _log.info("OpenGL context: %s (%s)", self._context.renderer, self._context.reason)
-        return self._context
 
     def _refuse_thread(self) -> ContextError:
         owner, caller = self._thread, threading.current_thread()
@@ -178,12 +157,12 @@ class _SharedContext:
         if self._process != os.getpid():
             return
         with self._lock:
-            if self._context is not None and self._native is not None:
+            if self._context is not None:
                 if self._thread.is_alive() and self._thread is not threading.current_thread():
                     raise self._refuse_thread()
                 self._context.ctx.release()
-                self._native.release()
-            self._context = self._native = None
+                self._context.native.release()
+            self._context = None
 
 
 _shared = _SharedContext()
@@ -207,14 +186,14 @@ def describe_context() -> dict[str, str | bool | list[str]]:
     context = acquire_context()
     return {
         "backend": context.backend,
-        "device": context.device,
+        "device": context.native.device,
         "vendor": context.vendor,
         "renderer": context.renderer,
         "version": context.version,
         "software": context.software,
         "compute": context.has_compute,
         "reason": context.reason,
-        "tried": [str(attempt) for attempt in context.attempts],
+        "tried": list(context.attempts),
     }
 
 
@@ -223,53 +202,49 @@ def is_software(renderer: str) -> bool:
     return _SOFTWARE.search(renderer) is not None
 
 
-def _forced_backend() -> str | None:
-    value = os.environ.get(ENVIRONMENT_VARIABLE, "")
-    if value and value not in BACKENDS:
+def _choose_context() -> GlContext:
+    forced = os.environ.get(ENVIRONMENT_VARIABLE, "")
+    if forced and forced not in BACKENDS:
         raise InputError(
-            f"{ENVIRONMENT_VARIABLE} is {value!r}; expected {' or '.join(BACKENDS)}, or unset it "
+            f"{ENVIRONMENT_VARIABLE} is {forced!r}; expected {' or '.join(BACKENDS)}, or unset it "
             "to take the best there is"
         )
-    return value or None
-
-
-def _choose_context(forced: str | None) -> tuple[OffscreenContext, GlContext]:
     backends = (forced,) if forced else BACKENDS
-    attempts: list[Attempt] = []
-    for backend in backends:
-        native = _try_egl(attempts) if backend == "egl" else _try_osmesa(attempts)
-        if native is not None:
-            return native, _wrap(native, backend, tuple(attempts), forced is not None)
-    tried = "; ".join(str(attempt) for attempt in attempts)
+    attempts: list[str] = []
+    with _quiet_drivers():
+        for backend in backends:
+            native = _try_egl(attempts) if backend == "egl" else _try_osmesa(attempts)
+            if native is not None:
+                return _wrap(native, backend, tuple(attempts), bool(forced))
     packages = " ".join(_DEBIAN_PACKAGES[backend] for backend in backends)
     raise ContextError(
-        f"no OpenGL context of version 3.3 or newer; tried {tried}; on Debian or Ubuntu: "
-        f"sudo apt-get install {packages}"
+        f"no OpenGL context of version 3.3 or newer; tried {'; '.join(attempts)}; on Debian or "
+        f"Ubuntu: sudo apt-get install {packages}"
     )
 
 
-def _try_egl(attempts: list[Attempt]) -> OffscreenContext | None:
+def _try_egl(attempts: list[str]) -> OffscreenContext | None:
     """Return a context on the first GPU, else on the first software rasterizer, else None."""
     try:
         egl = Egl()
     except ContextError as error:
-        attempts.append(Attempt("egl", "the library", str(error), worked=False))
+        attempts.append(f"egl, the library: {error}")
         return None
     best = _best_display(egl, egl.device_displays(), attempts)
     return best or _best_display(egl, egl.plain_displays(), attempts)
 
 
 def _best_display(
-    egl: Egl, displays: Iterator[EglDisplay], attempts: list[Attempt]
+    egl: Egl, displays: Iterator[EglDisplay], attempts: list[str]
 ) -> OffscreenContext | None:
     fallback: OffscreenContext | None = None
     for display in displays:
         try:
             native = EglContext(egl, display)
         except ContextError as error:
-            attempts.append(Attempt("egl", display.name, str(error), worked=False))
+            attempts.append(f"egl, {display.name}: {error}")
             continue
-        attempts.append(Attempt("egl", display.name, _introduce(native), worked=True))
+        attempts.append(f"egl, {display.name}: {_introduce(native)}")
         if not is_software(gl_string(native, GL_RENDERER)):
             if fallback is not None:
                 fallback.release()
@@ -284,13 +259,13 @@ def _best_display(
     return fallback
 
 
-def _try_osmesa(attempts: list[Attempt]) -> OffscreenContext | None:
+def _try_osmesa(attempts: list[str]) -> OffscreenContext | None:
     try:
         native = OsMesaContext()
     except ContextError as error:
-        attempts.append(Attempt("osmesa", "the library", str(error), worked=False))
+        attempts.append(f"osmesa, the library: {error}")
         return None
-    attempts.append(Attempt("osmesa", native.device, _introduce(native), worked=True))
+    attempts.append(f"osmesa, {native.device}: {_introduce(native)}")
     return native
 
 
@@ -299,7 +274,7 @@ def _introduce(native: OffscreenContext) -> str:
 
 
 def _wrap(
-    native: OffscreenContext, backend: str, attempts: tuple[Attempt, ...], forced: bool
+    native: OffscreenContext, backend: str, attempts: tuple[str, ...], forced: bool
 ) -> GlContext:
     settings: dict[str, Any] = {"context": native}
     try:
@@ -311,21 +286,13 @@ def _wrap(
             f"moderngl refuses {attempts[-1]}: {error}; try "
             f"{ENVIRONMENT_VARIABLE}={' or '.join(set(BACKENDS) - {backend})}"
         ) from error
-    return GlContext(
-        ctx,
-        backend,
-        native.device,
-        gl_string(native, GL_VENDOR),
-        gl_string(native, GL_RENDERER),
-        gl_string(native, GL_VERSION),
-        attempts,
-        forced,
-    )
+    vendor, renderer, version = (ctx.info[f"GL_{what}"] for what in _DRIVER_SAYS)
+    return GlContext(ctx, native, backend, vendor, renderer, version, attempts, forced)
 
 
 @contextmanager
 def _quiet_drivers() -> Iterator[None]:
-    """Keep EGL's warnings about the devices that fail off stderr: `Attempt` says them."""
+    """Keep EGL's warnings about the devices that fail off stderr: the attempts say them."""
     before = os.environ.get("EGL_LOG_LEVEL")
     os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
     try:

@@ -5,21 +5,23 @@ and the skyline is, per column from the top, the first pixel whose depth is not 
 quantized: within half a pixel of the exact skyline, about 0.3 px rms.
 """
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator
+from typing import Self
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 from pyrr import matrix44
 
-from skyline.arrays import Float32Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, pixel_size, rotation
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixel_size, rotation
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import acquire_context
-from skyline.render.rims import RimColumns, RimFinder
 from skyline.render.shaders import compile_program
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.triangles import Rims, Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 
@@ -33,17 +35,6 @@ _VIEWPOINTS_A_READ = 64
 
 QUANTIZATION_PX = 0.5 + 2.0 / 256.0
 """Bound on the skyline's error: half a pixel, and the 1/256 px grid that vertices snap to."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Eye:
-    """One eye, subtracted in float64 so that nothing absolute reaches the GPU."""
-
-    cell: tuple[int, int]
-    fraction: tuple[float, float]
-    elevation_m: tuple[float, float]
-    near_m: float
-    far_m: float
 
 
 class DepthRenderer:
@@ -75,8 +66,13 @@ class DepthRenderer:
         self.curvature = curvature or Curvature()
         self._context = acquire_context()
         ctx = self._context.ctx
-        _check_size(field, width, int(ctx.info["GL_MAX_TEXTURE_SIZE"]))
-        self._rims = RimFinder(field, self.curvature)
+        largest = int(ctx.info["GL_MAX_TEXTURE_SIZE"])
+        if max(field.rows, field.cols, width) > largest:
+            raise InputError(
+                f"a DEM of {field.cols} x {field.rows} samples at width {width} does not fit this "
+                f"OpenGL's textures of at most {largest}; cut the DEM to the area (--bounds)"
+            )
+        self._rims = _RimFinder(field, self.curvature)
         holes = {"HOLES": "", "HOLE_HEIGHT_M": f"{_HOLE_HEIGHT_M:.1e}"} if field.has_holes else {}
         self._terrain = compile_program(
             ctx, "terrain.vert", "depth.frag", {"TILE": str(TILE_CELLS), **holes}
@@ -113,9 +109,7 @@ class DepthRenderer:
     def depth_images(self, viewpoints: Viewpoints, index: int) -> Float32Array:
         """Return forward depth in metres of one viewpoint, (4, W, W), top row first, inf = sky."""
         images = np.empty((len(HEADINGS), self.width, self.width), dtype=np.float32)
-        eye = self._eye(viewpoints, index)
-        for heading in HEADINGS:
-            self._draw(eye, heading)
+        for heading in self._drawn(viewpoints, index):
             inverse = np.frombuffer(self._depth.read(), dtype=np.float32)
             with np.errstate(divide="ignore"):
                 images[heading] = 1.0 / inverse.reshape(self.width, self.width)[::-1]
@@ -125,141 +119,109 @@ class DepthRenderer:
         """Free what this renderer holds on the GPU; the context stays for others."""
         # A framebuffer must not be bound after its release.
         self._context.ctx.detect_framebuffer(0).use()
-        for held in (
-            self._scan,
-            self._mesh,
-            self._indices,
-            self._tile_buffer,
-            self._rows_target,
-            self._rows,
-            self._depth_target,
-            self._depth,
-            self._heights,
-            self._skyline,
-            self._terrain,
-        ):
-            held.release()
+        for held in reversed(vars(self).values()):
+            if hasattr(held, "release"):
+                held.release()
 
-    def __enter__(self) -> "DepthRenderer":
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.release()
 
     def _render_batch(self, viewpoints: Viewpoints) -> Views:
+        self._skyline["inverse_depth"] = 0
+        self._skyline["size"] = self.width
         for index in range(len(viewpoints)):
-            eye = self._eye(viewpoints, index)
-            for heading in HEADINGS:
-                self._draw(eye, heading)
-                self._scan_columns(len(HEADINGS) * index + heading)
+            for heading in self._drawn(viewpoints, index):
+                # The skyline of the image just drawn goes into one row of the result.
+                self._depth.use(0)
+                self._rows_target.use()
+                row = len(HEADINGS) * index + heading
+                self._context.ctx.viewport = (0, row, self.width, 1)
+                self._scan.render(moderngl.TRIANGLES, vertices=3)
         count = len(HEADINGS) * len(viewpoints)
-        viewport = (0, 0, self.width, count)
-        pixels = np.frombuffer(
-            self._rows_target.read(viewport, components=3, dtype="f4"), dtype=np.float32
-        ).reshape(count, self.width, 3)
-        return self._views(viewpoints, pixels)
-
-    def _views(self, viewpoints: Viewpoints, pixels: Float32Array) -> Views:
-        headings = np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints))
-        row = pixels[..., 2]
-        seen = row >= 0.0
+        read = self._rows_target.read((0, 0, self.width, count), components=3, dtype="f4")
+        pixels = np.frombuffer(read, dtype=np.float32).reshape(count, self.width, 3)
+        covered = pixels[..., 2]
+        seen = covered >= 0.0
         tan = np.where(seen, pixels[..., 0], np.float32(np.nan))
         depth = np.where(seen, pixels[..., 1], np.float32(np.nan))
-        rims = [
-            self._rims.columns(viewpoints, index // len(HEADINGS), int(heading), self.width)
-            for index, heading in enumerate(headings)
-        ]
         return Views(
             np.repeat(viewpoints.easting_m, len(HEADINGS)),
             np.repeat(viewpoints.northing_m, len(HEADINGS)),
             np.repeat(viewpoints.eye_elevation_m, len(HEADINGS)),
-            headings,
+            np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints)),
             tan,
             depth,
-            _flags(row, tan, rims),
+            self._flags(viewpoints, covered, tan),
         )
 
-    def _eye(self, viewpoints: Viewpoints, index: int) -> _Eye:
+    def _flags(
+        self, viewpoints: Viewpoints, row: Float32Array, tan: Float32Array
+    ) -> NDArray[np.uint8]:
+        """Return the flags of (N, W) columns from their covered rows, skylines and rims."""
+        rims = [
+            self._rims.columns(viewpoints, index, heading, self.width)
+            for index in range(len(viewpoints))
+            for heading in HEADINGS
+        ]
+        border, over_hole = (np.stack(columns) for columns in zip(*rims, strict=True))
+        # What is entered or stood on must end.
+        meets_data = np.isfinite(border)
+        # A skyline no higher than the rim behind which the data end may hide more terrain. A
+        # border as high as the skyline may be, given its quantization, may be what it shows.
+        lowest = np.nan_to_num(tan, nan=np.inf) - QUANTIZATION_PX * pixel_size(self.width)
+        flags = (
+            (border >= lowest) * FLAG_TRUNCATED
+            + over_hole * FLAG_HOLE
+            + ((row < 0.0) & ~meets_data) * FLAG_NO_DATA
+            + ((row == self.width - 1) | ((row < 0.0) & meets_data)) * FLAG_OUT_OF_IMAGE
+        )
+        return np.asarray(flags, dtype=np.uint8)
+
+    def _drawn(self, viewpoints: Viewpoints, index: int) -> Iterator[int]:
+        """Draw the depth images of an eye in turn into the inverse-depth texture; yield headings.
+
+        The eye is subtracted in float64, so that nothing absolute reaches the GPU.
+        """
+        field, ctx, program = self.field, self._context.ctx, self._terrain
         easting, northing = viewpoints.easting_m[index], viewpoints.northing_m[index]
-        elevation = viewpoints.eye_elevation_m[index]
-        row, col = self.field.to_grid(easting, northing)
-        cell_row, cell_col = int(np.floor(row)), int(np.floor(col))
+        elevation = float(viewpoints.eye_elevation_m[index])
         high = float(np.float32(elevation))
-        return _Eye(
-            (cell_col, cell_row),
-            (float(col) - cell_col, float(row) - cell_row),
-            (high, float(elevation) - high),
-            _near_m(self.field, viewpoints, index),
-            1.1 * self.field.reach_m(easting, northing) + self.field.spacing_m,
-        )
-
-    def _draw(self, eye: _Eye, heading: int) -> None:
-        """Draw one depth image into the inverse-depth texture."""
-        ctx, program = self._context.ctx, self._terrain
-        tiles = _tiles_in_view(self._tiles, eye, self.field, heading)
-        program["field_size"] = (self.field.cols, self.field.rows)
-        program["spacing_m"] = (self.field.spacing_east_m, self.field.spacing_north_m)
-        program["eye_cell"] = eye.cell
-        program["eye_fraction"] = eye.fraction
-        program["eye_elevation_m"] = eye.elevation_m
+        row, col = (float(place) for place in field.to_grid(easting, northing))
+        cell_row, cell_col = math.floor(row), math.floor(col)
+        near_m = _near_m(field, viewpoints, index)
+        far_m = 1.1 * field.reach_m(easting, northing) + field.spacing_m
+        program["field_size"] = (field.cols, field.rows)
+        program["spacing_m"] = (field.spacing_east_m, field.spacing_north_m)
+        program["eye_cell"] = (cell_col, cell_row)
+        program["eye_fraction"] = (col - cell_col, row - cell_row)
+        program["eye_elevation_m"] = (high, elevation - high)
         program["drop_per_m2"] = self.curvature.drop_per_m2
-        program["camera"] = tuple(_camera_matrix(heading, eye).ravel())
         program["heights_m"] = 0
-        self._tile_buffer.write(tiles.tobytes())
-        self._heights.use(0)
-        self._depth_target.use()
-        self._depth_target.clear()
-        ctx.enable_only(moderngl.BLEND)
-        ctx.blend_func = moderngl.ONE, moderngl.ONE
-        ctx.blend_equation = moderngl.MAX, moderngl.MAX
-        self._mesh.render(moderngl.TRIANGLES, instances=len(tiles))
-        ctx.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
-        ctx.enable_only(moderngl.NOTHING)
-
-    def _scan_columns(self, row: int) -> None:
-        """Extract the skyline of the image just drawn into one row of the result."""
-        self._skyline["inverse_depth"] = 0
-        self._skyline["size"] = self.width
-        self._depth.use(0)
-        self._rows_target.use()
-        self._context.ctx.viewport = (0, row, self.width, 1)
-        self._scan.render(moderngl.TRIANGLES, vertices=3)
+        for heading in HEADINGS:
+            tiles = _tiles_in_view(self._tiles, (col, row), field, heading)
+            program["camera"] = tuple(_camera_matrix(heading, near_m, far_m).ravel())
+            self._tile_buffer.write(tiles.tobytes())
+            self._heights.use(0)
+            self._depth_target.use()
+            self._depth_target.clear()
+            ctx.enable_only(moderngl.BLEND)
+            ctx.blend_func = moderngl.ONE, moderngl.ONE
+            ctx.blend_equation = moderngl.MAX, moderngl.MAX
+            self._mesh.render(moderngl.TRIANGLES, instances=len(tiles))
+            ctx.blend_equation = moderngl.FUNC_ADD, moderngl.FUNC_ADD
+            ctx.enable_only(moderngl.NOTHING)
+            yield heading
 
 
-def _flags(row: Float32Array, tan: Float32Array, rims: list[RimColumns]) -> NDArray[np.uint8]:
-    """Return the flags of (N, W) columns from their covered rows, skylines and rims."""
-    width = row.shape[1]
-    border = np.stack([rim.border_tan for rim in rims])
-    meets_data = np.stack([rim.meets_data for rim in rims])
-    over_hole = np.stack([rim.over_hole for rim in rims])
-    # A border as high as the skyline may be, given its quantization, may be what it shows.
-    truncated = border >= np.nan_to_num(tan, nan=np.inf) - QUANTIZATION_PX * pixel_size(width)
-    out_of_image = (row == width - 1) | ((row < 0.0) & meets_data)
-    flags = (
-        truncated * FLAG_TRUNCATED
-        + over_hole * FLAG_HOLE
-        + ((row < 0.0) & ~meets_data) * FLAG_NO_DATA
-        + out_of_image * FLAG_OUT_OF_IMAGE
-    )
-    return np.asarray(flags, dtype=np.uint8)
-
-
-def _check_size(field: HeightField, width: int, largest: int) -> None:
-    if max(field.rows, field.cols, width) > largest:
-        raise InputError(
-            f"a DEM of {field.cols} x {field.rows} samples at width {width} does not fit this "
-            f"OpenGL's textures of at most {largest}; cut the DEM to the area (--bounds)"
-        )
-
-
-def _camera_matrix(heading: int, eye: _Eye) -> NDArray[np.float64]:
+def _camera_matrix(heading: int, near_m: float, far_m: float) -> Float64Array:
     """Return east, up, south -> clip in pyrr's row-vector form, which is GL's memory layout."""
-    to_camera = np.eye(4)
-    to_camera[:3, :3] = rotation(heading).T
-    mirror = np.diag([1.0, 1.0, -1.0, 1.0])
-    view = matrix44.multiply(matrix44.multiply(mirror, to_camera), mirror)
-    projection = matrix44.create_perspective_projection(90.0, 1.0, eye.near_m, eye.far_m)
-    return np.asarray(matrix44.multiply(view, projection), dtype=np.float64)
+    view, mirror = np.eye(4), np.diag([1.0, 1.0, -1.0])
+    view[:3, :3] = mirror @ rotation(heading).T @ mirror
+    projection = matrix44.create_perspective_projection(90.0, 1.0, near_m, far_m)
+    return np.asarray(view @ projection, dtype=np.float64)
 
 
 def _near_m(field: HeightField, viewpoints: Viewpoints, index: int) -> float:
@@ -299,12 +261,12 @@ def _tile_triangles() -> NDArray[np.uint32]:
 
 
 def _tiles_in_view(
-    tiles: NDArray[np.int32], eye: _Eye, field: HeightField, heading: int
+    tiles: NDArray[np.int32], eye: tuple[float, float], field: HeightField, heading: int
 ) -> NDArray[np.int32]:
-    """Return the tiles that reach into the 90 degree wedge of a heading."""
+    """Return the tiles that reach into the 90 degree wedge of a heading; eye: column, row."""
     ends = np.stack([tiles, tiles + TILE_CELLS], axis=1).astype(np.float64)
-    east = (ends[..., 0] - eye.cell[0] - eye.fraction[0]) * field.spacing_east_m
-    north = -(ends[..., 1] - eye.cell[1] - eye.fraction[1]) * field.spacing_north_m
+    east = (ends[..., 0] - eye[0]) * field.spacing_east_m
+    north = -(ends[..., 1] - eye[1]) * field.spacing_north_m
     turn = rotation(heading)
     right = turn[0, 0] * east + turn[0, 2] * north
     forward = turn[2, 0] * east + turn[2, 2] * north
@@ -314,3 +276,70 @@ def _tiles_in_view(
     # A cell's margin keeps rounding on the safe side.
     in_view = forward.max(axis=1) + field.spacing_m > nearest_aside
     return np.ascontiguousarray(tiles[in_view])
+
+
+class _RimFinder:
+    """Projects the rims of a height field into views, in float64."""
+
+    def __init__(self, field: HeightField, curvature: Curvature) -> None:
+        self._curvature = curvature
+        rims = Rims.of(Triangles.of(field.heights_m))
+        self._easting_m, self._northing_m = field.to_map(rims.row, rims.col)
+        self._height_m = field.heights_m[rims.row, rims.col].astype(np.float64)
+
+    def columns(
+        self, viewpoints: Viewpoints, index: int, heading: int, width: int
+    ) -> tuple[Float64Array, BoolArray]:
+        """Return what the W columns of one view meet.
+
+        Returns
+        -------
+        border_tan : (W,) float64
+            Greatest v over the rims behind which the data end; -inf where there is none.
+        over_hole : (W,) bool
+            The column crosses a rim from its bare side: it enters the surface again.
+        """
+        east = self._easting_m - viewpoints.easting_m[index]
+        north = self._northing_m - viewpoints.northing_m[index]
+        up = self._height_m - viewpoints.eye_elevation_m[index]
+        up -= self._curvature.drop_per_m2 * (east**2 + north**2)
+        # The eye is left of the way along an edge, on its bare side, where this is positive.
+        entered = np.diff(north)[:, 0] * east[:, 0] - np.diff(east)[:, 0] * north[:, 0] > 0.0
+        ends = np.stack([east, up, north], axis=-1) @ rotation(heading).T
+        edge, column = _columns_crossed(ends[..., 0], ends[..., 2], width)
+        v = _ordinate(ends[edge], columns_u(width)[column])
+        border_tan = np.full(width, -np.inf)
+        leaving = ~entered[edge]
+        np.maximum.at(border_tan, column[leaving], v[leaving])
+        over_hole = np.zeros(width, dtype=bool)
+        over_hole[column[~leaving & np.isfinite(v)]] = True
+        return border_tan, over_hole
+
+
+def _columns_crossed(x: Float64Array, z: Float64Array, width: int) -> tuple[Int64Array, Int64Array]:
+    """Return the pairs (edge, column) whose half-planes cross edges with ends (E, 2) ahead."""
+    # An end behind the eye is moved along its edge to just before it.
+    ahead = np.maximum(np.abs(z).max(axis=1, keepdims=True) * 1e-12, 1e-12)
+    behind = z < ahead
+    step = np.where(behind, (ahead - z) / _nonzero(z[:, ::-1] - z), 0.0)
+    u = (x + step * (x[:, ::-1] - x)) / np.maximum(z + step * (z[:, ::-1] - z), ahead)
+    position = np.clip(((u + 1.0) * width - 1.0) / 2.0, -1.0, width)
+    first = np.ceil(position.min(axis=1) - 1e-9).astype(np.int64).clip(0)
+    last = np.floor(position.max(axis=1) + 1e-9).astype(np.int64).clip(max=width - 1)
+    count = np.where(behind.all(axis=1), 0, (last - first + 1).clip(0))
+    edge = np.repeat(np.arange(len(x)), count)
+    within = np.arange(count.sum()) - np.repeat(count.cumsum() - count, count)
+    return edge, first[edge] + within
+
+
+def _ordinate(ends: Float64Array, u: Float64Array) -> Float64Array:
+    """Return v where half-planes at ``u`` cross edges with ``ends`` (M, 2, 3); -inf if behind."""
+    offset = ends[..., 0] - u[:, np.newaxis] * ends[..., 2]
+    share = np.clip(offset[:, 0] / _nonzero(offset[:, 0] - offset[:, 1]), 0.0, 1.0)
+    crossing = ends[:, 0] + share[:, np.newaxis] * (ends[:, 1] - ends[:, 0])
+    in_front = crossing[:, 2] > 0.0
+    return np.where(in_front, crossing[:, 1] / np.where(in_front, crossing[:, 2], 1.0), -np.inf)
+
+
+def _nonzero(value: Float64Array) -> Float64Array:
+    return np.where(value == 0.0, 1.0, value)

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import HEADINGS, rotation
-from skyline.render.march import EYE_DTYPE
-from skyline.render.trees import split_float
+from skyline.render.march import EYE_DTYPE, split_float
 from skyline.render.windows import Window
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -23,10 +22,8 @@ _ROUNDING = 3.0 * 2.0**-24
 class Eyes:
     """The eyes of N views, sorted so that marches of one kind lie together.
 
-    Attributes
+    Parameters
     ----------
-    viewpoints : Viewpoints
-        The N eyes as given.
     heading : (N,) uint8
     turn_rad : (N,) float64
         By how much all columns of an eye are turned clockwise.
@@ -40,33 +37,28 @@ class Eyes:
         near_error: float,
         turn_rad: Float64Array,
     ) -> None:
-        self.viewpoints, self.heading = viewpoints, heading
         self._spacing_m = np.array([field.spacing_north_m, field.spacing_east_m])
-        double = needs_double(field, viewpoints, near_error)
-        self._order = np.lexsort((double, heading))
-        self._double, self._sorted_heading = double[self._order], heading[self._order]
         row, col = field.to_grid(viewpoints.easting_m, viewpoints.northing_m)
+        double = _needs_double(field, viewpoints, row, col, near_error)
+        self._order = np.lexsort((double, heading))
+        self._double, self._heading = double[self._order], heading[self._order]
         self._place = np.stack([row, col], axis=-1)[self._order]
         self._elevation_m = viewpoints.eye_elevation_m[self._order]
         self._turn_tan = np.tan(turn_rad)[self._order]
 
     def __len__(self) -> int:
-        return len(self.heading)
+        return len(self._order)
 
     def groups(self) -> Iterator[tuple[slice, int, bool]]:
         """Yield the sorted rows of each heading, in float32 and in float64, that has any."""
-        kind = 2 * self._sorted_heading.astype(np.int64) + self._double
+        kind = 2 * self._heading.astype(np.int64) + self._double
         for value in np.unique(kind):
             rows = np.flatnonzero(kind == value)
             yield slice(int(rows[0]), int(rows[-1]) + 1), int(value) // 2, bool(value % 2)
 
     def in_order(self, values: NDArray[_Scalar]) -> NDArray[_Scalar]:
-        """Put (M N, ...) results of sorted views back into the order given, N by N."""
-        if not len(self):
-            return values
-        back = np.argsort(self._order)
-        blocks = values.reshape(-1, len(self), *values.shape[1:])
-        return blocks[:, back].reshape(values.shape)
+        """Put (N, ...) results of sorted views back into the order given."""
+        return values[np.argsort(self._order)]
 
     def relative_to(self, window: Window) -> NDArray[np.void]:
         """Return the sorted eyes for the shaders, (N,) of `EYE_DTYPE`."""
@@ -74,8 +66,7 @@ class Eyes:
         nearest = np.rint(self._place)
         eyes["nearest"] = nearest.astype(np.int64) - (window.row, window.col)
         eyes["offset"], eyes["offset_low"] = split_float(self._place - nearest)
-        high, low = split_float(self._elevation_m)
-        eyes["elevation_m"] = np.stack([high, low], axis=-1)
+        eyes["elevation_m"] = np.stack(split_float(self._elevation_m), axis=-1)
         eyes["turn_tan"] = np.stack(split_float(self._turn_tan), axis=-1)
         return eyes
 
@@ -86,10 +77,10 @@ class Eyes:
         middle = np.median(self._place, axis=0)
         return sorted(windows, key=lambda window: float(np.hypot(*self._gap(window, middle))))
 
-    def depths_m(self, window: Window) -> tuple[Float64Array, Float64Array]:
-        """Return bounds of the forward depths at which sorted eyes see a window, two (N,).
+    def greatest_tan(self, window: Window, highest_m: float, drop_per_m2: float) -> Float64Array:
+        """Return an upper bound of v over a window no higher than ``highest_m``, (N,), sorted.
 
-        Both are -inf where the window lies outside the view.
+        -inf where the window lies outside the view.
         """
         corners = np.array(
             [[row, col] for row in (0, window.rows - 1) for col in (0, window.cols - 1)],
@@ -99,7 +90,7 @@ class Eyes:
         south, east = np.moveaxis(offset * self._spacing_m, -1, 0)
         turn = np.stack([rotation(heading)[[0, 2]][:, [0, 2]] for heading in HEADINGS])
         ground = np.stack([east, -south], axis=-1)
-        camera = np.einsum("ncg,nkg->nkc", ground, turn[self._sorted_heading])
+        camera = np.einsum("ncg,nkg->nkc", ground, turn[self._heading])
         right, forward = camera[:, 0], camera[:, 1]
         one_side = np.sign(right).min(axis=1) == np.sign(right).max(axis=1)
         aside = np.where(one_side, np.abs(right).min(axis=1), 0.0)
@@ -107,20 +98,10 @@ class Eyes:
         gap = self._gap(window, self._place)
         nearest = np.maximum(forward.min(axis=1), np.hypot(gap[:, 0], gap[:, 1]) / np.sqrt(2.0))
         farthest = forward.max(axis=1)
-        outside = farthest < aside
-        return np.where(outside, -np.inf, nearest), np.where(outside, -np.inf, farthest)
-
-    def greatest_tan(self, window: Window, highest_m: float, drop_per_m2: float) -> Float64Array:
-        """Return an upper bound of v over a window no higher than ``highest_m``, (N,), sorted.
-
-        -inf where the window lies outside the view.
-        """
-        nearest, farthest = self.depths_m(window)
-        gap = self._gap(window, self._place)
         # A metre covers all rounding.
         up = highest_m - self._elevation_m + 1.0 - drop_per_m2 * (gap[:, 0] ** 2 + gap[:, 1] ** 2)
         bound = up / np.maximum(np.where(up > 0.0, nearest, farthest), 1e-3)
-        return np.where(np.isneginf(farthest), -np.inf, bound)
+        return np.where(farthest < aside, -np.inf, bound)
 
     def _gap(self, window: Window, place: Float64Array) -> Float64Array:
         """Return how far places (..., 2) are outside a window, metres north-south and east-west."""
@@ -130,7 +111,13 @@ class Eyes:
         return np.asarray(outside * self._spacing_m, dtype=np.float64)
 
 
-def needs_double(field: HeightField, viewpoints: Viewpoints, near_error: float) -> BoolArray:
+def _needs_double(
+    field: HeightField,
+    viewpoints: Viewpoints,
+    row: Float64Array,
+    col: Float64Array,
+    near_error: float,
+) -> BoolArray:
     """Return which eyes see edges so near that float32 would blur v by more than an error, (N,).
 
     A crossing at depth z among heights up to H above or below the eye has v to within
@@ -138,11 +125,14 @@ def needs_double(field: HeightField, viewpoints: Viewpoints, near_error: float) 
     eye's height over ground, G the steepest slope around, s the spacing), so that its error
     cannot show. What is left between these two depths is computed in float64.
     """
-    row, col = field.to_grid(viewpoints.easting_m, viewpoints.northing_m)
-    around = _heights_around(field, row, col) - viewpoints.eye_elevation_m[:, None, None]
+    steps = np.arange(-1, 3)
+    rows = np.clip(np.floor(row).astype(np.int64)[:, None] + steps, 0, field.rows - 1)
+    cols = np.clip(np.floor(col).astype(np.int64)[:, None] + steps, 0, field.cols - 1)
+    heights = field.heights_m[rows[:, :, None], cols[:, None, :]].astype(np.float64)
+    around = heights - viewpoints.eye_elevation_m[:, None, None]
     relief_m = np.fmax.reduce(np.abs(around), axis=(1, 2))
-    steps = [np.abs(np.diff(around, axis=axis)) for axis in (1, 2)]
-    steepest_m = np.fmax(*(np.fmax.reduce(step, axis=(1, 2)) for step in steps))
+    slopes = [np.abs(np.diff(around, axis=axis)) for axis in (1, 2)]
+    steepest_m = np.fmax(*(np.fmax.reduce(slope, axis=(1, 2)) for slope in slopes))
     spacing_m = field.spacing_m
     ground_m = field.height_at(viewpoints.easting_m, viewpoints.northing_m)
     clearance_m = viewpoints.eye_elevation_m - ground_m
@@ -153,12 +143,3 @@ def needs_double(field: HeightField, viewpoints: Viewpoints, near_error: float) 
     # An eye exactly on a line does not cross it.
     nearest_m = np.where(offset > 0.0, offset, 1.0).min(axis=0) * spacing_m / np.sqrt(2.0)
     return np.asarray(np.fmax(nearest_m, shows_from_m) < blurred_to_m, dtype=bool)
-
-
-def _heights_around(field: HeightField, row: Float64Array, col: Float64Array) -> Float64Array:
-    """Return the 4 x 4 samples about each place, (N, 4, 4) float64."""
-    steps = np.arange(-1, 3)
-    rows = np.clip(np.floor(row).astype(np.int64)[:, None] + steps, 0, field.rows - 1)
-    cols = np.clip(np.floor(col).astype(np.int64)[:, None] + steps, 0, field.cols - 1)
-    heights = field.heights_m[rows[:, :, None], cols[:, None, :]]
-    return np.asarray(heights, dtype=np.float64)

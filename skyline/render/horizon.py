@@ -19,15 +19,7 @@ from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import acquire_context
 from skyline.render.eyes import Eyes
-from skyline.render.march import (
-    NOTHING,
-    ComputeMarcher,
-    FragmentMarcher,
-    March,
-    RayMarcher,
-    Results,
-    Settings,
-)
+from skyline.render.march import NOTHING, ComputeMarcher, FragmentMarcher, RayMarcher, Results
 from skyline.render.windows import Window, WindowTextures
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -72,18 +64,16 @@ class ColumnRenderer:
     ) -> None:
         self.field, self.width, self.curvature = field, len(u), curvature
         self._near_error = near_error
-        _check_spacing(field)
+        spacing_m = east, north = field.spacing_east_m, field.spacing_north_m
+        if max(spacing_m) > MAX_SPACING_RATIO * min(spacing_m):
+            raise InputError(
+                f"samples are {east:g} x {north:g} m apart; expected one spacing at most "
+                f"{MAX_SPACING_RATIO:g} times the other: resample the DEM"
+            )
         self._context = acquire_context()
-        settings = Settings(
-            u,
-            tolerance,
-            (field.spacing_east_m, field.spacing_north_m),
-            curvature.drop_per_m2,
-        )
-        self._marcher: RayMarcher = (
-            ComputeMarcher(self._context, settings)
-            if self._context.has_compute
-            else FragmentMarcher(self._context, settings)
+        marcher = ComputeMarcher if self._context.has_compute else FragmentMarcher
+        self._marcher: RayMarcher = marcher(
+            self._context, u, tolerance, spacing_m, curvature.drop_per_m2
         )
         self._max_views = self._marcher.max_rows
         self._windows = Window.all_of(field)
@@ -109,30 +99,29 @@ class ColumnRenderer:
 
         ``turn_rad`` (N,) turns the columns of an eye clockwise; none may leave its view.
 
-        Yields which views, and their skylines in order. Without data elevation_tan and depth_m are
-        NaN, and skylines flagged.
+        Yields which views, and their skylines in order; at least one batch, be it empty. Without
+        data elevation_tan and depth_m are NaN, and skylines flagged.
         """
-        start = 0
-        while start < len(viewpoints):
+        stop = -1
+        while stop < len(viewpoints):
+            start = max(stop, 0)
             part = slice(start, min(start + self._max_views, len(viewpoints)))
             try:
                 rows = self._batch(viewpoints[part], heading[part], turn_rad[part])
             except moderngl.Error as error:
-                self._halve_batch(str(error))
+                if self._max_views == 1:
+                    raise ContextError(
+                        f"the GPU cannot hold one view of {self.width} columns over "
+                        f"{self.field.cols} x {self.field.rows} samples ({error}); free its memory "
+                        "or choose a smaller width"
+                    ) from error
+                self._max_views //= 2
+                _log.warning(
+                    "out of GPU memory (%s); going on with %d views a batch", error, self._max_views
+                )
             else:
                 yield part, rows
-                start = part.stop
-
-    def _halve_batch(self, said: str) -> None:
-        if self._max_views == 1:
-            raise ContextError(
-                f"the GPU cannot hold one view of {self.width} columns over {self.field.cols} x "
-                f"{self.field.rows} samples ({said}); free its memory or choose a smaller width"
-            )
-        self._max_views //= 2
-        _log.warning(
-            "out of GPU memory (%s); going on with %d views a batch", said, self._max_views
-        )
+                stop = part.stop
 
     def _batch(
         self, viewpoints: Viewpoints, heading: NDArray[np.uint8], turn_rad: Float64Array
@@ -142,14 +131,15 @@ class ColumnRenderer:
         self._marcher.begin(len(eyes))
         for place, window in enumerate(eyes.nearest_first(self._windows)):
             if place == 0 or self._may_rise(window, eyes):
-                self._march(window, eyes, first=place == 0)
-        return _in_order(eyes, self._marcher.read())
-
-    def _march(self, window: Window, eyes: Eyes, first: bool) -> None:
-        """Raise the skylines by one window."""
-        textures, near = self._load(window), eyes.relative_to(window)
-        for rows, heading, double in eyes.groups():
-            self._marcher.run(March(heading, double, first), textures, near[rows], rows.start)
+                textures, near = self._load(window), eyes.relative_to(window)
+                for rows, facing, double in eyes.groups():
+                    self._marcher.run(facing, double, place == 0, textures, near[rows], rows.start)
+        found = self._marcher.read()
+        tan, depth = eyes.in_order(found.elevation_tan), eyes.in_order(found.depth_m)
+        missing = tan == NOTHING
+        flags = eyes.in_order(found.flags) | np.where(missing, np.uint8(FLAG_NO_DATA), np.uint8(0))
+        nan = np.float32(np.nan)
+        return Results(np.where(missing, nan, tan), np.where(missing, nan, depth), flags)
 
     def _may_rise(self, window: Window, eyes: Eyes) -> bool:
         """Return whether a window can raise any skyline found so far."""
@@ -231,41 +221,32 @@ class HorizonRenderer(ColumnRenderer):
         Views
             N views in order, or 4 N: the four headings of a viewpoint follow one another.
         """
+        count = len(viewpoints)
         if headings is None:
-            eye = np.repeat(np.arange(len(viewpoints)), len(HEADINGS))
-            heading = np.tile(np.array(HEADINGS, dtype=np.uint8), len(viewpoints))
+            heading = np.tile(np.array(HEADINGS, dtype=np.uint8), count)
+            eyes = viewpoints[np.repeat(np.arange(count), len(HEADINGS))]
         else:
-            eye, heading = np.arange(len(viewpoints)), _check_headings(headings, len(viewpoints))
-        straight = np.zeros(len(eye))
-        if len(eye) == 0:
-            return self._views(viewpoints, heading, self._batch(viewpoints, heading, straight))
-        eyes = viewpoints[eye]
+            given, eyes = np.asarray(headings), viewpoints
+            if given.shape != (count,) or not np.isin(given, HEADINGS).all():
+                raise InputError(
+                    f"headings have shape {given.shape}; expected ({count},), one of 0, 1, 2, 3 "
+                    "an eye"
+                )
+            heading = given.astype(np.uint8)
         return Views.concatenate(
             [
-                self._views(eyes[part], heading[part], rows)
-                for part, rows in self._batches(eyes, heading, straight)
+                Views(
+                    eyes.easting_m[part],
+                    eyes.northing_m[part],
+                    eyes.eye_elevation_m[part],
+                    heading[part],
+                    rows.elevation_tan,
+                    rows.depth_m,
+                    rows.flags,
+                )
+                for part, rows in self._batches(eyes, heading, np.zeros(len(eyes)))
             ]
         )
-
-    def _views(self, eyes: Viewpoints, heading: NDArray[np.uint8], rows: Results) -> Views:
-        return Views(
-            eyes.easting_m,
-            eyes.northing_m,
-            eyes.eye_elevation_m,
-            heading,
-            rows.elevation_tan,
-            rows.depth_m,
-            rows.flags,
-        )
-
-
-def _in_order(eyes: Eyes, rows: Results) -> Results:
-    """Put the rows of sorted eyes back into order, and mark what met no data."""
-    tan, depth = eyes.in_order(rows.elevation_tan), eyes.in_order(rows.depth_m)
-    missing = tan == NOTHING
-    flags = eyes.in_order(rows.flags) | np.where(missing, np.uint8(FLAG_NO_DATA), np.uint8(0))
-    nan = np.float32(np.nan)
-    return Results(np.where(missing, nan, tan), np.where(missing, nan, depth), flags)
 
 
 def check_tolerance(tolerance: float, unit: str) -> float:
@@ -275,21 +256,3 @@ def check_tolerance(tolerance: float, unit: str) -> float:
             f"tolerance is {tolerance} {unit}; expected a finite number, 0 (exact) or more"
         )
     return float(tolerance)
-
-
-def _check_spacing(field: HeightField) -> None:
-    east, north = field.spacing_east_m, field.spacing_north_m
-    if max(east, north) > MAX_SPACING_RATIO * min(east, north):
-        raise InputError(
-            f"samples are {east:g} x {north:g} m apart; expected one spacing at most "
-            f"{MAX_SPACING_RATIO:g} times the other: resample the DEM"
-        )
-
-
-def _check_headings(headings: ArrayLike, count: int) -> NDArray[np.uint8]:
-    array = np.asarray(headings)
-    if array.shape != (count,) or not np.isin(array, HEADINGS).all():
-        raise InputError(
-            f"headings have shape {array.shape}; expected ({count},), one of 0, 1, 2, 3 an eye"
-        )
-    return array.astype(np.uint8)

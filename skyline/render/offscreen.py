@@ -7,11 +7,12 @@ functions are asked of EGL itself, so that libGL need not be installed.
 """
 
 import ctypes
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from ctypes import POINTER, c_char_p, c_int, c_ubyte, c_uint, c_void_p
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 from skyline.errors import ContextError
 
@@ -21,7 +22,6 @@ OSMESA_LIBRARIES = ("libOSMesa.so.8", "libOSMesa.so.6")
 CORE_VERSIONS = ((4, 6), (4, 5), (4, 3), (3, 3))
 """OpenGL versions asked for in turn: some drivers give exactly what was asked, others the best."""
 
-GL_VENDOR = 0x1F00
 GL_RENDERER = 0x1F01
 GL_VERSION = 0x1F02
 
@@ -84,7 +84,7 @@ class Egl:
         self._get_error = _bind(library.eglGetError, c_int)
         self._query_string = _bind(library.eglQueryString, c_char_p, c_void_p, c_int)
         self._get_display = _bind(library.eglGetDisplay, c_void_p, c_void_p)
-        self._proc_address = _bind(library.eglGetProcAddress, c_void_p, c_char_p)
+        self.proc_address = _bind(library.eglGetProcAddress, c_void_p, c_char_p)
         self.initialize = _bind(library.eglInitialize, c_uint, c_void_p, c_void_p, c_void_p)
         self.bind_api = _bind(library.eglBindAPI, c_uint, c_uint)
         self.choose_config = _bind(
@@ -97,10 +97,6 @@ class Egl:
         self.make_current = _bind(library.eglMakeCurrent, c_uint, *(4 * [c_void_p]))
         self.current_context = _bind(library.eglGetCurrentContext, c_void_p)
         self.destroy_context = _bind(library.eglDestroyContext, c_uint, c_void_p, c_void_p)
-
-    def function_address(self, name: str) -> int:
-        """Return the address of an EGL or OpenGL function, 0 where there is none."""
-        return self._proc_address(name.encode()) or 0
 
     def device_displays(self) -> Iterator[EglDisplay]:
         """Yield one display a device (EGL_EXT_device_enumeration); none without the extension."""
@@ -124,17 +120,24 @@ class Egl:
             )
         yield EglDisplay("default display", partial(self._get_display, None))
 
-    def failure(self, step: str) -> ContextError:
-        """Return the error for an EGL call that has just failed."""
-        code = self._get_error()
-        return ContextError(f"{step} failed with {_EGL_ERRORS.get(code, f'EGL error {code:#x}')}")
+    def checked(self, step: str, result: Any) -> Any:
+        """Return what an EGL call has returned; raises `ContextError` where it failed."""
+        if not result:
+            code = self._get_error()
+            error = _EGL_ERRORS.get(code, f"EGL error {code:#x}")
+            raise ContextError(f"{step} failed with {error}")
+        return result
 
     def _client_extensions(self) -> set[str]:
         return set((self._query_string(None, _EGL_EXTENSIONS) or b"").decode().split())
 
+    def _extension(self, name: str, result: Any, *arguments: Any) -> Any:
+        """Return a function that EGL alone knows of, with its C signature."""
+        return ctypes.CFUNCTYPE(result, *arguments)(self.proc_address(name.encode()) or 0)
+
     def _devices(self) -> list[int | None]:
-        query = ctypes.CFUNCTYPE(c_uint, c_int, POINTER(c_void_p), POINTER(c_int))(
-            self.function_address("eglQueryDevicesEXT")
+        query = self._extension(
+            "eglQueryDevicesEXT", c_uint, c_int, POINTER(c_void_p), POINTER(c_int)
         )
         count = c_int()
         query(0, None, count)
@@ -143,9 +146,7 @@ class Egl:
         return list(devices)[: count.value]
 
     def _device_name(self, device: int | None) -> str:
-        query = ctypes.CFUNCTYPE(c_char_p, c_void_p, c_int)(
-            self.function_address("eglQueryDeviceStringEXT")
-        )
+        query = self._extension("eglQueryDeviceStringEXT", c_char_p, c_void_p, c_int)
         extensions = (query(device, _EGL_EXTENSIONS) or b"").decode().split()
         if "EGL_MESA_device_software" in extensions:
             return "Mesa software"
@@ -154,15 +155,45 @@ class Egl:
         return "no device file"
 
     def _platform_display(self, platform: int, native: int | None) -> int | None:
-        get = ctypes.CFUNCTYPE(c_void_p, c_uint, c_void_p, POINTER(c_int))(
-            self.function_address("eglGetPlatformDisplayEXT")
+        get = self._extension(
+            "eglGetPlatformDisplayEXT", c_void_p, c_uint, c_void_p, POINTER(c_int)
         )
         handle: int | None = get(platform, native, None)
         return handle
 
 
-class EglContext:
-    """A core-profile context without a surface, current once made.
+class OffscreenContext(ABC):
+    """A native context of a core profile as moderngl takes it; current once made."""
+
+    device: str
+    """For people."""
+    _context: int | None
+    _proc_address: Callable[[bytes], int | None]
+    _current: Callable[[], int | None]
+    _let_go: Callable[[], object]
+    _destroy: Callable[[int], object]
+
+    def load_opengl_function(self, name: str) -> int:
+        """Return the address of an OpenGL function, 0 where there is none."""
+        return self._proc_address(name.encode()) or 0
+
+    @abstractmethod
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None:
+        self._let_go()
+
+    def release(self) -> None:
+        """Destroy the context; harmless when repeated."""
+        if self._context:
+            if self._current() == self._context:
+                self._let_go()
+            self._destroy(self._context)
+            self._context = None
+
+
+class EglContext(OffscreenContext):
+    """A context without a surface.
 
     The display is never terminated: EGL shares it with every other user in the process.
 
@@ -172,70 +203,47 @@ class EglContext:
 
     def __init__(self, egl: Egl, display: EglDisplay) -> None:
         self.device = f"EGL {display.name}"
-        self._egl = egl
-        self._display = display.handle()
-        if not self._display:
-            raise egl.failure("eglGetDisplay")
-        if not egl.initialize(self._display, None, None):
-            raise egl.failure("eglInitialize")
-        self._context = self._create(self._config())
-        try:
-            self.__enter__()
-        except ContextError:
-            self.release()
-            raise
-
-    def _config(self) -> c_void_p:
+        self._egl, self._proc_address, self._current = egl, egl.proc_address, egl.current_context
+        self._display = egl.checked("eglGetDisplay", display.handle())
+        self._let_go = partial(egl.make_current, self._display, None, None, None)
+        self._destroy = partial(egl.destroy_context, self._display)
+        egl.checked("eglInitialize", egl.initialize(self._display, None, None))
         wanted = _attributes(
             *(_EGL_SURFACE_TYPE, _EGL_PBUFFER_BIT),
             *(_EGL_RENDERABLE_TYPE, _EGL_OPENGL_BIT, _EGL_NONE),
         )
         config, count = c_void_p(), c_int()
-        if not self._egl.choose_config(self._display, wanted, config, 1, count):
-            raise self._egl.failure("eglChooseConfig")
+        chosen = egl.choose_config(self._display, wanted, config, 1, count)
+        egl.checked("eglChooseConfig", chosen)
         if count.value == 0:
             raise ContextError("eglChooseConfig found no configuration for desktop OpenGL")
-        return config
-
-    def _create(self, config: c_void_p) -> int | None:
-        if not self._egl.bind_api(_EGL_OPENGL_API):
-            raise self._egl.failure("eglBindAPI(EGL_OPENGL_API)")
+        egl.checked("eglBindAPI(EGL_OPENGL_API)", egl.bind_api(_EGL_OPENGL_API))
         for major, minor in CORE_VERSIONS:
             wanted = _attributes(
                 *(_EGL_CONTEXT_MAJOR_VERSION, major, _EGL_CONTEXT_MINOR_VERSION, minor),
                 *(_EGL_CONTEXT_OPENGL_PROFILE_MASK, _EGL_CONTEXT_OPENGL_CORE_PROFILE_BIT),
                 _EGL_NONE,
             )
-            context: int | None = self._egl.create_context(self._display, config, None, wanted)
-            if context:
-                return context
-        raise self._egl.failure("eglCreateContext for OpenGL 3.3 core")
+            self._context = egl.create_context(self._display, config, None, wanted)
+            if self._context:
+                break
+        egl.checked("eglCreateContext for OpenGL 3.3 core", self._context)
+        try:
+            self.__enter__()
+        except ContextError:
+            self.release()
+            raise
 
-    def load_opengl_function(self, name: str) -> int:
-        """Return the address of an OpenGL function, 0 where there is none."""
-        return self._egl.function_address(name)
-
-    def __enter__(self) -> "EglContext":
+    def __enter__(self) -> Self:
         # The bound API is kept per thread and decides what a later unbinding unbinds.
         self._egl.bind_api(_EGL_OPENGL_API)
-        if not self._egl.make_current(self._display, None, None, self._context):
-            raise self._egl.failure("eglMakeCurrent without a surface")
+        current = self._egl.make_current(self._display, None, None, self._context)
+        self._egl.checked("eglMakeCurrent without a surface", current)
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._egl.make_current(self._display, None, None, None)
 
-    def release(self) -> None:
-        """Destroy the context; harmless when repeated."""
-        if self._context:
-            if self._egl.current_context() == self._context:
-                self._egl.make_current(self._display, None, None, None)
-            self._egl.destroy_context(self._display, self._context)
-            self._context = None
-
-
-class OsMesaContext:
-    """A core-profile context of Mesa's off-screen library, current once made.
+class OsMesaContext(OffscreenContext):
+    """A context of Mesa's off-screen library.
 
     Raises `ContextError` where the library cannot be loaded, or has no core profile of OpenGL 3.3
     or newer.
@@ -250,13 +258,9 @@ class OsMesaContext:
         )
         self._current = _bind(library.OSMesaGetCurrentContext, c_void_p)
         self._destroy = _bind(library.OSMesaDestroyContext, None, c_void_p)
+        self._let_go = partial(self._make_current, None, None, _GL_UNSIGNED_BYTE, 0, 0)
         # OSMesa is current only with a default framebuffer, though nothing is drawn there.
         self._pixel = (c_ubyte * 4)()
-        self._context = self._create(library)
-        self.__enter__()
-
-    @staticmethod
-    def _create(library: ctypes.CDLL) -> int | None:
         try:
             create = _bind(library.OSMesaCreateContextAttribs, c_void_p, POINTER(c_int), c_void_p)
         except AttributeError as error:
@@ -266,34 +270,17 @@ class OsMesaContext:
                 *(_OSMESA_FORMAT, _GL_RGBA, _OSMESA_PROFILE, _OSMESA_CORE_PROFILE),
                 *(_OSMESA_CONTEXT_MAJOR_VERSION, major, _OSMESA_CONTEXT_MINOR_VERSION, minor, 0),
             )
-            context: int | None = create(wanted, None)
-            if context:
-                return context
-        raise ContextError("OSMesaCreateContextAttribs gave no core profile of OpenGL 3.3")
+            self._context = create(wanted, None)
+            if self._context:
+                break
+        else:
+            raise ContextError("OSMesaCreateContextAttribs gave no core profile of OpenGL 3.3")
+        self.__enter__()
 
-    def load_opengl_function(self, name: str) -> int:
-        """Return the address of an OpenGL function, 0 where there is none."""
-        return self._proc_address(name.encode()) or 0
-
-    def __enter__(self) -> "OsMesaContext":
+    def __enter__(self) -> Self:
         if not self._make_current(self._context, self._pixel, _GL_UNSIGNED_BYTE, 1, 1):
             raise ContextError("OSMesaMakeCurrent failed")
         return self
-
-    def __exit__(self, *_: object) -> None:
-        self._make_current(None, None, _GL_UNSIGNED_BYTE, 0, 0)
-
-    def release(self) -> None:
-        """Destroy the context; harmless when repeated."""
-        if self._context:
-            if self._current() == self._context:
-                self._make_current(None, None, _GL_UNSIGNED_BYTE, 0, 0)
-            self._destroy(self._context)
-            self._context = None
-
-
-OffscreenContext = EglContext | OsMesaContext
-"""A native context as moderngl takes it; current once made."""
 
 
 def gl_string(context: OffscreenContext, name: int) -> str:

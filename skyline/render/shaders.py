@@ -6,11 +6,9 @@ of file and line, so that a driver's message can be given back in those terms.
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import moderngl
 
@@ -26,8 +24,6 @@ _VERSION = re.compile(r"^[ \t]*#[ \t]*version\b[^\n]*\n", re.MULTILINE)
 _PLACE = re.compile(r"\b(?P<file>\d+)(?::(?P<line>\d+)\b(?:\(\d+\))?|\((?P<nvidia_line>\d+)\))")
 # moderngl heads the driver's log with the stage and a ruler.
 _STAGE = re.compile(r"^(?P<stage>\w+_shader)\n=+\n", re.MULTILINE)
-
-_Program = TypeVar("_Program")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +57,11 @@ def compile_program(
         No such shader.
     """
     first, second = load_shader(vertex, defines), load_shader(fragment, defines)
-    return _build(
-        partial(ctx.program, vertex_shader=first.text, fragment_shader=second.text),
-        {"vertex_shader": first, "fragment_shader": second},
-    )
+    try:
+        return ctx.program(vertex_shader=first.text, fragment_shader=second.text)
+    except moderngl.Error as error:
+        stages = {"vertex_shader": first, "fragment_shader": second}
+        raise ContextError(_explain(str(error), stages)) from error
 
 
 def compile_compute(
@@ -72,14 +69,10 @@ def compile_compute(
 ) -> moderngl.ComputeShader:
     """Compile a compute shader file (OpenGL 4.3); as `compile_program` otherwise."""
     source = load_shader(name, defines)
-    return _build(partial(ctx.compute_shader, source.text), {"compute_shader": source})
-
-
-def _build(make: Callable[[], _Program], stages: Mapping[str, Source]) -> _Program:
     try:
-        return make()
+        return ctx.compute_shader(source.text)
     except moderngl.Error as error:
-        raise ContextError(_explain(str(error), stages)) from error
+        raise ContextError(_explain(str(error), {"compute_shader": source})) from error
 
 
 def _explain(log: str, stages: Mapping[str, Source]) -> str:
@@ -115,16 +108,12 @@ def load_shader(name: str, defines: Mapping[str, str] | None = None) -> Source:
         next_line = text.count("\n", 0, include.end()) + 2
         return f"#line 1 {len(files) - 1}\n{body}\n#line {next_line} 0"
 
-    return Source(_define(_INCLUDE.sub(insert, text), defines or {}), tuple(files))
-
-
-def _define(text: str, defines: Mapping[str, str]) -> str:
-    version = _VERSION.search(text)
-    if not defines or version is None:
-        return text
-    end = version.end()
-    macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
-    return f"{text[:end]}{macros}#line {text.count(chr(10), 0, end) + 1} 0\n{text[end:]}"
+    text = _INCLUDE.sub(insert, text)
+    if defines and (version := _VERSION.search(text)):
+        end = version.end()
+        macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
+        text = f"{text[:end]}{macros}#line {text.count(chr(10), 0, end) + 1} 0\n{text[end:]}"
+    return Source(text, tuple(files))
 
 
 def _find(name: str) -> Path:

@@ -5,16 +5,20 @@ lines of samples, and a skyline over it is the greatest of its skylines over the
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.render.trees import HeightCode, Trees, upload
+from skyline.arrays import Float32Array
+from skyline.camera import HEADINGS
+from skyline.errors import ContextError
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.pyramid import EMPTY, level_count
+from skyline.terrain.pyramid import EMPTY, MAX_LEVELS, level_count, slab_levels
 from skyline.terrain.triangles import Triangles
 
 MAX_FIELD_CELLS = 5120
@@ -23,9 +27,19 @@ MAX_FIELD_CELLS = 5120
 MAX_WINDOW_CELLS = 2048
 """Cells along a side of the windows of larger fields."""
 
+SLOPE_BINS = 16
 
 _COLUMN_APRON = 4
 """As COLUMN_APRON of the shaders."""
+
+_MAX_CODE = 65535
+_TEXELS_A_LINE = 16
+_TREES_A_STACK = 2
+_TREES_AT_ONCE = 2
+"""Built in threads: NumPy lets them run side by side, and each takes its memory."""
+
+_Tree = Sequence[tuple[NDArray[Any], int]]
+"""By level: texels (bins, bands, blocks, components), and the blocks before column 0."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +72,17 @@ def _cuts(samples: int, max_cells: int) -> Iterator[tuple[int, int]]:
         yield start, stop - start + 1
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Trees:
+    """A texture with the trees of all headings."""
+
+    texture: moderngl.Texture
+    """A texel holds the eight slabs of a band, for one bin of slopes and block of columns."""
+    levels: tuple[tuple[tuple[int, int, int], ...], ...]
+    """4 tuples of `MAX_LEVELS` (int, int, int). By heading and level: first row in the texture,
+    rows a bin, blocks before column 0."""
+
+
 class WindowTextures:
     """What the shaders read of one window (`horizon_march.glsl`).
 
@@ -67,6 +92,10 @@ class WindowTextures:
         float32 metres with an apron of one sample, `EMPTY` for holes and off the map.
     columns : 2 moderngl.Texture
         The samples again, for headings 0, 2 and 1, 3: a texel is three neighbours along the axis.
+    lowest_m, highest_m : float
+        Of the heights; 0 where there are none.
+    code_step_m : float
+        Of the 16-bit heights in ``slabs``: code c stands for ``lowest_m + c * code_step_m``.
     slabs : Trees
         Upper bounds of the heights, in this code.
     rims : Trees or None
@@ -80,11 +109,11 @@ class WindowTextures:
     """
 
     def __init__(self, ctx: moderngl.Context, field: HeightField, window: Window) -> None:
-        self.window = window
+        self._ctx, self.window = ctx, window
         ratio = field.spacing_north_m / field.spacing_east_m
         self.slope_max = (ratio, 1.0 / ratio)
-        levels = level_count(max(window.rows, window.cols) - 1)
-        self.top_level = levels - 1
+        self._levels = level_count(max(window.rows, window.cols) - 1)
+        self.top_level = self._levels - 1
         heights = _with_apron(field, window)
         holes = np.isnan(heights)
         self.rims, self.dangling = None, False
@@ -92,29 +121,110 @@ class WindowTextures:
             triangles = Triangles.of(heights)
             holes |= ~triangles.samples
             self.dangling = triangles.has_dangling_edges
-            self.rims = Trees.of_rims(ctx, triangles, self.slope_max, levels)
+            self.rims = self._trees_of_rims(triangles)
         heights[holes] = EMPTY
         inner, present = heights[1:-1, 1:-1], ~holes[1:-1, 1:-1]
         self.lowest_m = float(inner.min(where=present, initial=np.float32(np.inf)))
         self.highest_m = float(inner.max(where=present, initial=np.float32(-np.inf)))
         if self.lowest_m > self.highest_m:
             self.lowest_m = self.highest_m = 0.0
-        self.code = HeightCode.over(self.lowest_m, self.highest_m)
-        self.heights = upload(ctx, heights[..., np.newaxis], "f4")
+        self.code_step_m = max(self.highest_m - self.lowest_m, 1.0) / (_MAX_CODE - 2)
+        self.heights = _upload(ctx, heights[..., np.newaxis], "f4")
         self.columns = tuple(_columns(ctx, seen) for seen in (inner, inner.T))
-        self.slabs = Trees.of_heights(ctx, inner, self.code, self.slope_max, levels)
+        self.slabs = self._trees_of_heights(inner)
 
     def release(self) -> None:
         """Free the textures."""
-        self.heights.release()
-        for texture in self.columns:
+        trees = [self.slabs, self.rims] if self.rims else [self.slabs]
+        for texture in (self.heights, *self.columns, *(tree.texture for tree in trees)):
             texture.release()
-        self.slabs.texture.release()
-        if self.rims is not None:
-            self.rims.texture.release()
+
+    def _trees_of_heights(self, heights_m: Float32Array) -> Trees:
+        """Build the bounds of heights (rows, cols); headings of one axis share a tree."""
+
+        def built(seen: Float32Array, steepest: float) -> _Tree:
+            slopes = np.linspace(-steepest, steepest, SLOPE_BINS + 1)
+            tree = slab_levels(np.ascontiguousarray(seen), slopes, self._levels)
+            return [(self._coded(level.maxima), level.first_block) for level in tree]
+
+        with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:
+            axes = list(pool.map(built, (heights_m, heights_m.T), self.slope_max))
+        return _stacked(self._ctx, axes, "u4")
+
+    def _coded(self, maxima: Float32Array) -> NDArray[np.uint32]:
+        """Return (..., 4) words of two codes, rounded up, of (..., 8) heights."""
+        codes = np.maximum(maxima, np.float32(self.lowest_m))
+        codes -= np.float32(self.lowest_m)
+        codes /= np.float32(self.code_step_m)
+        # A fiftieth of a step is more than float32 rounds off.
+        codes += np.float32(0.02)
+        words: NDArray[np.uint32] = np.ceil(codes, out=codes).astype("<u2").view("<u4")
+        return words
+
+    def _trees_of_rims(self, triangles: Triangles) -> Trees:
+        """Mark where rays may come upon the surface again, for triangles with an apron of one."""
+
+        def built(heading: int) -> _Tree:
+            steepest = self.slope_max[heading % 2]
+            halves = []
+            for grows, bounds in ((False, (-steepest, 0.0)), (True, (0.0, steepest))):
+                marks = triangles.entries(*_quadrant(heading, grows))[1:-1, 1:-1].view(np.uint8)
+                seen = np.ascontiguousarray(marks.T if heading % 2 else marks)
+                slopes = np.linspace(*bounds, SLOPE_BINS // 2 + 1)
+                halves.append(slab_levels(seen, slopes, self._levels))
+            tree = []
+            for lower, upper in zip(*halves, strict=True):
+                marks = np.concatenate([lower.maxima, upper.maxima])
+                texels = np.packbits(marks, axis=-1, bitorder="little")
+                tree.append((texels, lower.first_block))
+            return tree
+
+        with ThreadPoolExecutor(_TREES_AT_ONCE) as pool:
+            return _stacked(self._ctx, list(pool.map(built, HEADINGS)), "u1")
 
 
-def _with_apron(field: HeightField, window: Window) -> NDArray[np.float32]:
+def _stacked(ctx: moderngl.Context, trees: Sequence[_Tree], dtype: str) -> Trees:
+    """Put trees into one texture; two trees serve the headings of each axis.
+
+    Two stand one under the other and the next two beside them: four would be higher than a
+    texture may be. A ray that leaves its own tree may meet the next; a mark or a bound too
+    many costs time and changes nothing.
+    """
+    levels = [texels for tree in trees for texels, _ in tree]
+    width = max(texels.shape[2] for texels in levels)
+    stacks = [
+        trees[first : first + _TREES_A_STACK] for first in range(0, len(trees), _TREES_A_STACK)
+    ]
+    height = max(
+        sum(len(texels) * texels.shape[1] for tree in stack for texels, _ in tree)
+        for stack in stacks
+    )
+    atlas = np.zeros((height, width * len(stacks), levels[0].shape[3]), levels[0].dtype)
+    places = []
+    for left, stack in zip(itertools.count(0, width), stacks):
+        top = 0
+        for tree in stack:
+            here = []
+            for texels, first_block in tree:
+                rows = texels.reshape(-1, *texels.shape[2:])
+                atlas[top : top + len(rows), left : left + rows.shape[1]] = rows
+                here.append((top, texels.shape[1], left + first_block))
+                top += len(rows)
+            places.append((*here, *[(0, 0, 0)] * (MAX_LEVELS - len(here))))
+    return Trees(_upload(ctx, atlas, dtype), tuple(places[h % len(places)] for h in HEADINGS))
+
+
+def _quadrant(heading: int, grows: bool) -> tuple[bool, bool]:
+    """Return whether rays go north and east, whose slope in array order is positive or negative.
+
+    The slope is columns a row for headings 0 and 2, rows a column for 1 and 3.
+    """
+    forward = heading in (1, 2)
+    aside = grows == forward
+    return (not aside, forward) if heading % 2 else (not forward, aside)
+
+
+def _with_apron(field: HeightField, window: Window) -> Float32Array:
     """Return a window's heights and one sample around them, NaN off the map."""
     heights = np.full((window.rows + 2, window.cols + 2), np.nan, dtype=np.float32)
     top, left = window.row - 1, window.col - 1
@@ -124,11 +234,30 @@ def _with_apron(field: HeightField, window: Window) -> NDArray[np.float32]:
     return heights
 
 
-def _columns(ctx: moderngl.Context, heights: NDArray[np.float32]) -> moderngl.Texture:
+def _columns(ctx: moderngl.Context, heights: Float32Array) -> moderngl.Texture:
     """Upload heights seen along their first axis: texel m of a column has lines 2 m to 2 m + 2."""
     lines, columns = heights.shape
     leaves = max(-(-(lines - 1) // 2), 1)
     padded = np.full((2 * leaves + 2, columns + 2 * _COLUMN_APRON), EMPTY, dtype=np.float32)
     padded[:lines, _COLUMN_APRON:-_COLUMN_APRON] = heights
     texels = np.stack([padded[line : line + 2 * leaves : 2] for line in (0, 1, 2, 2)], axis=-1)
-    return upload(ctx, texels, "f4")
+    return _upload(ctx, texels, "f4")
+
+
+def _upload(ctx: moderngl.Context, values: NDArray[Any], dtype: str) -> moderngl.Texture:
+    """Upload (rows, columns, components), columns padded to a pitch that is no power of two.
+
+    Raises `ContextError` where OpenGL refuses the texture, which would read as zeros.
+    """
+    columns = (-(-values.shape[1] // _TEXELS_A_LINE) | 1) * _TEXELS_A_LINE
+    padded = np.zeros((values.shape[0], columns, values.shape[2]), values.dtype)
+    padded[:, : values.shape[1]] = values
+    texture = ctx.texture((columns, len(padded)), values.shape[2], padded, dtype=dtype)
+    if (error := ctx.error) != "GL_NO_ERROR":
+        raise ContextError(
+            f"OpenGL refuses a texture of {columns} x {len(padded)} texels ({error}); free memory "
+            "of the GPU, or give fewer tiles or a coarser DEM"
+        )
+    texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+    texture.repeat_x = texture.repeat_y = False
+    return texture

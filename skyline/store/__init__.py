@@ -14,7 +14,7 @@ committed rows to a fresh file, which takes the store's name once it is complete
 
 Renderings are held as rendered ("exact") or rounded to a stated error ("compact", see
 `skyline.store.coding`); readers get float32 either way. Every chunk of rows has a checksum that
-readers verify, every row and the header one of their own (see `skyline.store.digest`).
+readers verify, every row and the header one of their own (see `skyline.store.rows`).
 """
 
 from skyline.store.coding import RowCoding

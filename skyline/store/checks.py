@@ -1,6 +1,7 @@
 """What an HDF5 file must hold to be read as a store: damaged and foreign files are told apart."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,19 +10,17 @@ import numpy as np
 
 from skyline.errors import InputError, StoreError
 from skyline.store.coding import RowCoding
-from skyline.store.explain import REBUILD
 from skyline.store.header import (
     KEYPOINTS,
     PLACE_CODING,
     PLACES,
-    RENDERINGS,
     SCHEMA,
     SCHEMA_VERSION,
     VIEW_SPECS,
-    Spec,
     StoreHeader,
     package_version,
 )
+from skyline.store.lock import REBUILD
 
 _MAX_CHUNK_BYTES = 1 << 26
 
@@ -29,18 +28,13 @@ _CHECKSUMMED = frozenset({h5py.h5z.FILTER_FLETCHER32})
 _PACKED = _CHECKSUMMED | {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}
 
 
-def not_a_store(path: Path) -> StoreError:
-    """Return the error for an HDF5 file that is something else."""
-    return StoreError(
-        f"{path} is an HDF5 file but not a skyline store; "
-        "name one made by `skyline build` or `skyline render`"
-    )
-
-
 def read_header(path: Path, file: h5py.File) -> StoreHeader:
     """Return the header of a store; raises `StoreError` where any of it is not as it must be."""
     if "schema" not in file.attrs or _text(path, file, "schema") != SCHEMA:
-        raise not_a_store(path)
+        raise StoreError(
+            f"{path} is an HDF5 file but not a skyline store; "
+            "name one made by `skyline build` or `skyline render`"
+        )
     _check_version(path, file)
     config = json.loads(_text(path, file, "config"))
     files = json.loads(_text(path, file, "dem_files"))
@@ -49,17 +43,22 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
         raise StoreError(f"store {path} has dem_files that are not a JSON list; {REBUILD}")
     try:
-        said = _rows(path, file)
-        holds = PLACES if said["rows"] == PLACES else RENDERINGS
+        rows = _rows(path, file)
+        layout: dict[str, Any] = {"holds": PLACES}
+        if rows.pop("rows") != PLACES:
+            layout = {
+                "width": _row_length(path, file, VIEW_SPECS["elevation_tan"][0]),
+                "max_keypoints": _row_length(path, file, KEYPOINTS),
+                "coding": RowCoding(**rows) if rows else None,
+            }
         header = StoreHeader(
             frame_wkt=_text(path, file, "frame"),
             dem_digest=_text(path, file, "dem_digest"),
             dem_files=tuple(files),
             config=config,
             renderer=_text(path, file, "renderer"),
-            **(_layout_of_views(path, file, said) if holds == RENDERINGS else {}),
-            holds=holds,
             package_version=_text(path, file, "package_version"),
+            **layout,
         )
     except InputError as error:
         raise StoreError(f"store {path} is damaged: {error}; {REBUILD}") from error
@@ -87,19 +86,6 @@ def _rows(path: Path, file: h5py.File) -> dict[str, Any]:
     return dict(said)
 
 
-def _layout_of_views(path: Path, file: h5py.File, rows: dict[str, Any]) -> dict[str, Any]:
-    """Return the header's fields that say how rows of views are laid out.
-
-    Raises `InputError` for steps that cannot be.
-    """
-    steps = {name: step for name, step in rows.items() if name != "rows"}
-    return {
-        "width": _row_length(path, file, VIEW_SPECS["elevation_tan"][0]),
-        "max_keypoints": _row_length(path, file, KEYPOINTS),
-        "coding": RowCoding(**steps) if steps else None,
-    }
-
-
 def _check_version(path: Path, file: h5py.File) -> None:
     version = _attribute(path, file, "schema_version")
     if not isinstance(version, np.integer) or version < SCHEMA_VERSION:
@@ -117,13 +103,8 @@ def _check_version(path: Path, file: h5py.File) -> None:
 def read_committed(path: Path, file: h5py.File) -> int:
     """Return the number of complete rows; raises `StoreError` where there is no such number."""
     node = _hard_linked(path, file, "committed")
-    if (
-        not isinstance(node, h5py.Dataset)
-        or node.shape != ()
-        or node.dtype.kind != "u"
-        or node.external
-        or node.is_virtual
-    ):
+    one = isinstance(node, h5py.Dataset) and node.shape == () and node.dtype.kind == "u"
+    if not one or node.external or node.is_virtual:
         raise StoreError(f"store {path}: `committed` is not one unsigned number; {REBUILD}")
     return int(node[()])
 
@@ -166,31 +147,30 @@ def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
 
 
 def checked_dataset(
-    path: Path, file: h5py.File, name: str, spec: Spec, header: StoreHeader
+    path: Path, file: h5py.File, name: str, row: np.dtype[Any], header: StoreHeader
 ) -> h5py.Dataset:
     """Return a dataset if it has the schema's layout and its bytes lie in this file."""
     dataset = _hard_linked(path, file, name)
-    row_shape = header.row_shape(spec.per_row)
-    if not isinstance(dataset, h5py.Dataset) or dataset.shape[1:] != row_shape or not dataset.shape:
-        raise StoreError(f"store {path}: {name} is not rows of shape {row_shape}; {REBUILD}")
-    if dataset.dtype != np.dtype(spec.dtype):
-        raise StoreError(
-            f"store {path}: {name} is of type {dataset.dtype}, not {spec.dtype}; {REBUILD}"
-        )
+    for fault in _faults(dataset, row, header):
+        raise StoreError(f"store {path}: {name} {fault}; {REBUILD}")
+    return dataset
+
+
+def _faults(dataset: Any, row: np.dtype[Any], header: StoreHeader) -> Iterator[str]:
+    """Yield what is wrong with a dataset; what follows a fault assumes that it is not there."""
+    if not isinstance(dataset, h5py.Dataset) or dataset.shape[1:] != row.shape or not dataset.shape:
+        yield f"is not rows of shape {row.shape}"
+    if dataset.dtype != row.base:
+        yield f"is of type {dataset.dtype}, not {row.base.str.lstrip('|')}"
     # Rules out virtual, external, contiguous and compact storage: none of them is chunked.
     if dataset.chunks is None:
-        raise StoreError(f"store {path}: {name} is not chunked in this file; {REBUILD}")
+        yield "is not chunked in this file"
     if np.prod(dataset.chunks, dtype=float) * dataset.dtype.itemsize > _MAX_CHUNK_BYTES:
-        raise StoreError(
-            f"store {path}: {name} has chunks of {dataset.chunks}, too large; {REBUILD}"
-        )
+        yield f"has chunks of {dataset.chunks}, too large"
     created = dataset.id.get_create_plist()
     filters = {created.get_filter(n)[0] for n in range(created.get_nfilters())}
     mapped = header.holds == PLACES
-    if mapped and dataset.chunks != (header.chunk_rows, *row_shape):
-        raise StoreError(f"store {path}: {name} has chunks of {dataset.chunks}; {REBUILD}")
-    if filters - (_PACKED if row_shape and not mapped else _CHECKSUMMED):
-        raise StoreError(
-            f"store {path}: {name} is packed by a filter that skyline does not use; {REBUILD}"
-        )
-    return dataset
+    if mapped and dataset.chunks != (header.chunk_rows, *row.shape):
+        yield f"has chunks of {dataset.chunks}"
+    if filters - (_PACKED if row.shape and not mapped else _CHECKSUMMED):
+        yield "is packed by a filter that skyline does not use"

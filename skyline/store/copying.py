@@ -18,14 +18,11 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError, StoreError
 from skyline.store.coding import RowCoding
-from skyline.store.digest import row_checksums
-from skyline.store.explain import explained
-from skyline.store.header import KEYPOINTS, RENDERINGS, StoreHeader, check_holds
+from skyline.store.header import KEYPOINTS, RENDERINGS, StoreHeader, check_holds, refuse_mismatch
 from skyline.store.integrity import Damage, whole_rows
-from skyline.store.lock import complete_or_absent, new_store
-from skyline.store.mismatch import refuse_mismatch
+from skyline.store.lock import complete_or_absent, explained, new_store
 from skyline.store.reader import Store, open_store
-from skyline.store.rows import Columns, stored_rows, views_of
+from skyline.store.rows import Columns, row_checksums, stored_rows, views_of
 from skyline.store.writer import block_rows, write_rows
 
 
@@ -64,7 +61,11 @@ def merge_stores(
     """
     if not paths:
         raise InputError("no stores to merge; name one or more")
-    stores = [_looked_at(path) for path in paths]
+    stores = []
+    for path in paths:
+        # Closed again: there may be more of them than files can be open.
+        with open_store(path) as store:
+            stores.append(store)
     for store in stores[1:]:
         one, other = stores[0].path, store.path
         refuse_mismatch(
@@ -73,7 +74,15 @@ def merge_stores(
             f"stores {one} and {other} were built otherwise",
             "merge stores of one DEM and configuration",
         )
-    return _copy(stores, _joint_header(stores), Path(out))
+    headers = [store.header for store in stores]
+    # Whatever the stores' order.
+    joint = replace(
+        headers[0],
+        dem_files=min(header.dem_files for header in headers),
+        renderer="; ".join(sorted({header.renderer for header in headers})),
+        package_version=max(header.package_version for header in headers),
+    )
+    return _copy(stores, joint, Path(out))
 
 
 def compact_store(
@@ -127,23 +136,6 @@ def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> C
     return CopyReport(kept, store.header.holds, 0, tuple(damage))
 
 
-def _looked_at(path: str | os.PathLike[str]) -> Store:
-    """Return a store that is closed again: there may be more of them than files can be open."""
-    with open_store(path) as store:
-        return store
-
-
-def _joint_header(stores: Sequence[Store]) -> StoreHeader:
-    """Return the header of a merged store, whatever the stores' order."""
-    headers = [store.header for store in stores]
-    return replace(
-        headers[0],
-        dem_files=min(header.dem_files for header in headers),
-        renderer="; ".join(sorted({header.renderer for header in headers})),
-        package_version=max(header.package_version for header in headers),
-    )
-
-
 def _copy(stores: Sequence[Store], header: StoreHeader, out: Path) -> CopyReport:
     """Write the rows of stores, sorted and once each, as ``header`` holds them."""
     total = sum(len(store) for store in stores)
@@ -169,10 +161,7 @@ def _spread(
     stores: Sequence[Store], header: StoreHeader, file: IO[bytes], total: int
 ) -> NDArray[np.void]:
     """Return all rows of stores, unpacked in a file, as one structured array."""
-    layout = [
-        (name, spec.dtype, header.row_shape(spec.per_row)) for name, spec in header.specs.items()
-    ]
-    record = np.dtype(layout)
+    record = np.dtype(list(header.specs.items()))
     if total == 0:
         return np.zeros(0, dtype=record)
     # Taken now: a full disk under a memory map ends the process.

@@ -33,17 +33,12 @@ def dataset_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> A
     coords["azimuth_deg"] = ("place", angle), _from_true_north(coords, grid_deg), _TRUE
     distance_m = np.repeat(places.distance_m(), BINS // DISTANCE_BINS, axis=1)
     nearest = f"horizontal distance of the skyline, its nearest in {360 // DISTANCE_BINS} degrees"
-    return library("xarray", "geo", "a Dataset").Dataset(
-        {
-            "elevation_deg": (
-                ("place", angle),
-                np.degrees(np.arctan(places.elevation_tan())),
-                _ELEVATION,
-            ),
-            "distance_m": (("place", angle), distance_m, {"long_name": nearest, **_METRES}),
-        },
-        coords,
-    )
+    dims, elevation_deg = ("place", angle), np.degrees(np.arctan(places.elevation_tan()))
+    held = {
+        "elevation_deg": (dims, elevation_deg, _ELEVATION),
+        "distance_m": (dims, distance_m, {"long_name": nearest, **_METRES}),
+    }
+    return library("xarray", "geo", "a Dataset").Dataset(held, coords)
 
 
 def table_of_places(places: Places, rows: NDArray[np.intp], frame: Frame) -> Any:
@@ -70,18 +65,13 @@ def dataset_of_views(views: Views, rows: NDArray[np.intp], frame: Frame) -> Any:
     coords["grid_azimuth_deg"] = columns, grid_deg, _GRID
     coords["azimuth_deg"] = columns, _from_true_north(coords, grid_deg), _TRUE
     distance_m = views.depth_m * np.hypot(1.0, columns_u(views.width)).astype(np.float32)
-    return library("xarray", "geo", "a Dataset").Dataset(
-        {
-            "elevation_deg": (columns, views.elevation_deg().astype(np.float32), _ELEVATION),
-            "distance_m": (
-                columns,
-                distance_m,
-                {"long_name": "horizontal distance of the skyline", **_METRES},
-            ),
-            "flags": (columns, views.flags, {"long_name": "bits of skyline.views"}),
-        },
-        coords,
-    )
+    distance = {"long_name": "horizontal distance of the skyline", **_METRES}
+    held = {
+        "elevation_deg": (columns, views.elevation_deg().astype(np.float32), _ELEVATION),
+        "distance_m": (columns, distance_m, distance),
+        "flags": (columns, views.flags, {"long_name": "bits of skyline.views"}),
+    }
+    return library("xarray", "geo", "a Dataset").Dataset(held, coords)
 
 
 def _coordinates(

@@ -2,17 +2,19 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import check_width
-from skyline.errors import InputError
+from skyline.errors import InputError, StoreMismatchError
 from skyline.features import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
+from skyline.geodesy import Frame
 from skyline.places import BINS, DISTANCE_BINS, PHASE_BINS
 from skyline.places.coding import DISTANCE_STEP, NEAREST_M, RISE_GROWTH, RISE_SIZE
 from skyline.places.phases import ALIKE_DEG, PHASES
@@ -39,44 +41,36 @@ _PLACES_A_CHUNK = 1024
 KeypointColumns = NDArray[np.uint16]
 
 
-@dataclass(frozen=True, slots=True)
-class Spec:
-    """A row-aligned dataset: its type, and whether a row is many values instead of one."""
-
-    dtype: str
-    per_row: str = "one"
-
-
 VIEW_SPECS = {
-    "easting_m": ("views/easting", Spec("<f8")),
-    "northing_m": ("views/northing", Spec("<f8")),
-    "eye_elevation_m": ("views/eye_elevation_m", Spec("<f8")),
-    "heading": ("views/heading", Spec("u1")),
-    "elevation_tan": ("views/elevation_tan", Spec("<f4", "width")),
-    "depth_m": ("views/depth_m", Spec("<f4", "width")),
-    "flags": ("views/flags", Spec("u1", "width")),
+    "easting_m": ("views/easting", "<f8", "one"),
+    "northing_m": ("views/northing", "<f8", "one"),
+    "eye_elevation_m": ("views/eye_elevation_m", "<f8", "one"),
+    "heading": ("views/heading", "u1", "one"),
+    "elevation_tan": ("views/elevation_tan", "<f4", "width"),
+    "depth_m": ("views/depth_m", "<f4", "width"),
+    "flags": ("views/flags", "u1", "width"),
 }
-"""Field of `Views` -> dataset and its layout."""
+"""Field of `Views` -> row-aligned dataset, its type, and which values a row has of it."""
 
 KEYPOINTS = "features/keypoint_column"
 
 CHECKSUM = "views/checksum"
-"""CRC-32 of each row's bytes as stored (see `skyline.store.digest`)."""
+"""CRC-32 of each row's bytes as stored (see `skyline.store.rows`)."""
 
-CODED = {name: field for field, (name, spec) in VIEW_SPECS.items() if spec.dtype == "<f4"}
-"""Dataset that compact rows hold as codes -> what the codes stand for."""
+CODED = ("views/elevation_tan", "views/depth_m")
+"""The datasets that compact rows hold as codes."""
 
 PLACE_SPECS = {
-    "easting_m": ("places/easting", Spec("<f8")),
-    "northing_m": ("places/northing", Spec("<f8")),
-    "eye_elevation_m": ("places/eye_elevation_m", Spec("<f4")),
-    "tolerance_m": ("places/tolerance_m", Spec("<f4")),
-    "first_tan": ("places/first_tan", Spec("<f4")),
-    "rise": ("places/rise", Spec("i1", "rises")),
-    "distance": ("places/distance", Spec("u1", "distances")),
-    "phase": ("places/phase", Spec("u1", "phases")),
+    "easting_m": ("places/easting", "<f8", "one"),
+    "northing_m": ("places/northing", "<f8", "one"),
+    "eye_elevation_m": ("places/eye_elevation_m", "<f4", "one"),
+    "tolerance_m": ("places/tolerance_m", "<f4", "one"),
+    "first_tan": ("places/first_tan", "<f4", "one"),
+    "rise": ("places/rise", "i1", "rises"),
+    "distance": ("places/distance", "u1", "distances"),
+    "phase": ("places/phase", "u1", "phases"),
 }
-"""Field of `Places` -> dataset and its layout."""
+"""Field of `Places` -> dataset and its layout, as `VIEW_SPECS`."""
 
 PLACE_CHECKSUM = "places/checksum"
 
@@ -152,8 +146,15 @@ class StoreHeader:
             if self.width or self.coding:
                 raise InputError("a store of places has no width or coding; leave them out")
             object.__setattr__(self, "max_keypoints", 0)
+        elif self.holds != RENDERINGS:
+            raise InputError(f"a store holds {RENDERINGS} or {PLACES}, not {self.holds!r}")
         else:
-            self._check_views()
+            check_width(self.width)
+            if not 2 <= self.max_keypoints < NO_KEYPOINT:
+                raise InputError(
+                    f"max_keypoints is {self.max_keypoints}; expected 2 to {NO_KEYPOINT - 1} "
+                    f"(the default is {DEFAULT_MAX_KEYPOINTS})"
+                )
         try:
             plain = json.loads(json.dumps(dict(self.config), allow_nan=False))
         except (TypeError, ValueError) as error:
@@ -163,16 +164,6 @@ class StoreHeader:
             ) from error
         # As it will be read back, so that a stored and a requested config compare equal.
         object.__setattr__(self, "config", plain)
-
-    def _check_views(self) -> None:
-        if self.holds != RENDERINGS:
-            raise InputError(f"a store holds {RENDERINGS} or {PLACES}, not {self.holds!r}")
-        check_width(self.width)
-        if not 2 <= self.max_keypoints < NO_KEYPOINT:
-            raise InputError(
-                f"max_keypoints is {self.max_keypoints}; expected 2 to {NO_KEYPOINT - 1} "
-                f"(the default is {DEFAULT_MAX_KEYPOINTS})"
-            )
 
     @property
     def rows(self) -> str:
@@ -192,22 +183,36 @@ class StoreHeader:
         return PLACE_CHECKSUM if self.holds == PLACES else CHECKSUM
 
     @property
-    def sorted_by(self) -> tuple[str, ...]:
-        """The datasets by which merged rows are sorted, and which tell one row from another."""
-        if self.holds == PLACES:
-            return tuple(PLACE_SPECS[name][0] for name in EYE)
-        return tuple(VIEW_SPECS[name][0] for name in (*EYE, "heading"))
+    def fields(self) -> dict[str, str]:
+        """Field of `Views` or `Places` -> dataset, whichever the rows are."""
+        specs = PLACE_SPECS if self.holds == PLACES else VIEW_SPECS
+        return {field: name for field, (name, *_) in specs.items()}
 
     @property
-    def specs(self) -> dict[str, Spec]:
-        """The row-aligned datasets of this store, by name."""
+    def sorted_by(self) -> list[str]:
+        """The datasets by which merged rows are sorted, and which tell one row from another."""
+        return [name for field, name in self.fields.items() if field in (*EYE, "heading")]
+
+    @property
+    def specs(self) -> dict[str, np.dtype[Any]]:
+        """The row-aligned datasets of this store, by name: a row's type, (W,) of it for example."""
         if self.holds == PLACES:
-            return dict(PLACE_SPECS.values()) | {PLACE_CHECKSUM: Spec("<u4")}
-        held = dict(VIEW_SPECS.values())
-        held |= {KEYPOINTS: Spec("<u2", "keypoints"), CHECKSUM: Spec("<u4")}
-        if self.coding:
-            held |= {name: Spec("<u4", held[name].per_row) for name in CODED}
-        return held
+            held = [*PLACE_SPECS.values(), (PLACE_CHECKSUM, "<u4", "one")]
+        else:
+            keypoints, checksum = (KEYPOINTS, "<u2", "keypoints"), (CHECKSUM, "<u4", "one")
+            held = [*VIEW_SPECS.values(), keypoints, checksum]
+        row_shapes: dict[str, tuple[int, ...]] = {
+            "one": (),
+            "width": (self.width,),
+            "keypoints": (self.max_keypoints,),
+            "rises": (BINS,),
+            "distances": (DISTANCE_BINS,),
+            "phases": (PHASE_BINS,),
+        }
+        return {
+            name: np.dtype(("<u4" if self.coding and name in CODED else kind, row_shapes[per_row]))
+            for name, kind, per_row in held
+        }
 
     @property
     def attributes(self) -> dict[str, str]:
@@ -235,17 +240,6 @@ class StoreHeader:
         text = json.dumps([facts, self.attributes], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
 
-    def row_shape(self, per_row: str) -> tuple[int, ...]:
-        """Return the shape of one row of a dataset: (), or (W,) for example."""
-        return {
-            "one": (),
-            "width": (self.width,),
-            "keypoints": (self.max_keypoints,),
-            "rises": (BINS,),
-            "distances": (DISTANCE_BINS,),
-            "phases": (PHASE_BINS,),
-        }[per_row]
-
 
 def check_holds(path: Path, header: StoreHeader, wanted: str) -> None:
     """Raise `InputError` unless a store holds what is wanted of it."""
@@ -254,3 +248,42 @@ def check_holds(path: Path, header: StoreHeader, wanted: str) -> None:
             f"store {path} holds {header.holds}, not {wanted}; name a store of {wanted}, which "
             f"{_MADE_BY[wanted]} makes"
         )
+
+
+def refuse_mismatch(
+    one: tuple[StoreHeader, str], other: tuple[StoreHeader, str], what: str, advice: str
+) -> None:
+    """Raise `StoreMismatchError` where rows of two headers do not belong into one store.
+
+    With each header comes where it is, for a message that begins with ``what``.
+    """
+    said = [
+        f"{name} is {was!r} {one[1]}, {now!r} {other[1]}"
+        for name, was, now in _compared(one[0], other[0])
+        if was != now
+    ]
+    if said:
+        raise StoreMismatchError(f"{what}: {'; '.join(said)}; {advice}")
+
+
+def _compared(one: StoreHeader, other: StoreHeader) -> Iterator[tuple[str, object, object]]:
+    """Yield what may not differ, by name and with both values; the files' places and makers may."""
+    if one.holds != other.holds:
+        yield "what it holds", one.holds, other.holds
+        return
+    if one.frame_wkt != other.frame_wkt:
+        names = _frame_name(one.frame_wkt), _frame_name(other.frame_wkt)
+        yield "frame", *(names if names[0] != names[1] else (one.frame_wkt, other.frame_wkt))
+    for name in ("dem_digest", "width", "max_keypoints", "rows"):
+        yield name, getattr(one, name), getattr(other, name)
+    if one.coding and other.coding:
+        yield "coding", one.coding, other.coding
+    for key in sorted({*one.config, *other.config}):
+        yield f"config {key}", one.config.get(key, "absent"), other.config.get(key, "absent")
+
+
+def _frame_name(wkt: str) -> str:
+    try:
+        return Frame(wkt).name
+    except RuntimeError:  # pyproj's CRSError: the text may come from anywhere
+        return wkt

@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import MissingFileError, SkylineError, StoreError
-from skyline.store.digest import row_checksums
 from skyline.store.reader import Store, open_store
-from skyline.store.rows import Columns
+from skyline.store.rows import Columns, row_checksums
 
 _BLOCK_ROWS = 1024
 """A whole number of chunks."""
@@ -122,22 +121,14 @@ def examine(path: Path) -> StoreReport:
     """Do what `check_store` does in this process."""
     try:
         with open_store(path) as store:
-            found = [*_left_over(store), *(damage for _, _, damage in whole_rows(store) if damage)]
-            return StoreReport(
-                store.committed,
-                in_use=store.in_use,
-                damage=_joined(found),
-                holds=store.header.holds,
-            )
+            found = [damage for _, _, damage in whole_rows(store) if damage]
+            # Of a changed count that is too low, nothing else tells.
+            if not store.in_use and store.longest != store.committed:
+                said = f"it holds {store.longest} rows and says {store.committed} are committed"
+                found.insert(0, Damage(said))
+            return StoreReport(store.committed, store.in_use, _joined(found), store.header.holds)
     except SkylineError as error:
         return _hopeless(str(error))
-
-
-def _left_over(store: Store) -> Iterator[Damage]:
-    """Yield what is wrong with the number of rows of a store that no writer has open."""
-    # Of a changed count that is too low, nothing else tells.
-    if not store.in_use and store.longest != store.committed:
-        yield Damage(f"it holds {store.longest} rows and says {store.committed} are committed")
 
 
 Rows = tuple[Columns, NDArray[np.intp], Damage | None]

@@ -1,14 +1,34 @@
-"""One writer at a time, and files that are complete or absent."""
+"""One writer at a time, files that are complete or absent, and what h5py raises in one line."""
 
 import fcntl
 import os
+import re
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from skyline.errors import MissingFileError, StoreError
-from skyline.store.explain import explained
+from skyline.errors import MissingFileError, SkylineError, StoreError
+
+RESUME = "committed rows are safe: make room, then resume it"
+REBUILD = "copy or build it again"
+
+UNREADABLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
+"""What h5py raises on files that are damaged or made by someone else."""
+
+
+@contextmanager
+def explained(path: Path, what: str, advice: str = REBUILD) -> Iterator[None]:
+    """Turn what h5py raises into one line about the store."""
+    try:
+        yield
+    except SkylineError:
+        raise
+    except UNREADABLE as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        cause = re.search(r"error message = '([^']+)'", reason)
+        reason = cause[1] if cause else reason
+        raise StoreError(f"store {path}: {what} ({reason}); {advice}") from error
 
 
 @contextmanager
@@ -46,22 +66,20 @@ def writer_lock(path: Path) -> Iterator[None]:
 
 def _lock_file(path: Path, lock: Path) -> int:
     while True:
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
-        try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with ExitStack() as opened:
+            descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+            opened.callback(os.close, descriptor)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                holder = os.read(descriptor, 200).decode(errors="replace") or "another process"
+                raise StoreError(
+                    f"store {path} is being written by {holder}; wait for it to end, or stop it"
+                ) from error
             # A holder that just ended may have removed the file after it was opened here.
             if lock.exists() and os.path.samestat(os.fstat(descriptor), lock.stat()):
+                opened.pop_all()
                 return descriptor
-        except BlockingIOError as error:
-            holder = os.read(descriptor, 200).decode(errors="replace") or "another process"
-            os.close(descriptor)
-            raise StoreError(
-                f"store {path} is being written by {holder}; wait for it to end, or stop it"
-            ) from error
-        except BaseException:
-            os.close(descriptor)
-            raise
-        os.close(descriptor)
 
 
 @contextmanager

@@ -16,15 +16,13 @@ from numpy.typing import NDArray
 
 from skyline.errors import InputError, StoreError
 from skyline.places import Places
-from skyline.store.digest import checksums_of_bytes
-from skyline.store.explain import REBUILD
-from skyline.store.header import PLACE_CHECKSUM, PLACE_SPECS, Spec, StoreHeader
+from skyline.store.header import PLACE_CHECKSUM, StoreHeader
+from skyline.store.lock import REBUILD
+from skyline.store.rows import checksums_of_bytes
 
 Offsets = dict[str, NDArray[np.int64]]
 """Where the chunks of each dataset begin in the file, by the dataset's name."""
 
-_FIELDS = {name: field for field, (name, _) in PLACE_SPECS.items()}
-_DIGESTED = sorted(_FIELDS)
 _TAKEN_AT_ONCE = 4096
 
 
@@ -45,22 +43,24 @@ class PlaceMap:
         self._header = header
         self._places = places
         self._at = at
-        self._row_bytes = {name: self._bytes_of(spec) for name, spec in header.specs.items()}
-        self._arrays = {
-            field: (name, np.dtype(spec.dtype), header.row_shape(spec.per_row))
-            for field, (name, spec) in PLACE_SPECS.items()
-        }
-        self._end = max(self._end_of(name) for name in at) if places else 0
+        self._types = header.specs
+        # In the order in which their checksums are taken.
+        self._fields = sorted(header.fields.items(), key=lambda item: item[1])
+        self._record = np.dtype([(name, self._types[name]) for _, name in self._fields])
+        ends = [
+            int(offsets.max()) + header.chunk_rows * self._types[name].itemsize
+            for name, offsets in at.items()
+            if places
+        ]
+        self._end = max(ends, default=0)
         # A map of nothing is refused; an empty store has a superblock.
         self._map = mmap.mmap(file, 0, access=mmap.ACCESS_READ)
         self._check_length(len(self._map))
         data = np.frombuffer(self._map, dtype=np.uint8)
         # A view of the bytes from each offset on: indexed by offsets, it gathers rows in one call.
-        self._rows = (
-            {name: sliding_window_view(data, size) for name, size in self._row_bytes.items()}
-            if places
-            else {}
-        )
+        self._rows = {
+            name: sliding_window_view(data, row.itemsize) for name, row in self._types.items()
+        }
 
     def __len__(self) -> int:
         """Return the number of places."""
@@ -81,7 +81,11 @@ class PlaceMap:
         for chunk in range(-(-self._places // size)):
             self._check_length(self._map.size())
             rows = min(size, self._places - chunk * size)
-            yield Places(**{field: self._block(field, chunk, rows) for field in self._arrays})
+            fields: Any = {
+                field: np.ndarray((rows,), self._types[name], self._map, self._at[name][chunk])
+                for field, name in self._fields
+            }
+            yield Places(**fields)
 
     def take(self, rows: NDArray[np.integer[Any]]) -> Places:
         """Return copies of the places ``rows`` (M,), in order, each held to its checksum.
@@ -100,8 +104,7 @@ class PlaceMap:
                 f"{self._places - 1}"
             )
         taken: Any = {
-            field: np.empty((len(wanted), *row_shape), dtype=dtype)
-            for field, (_, dtype, row_shape) in self._arrays.items()
+            field: np.empty(len(wanted), self._types[name]) for field, name in self._fields
         }
         # In the order of the file, so that a disk is read forwards and each page once.
         order = np.argsort(wanted, kind="stable")
@@ -109,20 +112,16 @@ class PlaceMap:
             self._check_length(self._map.size())
             to = order[first : first + _TAKEN_AT_ONCE]
             gathered = self._gathered(wanted[to])
-            start = 0
-            for name in _DIGESTED:
-                values = taken[_FIELDS[name]]
-                stop = start + self._row_bytes[name]
-                values.view(np.uint8).reshape(len(wanted), -1)[to] = gathered[:, start:stop]
-                start = stop
+            for field, name in self._fields:
+                taken[field][to] = gathered[name]
         return Places(**taken)
 
-    def _gathered(self, rows: NDArray[np.intp]) -> NDArray[np.uint8]:
-        """Return the bytes of some places (M, B), as their checksums are taken; verified."""
+    def _gathered(self, rows: NDArray[np.intp]) -> NDArray[np.void]:
+        """Return some places (M,), each by the names of its datasets; verified."""
         chunk, row = np.divmod(rows, self._header.chunk_rows)
         bytes_of = [
-            self._rows[name][self._at[name][chunk] + row * self._row_bytes[name]]
-            for name in (*_DIGESTED, PLACE_CHECKSUM)
+            self._rows[name][self._at[name][chunk] + row * self._types[name].itemsize]
+            for name in (*(self._record.names or ()), PLACE_CHECKSUM)
         ]
         together = np.concatenate(bytes_of[:-1], axis=1)
         wrong = checksums_of_bytes(together) != bytes_of[-1].view("<u4")[:, 0]
@@ -132,18 +131,7 @@ class PlaceMap:
                 "checksum; `skyline store check` says what else, `skyline store repair` saves "
                 "what is whole"
             )
-        return together
-
-    def _block(self, field: str, chunk: int, rows: int) -> NDArray[Any]:
-        name, dtype, row_shape = self._arrays[field]
-        return np.ndarray((rows, *row_shape), dtype, self._map, self._at[name][chunk])
-
-    def _bytes_of(self, spec: Spec) -> int:
-        return int(np.prod(self._header.row_shape(spec.per_row))) * np.dtype(spec.dtype).itemsize
-
-    def _end_of(self, name: str) -> int:
-        """Return where the last byte that may be looked at ends."""
-        return int(self._at[name].max()) + self._header.chunk_rows * self._row_bytes[name]
+        return together.view(self._record)[:, 0]
 
     def _check_length(self, size: int) -> None:
         if size < self._end:

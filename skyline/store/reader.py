@@ -1,39 +1,43 @@
 """A store as it is read: its header, and what its committed rows stand for."""
 
 import os
-from collections.abc import Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS
-from skyline.errors import InputError, SkylineError
+from skyline.errors import InputError, SkylineError, StoreError
 from skyline.features import NO_KEYPOINT
 from skyline.geodesy import Frame
 from skyline.shown import facts_html
-from skyline.store.committed import CommittedRows, patiently
+from skyline.store.checks import checked_dataset, read_committed, read_header
 from skyline.store.dataset import dataset_of_places, dataset_of_views, table_of_places
-from skyline.store.explain import UNREADABLE
 from skyline.store.header import (
     EYE,
     KEYPOINTS,
-    PLACE_SPECS,
     PLACES,
     RENDERINGS,
-    VIEW_SPECS,
     KeypointColumns,
     check_holds,
 )
-from skyline.store.place_map import PlaceMap
-from skyline.store.rows import Columns, views_of
+from skyline.store.lock import REBUILD, UNREADABLE, explained
+from skyline.store.place_map import Offsets, PlaceMap
+from skyline.store.rows import Columns, row_checksums, stored_places, views_of
 from skyline.store.superblock import WholeFile
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
+
+_T = TypeVar("_T")
+
+_READ_AGAIN = 5
+_READ_AGAIN_PAUSE_S = 0.02
 
 RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]
 
@@ -51,7 +55,7 @@ class Locations(Viewpoints):
     heading: NDArray[np.uint8]
 
 
-class Store(CommittedRows):
+class Store:
     """The committed rows of a store; use it as a context manager. Made by `open_store`.
 
     Rows committed after it was opened are not seen: the rows of one `Store` never change.
@@ -66,11 +70,39 @@ class Store(CommittedRows):
         Number of complete rows when the store was opened.
     """
 
+    def __init__(self, path: Path, raw: WholeFile) -> None:
+        """Check and open the store in an open file; raises `StoreError`."""
+        self.path = path
+        self._raw = raw
+        with explained(path, "it cannot be opened"), ExitStack() as resources:
+            self._file = resources.enter_context(h5py.File(raw, "r"))
+            self.header = read_header(path, self._file)
+            # Counted before the datasets are opened: a writer at work may lengthen them.
+            self.committed = read_committed(path, self._file)
+            self._datasets = self._open_datasets()
+            self._check_committed()
+            resources.pop_all()
+
+    @property
+    def longest(self) -> int:
+        """Rows of the longest dataset: more than are committed while a writer is at work."""
+        return max(len(dataset) for dataset in self._datasets.values())
+
+    @property
+    def in_use(self) -> bool:
+        """Whether a writer had the store open when it was opened, or was killed at work."""
+        return self._raw.superblock.in_use
+
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def close(self) -> None:
+        """Let go of the file; closing twice is fine."""
+        self._file.close()
+        self._raw.close()
 
     def __len__(self) -> int:
         return self.committed
@@ -135,15 +167,14 @@ class Store(CommittedRows):
         """Read where all views are and look, without their skylines; raises as `views`."""
         check_holds(self.path, self.header, RENDERINGS)
         eyes = self.eyes()
-        heading = self._read(VIEW_SPECS["heading"][0], self._rows(slice(None)))
+        heading = self._read(self.header.fields["heading"], self._rows(slice(None)))
         self._check_headings(heading)
         return Locations(eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m, heading)
 
     def eyes(self) -> Viewpoints:
         """Read where the eye of every row is, whatever the store holds; raises as `stored`."""
-        specs = PLACE_SPECS if self.header.holds == PLACES else VIEW_SPECS
-        rows = self._rows(slice(None))
-        read = (self._read(specs[name][0], rows).astype(np.float64, copy=False) for name in EYE)
+        rows, names = self._rows(slice(None)), self.header.fields
+        read = (self._read(names[field], rows).astype(np.float64, copy=False) for field in EYE)
         return Viewpoints(*read)
 
     def places(self) -> PlaceMap:
@@ -226,6 +257,88 @@ class Store(CommittedRows):
         if (heading > HEADINGS[-1]).any():
             raise self._damaged(f"it has heading {heading.max()}, beyond {HEADINGS[-1]}")
 
+    def _read(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
+        """Return rows of a dataset in the order wanted; raises `StoreError`."""
+        try:
+            return self._reading(lambda: self._read_once(name, rows))
+        except StoreError:
+            if not (self.header.holds == PLACES and self.in_use):
+                raise
+        # Places are appended to a last chunk where it lies. A kill that tears this leaves HDF5's
+        # checksum of the chunk wrong, but committed rows as they were, which their own show.
+        columns = stored_places(self.header, self._map_places().take(rows))
+        return columns[name] if name in columns else row_checksums(columns)
+
+    def _map_places(self) -> PlaceMap:
+        """Map the rows of a store of places; raises `StoreError`."""
+        offsets = self._reading(self._chunk_offsets)
+        with explained(self.path, "it cannot be mapped"):
+            return PlaceMap(self.path, self._raw.fileno(), self.header, self.committed, offsets)
+
+    def _damaged(self, what: str) -> StoreError:
+        """Return the error that says in which way the store is damaged."""
+        return StoreError(f"store {self.path} is damaged: {what}; {REBUILD}")
+
+    def _reading(self, read: Callable[[], _T]) -> _T:
+        """Return ``read()``, on a file opened anew where a writer has changed it meanwhile."""
+        if self._raw.closed:
+            raise StoreError(f"store {self.path} is closed; open it again to read it")
+        try:
+            return read()
+        except StoreError:
+            if not self._raw.refresh():
+                raise
+
+        def read_anew() -> _T:
+            with explained(self.path, "it cannot be opened again"):
+                self._file.close()
+                self._file = h5py.File(self._raw, "r")
+                self._datasets = self._open_datasets()
+            return read()
+
+        return _patiently(self._raw, read_anew)
+
+    def _read_once(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
+        with explained(self.path, f"{name} cannot be read"):
+            dataset = self._datasets[name]
+            if len(rows) == 0:
+                return np.zeros((0, *dataset.shape[1:]), dataset.dtype)
+            if (np.diff(rows) == 1).all():
+                return np.asarray(dataset[rows[0] : rows[-1] + 1])
+            # HDF5 wants rows ascending and once each.
+            ascending, position = np.unique(rows, return_inverse=True)
+            return np.asarray(dataset[ascending])[position]
+
+    def _chunk_offsets(self) -> Offsets:
+        """Return where the chunks of committed rows begin, of every dataset."""
+        size = self.header.chunk_rows
+        found = {}
+        for name, dataset in self._datasets.items():
+            with explained(self.path, f"the chunks of {name} cannot be read"):
+                at = _offsets(dataset, -(-self.committed // size))
+            # HDF5's own structures come first in a file.
+            if not (at > 0).all():
+                lost = int(np.flatnonzero(at <= 0)[0]) * size
+                raise self._damaged(f"{name} holds no row {lost}, which is committed")
+            found[name] = at
+        return found
+
+    def _open_datasets(self) -> dict[str, h5py.Dataset]:
+        return {
+            name: checked_dataset(self.path, self._file, name, spec, self.header)
+            for name, spec in self.header.specs.items()
+        }
+
+    def _check_committed(self) -> None:
+        # Not by what HDF5 says the datasets take: it visits every chunk that a damaged index names.
+        rows = min(len(dataset) for dataset in self._datasets.values())
+        if self.committed > min(rows, self._raw.size):
+            raise self._damaged(f"it says {self.committed} rows are committed and holds {rows}")
+        for name, dataset in self._datasets.items():
+            place = (max(self.committed - 1, 0),) + (0,) * (dataset.ndim - 1)
+            if self.committed and dataset.id.get_chunk_info_by_coord(place).byte_offset is None:
+                raise self._damaged(f"{name} holds no row {place[0]}, which is committed")
+
 
 def open_store(path: str | os.PathLike[str]) -> Store:
     """Open a store to read its committed rows, also while another process appends to it.
@@ -238,11 +351,12 @@ def open_store(path: str | os.PathLike[str]) -> Store:
         Not a store, truncated or damaged, of a newer schema, or not readable.
     """
     path = Path(path).resolve()
-    with ExitStack() as resources:
-        raw = resources.enter_context(WholeFile(path))
-        store = patiently(raw, lambda: Store(path, raw))
-        resources.pop_all()
-    return store
+    raw = WholeFile(path)
+    try:
+        return _patiently(raw, lambda: Store(path, raw))
+    except BaseException:
+        raw.close()
+        raise
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
@@ -253,3 +367,34 @@ def is_store(path: str | os.PathLike[str]) -> bool:
             return "schema" in file.attrs
     except (SkylineError, *UNREADABLE):
         return path.suffix == ".h5" and path.is_file()
+
+
+def _patiently(raw: WholeFile, read: Callable[[], _T]) -> _T:
+    """Return ``read()``, tried again where a writer at work may have changed what it read."""
+    for _ in range(_READ_AGAIN):
+        try:
+            return read()
+        except StoreError:
+            if not raw.refresh():
+                raise
+            time.sleep(_READ_AGAIN_PAUSE_S)
+    return read()
+
+
+def _offsets(dataset: h5py.Dataset, count: int) -> NDArray[np.int64]:
+    """Return where the first ``count`` chunks of rows begin, 0 for those that are not there."""
+    rows, at = dataset.chunks[0], np.zeros(count, dtype=np.int64)
+
+    def visit(info: Any) -> bool | None:
+        chunk = info.chunk_offset[0] // rows
+        if chunk >= count:
+            return True  # and no further: an index may name chunks that were never committed
+        at[chunk] = info.byte_offset or 0
+        return None
+
+    if count and hasattr(dataset.id, "chunk_iter"):
+        dataset.id.chunk_iter(visit)
+    else:
+        for first in range(0, count * rows, rows):
+            visit(dataset.id.get_chunk_info_by_coord((first,) + (0,) * (dataset.ndim - 1)))
+    return at

@@ -13,7 +13,7 @@ global heap.
 import io
 import os
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
@@ -156,16 +156,14 @@ class WholeFile(io.FileIO):
     def _look(self) -> None:
         self._superblock = Superblock.parse(self._path, os.pread(self.fileno(), _SIZE, 0))
         size, end = self.size, self._superblock.end
-        if not self._superblock.in_use and size < end:
+        closed = self._superblock
+        if closed.in_use:
+            closed = replace(closed, flags=0, end=size)
+        elif size < end:
             raise StoreError(
                 f"store {self._path} is truncated: {size} of {end} bytes; copy or build it again"
             )
-        self._presented = self._closed(size).pack()
-
-    def _closed(self, size: int) -> Superblock:
-        if not self._superblock.in_use:
-            return self._superblock
-        return Superblock(0, size, self._superblock.extension, self._superblock.root)
+        self._presented = closed.pack()
 
 
 def lookup3(data: bytes) -> int:

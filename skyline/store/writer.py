@@ -8,7 +8,6 @@ from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 import h5py
@@ -16,8 +15,6 @@ import numpy as np
 
 from skyline.errors import StoreError
 from skyline.places import Places
-from skyline.store.digest import row_checksums
-from skyline.store.explain import RESUME, explained
 from skyline.store.header import (
     PLACES,
     RENDERINGS,
@@ -26,11 +23,11 @@ from skyline.store.header import (
     KeypointColumns,
     StoreHeader,
     check_holds,
+    refuse_mismatch,
 )
-from skyline.store.lock import complete_or_absent, new_store, writer_lock
-from skyline.store.mismatch import refuse_mismatch
+from skyline.store.lock import RESUME, complete_or_absent, explained, new_store, writer_lock
 from skyline.store.reader import Store, open_store
-from skyline.store.rows import Columns, stored_places, stored_rows
+from skyline.store.rows import Columns, row_checksums, stored_places, stored_rows
 from skyline.views import Views
 
 _log = logging.getLogger(__name__)
@@ -59,6 +56,13 @@ class StoreWriter:
     `close`: a packed chunk that is written twice leaves its first copy behind as dead bytes.
     Leaving the ``with`` block commits what was appended also when an exception, such as Ctrl-C,
     ends it.
+
+    Attributes
+    ----------
+    header : StoreHeader
+        What the store is built from and how.
+    committed : int
+        Number of rows that a reader sees and a kill cannot take away.
     """
 
     def __init__(
@@ -66,24 +70,19 @@ class StoreWriter:
     ) -> None:
         """Take over a checked store; ``resources`` closes the file and releases the lock."""
         self._path = path
-        self._header = header
+        self.header = header
         self._file = file
         self._resources = resources
         self._datasets = {name: self._file[name] for name in header.specs}
         self._marker = self._file["committed"]
-        self._committed = int(self._marker[()])
+        self.committed = int(self._marker[()])
         self._pending: list[Columns] = []
         self._failed = False
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         try:
             self.close()
         except StoreError as close_error:
@@ -93,19 +92,7 @@ class StoreWriter:
 
     def __len__(self) -> int:
         """Rows appended so far, committed or not."""
-        return self._committed + sum(
-            len(columns[self._header.checksum]) for columns in self._pending
-        )
-
-    @property
-    def header(self) -> StoreHeader:
-        """What the store is built from and how."""
-        return self._header
-
-    @property
-    def committed(self) -> int:
-        """Number of rows that a reader sees and a kill cannot take away."""
-        return self._committed
+        return self.committed + sum(len(columns[self.header.checksum]) for columns in self._pending)
 
     def append(self, views: Views, keypoint_columns: KeypointColumns) -> None:
         """Add renderings.
@@ -125,8 +112,8 @@ class StoreWriter:
             The rows cannot be written (disk full, for one). Committed rows are safe.
         """
         self._check_usable()
-        check_holds(self._path, self._header, RENDERINGS)
-        self.append_stored(stored_rows(self._header, views, keypoint_columns))
+        check_holds(self._path, self.header, RENDERINGS)
+        self.append_stored(stored_rows(self.header, views, keypoint_columns))
 
     def append_places(self, places: Places, *, all_or_none: bool = False) -> None:
         """Add places to a store of places; raises as `append`.
@@ -134,14 +121,14 @@ class StoreWriter:
         With ``all_or_none`` they are committed at once, and a kill leaves all of them or none.
         """
         self._check_usable()
-        check_holds(self._path, self._header, PLACES)
-        self.append_stored(stored_places(self._header, places), all_or_none=all_or_none)
+        check_holds(self._path, self.header, PLACES)
+        self.append_stored(stored_places(self.header, places), all_or_none=all_or_none)
 
     def append_stored(self, columns: Columns, *, all_or_none: bool = False) -> None:
         """Add rows of a store with the same header, as `Store.stored` reads them."""
         self._check_usable()
-        self._pending.append({**columns, self._header.checksum: row_checksums(columns)})
-        left = 0 if all_or_none else len(self) % self._header.chunk_rows
+        self._pending.append({**columns, self.header.checksum: row_checksums(columns)})
+        left = 0 if all_or_none else len(self) % self.header.chunk_rows
         self._commit(len(self) - left)
 
     def flush(self) -> None:
@@ -164,7 +151,7 @@ class StoreWriter:
 
     def _commit(self, stop: int) -> None:
         """Write pending rows up to row ``stop`` and count them once they are in the file."""
-        start, count = self._committed, stop - self._committed
+        start, count = self.committed, stop - self.committed
         if count <= 0:
             return
         pending = {
@@ -187,10 +174,8 @@ class StoreWriter:
             self._divert()
             raise
         # At once, so that an interrupt finds each row either pending or committed.
-        self._committed, self._pending = (
-            stop,
-            [{name: values[count:] for name, values in pending.items()}],
-        )
+        rest = {name: values[count:] for name, values in pending.items()}
+        self.committed, self._pending = stop, [rest]
 
     def _divert(self) -> None:
         """Let HDF5 write the rest to nowhere; the file stays as a killed writer leaves it.
@@ -304,32 +289,27 @@ def write_empty(path: Path, header: StoreHeader) -> None:
     # HDF5 makes the file in memory, since it crashes the process at exit if it cannot write it.
     image = io.BytesIO()
     with h5py.File(image, "w", libver=_LIBVER) as file:
-        _lay_out(file, header)
+        file.attrs["schema"] = SCHEMA
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        for name, text in header.attributes.items():
+            file.attrs[name] = text
+        file.attrs["header_digest"] = header.digest
+        for name, row in header.specs.items():
+            file.create_dataset(
+                name,
+                shape=(0, *row.shape),
+                maxshape=(None, *row.shape),
+                chunks=(header.chunk_rows, *row.shape),
+                dtype=row.base,
+                fletcher32=True,
+                **(_PACKING[header.rows] if row.shape else {}),
+            )
+        # A dataset, since SWMR writes no attributes.
+        file.create_dataset("committed", data=np.uint64(0))
     with path.open("xb") as target:
         target.write(image.getbuffer())
         target.flush()
         os.fsync(target.fileno())
-
-
-def _lay_out(file: h5py.File, header: StoreHeader) -> None:
-    file.attrs["schema"] = SCHEMA
-    file.attrs["schema_version"] = SCHEMA_VERSION
-    for name, text in header.attributes.items():
-        file.attrs[name] = text
-    file.attrs["header_digest"] = header.digest
-    for name, spec in header.specs.items():
-        shape = header.row_shape(spec.per_row)
-        file.create_dataset(
-            name,
-            shape=(0, *shape),
-            maxshape=(None, *shape),
-            chunks=(header.chunk_rows, *shape),
-            dtype=spec.dtype,
-            fletcher32=True,
-            **(_PACKING[header.rows] if shape else {}),
-        )
-    # A dataset, since SWMR writes no attributes.
-    file.create_dataset("committed", data=np.uint64(0))
 
 
 def open_to_write(path: Path, header: StoreHeader) -> h5py.File:

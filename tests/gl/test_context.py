@@ -269,7 +269,7 @@ def test_egl_without_devices_falls_back_to_plain_displays(
     except ContextError as error:
         pytest.skip(f"EGL here needs a device: {error}")
     try:
-        assert "display" in context.device
+        assert "display" in context.native.device
         assert draw(context.ctx, 1.0) == (255, 255, 0, 255)
     finally:
         release_context()
@@ -349,15 +349,15 @@ def test_a_gpu_is_preferred_among_devices(
     monkeypatch.setattr(context_module, "EglContext", StandIn)
     monkeypatch.setattr(context_module, "gl_string", lambda native, _: native.device)
     displays = [offscreen.EglDisplay(name, lambda: None) for name in devices]
-    attempts: list[context_module.Attempt] = []
+    attempts: list[str] = []
     best = context_module._best_display(object(), iter(displays), attempts)
     assert (best and best.device) == chosen
     if best is not None:
         assert not best.released
         assert StandIn.current == chosen
     tried = devices[: devices.index("GeForce") + 1] if "GeForce" in devices else devices
-    assert [attempt.device for attempt in attempts] == tried
-    assert [attempt.worked for attempt in attempts] == [name != "broken" for name in tried]
+    assert [attempt.split(":")[0] for attempt in attempts] == [f"egl, {name}" for name in tried]
+    assert ["failed" in attempt for attempt in attempts] == [name == "broken" for name in tried]
 
 
 def test_the_driver_says_where_a_shader_is_wrong(

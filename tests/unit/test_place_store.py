@@ -23,12 +23,12 @@ from skyline.places import BINS, DISTANCE_BINS, Places
 from skyline.store import (
     RowCoding,
     check_store,
-    committed,
     compact_store,
     create_store,
     merge_stores,
     open_for_append,
     open_store,
+    reader,
     repair_store,
 )
 from skyline.store.integrity import examine
@@ -141,7 +141,7 @@ class TestRoundTrip:
     def test_without_chunk_iter(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """As with an HDF5 library older than 1.12.3."""
         path = build_places(tmp_path / "s.h5", (0, 2500))
-        monkeypatch.setattr(committed, "hasattr", lambda *_: False, raising=False)
+        monkeypatch.setattr(reader, "hasattr", lambda *_: False, raising=False)
         assert_holds(path, 2500)
 
     def test_hardly_more_than_their_own_bytes(self, tmp_path: Path) -> None:
@@ -236,7 +236,7 @@ class TestKinds:
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         path = build_places(tmp_path / "s.h5", (0, 3))
-        monkeypatch.setitem(committed.read_header.__globals__["PLACE_CODING"], "rise_size", 0.007)
+        monkeypatch.setitem(reader.read_header.__globals__["PLACE_CODING"], "rise_size", 0.007)
         with pytest.raises(StoreError, match=r"another release .* build it again") as caught:
             open_store(path)
         assert one_line(caught.value, path)
