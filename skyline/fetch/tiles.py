@@ -20,7 +20,7 @@ from skyline.errors import FetchError, InputError
 from skyline.fetch.remote import AbsentError, HttpOptions, shown, with_remote
 from skyline.fetch.sources import TileSource
 from skyline.geodesy import Bounds
-from skyline.terrain.mosaic import GRID_TOLERANCE
+from skyline.terrain.tiles import GRID_TOLERANCE
 
 MAX_BYTES = 4 << 30
 """The most that is fetched at a time, unpacked."""

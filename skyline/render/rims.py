@@ -13,7 +13,7 @@ from skyline.arrays import BoolArray, Float64Array
 from skyline.camera import columns_u, rotation
 from skyline.geodesy import Curvature
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.triangles import Rims, Triangles
+from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 
 
@@ -37,9 +37,9 @@ class RimFinder:
 
     def __init__(self, field: HeightField, curvature: Curvature) -> None:
         self._curvature = curvature
-        rims = Rims.of(Triangles.of(field.heights_m))
-        self._easting_m, self._northing_m = field.to_map(rims.row, rims.col)
-        self._height_m = field.heights_m[rims.row, rims.col].astype(np.float64)
+        rims = Triangles.of(field.heights_m).rims()
+        self._easting_m, self._northing_m = field.to_map(*rims)
+        self._height_m = field.heights_m[rims].astype(np.float64)
 
     def columns(self, viewpoints: Viewpoints, index: int, heading: int, width: int) -> RimColumns:
         """Return what the W columns of one view meet."""

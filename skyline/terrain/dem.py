@@ -3,7 +3,7 @@
 import logging
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,15 @@ from skyline.terrain.cleaning import STEEPEST, count_voids, fill_voids, remove_s
 from skyline.terrain.fill import void_undeclared
 from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
-from skyline.terrain.mosaic import mosaic_grid, read_mosaic
-from skyline.terrain.tiles import Grid, Tile, open_tile, read_into, tile_of
+from skyline.terrain.tiles import (
+    Grid,
+    Tile,
+    mosaic_grid,
+    open_tile,
+    read_into,
+    read_mosaic,
+    tile_of,
+)
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame, square_spacing_m
 
 CONFORMAL_DEG = 0.01
@@ -144,10 +151,10 @@ def read_blocks(
 
     All samples are those of `read_dem`, to the bit. Parameters and errors are its too.
     """
-    heights, raster = _read(paths, options)
-    if _is_kept(raster, options):
-        return Blocks.of(_height_field(heights, raster, options))
-    warp, frame, provenance = _warp(heights, raster, options)
+    heights, tile = _read(paths, options)
+    if _is_kept(tile, options):
+        return Blocks.of(_height_field(heights, tile, options))
+    warp, frame, provenance = _warp(heights, tile, options)
     grid = warp.target
 
     def field(wanted: BoolArray) -> HeightField:
@@ -159,7 +166,8 @@ def read_blocks(
 
 def _read(
     paths: str | Path | Sequence[str | Path], options: DemOptions
-) -> tuple[Float32Array, "_Raster"]:
+) -> tuple[Float32Array, Tile]:
+    """Read all tiles as one."""
     if isinstance(paths, str | Path):
         paths = [paths]
     if not paths:
@@ -169,8 +177,8 @@ def _read(
     _check_kind(tiles[0])
     grid, offsets = mosaic_grid(tiles)
     files = tuple(tile.source for tile in tiles)
-    raster = _Raster(", ".join(files), tiles[0].crs, grid, files)
-    return read_mosaic(tiles, grid, offsets), raster
+    mosaic = replace(tiles[0], source=", ".join(files), grid=grid, files=files)
+    return read_mosaic(tiles, grid, offsets), mosaic
 
 
 def dem_of_dataset(dataset: Any, options: DemOptions) -> HeightField:
@@ -184,61 +192,46 @@ def dem_of_dataset(dataset: Any, options: DemOptions) -> HeightField:
     # A warped or virtual dataset is not what lies in a file of its name.
     on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
     files = (str(Path(source).absolute()),) if on_disk else ()
-    return _height_field(heights, _Raster(source, tile.crs, grid, files), options)
+    return _height_field(heights, replace(tile, files=files), options)
 
 
 def dem_of_array(data_array: Any, options: DemOptions) -> HeightField:
     """Return a DataArray as a height field; see `HeightField.from_xarray`."""
     tile, heights = read_array(data_array, _parse_crs(options.crs))
     _check_kind(tile)
-    grid, _ = mosaic_grid([tile])
-    return _height_field(heights, _Raster(tile.source, tile.crs, grid, ()), options)
+    mosaic_grid([tile])  # It may be too large.
+    return _height_field(heights, tile, options)
 
 
-@dataclass(frozen=True, slots=True)
-class _Raster:
-    """Where heights come from."""
-
-    source: str
-    """What errors call it."""
-    crs: CRS
-    grid: Grid
-    """In the units of the CRS."""
-    files: tuple[str, ...]
-    """It can be read from again."""
+def _is_kept(tile: Tile, options: DemOptions) -> bool:
+    """Whether the heights stay on their tile's own grid."""
+    return is_metric(tile.crs) and not options.reproject
 
 
-def _is_kept(raster: _Raster, options: DemOptions) -> bool:
-    """Whether the heights stay on their raster's own grid."""
-    return is_metric(raster.crs) and not options.reproject
-
-
-def _height_field(heights: Float32Array, raster: _Raster, options: DemOptions) -> HeightField:
-    """Clean heights on their raster's own grid, and warp them if they need a metric frame."""
-    if _is_kept(raster, options):
-        grid, frame = raster.grid, Frame.from_crs(raster.crs)
+def _height_field(heights: Float32Array, tile: Tile, options: DemOptions) -> HeightField:
+    """Clean heights on their tile's own grid, and warp them if they need a metric frame."""
+    if _is_kept(tile, options):
+        grid, frame = tile.grid, Frame.from_crs(tile.crs)
         _warn_of_distortion(grid, frame)
-        counts = clean(heights, raster.source, max(grid.step_east, grid.step_north), options)
-        provenance = Provenance(raster.files, "none", *counts, options.to_json())
+        counts = clean(heights, tile.source, max(grid.step_east, grid.step_north), options)
+        provenance = Provenance(tile.files, "none", *counts, options.to_json())
         return _field(heights, grid, frame, provenance)
-    warp, frame, provenance = _warp(heights, raster, options)
+    warp, frame, provenance = _warp(heights, tile, options)
     return _field(warp.heights_m(), warp.target, frame, provenance)
 
 
-def _warp(
-    heights: Float32Array, raster: _Raster, options: DemOptions
-) -> tuple[Warp, Frame, Provenance]:
-    """Clean heights on their raster's own grid, to be warped to the frame centred on it."""
-    crs, grid = raster.crs, raster.grid
+def _warp(heights: Float32Array, tile: Tile, options: DemOptions) -> tuple[Warp, Frame, Provenance]:
+    """Clean heights on their tile's own grid, to be warped to the frame centred on it."""
+    crs, grid = tile.crs, tile.grid
     frame = local_frame(grid, crs)
     ground_spacing = ground_spacing_m(grid, crs, frame)
-    counts = clean(heights, raster.source, max(ground_spacing), options)
+    counts = clean(heights, tile.source, max(ground_spacing), options)
     spacing_m = square_spacing_m(ground_spacing)
     resampling = (
         f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "
         f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal frame"
     )
-    provenance = Provenance(raster.files, resampling, *counts, options.to_json())
+    provenance = Provenance(tile.files, resampling, *counts, options.to_json())
     return Warp(heights, grid, crs, frame, spacing_m), frame, provenance
 
 

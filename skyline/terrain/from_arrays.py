@@ -15,7 +15,7 @@ from rasterio.transform import Affine
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
-from skyline.terrain.tiles import Said, Tile, crs_of, grid_of, heights_of
+from skyline.terrain.tiles import Tile, crs_of, grid_of, heights_of
 
 EVEN = 0.05
 """How far a coordinate may lie off even steps, in samples: float32 degrees do."""
@@ -41,15 +41,20 @@ def read_array(array: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]
     mapping = _grid_mapping(array)
     shape = array.sizes[y], array.sizes[x]
     transform = _transform(source, array, (y, x), mapping.get("GeoTransform"))
-    grid, flip_rows, flip_cols = grid_of(source, transform, shape)
-    tile = Tile(
-        source, crs_of(source, _wkt(source, mapping), default_crs), grid, flip_rows, flip_cols
-    )
+    turned = grid_of(source, transform, shape)
+    tile = Tile(source, crs_of(source, _wkt(source, mapping), default_crs), *turned)
     band = np.asarray(array.transpose(y, x, ...).values).reshape(shape)
     if band.dtype.kind not in "iuf":
         raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
-    heights = _heights(array, band)
-    return tile, np.ascontiguousarray(heights[:: -1 if flip_rows else 1, :: -1 if flip_cols else 1])
+    # What xarray has decoded already it notes in the encoding, not among the attributes.
+    attrs = array.attrs
+    voids = np.zeros(shape, dtype=bool)
+    for name in _NODATA:
+        if name in attrs:
+            voids |= band == attrs[name]
+    scale, offset = float(attrs.get("scale_factor", 1.0)), float(attrs.get("add_offset", 0.0))
+    heights = heights_of(band, voids, scale, offset, str(attrs.get("units", "")))
+    return tile, np.ascontiguousarray(heights[tile.north_up])
 
 
 def _dims_of(source: str, array: Any) -> tuple[str, str]:
@@ -132,18 +137,3 @@ def _step(source: str, dim: str, at: NDArray[np.float64]) -> float:
             f"{source} has coordinates along {dim} that are not even; resample it to a regular grid"
         )
     return step
-
-
-def _heights(array: Any, band: NDArray[Any]) -> Float32Array:
-    """Return heights in metres; what xarray has decoded already it notes in its encoding."""
-    attrs = array.attrs
-    voids = np.zeros(band.shape, dtype=bool)
-    for name in _NODATA:
-        if name in attrs:
-            voids |= band == attrs[name]
-    said = Said(
-        float(attrs.get("scale_factor", 1.0)),
-        float(attrs.get("add_offset", 0.0)),
-        str(attrs.get("units", "")),
-    )
-    return heights_of(band, voids, said)
