@@ -8,13 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError, named
 from skyline.files import write_whole
 from skyline.geodesy import degrees_in_words
 from skyline.solar.local_horizons import LocalHorizons
-
-_HEADER = "lon,lat,azimuth_deg,elevation_deg,distance_m"
 
 
 def write_horizons(horizons: LocalHorizons, path: Path) -> None:
@@ -35,24 +32,16 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
 
 def horizon_csv(horizons: LocalHorizons) -> str:
     """Return horizons as CSV: a row for each place and azimuth; what is not known is empty."""
-    columns: list[Float64Array | Float32Array] = [
-        np.repeat(horizons.lon, horizons.azimuth_deg.shape[1]),
-        np.repeat(horizons.lat, horizons.azimuth_deg.shape[1]),
-        horizons.azimuth_deg.ravel(),
-        horizons.elevation_deg.ravel(),
-        horizons.distance_m.ravel(),
-    ]
-    header, digits = _HEADER, "%.7f,%.7f,%.9g,%.5f,%.1f"
+    names, digits = ["azimuth_deg", "elevation_deg", "distance_m"], "%.7f,%.7f,%.9g,%.5f,%.1f"
     if horizons.has_surface:
-        columns.append(horizons.surface_deg.ravel())
-        header, digits = f"{header},surface_deg", f"{digits},%.5f"
-    text, table = io.StringIO(), np.column_stack(columns)
+        names, digits = [*names, "surface_deg"], f"{digits},%.5f"
+    places = np.repeat(
+        np.column_stack([horizons.lon, horizons.lat]), horizons.azimuth_deg.shape[1], axis=0
+    )
+    table = np.column_stack([places, *(getattr(horizons, name).ravel() for name in names)])
+    text, header = io.StringIO(), ",".join(["lon", "lat", *names])
     np.savetxt(text, table, digits, header=header, comments="", encoding="utf-8")
     return text.getvalue().replace("nan", "")
-
-
-def _csv(horizons: LocalHorizons, _: Path) -> str:
-    return horizon_csv(horizons)
 
 
 def _json(horizons: LocalHorizons, _: Path) -> str:
@@ -145,7 +134,7 @@ def _check_single(horizons: LocalHorizons, path: Path) -> None:
 
 
 _KINDS: dict[str, Callable[[LocalHorizons, Path], str | bytes]] = {
-    ".csv": _csv,
+    ".csv": lambda horizons, _: horizon_csv(horizons),
     ".json": _json,
     ".txt": _pvgis,
     ".png": _plot,

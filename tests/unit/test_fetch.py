@@ -12,8 +12,7 @@ from scenes import fractal
 from skyline import read_dem
 from skyline.errors import FetchError, InputError
 from skyline.fetch.remote import HttpOptions
-from skyline.fetch.sources import MAX_TILES, SOURCES, TileSource
-from skyline.fetch.tiles import fetch_dem
+from skyline.fetch.tiles import MAX_TILES, SOURCES, TileSource, fetch_dem
 
 SAMPLES = 600
 BOUNDS = (9.8, 46.6, 10.1, 46.8)
