@@ -70,10 +70,10 @@ def describe_scene(terrain: HeightField, eye: Viewpoints, config: RenderConfig) 
         "passed_over_bound_px": config.tolerance_px,
         "passed_over_measured_px": float(short / pixel_size(config.width)),
     }
-    for step in needs.steps:
-        facts[f"every_{step.step}_samples"] = (
-            f"deviates by {step.deviation_m:.1f} m in the median block; within the tolerance in "
-            f"{100.0 * step.share:.1f} % of blocks; not used: all samples are kept"
+    for step, (deviation_m, share) in needs.steps.items():
+        facts[f"every_{step}_samples"] = (
+            f"deviates by {deviation_m:.1f} m in the median block; within the tolerance in "
+            f"{100.0 * share:.1f} % of blocks; not used: all samples are kept"
         )
     return facts
 

@@ -16,8 +16,14 @@ from skyline.errors import InputError
 from skyline.files import is_file
 from skyline.geodesy import Frame, is_metric, parse_crs
 from skyline.terrain.blocks import Blocks
-from skyline.terrain.cleaning import STEEPEST, count_voids, fill_voids, remove_spikes, strips
-from skyline.terrain.fill import void_undeclared
+from skyline.terrain.cleaning import (
+    STEEPEST,
+    count_voids,
+    fill_voids,
+    remove_spikes,
+    strips,
+    void_undeclared,
+)
 from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
 from skyline.terrain.tiles import (
@@ -155,13 +161,11 @@ def read_blocks(
     if _is_kept(tile, options):
         return Blocks.of(_height_field(heights, tile, options))
     warp, frame, provenance = _warp(heights, tile, options)
-    grid = warp.target
 
     def field(wanted: BoolArray) -> HeightField:
         return _field(*warp.blocks_m(wanted), frame, provenance)
 
-    steps = grid.step_east, grid.step_north
-    return Blocks(frame, grid.west, grid.north, *steps, warp.highest_m(), field)
+    return Blocks(frame, warp.target, warp.highest_m(), field)
 
 
 def _read(
@@ -289,15 +293,8 @@ def clean(
 
 def _field(heights: Float32Array, grid: Grid, frame: Frame, provenance: Provenance) -> HeightField:
     heights.setflags(write=False)  # handed over, so that the field need not copy it
-    return HeightField(
-        heights_m=heights,
-        west_m=grid.west,
-        north_m=grid.north,
-        spacing_east_m=grid.step_east,
-        spacing_north_m=grid.step_north,
-        frame=frame,
-        provenance=provenance,
-    )
+    steps = grid.step_east, grid.step_north
+    return HeightField(heights, grid.west, grid.north, *steps, frame, provenance)
 
 
 def _warn_of_distortion(grid: Grid, frame: Frame) -> None:

@@ -73,7 +73,7 @@ def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[
     for level in range(levels):
         if level:
             slab *= SLABS
-            source = source.coarsened(max(slab // SLABS, 1))
+            source = source.coarsened(slab // SLABS)
         yield _bin_level(source, slab, values.shape[1], slopes)
 
 
@@ -154,13 +154,11 @@ def _sliding_max(values: Samples, start: int, stride: int, count: int, span: int
 
 
 def _padded(values: Samples, axis: int, length: int) -> Samples:
-    missing = length - values.shape[axis]
-    if missing <= 0:
+    if length <= values.shape[axis]:
         return values
-    shape = list(values.shape)
-    shape[axis] = missing
-    filling = np.full(shape, _nothing(values), dtype=values.dtype)
-    return np.concatenate([values, filling], axis=axis)
+    widths = np.zeros((2, 2), dtype=np.int64)
+    widths[axis, 1] = length - values.shape[axis]
+    return np.pad(values, widths, constant_values=_nothing(values))
 
 
 def _nothing(values: Samples) -> np.float32 | int:

@@ -20,17 +20,6 @@ COARSER_STEPS = (2, 4, 8)
 
 
 @dataclass(frozen=True, slots=True)
-class CoarserStep:
-    """A surface of every n-th sample."""
-
-    step: int
-    deviation_m: float
-    """How far it is from the full surface at most in a block of `BLOCK_CELLS` cells, the median."""
-    share: float
-    """Of the blocks, those that could be drawn with it within the tolerance."""
-
-
-@dataclass(frozen=True, slots=True)
 class SceneNeeds:
     """What a viewpoint's skyline needs of the model."""
 
@@ -42,7 +31,10 @@ class SceneNeeds:
     """Distance beyond which not even the highest sample rises over the dip horizon."""
     beyond_sight: float
     """Share of the samples that lie farther."""
-    steps: tuple[CoarserStep, ...]
+    steps: dict[int, tuple[float, float]]
+    """Of the surface of every n-th sample, by n: how far it is from the full surface at most in a
+    block of `BLOCK_CELLS` cells, metres, the median; and the share of blocks that could be drawn
+    with it within the tolerance."""
 
 
 def scene_needs(
@@ -79,7 +71,7 @@ def scene_needs(
         curvature_px=float(np.sqrt(2.0)) * drop_per_m2 * reach_m / pixel_size(width),
         sight_m=sight_m,
         beyond_sight=_share_beyond(field, eye, sight_m),
-        steps=tuple(_coarser_step(field, eye, step, tolerance) for step in steps),
+        steps={step: _coarser_step(field, eye, step, tolerance) for step in steps},
     )
 
 
@@ -121,7 +113,9 @@ def coarser_deviation_m(field: HeightField, step: int) -> Float64Array:
     return np.asarray(blocks.max(axis=(1, 3)), dtype=np.float64)
 
 
-def _coarser_step(field: HeightField, eye: Viewpoints, step: int, tolerance: float) -> CoarserStep:
+def _coarser_step(
+    field: HeightField, eye: Viewpoints, step: int, tolerance: float
+) -> tuple[float, float]:
     """Judge every block by its deviation at the least depth it can be seen at."""
     deviation_m = coarser_deviation_m(field, step)
     row, col = field.to_grid(eye.easting_m[0], eye.northing_m[0])
@@ -134,7 +128,7 @@ def _coarser_step(field: HeightField, eye: Viewpoints, step: int, tolerance: flo
     ]
     depth_m = np.hypot(gaps[0][:, np.newaxis], gaps[1]) / np.sqrt(2.0)
     fine = deviation_m <= tolerance * depth_m
-    return CoarserStep(step, float(np.median(deviation_m)), float(fine.mean()))
+    return float(np.median(deviation_m)), float(fine.mean())
 
 
 def _share_beyond(field: HeightField, eye: Viewpoints, distance_m: float) -> float:

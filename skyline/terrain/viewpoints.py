@@ -1,16 +1,25 @@
-"""Viewpoints: where eyes are, as arrays."""
+"""Viewpoints: where eyes are, as arrays, and from a CSV file."""
 
+import csv
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import Float64Array
-from skyline.errors import InputError, OffMapError
+from skyline.errors import InputError, MissingFileError, OffMapError
 from skyline.rows import Rows
 from skyline.terrain.heightfield import HeightField
 
 DEFAULT_EYE_HEIGHT_M = 2.0
+
+_PLACES = (("easting", "northing"), ("lon", "lat"))
+_EYES = ("eye_height_m", "eye_elevation_m")
+_EXPECTED = (
+    "expected a header `easting,northing` or `lon,lat`, and at most one of `eye_height_m` (above "
+    "ground) and `eye_elevation_m` (above the datum)"
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,29 +59,29 @@ def stand_on(
     OffMapError
         A location off the map or on a hole, or an eye height below 0.
     """
-    easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
-    ground = _ground_m(field, easting, northing)
-    return Viewpoints(easting, northing, _above_ground(ground, ground + eye_height))
+    return _eyes(field, easting_m, northing_m, eye_height_m, above_ground=True)
 
 
 def at_elevation(
     field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike, eye_elevation_m: ArrayLike
 ) -> Viewpoints:
     """Place eyes at elevations above the datum; as `stand_on` otherwise."""
-    easting, northing, eye_elevation = _flat(easting_m, northing_m, eye_elevation_m)
-    ground = _ground_m(field, easting, northing)
-    return Viewpoints(easting, northing, _above_ground(ground, eye_elevation))
+    return _eyes(field, easting_m, northing_m, eye_elevation_m, above_ground=False)
 
 
-def _flat(*values: ArrayLike) -> list[Float64Array]:
-    arrays = np.broadcast_arrays(*[np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values])
-    flat = [np.ascontiguousarray(array).reshape(-1) for array in arrays]
-    if not all(np.isfinite(array).all() for array in flat):
+def _eyes(
+    field: HeightField,
+    easting_m: ArrayLike,
+    northing_m: ArrayLike,
+    eye_m: ArrayLike,
+    above_ground: bool,
+) -> Viewpoints:
+    values = [np.atleast_1d(np.asarray(v, np.float64)) for v in (easting_m, northing_m, eye_m)]
+    easting, northing, eye = (
+        np.ascontiguousarray(array).reshape(-1) for array in np.broadcast_arrays(*values)
+    )
+    if not np.isfinite([easting, northing, eye]).all():
         raise InputError("a viewpoint has a coordinate that is not a finite number")
-    return flat
-
-
-def _ground_m(field: HeightField, easting: Float64Array, northing: Float64Array) -> Float64Array:
     ground = field.height_at(easting, northing)
     missing = np.flatnonzero(np.isnan(ground))
     if missing.size:
@@ -87,10 +96,8 @@ def _ground_m(field: HeightField, easting: Float64Array, northing: Float64Array)
             f"to {east:.1f}, northing {south:.1f} to {north:.1f}: move it "
             f"or remove it ({missing.size} such)"
         )
-    return ground
-
-
-def _above_ground(ground: Float64Array, eye: Float64Array) -> Float64Array:
+    if above_ground:
+        eye = ground + eye
     below = np.flatnonzero(eye < ground)
     if below.size:
         first = below[0]
@@ -98,4 +105,64 @@ def _above_ground(ground: Float64Array, eye: Float64Array) -> Float64Array:
             f"viewpoint {first} has its eye at {eye[first]:.2f} m, below the ground at "
             f"{ground[first]:.2f} m; raise the eye to the ground or above ({below.size} such)"
         )
-    return eye
+    return Viewpoints(easting, northing, eye)
+
+
+def read_viewpoints(
+    path: str | Path, field: HeightField, eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+) -> Viewpoints:
+    """Read viewpoints and place their eyes on a height field.
+
+    Parameters
+    ----------
+    path : str or Path
+        CSV with a header: ``easting,northing`` in the field's frame or ``lon,lat`` in degrees
+        (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``.
+    eye_height_m : float
+        Metres above ground where the file does not say.
+
+    Raises
+    ------
+    MissingFileError, InputError
+        No such file; wrong columns; a value that is not a number; no rows.
+    OffMapError
+        A viewpoint off the map, on a hole, or with its eye below the ground.
+    """
+    columns = _read_columns(Path(path))
+    places = next((pair for pair in _PLACES if set(pair) <= columns.keys()), None)
+    eyes = [name for name in _EYES if name in columns]
+    unknown = columns.keys() - set(places or ()) - set(eyes)
+    if places is None or unknown or len(eyes) > 1:
+        raise InputError(f"{path}: columns are `{','.join(columns)}`; {_EXPECTED}")
+    first, second = columns[places[0]], columns[places[1]]
+    if places == ("lon", "lat"):
+        first, second = field.frame.from_lonlat(first, second)
+    if eyes == ["eye_elevation_m"]:
+        return at_elevation(field, first, second, columns["eye_elevation_m"])
+    return stand_on(field, first, second, columns.get("eye_height_m", eye_height_m))
+
+
+def _read_columns(path: Path) -> dict[str, Float64Array]:
+    """Return the file's columns of numbers by name."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = [row for row in csv.reader(stream) if row and any(cell.strip() for cell in row)]
+    except FileNotFoundError as error:
+        raise MissingFileError(f"viewpoint file {path} does not exist; check the path") from error
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path} cannot be read as CSV ({error}); {_EXPECTED}") from error
+    if not rows:
+        raise InputError(f"{path} is empty; {_EXPECTED} and one row a viewpoint")
+    header = [name.strip() for name in rows[0]]
+    if len(rows) == 1:
+        raise InputError(f"{path} has a header but no viewpoints; give one row a viewpoint")
+    values = np.empty((len(rows) - 1, len(header)))
+    for number, row in enumerate(rows[1:]):
+        try:
+            values[number] = [float(cell) for _, cell in zip(header, row, strict=True)]
+        except ValueError as error:
+            raise InputError(
+                f"{path}, row {number + 1} after the header is `{','.join(row)[:80]}`; expected "
+                f"{len(header)} numbers for `{','.join(header)}`"
+            ) from error
+    return dict(zip(header, values.T, strict=True))

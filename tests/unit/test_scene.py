@@ -82,8 +82,8 @@ def test_deviation_is_that_of_the_thinned_surface(step):
 def test_a_plane_needs_no_fine_steps():
     field = field_from(lambda east, north: 0.1 * east - 0.2 * north, 65, 30.0)
     needs = scene_needs(field, stand_on(field, 0.0, 0.0), 640, 0.1)
-    assert [step.step for step in needs.steps] == [2, 4, 8]
-    assert all(step.share == 1.0 for step in needs.steps)
+    assert list(needs.steps) == [2, 4, 8]
+    assert all(share == 1.0 for _, share in needs.steps.values())
 
 
 def test_one_viewpoint_only():
