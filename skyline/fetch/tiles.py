@@ -41,7 +41,6 @@ SOURCES = {
 MAX_BYTES = 4 << 30
 """The most that is fetched at a time, unpacked."""
 
-_FIELDS = ("lat", "lon", "ns", "ew")
 _ARC_SECOND_BYTES = 4 * 3600**2
 _MAX_BLOCK_BYTES = 256 << 20
 _TAG = "SKYLINE_FETCH"
@@ -120,7 +119,7 @@ class TileSource:
         """Return the address of a tile."""
         for _, field, _, conversion in string.Formatter().parse(self.template):
             # format() would follow attributes and indices of a field, which no template needs.
-            if field is not None and (field not in _FIELDS or conversion):
+            if field is not None and (field not in tile.fields or conversion):
                 raise ValueError(f"unknown field {field!r}")
         return self.template.format(**tile.fields)
 

@@ -99,13 +99,13 @@ class DemOptions:
         """
         if options is None:
             return cls()
-        if not isinstance(options, Mapping) or not set(options) <= {f.name for f in fields(cls)}:
+        names = [field.name for field in fields(cls)]
+        if not isinstance(options, Mapping) or not set(options) <= set(names):
             raise InputError(
-                f"DEM options are {options!r}; expected names among "
-                f"{', '.join(f.name for f in fields(cls))}"
+                f"DEM options are {options!r}; expected names among {', '.join(names)}"
             )
         given = dict(options)
-        if "spike_m" in given and given["spike_m"] is None:
+        if given.get("spike_m", 0.0) is None:
             given["spike_m"] = math.inf
         try:
             return cls(**given)
@@ -178,7 +178,6 @@ def _read(
         raise InputError("no DEM file was given; name one or more")
     default_crs = _parse_crs(options.crs)
     tiles = [open_tile(path, default_crs) for path in paths]
-    _check_kind(tiles[0])
     grid, offsets = mosaic_grid(tiles)
     files = tuple(tile.source for tile in tiles)
     mosaic = replace(tiles[0], source=", ".join(files), grid=grid, files=files)
@@ -189,7 +188,6 @@ def dem_of_dataset(dataset: Any, options: DemOptions) -> HeightField:
     """Return an open dataset as a height field; see `HeightField.from_rasterio`."""
     source = str(dataset.name)
     tile = tile_of(source, dataset, _parse_crs(options.crs))
-    _check_kind(tile)
     grid, _ = mosaic_grid([tile])
     heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
     read_into(dataset, tile, heights)
@@ -202,8 +200,7 @@ def dem_of_dataset(dataset: Any, options: DemOptions) -> HeightField:
 def dem_of_array(data_array: Any, options: DemOptions) -> HeightField:
     """Return a DataArray as a height field; see `HeightField.from_xarray`."""
     tile, heights = read_array(data_array, _parse_crs(options.crs))
-    _check_kind(tile)
-    mosaic_grid([tile])  # It may be too large.
+    mosaic_grid([tile])  # Its checks are wanted.
     return _height_field(heights, tile, options)
 
 
@@ -241,15 +238,6 @@ def _warp(heights: Float32Array, tile: Tile, options: DemOptions) -> tuple[Warp,
 
 def _parse_crs(text: str | None) -> CRS | None:
     return None if text is None else parse_crs(text)
-
-
-def _check_kind(tile: Tile) -> None:
-    crs = tile.crs
-    if not (crs.is_geographic or crs.is_projected):
-        raise InputError(
-            f"{tile.source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or "
-            "projected coordinate reference system: warp it first with gdalwarp"
-        )
 
 
 def clean(

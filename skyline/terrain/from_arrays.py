@@ -21,7 +21,6 @@ EVEN = 0.05
 """How far a coordinate may lie off even steps, in samples: float32 degrees do."""
 
 _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
-_NODATA = ("_FillValue", "missing_value")
 
 
 def read_array(array: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]:
@@ -49,7 +48,7 @@ def read_array(array: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]
     # What xarray has decoded already it notes in the encoding, not among the attributes.
     attrs = array.attrs
     voids = np.zeros(shape, dtype=bool)
-    for name in _NODATA:
+    for name in ("_FillValue", "missing_value"):
         if name in attrs:
             voids |= band == attrs[name]
     scale, offset = float(attrs.get("scale_factor", 1.0)), float(attrs.get("add_offset", 0.0))

@@ -319,10 +319,16 @@ def heights_of(
 def mosaic_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
     """Return the common grid of tiles and the row and column each one's first sample has on it.
 
-    Raises `InputError` for tiles of different CRS or spacing, off the first one's grid, or too far
-    apart.
+    Raises `InputError` for tiles of another kind of CRS than degrees or a projection, of different
+    CRS or spacing, off the first one's grid, or too far apart.
     """
     first = tiles[0]
+    crs = first.crs
+    if not (crs.is_geographic or crs.is_projected):
+        raise InputError(
+            f"{first.source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or "
+            "projected coordinate reference system: warp it first with gdalwarp"
+        )
     offsets = []
     for tile in tiles:
         grid = _nearest_turn(tile, first)
