@@ -53,28 +53,14 @@ Progress = Callable[[int, int], None]
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class DegreeTile:
-    """A square degree, named by its south-west corner."""
+_NAME = "{ns}{lat:02d}{ew}{lon:03d}"
+"""Of a tile, as SRTM has it: N46E009, S01W070."""
 
-    lat: int
-    lon: int
-    """``lat``, ``lon``: degrees; north and east are positive."""
 
-    @property
-    def name(self) -> str:
-        """As SRTM names it: N46E009, S01W070."""
-        return "{ns}{lat:02d}{ew}{lon:03d}".format(**self.fields)
-
-    @property
-    def fields(self) -> dict[str, int | str]:
-        """What a template's fields stand for; the numbers are absolute."""
-        return {
-            "lat": abs(self.lat),
-            "lon": abs(self.lon),
-            "ns": "N" if self.lat >= 0 else "S",
-            "ew": "E" if self.lon >= 0 else "W",
-        }
+def _fields(lat: int, lon: int) -> dict[str, int | str]:
+    """Return what a template's fields stand for; the numbers are absolute."""
+    hemispheres = {"ns": "N" if lat >= 0 else "S", "ew": "E" if lon >= 0 else "W"}
+    return {"lat": abs(lat), "lon": abs(lon), **hemispheres}
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +77,7 @@ class TileSource:
 
     def __post_init__(self) -> None:
         try:
-            address = urlsplit(self.url(DegreeTile(0, 0)))
+            address = urlsplit(self.url(0, 0))
             usable = address.scheme in ("http", "https") and bool(address.hostname)
         except (ValueError, KeyError) as error:
             raise InputError(
@@ -115,23 +101,26 @@ class TileSource:
         """Whether there is a file a degree."""
         return any(field for _, field, _, _ in string.Formatter().parse(self.template))
 
-    def url(self, tile: DegreeTile) -> str:
-        """Return the address of a tile."""
+    def url(self, lat: int, lon: int) -> str:
+        """Return the address of the tile with this south-west corner, degrees."""
+        fields = _fields(lat, lon)
         for _, field, _, conversion in string.Formatter().parse(self.template):
             # format() would follow attributes and indices of a field, which no template needs.
-            if field is not None and (field not in tile.fields or conversion):
+            if field is not None and (field not in fields or conversion):
                 raise ValueError(f"unknown field {field!r}")
-        return self.template.format(**tile.fields)
+        return self.template.format(**fields)
 
-    def tiles(self, bounds_deg: Bounds) -> list[DegreeTile]:
-        """Return the tiles that bounds need, from the south-west, row by row.
+    def tiles(self, bounds_deg: Bounds) -> list[tuple[int, int]]:
+        """Return latitude and longitude, whole degrees, of the south-west corners of tiles.
+
+        They are those that bounds need, from the south-west, row by row.
 
         Raises `InputError` for bounds that are not numbers in order, or that need more than
         `MAX_TILES`.
         """
         west, south, east, north = check_bounds(bounds_deg)
         if not self.tiled:
-            return [DegreeTile(math.floor(south), math.floor(west))]
+            return [(math.floor(south), math.floor(west))]
         lats = range(math.floor(south), math.ceil(north))
         lons = range(math.floor(west), math.ceil(west + (east - west) % 360.0))
         count = len(lats) * len(lons)
@@ -142,7 +131,7 @@ class TileSource:
                 f"{size_gb:.1f} GB at one arc-second; at most {MAX_TILES} tiles are fetched at a "
                 "time: choose smaller bounds"
             )
-        return [DegreeTile(lat, (lon + 180) % 360 - 180) for lat in lats for lon in lons]
+        return [(lat, (lon + 180) % 360 - 180) for lat in lats for lon in lons]
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,11 +202,12 @@ def fetch_dem(
     files: list[Path] = []
     missing: list[str] = []
     for tile in tiles:
-        path = folder / f"{tile.name if origin.tiled else 'dem'}.tif"
+        name = _NAME.format(**_fields(*tile))
+        path = folder / f"{name if origin.tiled else 'dem'}.tif"
         try:
-            cut = _plan(origin.url(tile), path, bounds_deg, options)
+            cut = _plan(origin.url(*tile), path, bounds_deg, options)
         except AbsentError as error:
-            missing.append(tile.name)
+            missing.append(name)
             _log.info("%s", error)
             continue
         files.append(path)
@@ -225,8 +215,8 @@ def fetch_dem(
             cuts.append(cut)
     if not files:
         raise InputError(
-            f"the source has none of {', '.join(missing)} ({shown(origin.url(tiles[0]))}, for one, "
-            "is not there); check the bounds, or the source's template"
+            f"the source has none of {', '.join(missing)} ({shown(origin.url(*tiles[0]))}, for "
+            "one, is not there); check the bounds, or the source's template"
         )
     _check_together(cuts)
     folder.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,7 @@ plain at sea level below walls of 2,000 m, over which an eye seems to see far. T
 lake or the sea by their rim: terrain does not rise over water by `STEEPEST` along half of a shore.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -120,14 +121,19 @@ def remove_spikes(heights_m: Float32Array, spacing_m: float, spike_m: float) -> 
     spike_m : float
         The least height of a spike; infinity leaves only the absurd.
     """
-    absurd = _remove_absurd(heights_m)
+    count = 0
+    for rows in strips(heights_m):
+        strip = heights_m[rows]
+        absurd = (np.abs(strip) > ABSURD_M) & ~np.isposinf(strip)
+        strip[absurd] = np.nan
+        count += int(np.count_nonzero(absurd))
     threshold = max(spike_m, STEEPEST * spacing_m)
     candidates = _beside_jumps(heights_m, threshold)
     if candidates.size == 0:
-        return absurd
+        return count
     spikes = candidates[_are_spikes(heights_m, candidates, threshold)]
     heights_m.reshape(-1)[spikes] = np.nan
-    return absurd + spikes.size
+    return count + spikes.size
 
 
 def fill_voids(heights_m: Float32Array, max_void_samples: int) -> int:
@@ -167,16 +173,6 @@ def fill_voids(heights_m: Float32Array, max_void_samples: int) -> int:
     solution = spsolve(laplacian, np.nansum(rim_m, axis=1), permc_spec="MMD_AT_PLUS_A")
     heights_m.reshape(-1)[voids] = solution
     return int(count)
-
-
-def _remove_absurd(heights_m: Float32Array) -> int:
-    removed = 0
-    for rows in strips(heights_m):
-        strip = heights_m[rows]
-        absurd = (np.abs(strip) > ABSURD_M) & ~np.isposinf(strip)
-        strip[absurd] = np.nan
-        removed += int(np.count_nonzero(absurd))
-    return removed
 
 
 def _beside_jumps(heights_m: Float32Array, threshold_m: float) -> Int64Array:
@@ -316,7 +312,7 @@ def _find(samples: Int64Array, wanted: Int64Array) -> tuple[Int64Array, BoolArra
 
 def _walled_values(heights_m: Float32Array, threshold_m: float) -> list[float]:
     """Return the values that stand twice in a row before many a wall."""
-    counts: dict[float, int] = {}
+    counts: Counter[float] = Counter()
     for view in (heights_m, heights_m.T):
         for rows in strips(view):
             with np.errstate(invalid="ignore"):
@@ -327,8 +323,7 @@ def _walled_values(heights_m: Float32Array, threshold_m: float) -> list[float]:
                 values, each = np.unique(
                     line[:, 1 : 1 + before.shape[1]][before], return_counts=True
                 )
-                for value, number in zip(values.tolist(), each.tolist(), strict=True):
-                    counts[value] = counts.get(value, 0) + number
+                counts.update(dict(zip(values.tolist(), each.tolist(), strict=True)))
     return sorted(value for value, number in counts.items() if number >= _MIN_RIM)
 
 

@@ -37,7 +37,9 @@ def read_array(array: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]
     """
     source = "the DataArray" if array.name is None else f"the DataArray {array.name!r}"
     y, x = _dims_of(source, array)
-    mapping = _grid_mapping(array)
+    # The coordinate that says the CRS.
+    name = array.encoding.get("grid_mapping", array.attrs.get("grid_mapping", "spatial_ref"))
+    mapping: Mapping[str, Any] = array.coords[name].attrs if name in array.coords else {}
     shape = array.sizes[y], array.sizes[x]
     transform = _transform(source, array, (y, x), mapping.get("GeoTransform"))
     turned = grid_of(source, transform, shape)
@@ -69,13 +71,6 @@ def _dims_of(source: str, array: Any) -> tuple[str, str]:
         f"{source} has dimensions {', '.join(map(str, array.dims)) or 'none'}; expected "
         f"{' or '.join(f'{y}, {x}' for y, x in _DIMS)}: rename them"
     )
-
-
-def _grid_mapping(array: Any) -> Mapping[str, Any]:
-    """Return the attributes of the coordinate that says the CRS; none where there is none."""
-    name = array.encoding.get("grid_mapping", array.attrs.get("grid_mapping", "spatial_ref"))
-    attrs: Mapping[str, Any] = array.coords[name].attrs if name in array.coords else {}
-    return attrs
 
 
 def _wkt(source: str, mapping: Mapping[str, Any]) -> str | None:

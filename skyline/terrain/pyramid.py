@@ -87,7 +87,7 @@ def _coarsened(maxima: Samples, step: int, wanted: int) -> Samples:
     Columns are single samples (step 0) or spans of ``step`` cells, a power of two.
     """
     slabs = -(-len(maxima) // SLABS)
-    joined = _padded(maxima, 0, slabs * SLABS).reshape(slabs, SLABS, -1).max(axis=1)
+    joined: Samples = _padded(maxima, 0, slabs * SLABS).reshape(slabs, SLABS, -1).max(axis=1)
     if step == 0:
         beside = _padded(joined, 1, joined.shape[1] + 1)
         joined, step = np.maximum(beside[:, :-1], beside[:, 1:]), 1

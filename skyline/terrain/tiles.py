@@ -124,7 +124,17 @@ def open_tile(path: str | Path, default_crs: CRS | None) -> Tile:
 
 def tile_of(source: str, dataset: Any, default_crs: CRS | None) -> Tile:
     """Look at an open rasterio dataset; `InputError` where it is not a usable DEM."""
-    _check_one_band(source, dataset)
+    if dataset.count == 0 and dataset.subdatasets:
+        raise InputError(
+            f"{source} holds several rasters; name one of them: {', '.join(dataset.subdatasets)}"
+        )
+    if dataset.count != 1:
+        raise InputError(
+            f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
+            "(gdal_translate -b 1)"
+        )
+    if dataset.dtypes[0].startswith("complex"):
+        raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
     crs = crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
     return Tile(source, crs, *grid_of(source, dataset.transform, dataset.shape))
 
@@ -208,20 +218,6 @@ def _unpacked(source: str) -> bytes:
             "(gunzip) and name the unpacked file"
         )
     return content
-
-
-def _check_one_band(source: str, dataset: Any) -> None:
-    if dataset.count == 0 and dataset.subdatasets:
-        raise InputError(
-            f"{source} holds several rasters; name one of them: {', '.join(dataset.subdatasets)}"
-        )
-    if dataset.count != 1:
-        raise InputError(
-            f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
-            "(gdal_translate -b 1)"
-        )
-    if dataset.dtypes[0].startswith("complex"):
-        raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
 
 
 def crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
