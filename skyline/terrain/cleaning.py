@@ -57,11 +57,6 @@ def strips(heights_m: Float32Array) -> Iterator[slice]:
         yield slice(top, min(top + step, rows))
 
 
-def count_voids(heights_m: Float32Array) -> int:
-    """Return the number of NaN samples."""
-    return sum(int(np.count_nonzero(np.isnan(heights_m[rows]))) for rows in strips(heights_m))
-
-
 def void_undeclared(heights_m: Float32Array, threshold_m: float) -> tuple[int, list[float]]:
     """Turn what a file does not declare to be void, and is, into voids, in place.
 

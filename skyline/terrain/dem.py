@@ -3,37 +3,20 @@
 import logging
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-import rasterio
 from pyproj import CRS
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.files import is_file
 from skyline.geodesy import Frame, is_metric, parse_crs
-from skyline.terrain.cleaning import (
-    STEEPEST,
-    count_voids,
-    fill_voids,
-    remove_spikes,
-    strips,
-    void_undeclared,
-)
+from skyline.terrain.cleaning import STEEPEST, fill_voids, remove_spikes, strips, void_undeclared
 from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
-from skyline.terrain.tiles import (
-    Grid,
-    Tile,
-    mosaic_grid,
-    open_tile,
-    read_into,
-    read_mosaic,
-    tile_of,
-)
+from skyline.terrain.tiles import Grid, Tile, read_dataset, read_tiles
 from skyline.terrain.warp import (
     BLOCK,
     Warp,
@@ -201,7 +184,7 @@ def read_dem(
     FetchError
         A server that does not have it, or does not answer.
     """
-    return _height_field(*_read(paths, options), options)
+    return _height_field(*read_tiles(paths, _parse_crs(options.crs)), options)
 
 
 def read_blocks(
@@ -211,10 +194,10 @@ def read_blocks(
 
     All samples are those of `read_dem`, to the bit. Parameters and errors are its too.
     """
-    heights, tile = _read(paths, options)
+    tile, heights = read_tiles(paths, _parse_crs(options.crs))
     if _is_kept(tile, options):
-        return Blocks.of(_height_field(heights, tile, options))
-    warp, frame, provenance = _warp(heights, tile, options)
+        return Blocks.of(_height_field(tile, heights, options))
+    warp, frame, provenance = _warp(tile, heights, options)
 
     def field(wanted: BoolArray) -> HeightField:
         return _field(*warp.blocks_m(wanted), frame, provenance)
@@ -222,40 +205,14 @@ def read_blocks(
     return Blocks(frame, warp.target, warp.highest_m(), field)
 
 
-def _read(
-    paths: str | Path | Sequence[str | Path], options: DemOptions
-) -> tuple[Float32Array, Tile]:
-    """Read all tiles as one."""
-    if isinstance(paths, str | Path):
-        paths = [paths]
-    if not paths:
-        raise InputError("no DEM file was given; name one or more")
-    default_crs = _parse_crs(options.crs)
-    tiles = [open_tile(path, default_crs) for path in paths]
-    grid, offsets = mosaic_grid(tiles)
-    files = tuple(tile.source for tile in tiles)
-    mosaic = replace(tiles[0], source=", ".join(files), grid=grid, files=files)
-    return read_mosaic(tiles, grid, offsets), mosaic
-
-
 def dem_of_dataset(dataset: Any, options: DemOptions) -> HeightField:
     """Return an open dataset as a height field; see `HeightField.from_rasterio`."""
-    source = str(dataset.name)
-    tile = tile_of(source, dataset, _parse_crs(options.crs))
-    grid, _ = mosaic_grid([tile])
-    heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
-    read_into(dataset, tile, heights)
-    # A warped or virtual dataset is not what lies in a file of its name.
-    on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
-    files = (str(Path(source).absolute()),) if on_disk else ()
-    return _height_field(heights, replace(tile, files=files), options)
+    return _height_field(*read_dataset(dataset, _parse_crs(options.crs)), options)
 
 
 def dem_of_array(data_array: Any, options: DemOptions) -> HeightField:
     """Return a DataArray as a height field; see `HeightField.from_xarray`."""
-    tile, heights = read_array(data_array, _parse_crs(options.crs))
-    mosaic_grid([tile])  # Its checks are wanted.
-    return _height_field(heights, tile, options)
+    return _height_field(*read_array(data_array, _parse_crs(options.crs)), options)
 
 
 def _is_kept(tile: Tile, options: DemOptions) -> bool:
@@ -263,7 +220,7 @@ def _is_kept(tile: Tile, options: DemOptions) -> bool:
     return is_metric(tile.crs) and not options.reproject
 
 
-def _height_field(heights: Float32Array, tile: Tile, options: DemOptions) -> HeightField:
+def _height_field(tile: Tile, heights: Float32Array, options: DemOptions) -> HeightField:
     """Clean heights on their tile's own grid, and warp them if they need a metric frame."""
     if _is_kept(tile, options):
         grid, frame = tile.grid, Frame.from_crs(tile.crs)
@@ -271,11 +228,11 @@ def _height_field(heights: Float32Array, tile: Tile, options: DemOptions) -> Hei
         counts = clean(heights, tile.source, max(grid.step_east, grid.step_north), options)
         provenance = Provenance(tile.files, "none", *counts, options.to_json())
         return _field(heights, grid, frame, provenance)
-    warp, frame, provenance = _warp(heights, tile, options)
+    warp, frame, provenance = _warp(tile, heights, options)
     return _field(warp.heights_m(), warp.target, frame, provenance)
 
 
-def _warp(heights: Float32Array, tile: Tile, options: DemOptions) -> tuple[Warp, Frame, Provenance]:
+def _warp(tile: Tile, heights: Float32Array, options: DemOptions) -> tuple[Warp, Frame, Provenance]:
     """Clean heights on their tile's own grid, to be warped to the frame centred on it."""
     crs, grid = tile.crs, tile.grid
     frame = local_frame(grid, crs)
@@ -305,7 +262,7 @@ def clean(
     Parameters
     ----------
     heights : (rows, cols) float32
-        As `skyline.terrain.mosaic.read_mosaic` returns them; after this NaN marks every hole.
+        As `skyline.terrain.tiles.read_mosaic` returns them; after this NaN marks every hole.
     source : str
         What errors and warnings call it.
     spacing_m : float
@@ -326,9 +283,10 @@ def clean(
         )
     despiked = remove_spikes(heights, spacing_m, options.spike_m)
     filled = fill_voids(heights, options.max_void_samples)
-    hollow = count_voids(heights)
+    hollow = 0
     for rows in strips(heights):
         strip = heights[rows]
+        hollow += int(np.count_nonzero(np.isnan(strip)))
         strip[np.isinf(strip)] = np.nan
     return filled, hollow, despiked, undeclared
 

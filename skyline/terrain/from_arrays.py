@@ -15,7 +15,7 @@ from rasterio.transform import Affine
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
-from skyline.terrain.tiles import Tile, crs_of, grid_of, heights_of
+from skyline.terrain.tiles import Tile, crs_of, grid_of, heights_of, mosaic_grid
 
 EVEN = 0.05
 """How far a coordinate may lie off even steps, in samples: float32 degrees do."""
@@ -47,6 +47,7 @@ def read_array(array: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]
     band = np.asarray(array.transpose(y, x, ...).values).reshape(shape)
     if band.dtype.kind not in "iuf":
         raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
+    mosaic_grid([tile])  # It refuses what is too large, and other kinds of CRS.
     # What xarray has decoded already it notes in the encoding, not among the attributes.
     attrs = array.attrs
     voids = np.zeros(shape, dtype=bool)

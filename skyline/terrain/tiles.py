@@ -139,6 +139,33 @@ def tile_of(source: str, dataset: Any, default_crs: CRS | None) -> Tile:
     return Tile(source, crs, *grid_of(source, dataset.transform, dataset.shape))
 
 
+def read_tiles(
+    paths: str | Path | Sequence[str | Path], default_crs: CRS | None
+) -> tuple[Tile, Float32Array]:
+    """Read files as one tile; `read_mosaic` says how. Errors are those of `read_dem`."""
+    if isinstance(paths, str | Path):
+        paths = [paths]
+    if not paths:
+        raise InputError("no DEM file was given; name one or more")
+    tiles = [open_tile(path, default_crs) for path in paths]
+    grid, offsets = mosaic_grid(tiles)
+    files = tuple(tile.source for tile in tiles)
+    mosaic = replace(tiles[0], source=", ".join(files), grid=grid, files=files)
+    return mosaic, read_mosaic(tiles, grid, offsets)
+
+
+def read_dataset(dataset: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]:
+    """Read an open rasterio dataset; as `read_tiles` otherwise."""
+    source = str(dataset.name)
+    tile = tile_of(source, dataset, default_crs)
+    grid, _ = mosaic_grid([tile])
+    heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
+    read_into(dataset, tile, heights)
+    # A warped or virtual dataset is not what lies in a file of its name.
+    on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
+    return replace(tile, files=(str(Path(source).absolute()),) if on_disk else ()), heights
+
+
 def full_turn(crs: CRS) -> float | None:
     """Return a full turn of longitude in the units of a geographic CRS, None of any other."""
     if not crs.is_geographic:
