@@ -59,29 +59,29 @@ def stand_on(
     OffMapError
         A location off the map or on a hole, or an eye height below 0.
     """
-    return _eyes(field, easting_m, northing_m, eye_height_m, above_ground=True)
+    easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
+    ground = _ground_m(field, easting, northing)
+    return Viewpoints(easting, northing, _above_ground(ground, ground + eye_height))
 
 
 def at_elevation(
     field: HeightField, easting_m: ArrayLike, northing_m: ArrayLike, eye_elevation_m: ArrayLike
 ) -> Viewpoints:
     """Place eyes at elevations above the datum; as `stand_on` otherwise."""
-    return _eyes(field, easting_m, northing_m, eye_elevation_m, above_ground=False)
+    easting, northing, eye_elevation = _flat(easting_m, northing_m, eye_elevation_m)
+    ground = _ground_m(field, easting, northing)
+    return Viewpoints(easting, northing, _above_ground(ground, eye_elevation))
 
 
-def _eyes(
-    field: HeightField,
-    easting_m: ArrayLike,
-    northing_m: ArrayLike,
-    eye_m: ArrayLike,
-    above_ground: bool,
-) -> Viewpoints:
-    values = [np.atleast_1d(np.asarray(v, np.float64)) for v in (easting_m, northing_m, eye_m)]
-    easting, northing, eye = (
-        np.ascontiguousarray(array).reshape(-1) for array in np.broadcast_arrays(*values)
-    )
-    if not np.isfinite([easting, northing, eye]).all():
+def _flat(*values: ArrayLike) -> list[Float64Array]:
+    arrays = np.broadcast_arrays(*[np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values])
+    flat = [np.ascontiguousarray(array).reshape(-1) for array in arrays]
+    if not all(np.isfinite(array).all() for array in flat):
         raise InputError("a viewpoint has a coordinate that is not a finite number")
+    return flat
+
+
+def _ground_m(field: HeightField, easting: Float64Array, northing: Float64Array) -> Float64Array:
     ground = field.height_at(easting, northing)
     missing = np.flatnonzero(np.isnan(ground))
     if missing.size:
@@ -96,8 +96,10 @@ def _eyes(
             f"to {east:.1f}, northing {south:.1f} to {north:.1f}: move it "
             f"or remove it ({missing.size} such)"
         )
-    if above_ground:
-        eye = ground + eye
+    return ground
+
+
+def _above_ground(ground: Float64Array, eye: Float64Array) -> Float64Array:
     below = np.flatnonzero(eye < ground)
     if below.size:
         first = below[0]
@@ -105,7 +107,7 @@ def _eyes(
             f"viewpoint {first} has its eye at {eye[first]:.2f} m, below the ground at "
             f"{ground[first]:.2f} m; raise the eye to the ground or above ({below.size} such)"
         )
-    return Viewpoints(easting, northing, eye)
+    return eye
 
 
 def read_viewpoints(
