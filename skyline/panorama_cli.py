@@ -10,7 +10,8 @@ from skyline.fetch.overpass import fetch_peaks
 from skyline.fetch.remote import HttpOptions
 from skyline.pipeline.panorama import PanoramaConfig, save_panorama_of
 from skyline.report.peaks import read_peaks
-from skyline.terrain.dem import Blocks, DemOptions, read_blocks, read_dem
+from skyline.terrain.blocks import Blocks
+from skyline.terrain.dem import DemOptions, read_blocks, read_dem
 from skyline.terrain.surface import read_surface
 
 _HTTP = HttpOptions()

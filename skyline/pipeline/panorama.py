@@ -13,7 +13,7 @@ from skyline.geodesy import Curvature
 from skyline.pipeline.local_horizons import horizons_of
 from skyline.report.peaks import Peaks
 from skyline.report.sightings import visible_peaks
-from skyline.terrain.dem import Blocks
+from skyline.terrain.blocks import Blocks
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M

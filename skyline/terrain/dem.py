@@ -2,29 +2,23 @@
 
 import logging
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from pyproj import CRS
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array
+from skyline.arrays import BoolArray, Float32Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, is_metric, parse_crs
+from skyline.terrain.blocks import Blocks
 from skyline.terrain.cleaning import STEEPEST, fill_voids, remove_spikes, strips, void_undeclared
 from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
 from skyline.terrain.tiles import Grid, Tile, read_dataset, read_tiles
-from skyline.terrain.warp import (
-    BLOCK,
-    Warp,
-    block_edges,
-    ground_spacing_m,
-    local_frame,
-    square_spacing_m,
-)
+from skyline.terrain.warp import Warp, ground_spacing_m, local_frame, square_spacing_m
 
 CONFORMAL_DEG = 0.01
 """A metric CRS that bends no angle by more than this is used without a word."""
@@ -100,54 +94,6 @@ class DemOptions:
             return cls(**given)
         except TypeError as error:
             raise InputError(f"DEM options are {options!r}; {error}") from error
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Blocks:
-    """R x C blocks of a height field; neighbours share the samples of their edge.
-
-    Only those that somebody looks at are made: an eye sees little of a wide DEM, and what lies
-    behind a ridge need not be warped. Which blocks an eye may see is known from where they are and
-    from a height that nothing in them exceeds.
-    """
-
-    frame: Frame
-    grid: Grid
-    """Of the samples, in metres of the frame."""
-    highest_m: Float32Array
-    """(R, C) float32. No height of a block is above it; -inf where there is none."""
-    field: Callable[[BoolArray], HeightField]
-    """From which blocks are wanted (R, C) to a field of these; others may be missing or NaN."""
-
-    @classmethod
-    def of(cls, field: HeightField) -> Self:
-        """Return the blocks of a field that is made already."""
-        highest = np.asarray(field.heights_m, np.float32)
-        for axis in (0, 1):
-            edges = block_edges(highest.shape[axis])
-            shared = np.take(highest, edges[1:], axis)
-            highest = np.fmax(np.fmax.reduceat(highest, edges[:-1], axis), shared)
-        highest = np.nan_to_num(highest, nan=-np.inf)
-        steps_m = field.spacing_east_m, field.spacing_north_m
-        grid = Grid(field.west_m, field.north_m, *steps_m, field.rows, field.cols)
-        return cls(field.frame, grid, highest, lambda _: field)
-
-    def around_m(self, easting_m: float, northing_m: float) -> tuple[Float64Array, ...]:
-        """Return how far east and north of a place the middles of the blocks are, (R, C) each."""
-        rows, cols = (np.arange(count) + 0.5 for count in self.highest_m.shape)
-        east_m = self.grid.west + cols * BLOCK * self.grid.step_east - easting_m
-        north_m = self.grid.north - rows * BLOCK * self.grid.step_north - northing_m
-        return tuple(np.meshgrid(east_m, north_m))
-
-    @property
-    def spacing_m(self) -> float:
-        """The finer of the two sample spacings."""
-        return min(self.grid.step_east, self.grid.step_north)
-
-    @property
-    def radius_m(self) -> float:
-        """How far a block's corners are from its middle."""
-        return 0.5 * BLOCK * float(np.hypot(self.grid.step_east, self.grid.step_north))
 
 
 def read_dem(

@@ -17,14 +17,12 @@ from pyproj.exceptions import ProjError
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.terrain.blocks import BLOCK, block_edges
 from skyline.terrain.cleaning import strips
 from skyline.terrain.tiles import MAX_SAMPLES, Grid, full_turn
 
 POSITION_TOLERANCE = 1e-3
 """Greatest error of a position in the source, in samples."""
-
-BLOCK = 64
-"""Cells of a block's side."""
 
 _NODE_STEP = 32
 _EDGE_POINTS = 127
@@ -212,11 +210,6 @@ def _transformer(source: CRS, target: CRS) -> Transformer:
             f"({' '.join(str(error).split())}); give a DEM in a CRS of the Earth, or one that is "
             "metric and conformal already"
         ) from error
-
-
-def block_edges(samples: int) -> Int64Array:
-    """Return the first sample of each block along an axis, and the last sample of the last."""
-    return np.append(np.arange(0, max(samples - 1, 1), BLOCK), samples - 1)
 
 
 def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:

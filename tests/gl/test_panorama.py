@@ -14,7 +14,8 @@ from skyline.geodesy import Curvature
 from skyline.pipeline.panorama import panorama_view
 from skyline.report.landscape import Landscape
 from skyline.report.panorama import SUMMIT, draw_panorama
-from skyline.terrain.dem import Blocks, read_blocks
+from skyline.terrain.blocks import Blocks
+from skyline.terrain.dem import read_blocks
 
 AZIMUTH_DEG = 10.0 + np.arange(2000) * 0.05
 
