@@ -39,8 +39,7 @@ from .report.located import write_located
 from .report.matched import Matched
 from .report.peaks import Peaks, read_peaks
 from .report.tiles import ReliefTiles
-from .solar.local_horizons import LocalHorizons
-from .solar.sky_view import sky_view_factor
+from .solar.local_horizons import LocalHorizons, sky_view_factor
 from .store import Locations, PlaceMap, RowCoding, Store, StoreHeader, open_store
 from .terrain.dem import DemOptions, read_dem
 from .terrain.heightfield import HeightField, Provenance

@@ -39,7 +39,7 @@ from skyline.planning.uniform import uniform_grid
 from skyline.store import open_store
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoint_csv import read_viewpoints
+from skyline.terrain.viewpoints import read_viewpoints
 
 _DEFAULTS = RenderConfig()
 _PLANNED = PlanConfig()

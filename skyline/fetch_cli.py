@@ -9,8 +9,7 @@ from typer import Option
 from skyline.console import parse_bounds, progress_bar
 from skyline.fetch.overpass import fetch_peaks
 from skyline.fetch.remote import HttpOptions
-from skyline.fetch.sources import SOURCES
-from skyline.fetch.tiles import fetch_dem
+from skyline.fetch.tiles import SOURCES, fetch_dem
 
 _HTTP = HttpOptions()
 

@@ -30,7 +30,14 @@ from skyline.store.header import PLACES, SCHEMA_VERSION
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.products import model_of
-from skyline.terrain.scene import scene_needs
+from skyline.terrain.scene import (
+    BLOCK_CELLS,
+    COARSER_STEPS,
+    coarser_step,
+    curvature_bound_px,
+    share_beyond,
+    sight_range_m,
+)
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 
 _DEFAULTS = RenderConfig()
@@ -127,31 +134,37 @@ def _describe_scene(terrain: HeightField, eye: Viewpoints, config: RenderConfig)
     # What the tolerance leaves out shows only in skylines that were rendered without it.
     exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
     given = render_views(terrain, eye, config)
-    needs = scene_needs(terrain, eye, config.width, config.tolerance_px, config.curvature)
+    drop_per_m2 = config.curvature.drop_per_m2
+    reach_m = terrain.reach_m(float(eye.easting_m[0]), float(eye.northing_m[0]))
+    sight_m = sight_range_m(terrain, float(eye.eye_elevation_m[0]), drop_per_m2)
     short = np.nanmax(exact.elevation_tan - given.elevation_tan, initial=0.0)
-    depth_m = exact.depth_m[~np.isnan(exact.depth_m)]
-    return {
+    depth_m = exact.depth_m
+    facts: Facts = {
         "easting_m": float(eye.easting_m[0]),
         "northing_m": float(eye.northing_m[0]),
         "eye_elevation_m": float(eye.eye_elevation_m[0]),
         "width": config.width,
         "tolerance_px": config.tolerance_px,
-        "skyline_depth_m": np.quantile(depth_m, [0.0, 0.5, 1.0]).tolist() if depth_m.size else [],
+        "skyline_depth_m": [float(v) for v in np.nanquantile(depth_m, [0.0, 0.5, 1.0])]
+        if np.isfinite(depth_m).any()
+        else [],
         "flagged_columns": float((exact.flags != 0).mean()),
-        "data_reach_m": needs.data_reach_m,
-        "sight_m": needs.sight_m,
-        "samples_beyond_sight": needs.beyond_sight,
+        "data_reach_m": reach_m,
+        "sight_m": sight_m,
+        "samples_beyond_sight": share_beyond(terrain, eye, sight_m),
         "curvature": "modelled" if config.curvature.enabled else "left out (--no-curvature)",
-        "curvature_bound_px": needs.curvature_px,
+        "curvature_bound_px": curvature_bound_px(reach_m, drop_per_m2, config.width),
         "passed_over_bound_px": config.tolerance_px,
         "passed_over_measured_px": float(short / pixel_size(config.width)),
-        **{
-            f"every_{step.step}_samples": f"deviates by {step.deviation_m:.1f} m in the median "
-            f"block; within the tolerance in {100.0 * step.share:.1f} % of blocks; not used: all "
-            "samples are kept"
-            for step in needs.steps
-        },
     }
+    tolerance = config.tolerance_px * pixel_size(config.width)
+    for step in COARSER_STEPS if min(terrain.rows, terrain.cols) > BLOCK_CELLS else ():
+        deviation_m, share = coarser_step(terrain, eye, step, tolerance)
+        facts[f"every_{step}_samples"] = (
+            f"deviates by {deviation_m:.1f} m in the median block; within the tolerance in "
+            f"{100.0 * share:.1f} % of blocks; not used: all samples are kept"
+        )
+    return facts
 
 
 def describe_store(path: str) -> Facts:

@@ -16,27 +16,22 @@ class Rows:
     __slots__ = ()
 
     def __getitem__(self, index: Index) -> Self:
-        return type(self)(**{name: getattr(self, name)[index] for name in self._names()})
+        return type(self)(*(getattr(self, name)[index] for name in self._names()))
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
         """Join rows in order; at least one part."""
-        columns = {
-            f.name: [getattr(part, f.name) for part in parts] for f in fields(cast(Any, cls))
-        }
-        return cls(**{name: _concatenated(column) for name, column in columns.items()})
+        columns = ([getattr(part, name) for part in parts] for name in cls._names())
+        return cls(*map(_concatenated, columns))
 
     def replaced(self, chosen: NDArray[np.bool_], other: Self) -> Self:
         """Return these rows, with another's where ``chosen`` (M,) is true."""
-        return type(self)(
-            **{
-                name: _chosen(chosen, getattr(other, name), getattr(self, name))
-                for name in self._names()
-            }
-        )
+        columns = ((getattr(other, name), getattr(self, name)) for name in self._names())
+        return type(self)(*(_chosen(chosen, new, old) for new, old in columns))
 
-    def _names(self) -> list[str]:
-        return [f.name for f in fields(cast(Any, self))]
+    @classmethod
+    def _names(cls) -> list[str]:
+        return [f.name for f in fields(cast(Any, cls))]
 
 
 def _chosen(chosen: NDArray[np.bool_], new: Any, old: Any) -> Any:

@@ -31,8 +31,12 @@ from skyline.terrain.blocks import Blocks
 from skyline.terrain.dem import DemOptions, read_blocks, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import read_surface
-from skyline.terrain.viewpoint_csv import read_viewpoints
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+from skyline.terrain.viewpoints import (
+    DEFAULT_EYE_HEIGHT_M,
+    Viewpoints,
+    read_viewpoints,
+    stand_on,
+)
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
 
 _CURVATURE = Curvature()

@@ -122,7 +122,15 @@ def _failure(url: str, reason: str, attempts: int) -> str:
     where = shown(url)
     times = f"tried {attempts} times" if attempts > 1 else "not tried again"
     if status := re.search(r"HTTP response code: (\d+)", reason):
-        return f"{where}: the server answers HTTP {status[1]}, {times}; {_advice(int(status[1]))}"
+        code = int(status[1])
+        advice = "check the address and the source's template"
+        if code in (401, 403):
+            advice = (
+                "check that the source is open to you (some servers answer this for what is absent)"
+            )
+        elif code == 429 or code >= 500:
+            advice = "give the same command again later: what was fetched is kept"
+        return f"{where}: the server answers HTTP {code}, {times}; {advice}"
     if said := re.search(r"CURL error: (.*?)(;|$)", reason):
         return (
             f"{where}: no answer ({said[1]}), {times}; check the address and the connection, then "
@@ -137,11 +145,3 @@ def _failure(url: str, reason: str, attempts: int) -> str:
         f"{where}: the file breaks off or is damaged ({reason.rpartition('; ')[2]}), {times}; give "
         "the same command again: what was fetched is kept"
     )
-
-
-def _advice(status: int) -> str:
-    if status in (401, 403):
-        return "check that the source is open to you (some servers answer this for what is absent)"
-    if status == 429 or status >= 500:
-        return "give the same command again later: what was fetched is kept"
-    return "check the address and the source's template"

@@ -1,30 +1,47 @@
-"""Cutting remote tiles to bounds, and writing them where `read_dem` takes them."""
+"""Elevation tiles of an area: where they lie, and cutting them to bounds for `read_dem`.
+
+A source has one address for each degree of latitude and longitude.
+"""
 
 import json
 import logging
 import math
 import os
+import string
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
+from urllib.parse import urlsplit
 
 import numpy as np
 import rasterio
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 from rasterio.windows import transform as transform_of
 
 from skyline.errors import FetchError, InputError
 from skyline.fetch.remote import AbsentError, HttpOptions, shown, with_remote
-from skyline.fetch.sources import TileSource
-from skyline.geodesy import Bounds
-from skyline.terrain.mosaic import GRID_TOLERANCE
+from skyline.geodesy import Bounds, check_bounds
+from skyline.terrain.tiles import GRID_TOLERANCE
+
+MAX_TILES = 64
+"""The largest fetch: 8 x 8 degrees."""
+
+SOURCES = {
+    "copernicus": (
+        "https://copernicus-dem-30m.s3.amazonaws.com/"
+        "Copernicus_DSM_COG_10_{ns}{lat:02d}_00_{ew}{lon:03d}_00_DEM/"
+        "Copernicus_DSM_COG_10_{ns}{lat:02d}_00_{ew}{lon:03d}_00_DEM.tif"
+    )
+}
+"""Sources with a name: Copernicus GLO-30, a surface model of 1 arc-second, as AWS hosts it."""
 
 MAX_BYTES = 4 << 30
 """The most that is fetched at a time, unpacked."""
 
+_ARC_SECOND_BYTES = 4 * 3600**2
 _MAX_BLOCK_BYTES = 256 << 20
 _TAG = "SKYLINE_FETCH"
 # Bounds this near a pixel's edge are on it, but for rounding.
@@ -34,6 +51,87 @@ Progress = Callable[[int, int], None]
 """Called with the tiles done and the tiles there are."""
 
 _log = logging.getLogger(__name__)
+
+
+_NAME = "{ns}{lat:02d}{ew}{lon:03d}"
+"""Of a tile, as SRTM has it: N46E009, S01W070."""
+
+
+def _fields(lat: int, lon: int) -> dict[str, int | str]:
+    """Return what a template's fields stand for; the numbers are absolute."""
+    hemispheres = {"ns": "N" if lat >= 0 else "S", "ew": "E" if lon >= 0 else "W"}
+    return {"lat": abs(lat), "lon": abs(lon), **hemispheres}
+
+
+@dataclass(frozen=True, slots=True)
+class TileSource:
+    """A template of addresses.
+
+    Raises `InputError` for what is no http(s) address, or a field that is none of these.
+    """
+
+    template: str
+    """An http or https address. ``{lat}``, ``{lon}`` are the whole degrees, without sign, of a
+    tile's south-west corner, ``{ns}``, ``{ew}`` its hemispheres (N or S, E or W); numbers take a
+    format, as in ``{lat:02d}``. Without any of them the address is one file over all."""
+
+    def __post_init__(self) -> None:
+        try:
+            address = urlsplit(self.url(0, 0))
+            usable = address.scheme in ("http", "https") and bool(address.hostname)
+        except (ValueError, KeyError) as error:
+            raise InputError(
+                f"source {self.template!r} is not understood ({error}); expected an address with "
+                "the fields {lat}, {lon}, {ns}, {ew}, e.g. "
+                "https://host/{ns}{lat:02d}{ew}{lon:03d}.tif"
+            ) from error
+        if not usable:
+            raise InputError(
+                f"source {self.template!r} is not an http or https address; give one, or the name "
+                f"of a source: {', '.join(SOURCES)}"
+            )
+
+    @classmethod
+    def named(cls, name: str) -> Self:
+        """Return the source of that name in `SOURCES`, or the one whose template it is."""
+        return cls(SOURCES.get(name, name))
+
+    @property
+    def tiled(self) -> bool:
+        """Whether there is a file a degree."""
+        return any(field for _, field, _, _ in string.Formatter().parse(self.template))
+
+    def url(self, lat: int, lon: int) -> str:
+        """Return the address of the tile with this south-west corner, degrees."""
+        fields = _fields(lat, lon)
+        for _, field, _, conversion in string.Formatter().parse(self.template):
+            # format() would follow attributes and indices of a field, which no template needs.
+            if field is not None and (field not in fields or conversion):
+                raise ValueError(f"unknown field {field!r}")
+        return self.template.format(**fields)
+
+    def tiles(self, bounds_deg: Bounds) -> list[tuple[int, int]]:
+        """Return latitude and longitude, whole degrees, of the south-west corners of tiles.
+
+        They are those that bounds need, from the south-west, row by row.
+
+        Raises `InputError` for bounds that are not numbers in order, or that need more than
+        `MAX_TILES`.
+        """
+        west, south, east, north = check_bounds(bounds_deg)
+        if not self.tiled:
+            return [(math.floor(south), math.floor(west))]
+        lats = range(math.floor(south), math.ceil(north))
+        lons = range(math.floor(west), math.ceil(west + (east - west) % 360.0))
+        count = len(lats) * len(lons)
+        if count > MAX_TILES:
+            size_gb = (north - south) * ((east - west) % 360.0) * _ARC_SECOND_BYTES / 1e9
+            raise InputError(
+                f"bounds {west:g},{south:g},{east:g},{north:g} need {count} tiles, about "
+                f"{size_gb:.1f} GB at one arc-second; at most {MAX_TILES} tiles are fetched at a "
+                "time: choose smaller bounds"
+            )
+        return [(lat, (lon + 180) % 360 - 180) for lat in lats for lon in lons]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +155,11 @@ class _Cut:
     tag: str
     window: Window
     step_deg: tuple[float, float]
-    sample_bytes: int
+    dtype: DTypeLike
 
     @property
     def size_bytes(self) -> int:
-        return int(self.window.width) * int(self.window.height) * self.sample_bytes
+        return int(self.window.width * self.window.height * np.dtype(self.dtype).itemsize)
 
 
 def fetch_dem(
@@ -104,11 +202,12 @@ def fetch_dem(
     files: list[Path] = []
     missing: list[str] = []
     for tile in tiles:
-        path = folder / f"{tile.name if origin.tiled else 'dem'}.tif"
+        name = _NAME.format(**_fields(*tile))
+        path = folder / f"{name if origin.tiled else 'dem'}.tif"
         try:
-            cut = _plan(origin.url(tile), path, bounds_deg, options)
+            cut = _plan(origin.url(*tile), path, bounds_deg, options)
         except AbsentError as error:
-            missing.append(tile.name)
+            missing.append(name)
             _log.info("%s", error)
             continue
         files.append(path)
@@ -116,8 +215,8 @@ def fetch_dem(
             cuts.append(cut)
     if not files:
         raise InputError(
-            f"the source has none of {', '.join(missing)} ({shown(origin.url(tiles[0]))}, for one, "
-            "is not there); check the bounds, or the source's template"
+            f"the source has none of {', '.join(missing)} ({shown(origin.url(*tiles[0]))}, for "
+            "one, is not there); check the bounds, or the source's template"
         )
     _check_together(cuts)
     folder.mkdir(parents=True, exist_ok=True)
@@ -146,7 +245,7 @@ def _plan(url: str, path: Path, bounds_deg: Bounds, options: HttpOptions) -> _Cu
         _check_usable(url, file)
         window = _window(url, file, bounds_deg)
         step_deg = (file.transform.a, -file.transform.e)
-        return _Cut(url, path, tag, window, step_deg, np.dtype(file.dtypes[0]).itemsize)
+        return _Cut(url, path, tag, window, step_deg, file.dtypes[0])
 
     return with_remote(url, options, look)
 
@@ -226,8 +325,22 @@ def _check_together(cuts: Sequence[_Cut]) -> None:
 
 def _fetch(cut: _Cut, options: HttpOptions) -> None:
     """Read a cut and write its file whole or not at all."""
-    strips = _Strips(cut.window)
-    content = with_remote(cut.url, options, lambda file: _geotiff(strips.read(file), cut, file))
+    left, top, width, height = cut.window.flatten()
+    samples, known = np.empty((height, width), cut.dtype), 0
+
+    def read(file: Any) -> bytes:
+        """Read a row of blocks at a time; what was read is kept when a connection fails."""
+        nonlocal known
+        block_rows = int(file.block_shapes[0][0])
+        while known < height:
+            start = top + known
+            stop = min((start // block_rows + 1) * block_rows, top + height)
+            strip = Window(left, start, width, stop - start)
+            samples[known : stop - top] = file.read(1, window=strip)
+            known = stop - top
+        return _geotiff(samples, cut, file)
+
+    content = with_remote(cut.url, options, read)
     partial = cut.path.with_name(f"{cut.path.name}.partial")
     try:
         with partial.open("wb") as target:
@@ -244,54 +357,25 @@ def _fetch(cut: _Cut, options: HttpOptions) -> None:
         partial.unlink(missing_ok=True)
 
 
-class _Strips:
-    """The samples of a window, read a row of blocks at a time and kept when a connection fails."""
-
-    def __init__(self, window: Window) -> None:
-        self._window = window
-        self._samples: NDArray[Any] | None = None
-        self._rows = 0
-
-    def read(self, file: Any) -> NDArray[Any]:
-        """Read what is not there yet; return all of it."""
-        top, height = int(self._window.row_off), int(self._window.height)
-        width = int(self._window.width)
-        if self._samples is None:
-            self._samples = np.empty((height, width), dtype=file.dtypes[0])
-        block_rows = int(file.block_shapes[0][0])
-        while self._rows < height:
-            start = top + self._rows
-            stop = min((start // block_rows + 1) * block_rows, top + height)
-            strip = Window(self._window.col_off, start, width, stop - start)
-            self._samples[self._rows : stop - top] = file.read(1, window=strip)
-            self._rows = stop - top
-        return self._samples
-
-
 def _geotiff(samples: NDArray[Any], cut: _Cut, origin: Any) -> bytes:
     """Return samples as the bytes of a GeoTIFF with the place and meaning of their origin."""
-    rows, cols = samples.shape
-    predictor = 3 if samples.dtype.kind == "f" else 2
     with rasterio.MemoryFile() as memory:
         with memory.open(
             driver="GTiff",
-            width=cols,
-            height=rows,
+            width=samples.shape[1],
+            height=samples.shape[0],
             count=1,
             dtype=samples.dtype,
             crs=origin.crs,
             transform=transform_of(cut.window, origin.transform),
             nodata=origin.nodata,
             compress="deflate",
-            predictor=predictor,
+            predictor=3 if samples.dtype.kind == "f" else 2,
             tiled=True,
         ) as file:
             file.write(samples, 1)
             file.scales, file.offsets, file.units = origin.scales, origin.offsets, origin.units
-            file.update_tags(**{_TAG: cut.tag}, **_registration(origin))
+            # One tag says whether samples stand for points or areas.
+            kept = {key: tag for key, tag in origin.tags().items() if key == "AREA_OR_POINT"}
+            file.update_tags(**{_TAG: cut.tag}, **kept)
         return bytes(memory.getbuffer())
-
-
-def _registration(origin: Any) -> dict[str, str]:
-    """Return the tag that says whether samples stand for points or areas, where there is one."""
-    return {key: value for key, value in origin.tags().items() if key == "AREA_OR_POINT"}

@@ -21,7 +21,7 @@ from skyline.geodesy import Curvature
 from skyline.render.context import acquire_context
 from skyline.render.shaders import compile_program
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.triangles import Rims, Triangles
+from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 
@@ -283,9 +283,9 @@ class _RimFinder:
 
     def __init__(self, field: HeightField, curvature: Curvature) -> None:
         self._curvature = curvature
-        rims = Rims.of(Triangles.of(field.heights_m))
-        self._easting_m, self._northing_m = field.to_map(rims.row, rims.col)
-        self._height_m = field.heights_m[rims.row, rims.col].astype(np.float64)
+        rims = Triangles.of(field.heights_m).rims()
+        self._easting_m, self._northing_m = field.to_map(*rims)
+        self._height_m = field.heights_m[rims].astype(np.float64)
 
     def columns(
         self, viewpoints: Viewpoints, index: int, heading: int, width: int

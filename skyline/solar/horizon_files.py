@@ -8,13 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError, named
 from skyline.files import write_whole
 from skyline.geodesy import degrees_in_words
 from skyline.solar.local_horizons import LocalHorizons
-
-_HEADER = "lon,lat,azimuth_deg,elevation_deg,distance_m"
 
 
 def write_horizons(horizons: LocalHorizons, path: Path) -> None:
@@ -35,24 +32,19 @@ def write_horizons(horizons: LocalHorizons, path: Path) -> None:
 
 def horizon_csv(horizons: LocalHorizons) -> str:
     """Return horizons as CSV: a row for each place and azimuth; what is not known is empty."""
-    columns: list[Float64Array | Float32Array] = [
-        np.repeat(horizons.lon, horizons.azimuth_deg.shape[1]),
-        np.repeat(horizons.lat, horizons.azimuth_deg.shape[1]),
-        horizons.azimuth_deg.ravel(),
-        horizons.elevation_deg.ravel(),
-        horizons.distance_m.ravel(),
-    ]
-    header, digits = _HEADER, "%.7f,%.7f,%.9g,%.5f,%.1f"
-    if horizons.has_surface:
-        columns.append(horizons.surface_deg.ravel())
-        header, digits = f"{header},surface_deg", f"{digits},%.5f"
-    text, table = io.StringIO(), np.column_stack(columns)
-    np.savetxt(text, table, digits, header=header, comments="", encoding="utf-8")
+    told, bins = _told(horizons), horizons.azimuth_deg.shape[1]
+    columns = [np.repeat(horizons.lon, bins), np.repeat(horizons.lat, bins)]
+    columns += [getattr(horizons, name).ravel() for name in ("azimuth_deg", *told)]
+    digits = ["%.7f", "%.7f", "%.9g", *(f"%.{digits}f" for digits in told.values())]
+    text, header = io.StringIO(), ",".join(["lon", "lat", "azimuth_deg", *told])
+    np.savetxt(text, np.column_stack(columns), ",".join(digits), header=header, comments="")
     return text.getvalue().replace("nan", "")
 
 
-def _csv(horizons: LocalHorizons, _: Path) -> str:
-    return horizon_csv(horizons)
+def _told(horizons: LocalHorizons) -> dict[str, int]:
+    """Return what is told of each azimuth, with its decimals."""
+    told = {"elevation_deg": 5, "distance_m": 1}
+    return told | ({"surface_deg": 5} if horizons.has_surface else {})
 
 
 def _json(horizons: LocalHorizons, _: Path) -> str:
@@ -64,13 +56,10 @@ def _json(horizons: LocalHorizons, _: Path) -> str:
             "eye_elevation_m": round(float(horizons.eye_elevation_m[index]), 2),
             "sky_view_factor": _known(factors[index], 5),
             "azimuth_deg": [round(value, 9) for value in horizons.azimuth_deg[index].tolist()],
-            "elevation_deg": [_known(value, 5) for value in horizons.elevation_deg[index]],
-            "distance_m": [_known(value, 1) for value in horizons.distance_m[index]],
-            **(
-                {"surface_deg": [_known(value, 5) for value in horizons.surface_deg[index]]}
-                if horizons.has_surface
-                else {}
-            ),
+            **{
+                name: [_known(value, digits) for value in getattr(horizons, name)[index]]
+                for name, digits in _told(horizons).items()
+            },
         }
         for index in range(len(horizons))
     ]
@@ -145,7 +134,7 @@ def _check_single(horizons: LocalHorizons, path: Path) -> None:
 
 
 _KINDS: dict[str, Callable[[LocalHorizons, Path], str | bytes]] = {
-    ".csv": _csv,
+    ".csv": lambda horizons, _: horizon_csv(horizons),
     ".json": _json,
     ".txt": _pvgis,
     ".png": _plot,

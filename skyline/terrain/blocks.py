@@ -13,6 +13,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.geodesy import Frame
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.tiles import Grid
 
 BLOCK = 64
 """Cells of a block's side."""
@@ -23,12 +24,8 @@ class Blocks:
     """R x C blocks of a height field; neighbours share the samples of their edge."""
 
     frame: Frame
-    west_m: float
-    north_m: float
-    spacing_east_m: float
-    spacing_north_m: float
-    """``west_m``, ``north_m``, ``spacing_east_m``, ``spacing_north_m``: of the samples, as
-    `HeightField` has them."""
+    grid: Grid
+    """Of the samples, in metres of the frame."""
     highest_m: Float32Array
     """(R, C) float32. No height of a block is above it; -inf where there is none."""
     field: Callable[[BoolArray], HeightField]
@@ -43,25 +40,26 @@ class Blocks:
             shared = np.take(highest, edges[1:], axis)
             highest = np.fmax(np.fmax.reduceat(highest, edges[:-1], axis), shared)
         highest = np.nan_to_num(highest, nan=-np.inf)
-        grid = field.west_m, field.north_m, field.spacing_east_m, field.spacing_north_m
-        return cls(field.frame, *grid, highest, lambda _: field)
+        steps_m = field.spacing_east_m, field.spacing_north_m
+        grid = Grid(field.west_m, field.north_m, *steps_m, field.rows, field.cols)
+        return cls(field.frame, grid, highest, lambda _: field)
 
     def around_m(self, easting_m: float, northing_m: float) -> tuple[Float64Array, ...]:
         """Return how far east and north of a place the middles of the blocks are, (R, C) each."""
         rows, cols = (np.arange(count) + 0.5 for count in self.highest_m.shape)
-        east_m = self.west_m + cols * BLOCK * self.spacing_east_m - easting_m
-        north_m = self.north_m - rows * BLOCK * self.spacing_north_m - northing_m
+        east_m = self.grid.west + cols * BLOCK * self.grid.step_east - easting_m
+        north_m = self.grid.north - rows * BLOCK * self.grid.step_north - northing_m
         return tuple(np.meshgrid(east_m, north_m))
 
     @property
     def spacing_m(self) -> float:
         """The finer of the two sample spacings."""
-        return min(self.spacing_east_m, self.spacing_north_m)
+        return min(self.grid.step_east, self.grid.step_north)
 
     @property
     def radius_m(self) -> float:
         """How far a block's corners are from its middle."""
-        return 0.5 * BLOCK * float(np.hypot(self.spacing_east_m, self.spacing_north_m))
+        return 0.5 * BLOCK * float(np.hypot(self.grid.step_east, self.grid.step_north))
 
 
 def block_edges(samples: int) -> Int64Array:

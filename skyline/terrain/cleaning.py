@@ -1,13 +1,19 @@
-"""Voids and spikes: what a DEM's samples need before anything is rendered from them.
+"""Voids, fill and spikes: what a DEM's samples need before anything is rendered from them.
 
-A skyline is a maximum, so one bad sample makes a phantom ridge. Both functions work in place and
+A skyline is a maximum, so one bad sample makes a phantom ridge. All functions work in place and
 strip by strip: a field of hundreds of millions of samples costs little more than itself.
 
 Markers are used while a DEM is being read: NaN is a void, which may be filled, -inf a void that
 the file does not declare, and +inf a sample that no file covers, which is neither a neighbour nor
-ever filled. `skyline.terrain.fill` makes voids of the second.
+ever filled. `void_undeclared` makes voids of the second.
+
+Fill is a constant in place of what was never measured, which a DEM does not declare. A footprint
+that was turned or cut is often padded with zeros, and the file does not say so. Left in, they are a
+plain at sea level below walls of 2,000 m, over which an eye seems to see far. They are told from a
+lake or the sea by their rim: terrain does not rise over water by `STEEPEST` along half of a shore.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -27,6 +33,16 @@ MAX_SPIKE_SAMPLES = 4
 STANDS_OUT = 3.0
 """A spike is so many times farther off its surroundings than these are among themselves."""
 
+MIN_SAMPLES = 100
+"""Samples of the smallest fill."""
+
+WALLED = 0.5
+"""Share of the rim that is walls, from which on a constant is fill."""
+
+_MIN_RIM = 20
+_REACH = 3
+"""Samples from the rim within which the wall stands: a cubic resampling smears it over them."""
+
 _LEAST_SURROUNDINGS = 3
 _STRIP_SAMPLES = 1 << 22
 _AROUND = np.array([(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1) if (r, c) != (0, 0)])
@@ -41,9 +57,41 @@ def strips(heights_m: Float32Array) -> Iterator[slice]:
         yield slice(top, min(top + step, rows))
 
 
-def count_voids(heights_m: Float32Array) -> int:
-    """Return the number of NaN samples."""
-    return sum(int(np.count_nonzero(np.isnan(heights_m[rows]))) for rows in strips(heights_m))
+def void_undeclared(heights_m: Float32Array, threshold_m: float) -> tuple[int, list[float]]:
+    """Turn what a file does not declare to be void, and is, into voids, in place.
+
+    This is every sample marked -inf (a customary void value that the file does not name), and
+    every connected place of one value, `MIN_SAMPLES` or more of them, with walls on `WALLED` of
+    its rim. A wall is a rise of more than the threshold between neighbouring samples, at most
+    three samples from the rim. Samples between the rim and the highest wall
+    are voids as well.
+
+    Parameters
+    ----------
+    heights_m : (rows, cols) float32, C-contiguous
+        NaN marks voids, +inf samples that no file covers.
+    threshold_m : float
+        Of a wall; infinity finds none.
+
+    Returns
+    -------
+    count : int
+        Samples that became voids.
+    values_m : list of float
+        The constants found.
+    """
+    count = 0
+    for rows in strips(heights_m):
+        named = np.isneginf(heights_m[rows])
+        heights_m[rows][named] = np.nan
+        count += int(np.count_nonzero(named))
+    found = []
+    for value in _walled_values(heights_m, threshold_m):
+        voids = _remove_fill(heights_m, value, threshold_m)
+        if voids:
+            count += voids
+            found.append(value)
+    return count, found
 
 
 def remove_spikes(heights_m: Float32Array, spacing_m: float, spike_m: float) -> int:
@@ -68,14 +116,19 @@ def remove_spikes(heights_m: Float32Array, spacing_m: float, spike_m: float) -> 
     spike_m : float
         The least height of a spike; infinity leaves only the absurd.
     """
-    absurd = _remove_absurd(heights_m)
+    count = 0
+    for rows in strips(heights_m):
+        strip = heights_m[rows]
+        absurd = (np.abs(strip) > ABSURD_M) & ~np.isposinf(strip)
+        strip[absurd] = np.nan
+        count += int(np.count_nonzero(absurd))
     threshold = max(spike_m, STEEPEST * spacing_m)
     candidates = _beside_jumps(heights_m, threshold)
     if candidates.size == 0:
-        return absurd
+        return count
     spikes = candidates[_are_spikes(heights_m, candidates, threshold)]
     heights_m.reshape(-1)[spikes] = np.nan
-    return absurd + spikes.size
+    return count + spikes.size
 
 
 def fill_voids(heights_m: Float32Array, max_void_samples: int) -> int:
@@ -115,16 +168,6 @@ def fill_voids(heights_m: Float32Array, max_void_samples: int) -> int:
     solution = spsolve(laplacian, np.nansum(rim_m, axis=1), permc_spec="MMD_AT_PLUS_A")
     heights_m.reshape(-1)[voids] = solution
     return int(count)
-
-
-def _remove_absurd(heights_m: Float32Array) -> int:
-    removed = 0
-    for rows in strips(heights_m):
-        strip = heights_m[rows]
-        absurd = (np.abs(strip) > ABSURD_M) & ~np.isposinf(strip)
-        strip[absurd] = np.nan
-        removed += int(np.count_nonzero(absurd))
-    return removed
 
 
 def _beside_jumps(heights_m: Float32Array, threshold_m: float) -> Int64Array:
@@ -260,3 +303,89 @@ def _find(samples: Int64Array, wanted: Int64Array) -> tuple[Int64Array, BoolArra
     """Return where each wanted index stands among ascending samples, and whether it does."""
     slot = np.minimum(np.searchsorted(samples, wanted), samples.size - 1)
     return slot, samples[slot] == wanted
+
+
+def _walled_values(heights_m: Float32Array, threshold_m: float) -> list[float]:
+    """Return the values that stand twice in a row before many a wall."""
+    counts: Counter[float] = Counter()
+    for view in (heights_m, heights_m.T):
+        for rows in strips(view):
+            with np.errstate(invalid="ignore"):
+                steep = (np.abs(np.diff(view[rows], axis=1)) > threshold_m).any(axis=1)
+            walled = view[rows][steep]
+            for line in (walled, walled[:, ::-1]):
+                before = _before_walls(line, threshold_m)
+                values, each = np.unique(
+                    line[:, 1 : 1 + before.shape[1]][before], return_counts=True
+                )
+                counts.update(dict(zip(values.tolist(), each.tolist(), strict=True)))
+    return sorted(value for value, number in counts.items() if number >= _MIN_RIM)
+
+
+def _before_walls(line: Float32Array, threshold_m: float) -> BoolArray:
+    """Return where the second of two equal samples ends their run before a wall."""
+    inner = max(line.shape[1] - 1 - _REACH, 0)
+    if inner == 0:
+        return np.zeros((line.shape[0], 0), dtype=np.bool_)
+    with np.errstate(invalid="ignore"):
+        rise = (np.diff(line[:, 1:], axis=1) > threshold_m) & np.isfinite(line[:, 2:])
+        wall = rise[:, :inner].copy()
+        for step in range(1, _REACH):
+            wall |= rise[:, step : step + inner]
+    wall &= line[:, 1 : 1 + inner] == line[:, :inner]
+    wall &= line[:, 1 : 1 + inner] != line[:, 2 : 2 + inner]
+    return np.asarray(wall, dtype=np.bool_)
+
+
+def _remove_fill(heights_m: Float32Array, value: float, threshold_m: float) -> int:
+    """Turn the fill of one value into voids; return how many samples that were."""
+    # Along both axes before any is removed, since what is removed hides the rim.
+    views = heights_m, heights_m.T
+    spans = [(view, *_fill_spans(view, value, threshold_m)) for view in views]
+    count = 0
+    for view, rows, starts, stops in spans:
+        for row, start, stop in zip(rows, starts, stops, strict=True):
+            count += int(np.count_nonzero(np.isfinite(view[row, start:stop])))
+            view[row, start:stop] = np.nan
+    return count
+
+
+def _fill_spans(
+    view: Float32Array, value: float, threshold_m: float
+) -> tuple[list[int], list[int], list[int]]:
+    """Return row, first column and column past the last of what is fill along the rows."""
+    row, start, stop = runs_of(view, lambda strip: strip == np.float32(value))
+    place = connected_runs(row, start, stop, view.shape[1])
+    west = _walls(view, row, start - 1, -1, value, threshold_m)
+    east = _walls(view, row, stop, 1, value, threshold_m)
+    rim = np.bincount(place, weights=(start > 0).astype(float) + (stop < view.shape[1]))
+    walls = np.bincount(place, weights=(west > 0).astype(float) + (east > 0))
+    samples = np.bincount(place, weights=stop - start)
+    fill = (samples >= MIN_SAMPLES) & (rim >= _MIN_RIM) & (walls >= WALLED * rim)
+    start, stop = start - np.maximum(west - 1, 0), stop + np.maximum(east - 1, 0)
+    here = fill[place]
+    return row[here].tolist(), start[here].tolist(), stop[here].tolist()
+
+
+def _walls(
+    view: Float32Array,
+    row: Int64Array,
+    first: Int64Array,
+    way: int,
+    value: float,
+    threshold_m: float,
+) -> Int64Array:
+    """Return how many samples from a run its highest wall ends, 0 where there is none."""
+    wall = np.zeros(row.size, dtype=np.int64)
+    before, highest = np.full(row.size, value), np.full(row.size, threshold_m)
+    for step in range(_REACH):
+        col = first + way * step
+        inside = (col >= 0) & (col < view.shape[1])
+        here = view[row, np.where(inside, col, 0)].astype(np.float64)
+        here = np.where(inside & np.isfinite(here), here, np.nan)
+        with np.errstate(invalid="ignore"):
+            higher = here - before > highest
+        wall = np.where(higher, step + 1, wall)
+        highest = np.where(higher, here - before, highest)
+        before = here
+    return wall

@@ -8,20 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio
 from pyproj import CRS
 
 from skyline.arrays import BoolArray, Float32Array
 from skyline.errors import InputError
-from skyline.files import is_file
 from skyline.geodesy import Frame, is_metric, parse_crs
 from skyline.terrain.blocks import Blocks
-from skyline.terrain.cleaning import STEEPEST, count_voids, fill_voids, remove_spikes, strips
-from skyline.terrain.fill import void_undeclared
+from skyline.terrain.cleaning import STEEPEST, fill_voids, remove_spikes, strips, void_undeclared
 from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
-from skyline.terrain.mosaic import mosaic_grid, read_mosaic
-from skyline.terrain.tiles import Grid, Tile, open_tile, read_into, tile_of
+from skyline.terrain.tiles import Grid, Tile, read_dataset, read_tiles
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame, square_spacing_m
 
 CONFORMAL_DEG = 0.01
@@ -86,13 +82,13 @@ class DemOptions:
         """
         if options is None:
             return cls()
-        if not isinstance(options, Mapping) or not set(options) <= {f.name for f in fields(cls)}:
+        names = [field.name for field in fields(cls)]
+        if not isinstance(options, Mapping) or not set(options) <= set(names):
             raise InputError(
-                f"DEM options are {options!r}; expected names among "
-                f"{', '.join(f.name for f in fields(cls))}"
+                f"DEM options are {options!r}; expected names among {', '.join(names)}"
             )
         given = dict(options)
-        if "spike_m" in given and given["spike_m"] is None:
+        if given.get("spike_m", 0.0) is None:
             given["spike_m"] = math.inf
         try:
             return cls(**given)
@@ -134,7 +130,7 @@ def read_dem(
     FetchError
         A server that does not have it, or does not answer.
     """
-    return _height_field(*_read(paths, options), options)
+    return _height_field(*read_tiles(paths, _parse_crs(options.crs)), options)
 
 
 def read_blocks(
@@ -144,115 +140,61 @@ def read_blocks(
 
     All samples are those of `read_dem`, to the bit. Parameters and errors are its too.
     """
-    heights, raster = _read(paths, options)
-    if _is_kept(raster, options):
-        return Blocks.of(_height_field(heights, raster, options))
-    warp, frame, provenance = _warp(heights, raster, options)
-    grid = warp.target
+    tile, heights = read_tiles(paths, _parse_crs(options.crs))
+    if _is_kept(tile, options):
+        return Blocks.of(_height_field(tile, heights, options))
+    warp, frame, provenance = _warp(tile, heights, options)
 
     def field(wanted: BoolArray) -> HeightField:
         return _field(*warp.blocks_m(wanted), frame, provenance)
 
-    steps = grid.step_east, grid.step_north
-    return Blocks(frame, grid.west, grid.north, *steps, warp.highest_m(), field)
-
-
-def _read(
-    paths: str | Path | Sequence[str | Path], options: DemOptions
-) -> tuple[Float32Array, "_Raster"]:
-    if isinstance(paths, str | Path):
-        paths = [paths]
-    if not paths:
-        raise InputError("no DEM file was given; name one or more")
-    default_crs = _parse_crs(options.crs)
-    tiles = [open_tile(path, default_crs) for path in paths]
-    _check_kind(tiles[0])
-    grid, offsets = mosaic_grid(tiles)
-    files = tuple(tile.source for tile in tiles)
-    raster = _Raster(", ".join(files), tiles[0].crs, grid, files)
-    return read_mosaic(tiles, grid, offsets), raster
+    return Blocks(frame, warp.target, warp.highest_m(), field)
 
 
 def dem_of_dataset(dataset: Any, options: DemOptions) -> HeightField:
     """Return an open dataset as a height field; see `HeightField.from_rasterio`."""
-    source = str(dataset.name)
-    tile = tile_of(source, dataset, _parse_crs(options.crs))
-    _check_kind(tile)
-    grid, _ = mosaic_grid([tile])
-    heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
-    read_into(dataset, tile, heights)
-    # A warped or virtual dataset is not what lies in a file of its name.
-    on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
-    files = (str(Path(source).absolute()),) if on_disk else ()
-    return _height_field(heights, _Raster(source, tile.crs, grid, files), options)
+    return _height_field(*read_dataset(dataset, _parse_crs(options.crs)), options)
 
 
 def dem_of_array(data_array: Any, options: DemOptions) -> HeightField:
     """Return a DataArray as a height field; see `HeightField.from_xarray`."""
-    tile, heights = read_array(data_array, _parse_crs(options.crs))
-    _check_kind(tile)
-    grid, _ = mosaic_grid([tile])
-    return _height_field(heights, _Raster(tile.source, tile.crs, grid, ()), options)
+    return _height_field(*read_array(data_array, _parse_crs(options.crs)), options)
 
 
-@dataclass(frozen=True, slots=True)
-class _Raster:
-    """Where heights come from."""
-
-    source: str
-    """What errors call it."""
-    crs: CRS
-    grid: Grid
-    """In the units of the CRS."""
-    files: tuple[str, ...]
-    """It can be read from again."""
+def _is_kept(tile: Tile, options: DemOptions) -> bool:
+    """Whether the heights stay on their tile's own grid."""
+    return is_metric(tile.crs) and not options.reproject
 
 
-def _is_kept(raster: _Raster, options: DemOptions) -> bool:
-    """Whether the heights stay on their raster's own grid."""
-    return is_metric(raster.crs) and not options.reproject
-
-
-def _height_field(heights: Float32Array, raster: _Raster, options: DemOptions) -> HeightField:
-    """Clean heights on their raster's own grid, and warp them if they need a metric frame."""
-    if _is_kept(raster, options):
-        grid, frame = raster.grid, Frame.from_crs(raster.crs)
+def _height_field(tile: Tile, heights: Float32Array, options: DemOptions) -> HeightField:
+    """Clean heights on their tile's own grid, and warp them if they need a metric frame."""
+    if _is_kept(tile, options):
+        grid, frame = tile.grid, Frame.from_crs(tile.crs)
         _warn_of_distortion(grid, frame)
-        counts = clean(heights, raster.source, max(grid.step_east, grid.step_north), options)
-        provenance = Provenance(raster.files, "none", *counts, options.to_json())
+        counts = clean(heights, tile.source, max(grid.step_east, grid.step_north), options)
+        provenance = Provenance(tile.files, "none", *counts, options.to_json())
         return _field(heights, grid, frame, provenance)
-    warp, frame, provenance = _warp(heights, raster, options)
+    warp, frame, provenance = _warp(tile, heights, options)
     return _field(warp.heights_m(), warp.target, frame, provenance)
 
 
-def _warp(
-    heights: Float32Array, raster: _Raster, options: DemOptions
-) -> tuple[Warp, Frame, Provenance]:
-    """Clean heights on their raster's own grid, to be warped to the frame centred on it."""
-    crs, grid = raster.crs, raster.grid
+def _warp(tile: Tile, heights: Float32Array, options: DemOptions) -> tuple[Warp, Frame, Provenance]:
+    """Clean heights on their tile's own grid, to be warped to the frame centred on it."""
+    crs, grid = tile.crs, tile.grid
     frame = local_frame(grid, crs)
     ground_spacing = ground_spacing_m(grid, crs, frame)
-    counts = clean(heights, raster.source, max(ground_spacing), options)
+    counts = clean(heights, tile.source, max(ground_spacing), options)
     spacing_m = square_spacing_m(ground_spacing)
     resampling = (
         f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "
         f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal frame"
     )
-    provenance = Provenance(raster.files, resampling, *counts, options.to_json())
+    provenance = Provenance(tile.files, resampling, *counts, options.to_json())
     return Warp(heights, grid, crs, frame, spacing_m), frame, provenance
 
 
 def _parse_crs(text: str | None) -> CRS | None:
     return None if text is None else parse_crs(text)
-
-
-def _check_kind(tile: Tile) -> None:
-    crs = tile.crs
-    if not (crs.is_geographic or crs.is_projected):
-        raise InputError(
-            f"{tile.source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or "
-            "projected coordinate reference system: warp it first with gdalwarp"
-        )
 
 
 def clean(
@@ -266,7 +208,7 @@ def clean(
     Parameters
     ----------
     heights : (rows, cols) float32
-        As `skyline.terrain.mosaic.read_mosaic` returns them; after this NaN marks every hole.
+        As `skyline.terrain.tiles.read_mosaic` returns them; after this NaN marks every hole.
     source : str
         What errors and warnings call it.
     spacing_m : float
@@ -287,24 +229,18 @@ def clean(
         )
     despiked = remove_spikes(heights, spacing_m, options.spike_m)
     filled = fill_voids(heights, options.max_void_samples)
-    hollow = count_voids(heights)
+    hollow = 0
     for rows in strips(heights):
         strip = heights[rows]
+        hollow += int(np.count_nonzero(np.isnan(strip)))
         strip[np.isinf(strip)] = np.nan
     return filled, hollow, despiked, undeclared
 
 
 def _field(heights: Float32Array, grid: Grid, frame: Frame, provenance: Provenance) -> HeightField:
     heights.setflags(write=False)  # handed over, so that the field need not copy it
-    return HeightField(
-        heights_m=heights,
-        west_m=grid.west,
-        north_m=grid.north,
-        spacing_east_m=grid.step_east,
-        spacing_north_m=grid.step_north,
-        frame=frame,
-        provenance=provenance,
-    )
+    steps = grid.step_east, grid.step_north
+    return HeightField(heights, grid.west, grid.north, *steps, frame, provenance)
 
 
 def _warn_of_distortion(grid: Grid, frame: Frame) -> None:

@@ -15,13 +15,12 @@ from rasterio.transform import Affine
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
-from skyline.terrain.tiles import Said, Tile, crs_of, grid_of, heights_of
+from skyline.terrain.tiles import Tile, crs_of, grid_of, heights_of, mosaic_grid
 
 EVEN = 0.05
 """How far a coordinate may lie off even steps, in samples: float32 degrees do."""
 
 _DIMS = (("y", "x"), ("lat", "lon"), ("latitude", "longitude"), ("northing", "easting"))
-_NODATA = ("_FillValue", "missing_value")
 
 
 def read_array(array: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]:
@@ -38,18 +37,26 @@ def read_array(array: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]
     """
     source = "the DataArray" if array.name is None else f"the DataArray {array.name!r}"
     y, x = _dims_of(source, array)
-    mapping = _grid_mapping(array)
+    # The coordinate that says the CRS.
+    name = array.encoding.get("grid_mapping", array.attrs.get("grid_mapping", "spatial_ref"))
+    mapping: Mapping[str, Any] = array.coords[name].attrs if name in array.coords else {}
     shape = array.sizes[y], array.sizes[x]
     transform = _transform(source, array, (y, x), mapping.get("GeoTransform"))
-    grid, flip_rows, flip_cols = grid_of(source, transform, shape)
-    tile = Tile(
-        source, crs_of(source, _wkt(source, mapping), default_crs), grid, flip_rows, flip_cols
-    )
+    turned = grid_of(source, transform, shape)
+    tile = Tile(source, crs_of(source, _wkt(source, mapping), default_crs), *turned)
     band = np.asarray(array.transpose(y, x, ...).values).reshape(shape)
     if band.dtype.kind not in "iuf":
         raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
-    heights = _heights(array, band)
-    return tile, np.ascontiguousarray(heights[:: -1 if flip_rows else 1, :: -1 if flip_cols else 1])
+    mosaic_grid([tile])  # It refuses what is too large, and other kinds of CRS.
+    # What xarray has decoded already it notes in the encoding, not among the attributes.
+    attrs = array.attrs
+    voids = np.zeros(shape, dtype=bool)
+    for name in ("_FillValue", "missing_value"):
+        if name in attrs:
+            voids |= band == attrs[name]
+    scale, offset = float(attrs.get("scale_factor", 1.0)), float(attrs.get("add_offset", 0.0))
+    heights = heights_of(band, voids, scale, offset, str(attrs.get("units", "")))
+    return tile, np.ascontiguousarray(heights[tile.north_up])
 
 
 def _dims_of(source: str, array: Any) -> tuple[str, str]:
@@ -65,13 +72,6 @@ def _dims_of(source: str, array: Any) -> tuple[str, str]:
         f"{source} has dimensions {', '.join(map(str, array.dims)) or 'none'}; expected "
         f"{' or '.join(f'{y}, {x}' for y, x in _DIMS)}: rename them"
     )
-
-
-def _grid_mapping(array: Any) -> Mapping[str, Any]:
-    """Return the attributes of the coordinate that says the CRS; none where there is none."""
-    name = array.encoding.get("grid_mapping", array.attrs.get("grid_mapping", "spatial_ref"))
-    attrs: Mapping[str, Any] = array.coords[name].attrs if name in array.coords else {}
-    return attrs
 
 
 def _wkt(source: str, mapping: Mapping[str, Any]) -> str | None:
@@ -132,18 +132,3 @@ def _step(source: str, dim: str, at: NDArray[np.float64]) -> float:
             f"{source} has coordinates along {dim} that are not even; resample it to a regular grid"
         )
     return step
-
-
-def _heights(array: Any, band: NDArray[Any]) -> Float32Array:
-    """Return heights in metres; what xarray has decoded already it notes in its encoding."""
-    attrs = array.attrs
-    voids = np.zeros(band.shape, dtype=bool)
-    for name in _NODATA:
-        if name in attrs:
-            voids |= band == attrs[name]
-    said = Said(
-        float(attrs.get("scale_factor", 1.0)),
-        float(attrs.get("add_offset", 0.0)),
-        str(attrs.get("units", "")),
-    )
-    return heights_of(band, voids, said)

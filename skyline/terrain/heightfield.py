@@ -44,7 +44,7 @@ class Provenance:
     filled, hollow, despiked : int
         Void samples filled by interpolation, left as holes, and spikes removed.
     undeclared : int
-        Of the void samples, those that the files do not declare (`skyline.terrain.fill`).
+        Of the void samples, those that the files do not declare (`skyline.terrain.cleaning`).
     options : mapping
         How the files were read: `skyline.terrain.dem.DemOptions.to_json`.
     """
@@ -277,18 +277,12 @@ class HeightField:
         left = np.minimum(col.astype(np.int64), max(self.cols - 2, 0))
         south, east = row - top, col - left
         north_east_half = east >= south
-        corner_row = np.where(north_east_half, top, np.minimum(top + 1, self.rows - 1))
-        corner_col = np.where(north_east_half, np.minimum(left + 1, self.cols - 1), left)
-        corner_weight = np.abs(east - south)
-        far_weight = np.minimum(east, south)
-        near_weight = 1.0 - np.maximum(east, south)
-        height = (
-            self._weighted(top, left, near_weight)
-            + self._weighted(corner_row, corner_col, corner_weight)
-            + self._weighted(
-                np.minimum(top + 1, self.rows - 1), np.minimum(left + 1, self.cols - 1), far_weight
-            )
-        )
+        bottom, right = np.minimum(top + 1, self.rows - 1), np.minimum(left + 1, self.cols - 1)
+        corner_row = np.where(north_east_half, top, bottom)
+        corner_col = np.where(north_east_half, right, left)
+        height = self._weighted(top, left, 1.0 - np.maximum(east, south))
+        height += self._weighted(corner_row, corner_col, np.abs(east - south))
+        height += self._weighted(bottom, right, np.minimum(east, south))
         return np.where(inside, height, np.nan)
 
     def _weighted(

@@ -68,69 +68,56 @@ def slab_levels(values: Samples, slopes: Float64Array, levels: int) -> Iterator[
     levels : int
         As `level_count` says for the longer axis.
     """
-    slab = LEAF_STRIPS
-    source = _Maxima(_slab_maxima(values, slab), 0)
+    slabs = max(-(-(len(values) - 1) // LEAF_STRIPS), 1)
+    lines = _padded(values, 0, slabs * LEAF_STRIPS + 1)
+    maxima = lines[LEAF_STRIPS::LEAF_STRIPS].copy()
+    for line in range(LEAF_STRIPS):
+        np.maximum(maxima, lines[line : slabs * LEAF_STRIPS : LEAF_STRIPS], out=maxima)
+    slab, step = LEAF_STRIPS, 0
     for level in range(levels):
         if level:
+            maxima, step = _coarsened(maxima, step, slab), slab
             slab *= SLABS
-            source = source.coarsened(max(slab // SLABS, 1))
-        yield _bin_level(source, slab, values.shape[1], slopes)
+        yield _bin_level(maxima, step, slab, values.shape[1], slopes)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Maxima:
-    """Maxima of slabs; columns are single samples (step 0) or spans of ``step`` cells."""
+def _coarsened(maxima: Samples, step: int, wanted: int) -> Samples:
+    """Join SLABS slabs to one, and columns to spans of so many cells as are wanted.
 
-    values: Samples
-    step: int
-
-    def coarsened(self, step: int) -> "_Maxima":
-        """Join SLABS slabs to one, and columns to spans of ``step`` cells, a power of two."""
-        slabs = -(-len(self.values) // SLABS)
-        values = _padded(self.values, 0, slabs * SLABS)
-        values = values.reshape(slabs, SLABS, -1).max(axis=1)
-        width = self.step
-        if width == 0:
-            beside = _padded(values, 1, values.shape[1] + 1)
-            values, width = np.maximum(beside[:, :-1], beside[:, 1:]), 1
-        while width < step:
-            values = _padded(values, 1, -(-values.shape[1] // 2) * 2)
-            values, width = np.maximum(values[:, ::2], values[:, 1::2]), 2 * width
-        return _Maxima(values, width)
-
-    def spans(self, low: float, high: float) -> tuple[int, int]:
-        """Return the first and last column that cells from ``low`` to ``high`` touch."""
-        if self.step == 0:
-            return int(np.floor(low)), int(np.ceil(high))
-        return int(np.floor(low / self.step)), int(np.ceil(high / self.step)) - 1
+    Columns are single samples (step 0) or spans of ``step`` cells, a power of two.
+    """
+    slabs = -(-len(maxima) // SLABS)
+    joined: Samples = _padded(maxima, 0, slabs * SLABS).reshape(slabs, SLABS, -1).max(axis=1)
+    if step == 0:
+        beside = _padded(joined, 1, joined.shape[1] + 1)
+        joined, step = np.maximum(beside[:, :-1], beside[:, 1:]), 1
+    while step < wanted:
+        joined = _padded(joined, 1, -(-joined.shape[1] // 2) * 2)
+        joined, step = np.maximum(joined[:, ::2], joined[:, 1::2]), 2 * step
+    return joined
 
 
-def _slab_maxima(values: Samples, slab: int) -> Samples:
-    """Return (slabs, columns): the greatest sample of each slab, both its end lines included."""
-    slabs = max(-(-(len(values) - 1) // slab), 1)
-    lines = _padded(values, 0, slabs * slab + 1)
-    maxima = lines[slab::slab].copy()
-    for line in range(slab):
-        np.maximum(maxima, lines[line : slabs * slab : slab], out=maxima)
-    return maxima
-
-
-def _bin_level(source: _Maxima, slab: int, columns: int, slopes: Float64Array) -> SlabLevel:
-    bands = -(-len(source.values) // SLABS)
-    values = _padded(source.values, 0, bands * SLABS).reshape(bands, SLABS, -1)
+def _bin_level(
+    source: Samples, step: int, slab: int, columns: int, slopes: Float64Array
+) -> SlabLevel:
+    """Return the level of slabs of which ``source`` holds the maxima, as `_coarsened` does."""
+    bands = -(-len(source) // SLABS)
+    values = _padded(source, 0, bands * SLABS).reshape(bands, SLABS, -1)
     first_block = int(np.ceil(SLABS * np.abs(slopes).max())) + 1
     blocks = -(-columns // slab) + 2 * first_block
     maxima = np.empty((len(slopes) - 1, bands, blocks, SLABS), dtype=values.dtype)
-    ratio = slab // max(source.step, 1)
+    width = max(step, 1)
+    ratio = slab // width
     for index, (lower, upper) in enumerate(itertools.pairwise(slopes)):
         least, most = lower - _SLACK_SLOPE, upper + _SLACK_SLOPE
         for child in range(SLABS):
             # Cells swept between the child's two ends by rays that start within one block.
             low = min(least * child, least * (child + 1)) * slab - _SLACK_CELLS
             high = slab + max(most * child, most * (child + 1)) * slab + _SLACK_CELLS
-            first, last = source.spans(low, high)
+            # The columns that these touch: a single sample lies at an end of cells.
+            first, past = int(np.floor(low / width)), int(np.ceil(high / width)) + (step == 0)
             maxima[index, :, :, child] = _sliding_max(
-                values[:, child], first - first_block * ratio, ratio, blocks, last - first + 1
+                values[:, child], first - first_block * ratio, ratio, blocks, past - first
             )
     return SlabLevel(maxima, first_block)
 
@@ -154,13 +141,11 @@ def _sliding_max(values: Samples, start: int, stride: int, count: int, span: int
 
 
 def _padded(values: Samples, axis: int, length: int) -> Samples:
-    missing = length - values.shape[axis]
-    if missing <= 0:
+    if length <= values.shape[axis]:
         return values
-    shape = list(values.shape)
-    shape[axis] = missing
-    filling = np.full(shape, _nothing(values), dtype=values.dtype)
-    return np.concatenate([values, filling], axis=axis)
+    widths = np.zeros((2, 2), dtype=np.int64)
+    widths[axis, 1] = length - values.shape[axis]
+    return np.pad(values, widths, constant_values=_nothing(values))
 
 
 def _nothing(values: Samples) -> np.float32 | int:

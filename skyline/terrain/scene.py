@@ -4,83 +4,25 @@ A tolerance is met where the parts left out cost less than it. Each bound here h
 column of every heading.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.camera import pixel_size
-from skyline.errors import InputError
-from skyline.geodesy import Curvature
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 BLOCK_CELLS = 16
 COARSER_STEPS = (2, 4, 8)
+"""Of samples, for fields of more than a block."""
 
 
-@dataclass(frozen=True, slots=True)
-class CoarserStep:
-    """A surface of every n-th sample."""
+def curvature_bound_px(reach_m: float, drop_per_m2: float, width: int) -> float:
+    """Return what leaving curvature out can cost at most, in px of ``width`` columns.
 
-    step: int
-    deviation_m: float
-    """How far it is from the full surface at most in a block of `BLOCK_CELLS` cells, the median."""
-    share: float
-    """Of the blocks, those that could be drawn with it within the tolerance."""
-
-
-@dataclass(frozen=True, slots=True)
-class SceneNeeds:
-    """What a viewpoint's skyline needs of the model."""
-
-    data_reach_m: float
-    """Distance of the farthest sample."""
-    curvature_px: float
-    """What leaving curvature out can cost at most."""
-    sight_m: float
-    """Distance beyond which not even the highest sample rises over the dip horizon."""
-    beyond_sight: float
-    """Share of the samples that lie farther."""
-    steps: tuple[CoarserStep, ...]
-
-
-def scene_needs(
-    field: HeightField,
-    eye: Viewpoints,
-    width: int,
-    tolerance_px: float,
-    curvature: Curvature | None = None,
-) -> SceneNeeds:
-    """Return what the skyline of one viewpoint needs.
-
-    Raises `InputError` for any number of viewpoints but one.
-
-    Parameters
-    ----------
-    eye : Viewpoints
-        One viewpoint.
-    width : int
-        Columns W, which px are of.
-    curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13.
+    ``reach_m`` is the distance of the farthest sample.
     """
-    if len(eye) != 1:
-        raise InputError(f"{len(eye)} viewpoints given; expected one")
-    curvature = curvature or Curvature()
-    drop_per_m2 = curvature.drop_per_m2
-    reach_m = field.reach_m(float(eye.easting_m[0]), float(eye.northing_m[0]))
-    sight_m = sight_range_m(field, float(eye.eye_elevation_m[0]), drop_per_m2)
-    tolerance = tolerance_px * pixel_size(width)
-    steps = COARSER_STEPS if min(field.rows, field.cols) > BLOCK_CELLS else ()
-    return SceneNeeds(
-        data_reach_m=reach_m,
-        # v changes by drop d^2 / z, and d is at most the root of 2 times z.
-        curvature_px=float(np.sqrt(2.0)) * drop_per_m2 * reach_m / pixel_size(width),
-        sight_m=sight_m,
-        beyond_sight=_share_beyond(field, eye, sight_m),
-        steps=tuple(_coarser_step(field, eye, step, tolerance) for step in steps),
-    )
+    # v changes by drop d^2 / z, and d is at most the root of 2 times z.
+    return float(np.sqrt(2.0)) * drop_per_m2 * reach_m / pixel_size(width)
 
 
 def sight_range_m(field: HeightField, eye_elevation_m: float, drop_per_m2: float) -> float:
@@ -121,8 +63,25 @@ def coarser_deviation_m(field: HeightField, step: int) -> Float64Array:
     return np.asarray(blocks.max(axis=(1, 3)), dtype=np.float64)
 
 
-def _coarser_step(field: HeightField, eye: Viewpoints, step: int, tolerance: float) -> CoarserStep:
-    """Judge every block by its deviation at the least depth it can be seen at."""
+def coarser_step(
+    field: HeightField, eye: Viewpoints, step: int, tolerance: float
+) -> tuple[float, float]:
+    """Return what the surface of every ``step``-th sample would do to the skyline of one eye.
+
+    Every block is judged by its deviation at the least depth it can be seen at.
+
+    Parameters
+    ----------
+    tolerance : float
+        Of the image-plane ordinate: px times the size of one.
+
+    Returns
+    -------
+    deviation_m : float
+        How far it is from the full surface at most in a block, the median of the blocks.
+    share : float
+        Of the blocks, those that could be drawn with it within the tolerance.
+    """
     deviation_m = coarser_deviation_m(field, step)
     row, col = field.to_grid(eye.easting_m[0], eye.northing_m[0])
     gaps = [
@@ -134,10 +93,11 @@ def _coarser_step(field: HeightField, eye: Viewpoints, step: int, tolerance: flo
     ]
     depth_m = np.hypot(gaps[0][:, np.newaxis], gaps[1]) / np.sqrt(2.0)
     fine = deviation_m <= tolerance * depth_m
-    return CoarserStep(step, float(np.median(deviation_m)), float(fine.mean()))
+    return float(np.median(deviation_m)), float(fine.mean())
 
 
-def _share_beyond(field: HeightField, eye: Viewpoints, distance_m: float) -> float:
+def share_beyond(field: HeightField, eye: Viewpoints, distance_m: float) -> float:
+    """Return the share of the samples that lie farther from one eye."""
     row, col = field.to_grid(eye.easting_m[0], eye.northing_m[0])
     south = (np.arange(field.rows) - row) * field.spacing_north_m
     east = (np.arange(field.cols) - col) * field.spacing_east_m

@@ -1,4 +1,4 @@
-"""Raster files, each a tile of a north-up grid: opening, checking, reading."""
+"""Raster files, each a tile of a north-up grid: opening, checking, reading onto one grid."""
 
 import gzip
 import logging
@@ -6,7 +6,7 @@ import math
 import re
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +31,15 @@ MAX_UNPACKED_BYTES = 1 << 28
 
 UNDECLARED_VOIDS = (-32768.0, -9999.0)
 """Values that mark a void in DEMs that do not declare them as nodata."""
+
+MAX_SAMPLES = 1 << 31
+"""The largest mosaic: 8 GiB of float32."""
+
+GRID_TOLERANCE = 0.01
+"""How far a tile's samples may lie off the grid of the first, in samples."""
+
+AGREEMENT_M = 1.0
+"""Neighbouring tiles may differ by this much where they overlap, from rounding to whole metres."""
 
 # Enough to decode a row of tiles; GDAL's own default is a twentieth of the machine's memory.
 _GDAL_CACHE_BYTES = 64 << 20
@@ -93,26 +102,17 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Tile:
-    """One raster file that has been looked at but not read."""
+    """One raster that has been looked at but not read."""
 
     source: str
     """What rasterio opens: an absolute path, or a GDAL name such as ``netcdf:/data/t.nc:dem``."""
     crs: CRS
     grid: Grid
     """North-up, whichever way the file runs."""
-    flip_rows: bool
-    flip_cols: bool
-    """``flip_rows``, ``flip_cols``: whether the file runs from south to north, from east to
-    west."""
-
-
-@dataclass(frozen=True, slots=True)
-class Said:
-    """What a raster says of its numbers: scale, offset and unit."""
-
-    scale: float = 1.0
-    offset: float = 0.0
-    unit: str = ""
+    north_up: tuple[slice, slice]
+    """From an array of the file's rows and columns to one of the grid's, and back."""
+    files: tuple[str, ...] = ()
+    """From which its heights can be read again."""
 
 
 def open_tile(path: str | Path, default_crs: CRS | None) -> Tile:
@@ -124,9 +124,46 @@ def open_tile(path: str | Path, default_crs: CRS | None) -> Tile:
 
 def tile_of(source: str, dataset: Any, default_crs: CRS | None) -> Tile:
     """Look at an open rasterio dataset; `InputError` where it is not a usable DEM."""
-    _check_one_band(source, dataset)
+    if dataset.count == 0 and dataset.subdatasets:
+        raise InputError(
+            f"{source} holds several rasters; name one of them: {', '.join(dataset.subdatasets)}"
+        )
+    if dataset.count != 1:
+        raise InputError(
+            f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
+            "(gdal_translate -b 1)"
+        )
+    if dataset.dtypes[0].startswith("complex"):
+        raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
     crs = crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
     return Tile(source, crs, *grid_of(source, dataset.transform, dataset.shape))
+
+
+def read_tiles(
+    paths: str | Path | Sequence[str | Path], default_crs: CRS | None
+) -> tuple[Tile, Float32Array]:
+    """Read files as one tile; `read_mosaic` says how. Errors are those of `read_dem`."""
+    if isinstance(paths, str | Path):
+        paths = [paths]
+    if not paths:
+        raise InputError("no DEM file was given; name one or more")
+    tiles = [open_tile(path, default_crs) for path in paths]
+    grid, offsets = mosaic_grid(tiles)
+    files = tuple(tile.source for tile in tiles)
+    mosaic = replace(tiles[0], source=", ".join(files), grid=grid, files=files)
+    return mosaic, read_mosaic(tiles, grid, offsets)
+
+
+def read_dataset(dataset: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]:
+    """Read an open rasterio dataset; as `read_tiles` otherwise."""
+    source = str(dataset.name)
+    tile = tile_of(source, dataset, default_crs)
+    grid, _ = mosaic_grid([tile])
+    heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
+    read_into(dataset, tile, heights)
+    # A warped or virtual dataset is not what lies in a file of its name.
+    on_disk = isinstance(dataset, rasterio.DatasetReader) and is_file(source)
+    return replace(tile, files=(str(Path(source).absolute()),) if on_disk else ()), heights
 
 
 def full_turn(crs: CRS) -> float | None:
@@ -164,8 +201,8 @@ def opened(source: str) -> Iterator[Any]:
     """Open a raster; what goes wrong while it is open is told as one error."""
     settings = _ON_NETWORKS | (_NO_NEIGHBOURS if "://" in source else {})
     try:
-        with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES, **settings), _dataset(source) as dataset:
-            yield dataset
+        with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES, **settings), ExitStack() as held:
+            yield _dataset(source, held)
     except RasterioError as error:
         reason = re.sub(r"/vsimem/[^/]*/", "", " ".join(str(error.__cause__ or error).split()))
         if "://" in source:
@@ -182,20 +219,15 @@ def opened(source: str) -> Iterator[Any]:
         ) from error
 
 
-@contextmanager
-def _dataset(source: str) -> Iterator[Any]:
-    with ExitStack() as held:
-        with warnings.catch_warnings():
-            # Told as an error of our own, by `grid_of`.
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            if source.lower().endswith(".gz") and is_file(source):
-                # The .hgt driver reads the corner from the file's name and opens no .gz.
-                name = Path(source).stem
-                memory = held.enter_context(rasterio.MemoryFile(_unpacked(source), filename=name))
-                dataset = held.enter_context(memory.open())
-            else:
-                dataset = held.enter_context(rasterio.open(source))
-        yield dataset
+def _dataset(source: str, held: ExitStack) -> Any:
+    with warnings.catch_warnings():
+        # Told as an error of our own, by `grid_of`.
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        if source.lower().endswith(".gz") and is_file(source):
+            # The .hgt driver reads the corner from the file's name and opens no .gz.
+            memory = rasterio.MemoryFile(_unpacked(source), filename=Path(source).stem)
+            return held.enter_context(held.enter_context(memory).open())
+        return held.enter_context(rasterio.open(source))
 
 
 def _unpacked(source: str) -> bytes:
@@ -213,20 +245,6 @@ def _unpacked(source: str) -> bytes:
             "(gunzip) and name the unpacked file"
         )
     return content
-
-
-def _check_one_band(source: str, dataset: Any) -> None:
-    if dataset.count == 0 and dataset.subdatasets:
-        raise InputError(
-            f"{source} holds several rasters; name one of them: {', '.join(dataset.subdatasets)}"
-        )
-    if dataset.count != 1:
-        raise InputError(
-            f"{source} has {dataset.count} bands; a DEM has one band of heights: extract it "
-            "(gdal_translate -b 1)"
-        )
-    if dataset.dtypes[0].startswith("complex"):
-        raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
 
 
 def crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
@@ -255,8 +273,10 @@ def crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
     return crs
 
 
-def grid_of(source: str, transform: Affine, shape: tuple[int, int]) -> tuple[Grid, bool, bool]:
-    """Return the north-up grid of a raster, and whether its rows and its columns are flipped.
+def grid_of(
+    source: str, transform: Affine, shape: tuple[int, int]
+) -> tuple[Grid, tuple[slice, slice]]:
+    """Return the north-up grid of a raster, and how its rows and columns are turned to it.
 
     Raises `InputError` for a raster without a georeference, or with a rotated grid.
     """
@@ -280,15 +300,21 @@ def grid_of(source: str, transform: Affine, shape: tuple[int, int]) -> tuple[Gri
     if flip_cols:
         west += (cols - 1) * transform.a
     grid = Grid(west, north, abs(transform.a), abs(transform.e), rows, cols)
-    return grid, flip_rows, flip_cols
+    return grid, (
+        slice(None, None, -1 if flip_rows else 1),
+        slice(None, None, -1 if flip_cols else 1),
+    )
 
 
 def read_into(dataset: Any, tile: Tile, place: Float32Array) -> float:
     """Read a tile where nothing has been read yet; return the worst disagreement elsewhere."""
-    place = place[:: -1 if tile.flip_rows else 1, :: -1 if tile.flip_cols else 1]
+    place = place[tile.north_up]
     disagreement_m = 0.0
     for rows in strips(place):
-        fresh = _read_rows(dataset, rows)
+        window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
+        band = dataset.read(1, window=window, masked=True)
+        scale, offset, unit = dataset.scales[0], dataset.offsets[0], dataset.units[0] or ""
+        fresh = heights_of(band.data, np.ma.getmaskarray(band), scale, offset, unit)
         old = place[rows]
         known = np.isfinite(old)
         both = known & np.isfinite(fresh)
@@ -298,23 +324,102 @@ def read_into(dataset: Any, tile: Tile, place: Float32Array) -> float:
     return disagreement_m
 
 
-def _read_rows(dataset: Any, rows: slice) -> Float32Array:
-    """Read rows of the band as metres; voids as `heights_of` marks them."""
-    window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
-    band = dataset.read(1, window=window, masked=True)
-    said = Said(dataset.scales[0], dataset.offsets[0], dataset.units[0] or "")
-    return heights_of(band.data, np.ma.getmaskarray(band), said)
-
-
-def heights_of(band: NDArray[Any], voids: NDArray[np.bool_], said: Said) -> Float32Array:
+def heights_of(
+    band: NDArray[Any], voids: NDArray[np.bool_], scale: float, offset: float, unit: str
+) -> Float32Array:
     """Return a copy of a band as heights in metres, NaN where void, -inf where undeclared."""
     heights: Float32Array = band.astype(np.float32)
     heights[voids | ~np.isfinite(heights)] = np.nan
     undeclared = np.isin(heights, UNDECLARED_VOIDS)
-    if (said.scale, said.offset) != (1.0, 0.0):
-        heights = (heights * said.scale + said.offset).astype(np.float32)
-    unit = said.unit.strip().lower()
-    if unit in _FEET_M:
-        heights *= np.float32(_FEET_M[unit])
+    if (scale, offset) != (1.0, 0.0):
+        heights = (heights * scale + offset).astype(np.float32)
+    if unit.strip().lower() in _FEET_M:
+        heights *= np.float32(_FEET_M[unit.strip().lower()])
     heights[undeclared] = -np.inf
     return heights
+
+
+def mosaic_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
+    """Return the common grid of tiles and the row and column each one's first sample has on it.
+
+    Raises `InputError` for tiles of another kind of CRS than degrees or a projection, of different
+    CRS or spacing, off the first one's grid, or too far apart.
+    """
+    first = tiles[0]
+    crs = first.crs
+    if not (crs.is_geographic or crs.is_projected):
+        raise InputError(
+            f"{first.source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or "
+            "projected coordinate reference system: warp it first with gdalwarp"
+        )
+    offsets = []
+    for tile in tiles:
+        grid = _nearest_turn(tile, first)
+        _check_fits(tile, grid, first)
+        row = (first.grid.north - grid.north) / first.grid.step_north
+        col = (grid.west - first.grid.west) / first.grid.step_east
+        if max(abs(row - round(row)), abs(col - round(col))) > GRID_TOLERANCE:
+            raise InputError(
+                f"{tile.source} lies {abs(row - round(row)):.2f} rows and "
+                f"{abs(col - round(col)):.2f} columns off the grid of {first.source}; tiles must "
+                "share one grid: merge them beforehand (gdalwarp) or give them one at a time"
+            )
+        offsets.append((round(row), round(col)))
+    top, left = (min(values) for values in zip(*offsets, strict=True))
+    ends = [(r + t.grid.rows, c + t.grid.cols) for (r, c), t in zip(offsets, tiles, strict=True)]
+    bottom, right = (max(values) for values in zip(*ends, strict=True))
+    grid = first.grid.part(slice(top, bottom), slice(left, right))
+    if grid.rows * grid.cols > MAX_SAMPLES:
+        raise InputError(
+            f"the DEM spans {grid.rows} x {grid.cols} samples, more than {MAX_SAMPLES}; give "
+            "fewer or adjacent tiles, or a coarser DEM"
+        )
+    return grid, [(row - top, col - left) for row, col in offsets]
+
+
+def read_mosaic(
+    tiles: Sequence[Tile], grid: Grid, offsets: Sequence[tuple[int, int]]
+) -> Float32Array:
+    """Read tiles onto their common grid, in metres.
+
+    NaN marks voids, -inf undeclared ones, +inf samples that no tile covers. Where tiles
+    overlap, the first that has a height gives it; a warning says by how much they disagree if that
+    is more than `AGREEMENT_M`.
+    """
+    heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
+    for tile, (row, col) in zip(tiles, offsets, strict=True):
+        place = heights[row : row + tile.grid.rows, col : col + tile.grid.cols]
+        with opened(tile.source) as dataset:
+            disagreement_m = read_into(dataset, tile, place)
+        if disagreement_m > AGREEMENT_M:
+            _log.warning(
+                "%s differs by up to %.2f m from tiles named before it, whose heights are kept",
+                tile.source,
+                disagreement_m,
+            )
+    return heights
+
+
+def _nearest_turn(tile: Tile, first: Tile) -> Grid:
+    """Return the tile's grid moved by whole turns next to the first's: W180 is east of E179."""
+    turn = full_turn(tile.crs)
+    if turn is None:
+        return tile.grid
+    turns = round((first.grid.centre[0] - tile.grid.centre[0]) / turn)
+    return replace(tile.grid, west=tile.grid.west + turns * turn)
+
+
+def _check_fits(tile: Tile, grid: Grid, first: Tile) -> None:
+    if not tile.crs.equals(first.crs, ignore_axis_order=True):
+        raise InputError(
+            f"{tile.source} is in {tile.crs.name} and {first.source} in {first.crs.name}; tiles "
+            "must share one coordinate reference system: warp them beforehand (gdalwarp)"
+        )
+    drift_east = abs(grid.step_east / first.grid.step_east - 1.0) * grid.cols
+    drift_north = abs(grid.step_north / first.grid.step_north - 1.0) * grid.rows
+    if max(drift_east, drift_north) > GRID_TOLERANCE:
+        raise InputError(
+            f"{tile.source} has a sample spacing of {grid.step_east:.9g} x {grid.step_north:.9g} "
+            f"and {first.source} of {first.grid.step_east:.9g} x {first.grid.step_north:.9g}; "
+            "tiles must share one grid: resample them beforehand (gdalwarp -tr)"
+        )

@@ -34,76 +34,60 @@ class Triangles:
             both[:-1, :-1] | both[1:, 1:] | north_east[1:, :-1] | south_west[:-1, 1:], dtype=bool
         )
 
+    @property
+    def _edges(self) -> tuple[tuple[tuple[int, int], BoolArray, BoolArray], ...]:
+        """All edges along rows, along columns and across cells.
+
+        Of each kind: the step in rows and columns from an edge's first sample to its second, and
+        which edges have a triangle on their right and on their left (seen from above, north up).
+        """
+        north_east, south_west = self.north_east, self.south_west
+        return (
+            ((0, 1), north_east[1:, 1:-1], south_west[:-1, 1:-1]),
+            ((1, 0), north_east[1:-1, :-1], south_west[1:-1, 1:]),
+            ((1, 1), south_west[1:-1, 1:-1], north_east[1:-1, 1:-1]),
+        )
+
     def entries(self, north: bool, east: bool) -> BoolArray:
         """Return the samples of edges by which a ray may come upon the surface, (rows, cols).
 
         ``north`` and ``east`` say that the ray goes there rather than south and west.
         """
-        north_east, south_west = self.north_east, self.south_west
-        # By edges along rows, along columns, and diagonals: the triangles to either side.
-        south_of_row, north_of_row = north_east[1:, 1:-1], south_west[:-1, 1:-1]
-        east_of_col, west_of_col = south_west[1:-1, 1:], north_east[1:-1, :-1]
-        upper, lower = north_east[1:-1, 1:-1], south_west[1:-1, 1:-1]
-        row = north_of_row & ~south_of_row if north else south_of_row & ~north_of_row
-        col = east_of_col & ~west_of_col if east else west_of_col & ~east_of_col
+        rows, cols = self.north_east.shape
+        marks = np.zeros((rows - 1, cols - 1), dtype=bool)
         # Going north-west or south-east, either way across a diagonal is possible.
-        diagonal = np.zeros_like(upper)
-        if north or east:
-            diagonal |= upper & ~lower
-        if not (north and east):
-            diagonal |= lower & ~upper
-        marks = np.zeros((row.shape[0], col.shape[1]), dtype=bool)
-        for edges, (row_step, col_step) in ((row, (0, 1)), (col, (1, 0)), (diagonal, (1, 1))):
-            marks[: edges.shape[0], : edges.shape[1]] |= edges
-            marks[row_step : edges.shape[0] + row_step, col_step : edges.shape[1] + col_step] |= (
-                edges
-            )
+        to_left = north, east, north or east
+        to_right = not north, not east, not (north and east)
+        for (step, right, left), leftward, rightward in zip(
+            self._edges, to_left, to_right, strict=True
+        ):
+            edges = left ^ right
+            if not (leftward and rightward):
+                edges &= left if leftward else right
+            for row, col in ((0, 0), step):
+                marks[row : row + edges.shape[0], col : col + edges.shape[1]] |= edges
         return marks
 
     @property
     def has_dangling_edges(self) -> bool:
         """Whether two samples of triangles are neighbours along an edge without a triangle."""
-        north_east, south_west, there = self.north_east, self.south_west, self.samples
-        along_row = there[:, :-1] & there[:, 1:] & ~(north_east[1:, 1:-1] | south_west[:-1, 1:-1])
-        along_col = there[:-1] & there[1:] & ~(south_west[1:-1, 1:] | north_east[1:-1, :-1])
-        across = (there[:-1, :-1] & there[1:, 1:]) & ~(
-            north_east[1:-1, 1:-1] | south_west[1:-1, 1:-1]
+        there = self.samples
+        return any(
+            bool((there[: len(left), : left.shape[1]] & there[row:, col:] & ~(left | right)).any())
+            for (row, col), right, left in self._edges
         )
-        return bool(along_row.any() or along_col.any() or across.any())
 
+    def rims(self) -> tuple[Int64Array, Int64Array]:
+        """Return rows and columns (E, 2) of the first and second sample of E rim edges.
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rims:
-    """E rim edges: those that belong to one triangle only.
-
-    They are the border of the map, of an irregular outline and of holes. From its first sample
-    to its second, an edge has the surface on its right (seen from above, north up) and nothing
-    on its left.
-    """
-
-    row: Int64Array
-    col: Int64Array
-    """``row``, ``col``: (E, 2) int64. The first and the second sample of each edge."""
-
-    @classmethod
-    def of(cls, triangles: Triangles) -> "Rims":
-        """Find the rims of a surface."""
-        north_east, south_west = triangles.north_east, triangles.south_west
-        south_of_row, north_of_row = north_east[1:, 1:-1], south_west[:-1, 1:-1]
-        east_of_col, west_of_col = south_west[1:-1, 1:], north_east[1:-1, :-1]
-        east_of_diagonal, west_of_diagonal = north_east[1:-1, 1:-1], south_west[1:-1, 1:-1]
-        steps = [
-            (south_of_row & ~north_of_row, (0, 1), False),
-            (north_of_row & ~south_of_row, (0, 1), True),
-            (west_of_col & ~east_of_col, (1, 0), False),
-            (east_of_col & ~west_of_col, (1, 0), True),
-            (west_of_diagonal & ~east_of_diagonal, (1, 1), False),
-            (east_of_diagonal & ~west_of_diagonal, (1, 1), True),
-        ]
+        Those belong to one triangle only: they are the border of the map, of an irregular outline
+        and of holes. From its first sample to its second, an edge has the surface on its right
+        (seen from above, north up) and nothing on its left.
+        """
         rows, cols = [], []
-        for present, (row_step, col_step), backwards in steps:
-            row, col = np.nonzero(present)
-            way = slice(None, None, -1) if backwards else slice(None)
-            rows.append(np.stack([row, row + row_step], axis=1)[:, way])
-            cols.append(np.stack([col, col + col_step], axis=1)[:, way])
-        return cls(np.concatenate(rows), np.concatenate(cols))
+        for (row_step, col_step), right, left in self._edges:
+            for rim, way in ((right & ~left, 1), (left & ~right, -1)):
+                row, col = np.nonzero(rim)
+                rows.append(np.stack([row, row + row_step], axis=1)[:, ::way])
+                cols.append(np.stack([col, col + col_step], axis=1)[:, ::way])
+        return np.concatenate(rows), np.concatenate(cols)

@@ -18,23 +18,25 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.terrain.blocks import BLOCK, block_edges
-from skyline.terrain.cubic import cubic
-from skyline.terrain.mosaic import MAX_SAMPLES
-from skyline.terrain.summits import keep_summits
-from skyline.terrain.tiles import Grid, full_turn
+from skyline.terrain.cleaning import strips
+from skyline.terrain.tiles import MAX_SAMPLES, Grid, full_turn
 
 POSITION_TOLERANCE = 1e-3
 """Greatest error of a position in the source, in samples."""
 
 _NODE_STEP = 32
-_EDGE_POINTS = 129
+_EDGE_POINTS = 127
 _BLOCKS_AT_ONCE = 16
 _THREADS = 4
+# Positions this near the outermost source samples are on them, but for rounding.
+_SLACK = 1e-6
 _BENT = 3
 """Source samples by which the edge of a block may bend out of the box round its corners."""
 
-Positions = Callable[[Float64Array, Float64Array], tuple[Float64Array, Float64Array]]
+_Positions = Callable[[Float64Array, Float64Array], tuple[Float64Array, Float64Array]]
 """From rows (n,) and columns (m,) of the target to rows and columns (n, m) in the source."""
+_Window = tuple[slice, slice]
+"""Rows and columns."""
 
 
 def local_frame(grid: Grid, crs: CRS) -> Frame:
@@ -77,7 +79,7 @@ class Warp:
 
     No sample of the target is above or below the four samples of the source around it: a cubic
     overshoots between two samples that are as high as each other. Then the sample nearest to each
-    local maximum of the source is lifted to it (`skyline.terrain.summits`).
+    local maximum of the source is lifted to it (`keep_summits`).
 
     The target's samples have eastings and northings that are whole multiples of the spacing. It
     covers the box around the source; its samples outside the source's outermost samples are NaN.
@@ -116,9 +118,7 @@ class Warp:
         if self._smooth:
             nodes = self._positions(*(edge.astype(np.float64) for edge in edges))
             rows, cols = (
-                _spans(
-                    np.minimum.reduce(_corners(at)), np.maximum.reduce(_corners(at)), _BENT, count
-                )
+                _spans([at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]], _BENT, count)
                 for at, count in zip(nodes, self._source_m.shape, strict=True)
             )
             for block in np.ndindex(highest.shape):
@@ -149,58 +149,46 @@ class Warp:
         if not wanted.all():
             warped.fill(np.nan)
 
-        def fill(window: tuple[slice, slice]) -> None:
-            row, col = window
-            here = (
-                slice(row.start - rows.start, row.stop - rows.start),
-                slice(col.start - cols.start, col.stop - cols.start),
-            )
-            warped[here] = self._part(window)
+        def fill(window: _Window) -> None:
+            warped[_inside(window, (rows, cols))] = self._part(window)
 
         with ThreadPoolExecutor(_THREADS) as pool:
             list(pool.map(fill, _windows(wanted)))
         return warped, part
 
-    def _part(self, inner: tuple[slice, slice]) -> Float32Array:
-        """Return a part of the target."""
+    def _part(self, inner: _Window) -> Float32Array:
         # The sample nearest to a summit may lie across the border: so one more is known there.
         begin = [max(span.start - 1, 0) for span in inner]
         end = min(inner[0].stop + 1, self.target.rows), min(inner[1].stop + 1, self.target.cols)
-        outer = tuple(map(slice, begin, end))
+        outer = slice(begin[0], end[0]), slice(begin[1], end[1])
         row, col = self._positions(
             *(np.arange(span.start, span.stop, dtype=np.float64) for span in outer)
         )
         warped = cubic(self._source_m, row, col)
         if not np.isnan(warped).all():
             source = [
-                slice(*_spans(at.min(), at.max(), 2, count).tolist())
+                slice(*_spans(at.ravel(), 2, count).tolist())
                 for at, count in zip((row, col), self._source_m.shape, strict=True)
             ]
-            keep_summits(
-                warped,
-                self.target.part(*outer),
-                self._source_m[*source],
-                self._grid.part(*source),
-                self._to_frame,
-            )
-        rows, cols = (
-            slice(s.start - o.start, s.stop - o.start) for s, o in zip(inner, outer, strict=True)
-        )
-        return warped[rows, cols]
+            part, source_part = self.target.part(*outer), self._grid.part(*source)
+            keep_summits(warped, part, self._source_m[*source], source_part, self._to_frame)
+        return warped[_inside(inner, outer)]
 
 
-def _corners(at: Float64Array) -> list[Float64Array]:
-    """Return what nodes have at the four corners of each cell between them."""
-    return [at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]]
+def _inside(inner: _Window, outer: _Window) -> _Window:
+    """Return where rows and columns lie among others."""
+    row, col = (span.start for span in outer)
+    rows, cols = inner
+    return slice(rows.start - row, rows.stop - row), slice(cols.start - col, cols.stop - col)
 
 
-def _spans(lowest: ArrayLike, highest: ArrayLike, margin: int, count: int) -> Int64Array:
-    """Return the first sample and the one past the last, (2, ...), of spans of positions."""
-    ends = np.stack([np.subtract(lowest, margin), np.add(highest, margin + 2)])
+def _spans(at: ArrayLike, margin: int, count: int) -> Int64Array:
+    """Return the first sample and the one past the last, (2, ...), about positions (n, ...)."""
+    ends = np.stack([np.min(at, axis=0) - margin, np.max(at, axis=0) + (margin + 2)])
     return np.asarray(np.clip(ends, 0, count).astype(np.int64))
 
 
-def _windows(wanted: BoolArray) -> Iterator[tuple[slice, slice]]:
+def _windows(wanted: BoolArray) -> Iterator[_Window]:
     """Yield rows and columns of samples of all blocks that are wanted, many blocks at once."""
     for row, line in enumerate(wanted):
         ends = np.flatnonzero(np.diff(line, prepend=False, append=False)).tolist()
@@ -225,21 +213,16 @@ def _transformer(source: CRS, target: CRS) -> Transformer:
 
 
 def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
-    along = np.linspace(0.0, 1.0, _EDGE_POINTS)
-    x = grid.west + along * (grid.east - grid.west)
-    y = grid.south + along * (grid.north - grid.south)
-    easting, northing = to_frame.transform(
-        np.concatenate([x, x, np.full_like(y, grid.west), np.full_like(y, grid.east)]),
-        np.concatenate([np.full_like(x, grid.south), np.full_like(x, grid.north), y, y]),
-    )
-    if not (np.isfinite(easting).all() and np.isfinite(northing).all()):
+    bounds = grid.west, grid.south, grid.east, grid.north
+    west, south, east, north = to_frame.transform_bounds(*bounds, densify_pts=_EDGE_POINTS)
+    if not np.isfinite([west, south, east, north]).all():
         raise InputError(
             f"the DEM reaches from {grid.west:.6g}, {grid.south:.6g} to {grid.east:.6g}, "
             f"{grid.north:.6g}, beyond what one local frame can map; give a smaller area"
         )
     # The frame's origin is the grid's centre, so there is always a sample to keep.
-    left, right = math.ceil(min(easting) / spacing_m), math.floor(max(easting) / spacing_m)
-    bottom, top = math.ceil(min(northing) / spacing_m), math.floor(max(northing) / spacing_m)
+    left, right = math.ceil(west / spacing_m), math.floor(east / spacing_m)
+    bottom, top = math.ceil(south / spacing_m), math.floor(north / spacing_m)
     rows, cols = max(top - bottom + 1, 1), max(right - left + 1, 1)
     if rows * cols > MAX_SAMPLES:
         raise InputError(
@@ -249,7 +232,7 @@ def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
     return Grid(left * spacing_m, top * spacing_m, spacing_m, spacing_m, rows, cols)
 
 
-def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> tuple[Positions, bool]:
+def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> tuple[_Positions, bool]:
     """Return positions in the source, and whether nodes they are interpolated between suffice."""
     from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  (a fifth of a second, seldom needed)
 
@@ -282,3 +265,155 @@ def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> tuple[Positi
 
 def _nodes(count: int) -> Float64Array:
     return np.linspace(-1.0, count, max(4, count // _NODE_STEP + 2))
+
+
+def cubic(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Float32Array:
+    """Return heights at fractional rows and columns by cubic convolution, NaN outside and on holes.
+
+    Keys 1981, a = -1/2.
+
+    Parameters
+    ----------
+    heights_m : (rows, cols) float32
+        NaN marks holes.
+    row, col : float64, of one shape
+
+    Returns
+    -------
+    float32 of that shape
+        None is above or below the four samples around its position. Where one of the 4 x 4 samples
+        is a hole it is interpolated bilinearly, and where the nearest is, it is a hole.
+    """
+    rows, cols = heights_m.shape
+    # A source of a single row has no inside; its samples stand for their pixels.
+    row_margin, col_margin = (0.5 if n == 1 else _SLACK for n in (rows, cols))
+    inside = (row >= -row_margin) & (row <= rows - 1 + row_margin)
+    inside &= (col >= -col_margin) & (col <= cols - 1 + col_margin)
+    row = np.clip(np.where(inside, row, 0.0), 0.0, rows - 1)
+    col = np.clip(np.where(inside, col, 0.0), 0.0, cols - 1)
+    top, left = row.astype(np.int64), col.astype(np.int64)
+    row_weights, col_weights = _keys_weights(row - top), _keys_weights(col - left)
+    flat = heights_m.reshape(-1)
+    warped = np.zeros(row.shape, dtype=np.float32)
+    lowest, highest = np.full_like(warped, np.inf), np.full_like(warped, -np.inf)
+    beside = [np.clip(left + (j - 1), 0, cols - 1) for j in range(4)]
+    for i in range(4):
+        line = np.clip(top + (i - 1), 0, rows - 1) * cols
+        along = np.zeros(row.shape, dtype=np.float32)
+        for j in range(4):
+            sample = flat.take(line + beside[j])
+            along += col_weights[j] * sample
+            if i in (1, 2) and j in (1, 2):
+                np.minimum(lowest, sample, out=lowest)
+                np.maximum(highest, sample, out=highest)
+        warped += row_weights[i] * along
+    np.clip(warped, lowest, highest, out=warped)
+    partial = (top < 1) | (top > rows - 3) | (left < 1) | (left > cols - 3) | np.isnan(warped)
+    partial &= inside
+    warped[partial] = _bilinear(heights_m, row[partial], col[partial])
+    warped[~inside] = np.nan
+    return warped
+
+
+def _keys_weights(t: Float64Array) -> list[Float32Array]:
+    """Return the weights of the samples at -1, 0, 1 and 2 for a position t in [0, 1)."""
+    return [
+        (((2.0 - t) * t - 1.0) * t * 0.5).astype(np.float32),
+        (((3.0 * t - 5.0) * t * t + 2.0) * 0.5).astype(np.float32),
+        (((4.0 - 3.0 * t) * t + 1.0) * t * 0.5).astype(np.float32),
+        ((t - 1.0) * t * t * 0.5).astype(np.float32),
+    ]
+
+
+def _bilinear(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Float64Array:
+    rows, cols = heights_m.shape
+    top, left = row.astype(np.int64), col.astype(np.int64)
+    south, east = row - top, col - left
+    total = np.zeros(row.shape)
+    known_weight = np.zeros(row.shape)
+    for below, row_weight in ((0, 1.0 - south), (1, south)):
+        for right, col_weight in ((0, 1.0 - east), (1, east)):
+            sample = heights_m[
+                np.minimum(top + below, rows - 1), np.minimum(left + right, cols - 1)
+            ]
+            weight = np.where(np.isnan(sample), 0.0, row_weight * col_weight)
+            total += weight * np.nan_to_num(sample)
+            known_weight += weight
+    nearest = heights_m[np.rint(row).astype(np.int64), np.rint(col).astype(np.int64)]
+    known = ~np.isnan(nearest)
+    return np.where(known, total / np.where(known, known_weight, 1.0), np.nan)
+
+
+def local_maxima(heights_m: Float32Array) -> tuple[Int64Array, Int64Array]:
+    """Return row and column (n,), in order, of the samples that no neighbour of eight overtops.
+
+    All eight are known, so a sample at the border or beside a hole (NaN) is none of them; nor is
+    one in the midst of a level place.
+    """
+    found = []
+    for strip in strips(heights_m):
+        top = max(strip.start - 1, 0)
+        block = heights_m[top : strip.stop + 1]
+        own = block[1:-1, 1:-1]
+        # Most fall out by the four beside them; only what is left is compared with all eight.
+        likely = (own >= block[:-2, 1:-1]) & (own >= block[2:, 1:-1])
+        likely &= (own >= block[1:-1, :-2]) & (own >= block[1:-1, 2:])
+        row, col = np.nonzero(likely)
+        height = own[row, col]
+        around = np.stack([block[row + i // 3, col + i % 3] for i in range(9) if i != 4])
+        summit = (around <= height).all(axis=0) & (around < height).any(axis=0)
+        found.append((row[summit] + top + 1, col[summit] + 1))
+    row, col = (np.concatenate(part) for part in zip(*found, strict=True))
+    return row, col
+
+
+def keep_summits(
+    warped_m: Float32Array,
+    target: Grid,
+    heights_m: Float32Array,
+    grid: Grid,
+    to_target: Transformer,
+) -> None:
+    """Lift, in place, the sample of a warped grid nearest to each local maximum to its height.
+
+    The nearest is looked for among the samples at the corners of the cell that the maximum lies
+    in, and holes stay holes. So every summit is as high as it was, at most 0.71 of the target's
+    spacing aside, and nothing is higher than some sample of the source.
+
+    Parameters
+    ----------
+    warped_m : (rows, cols) float32
+        On ``target``.
+    heights_m : (rows, cols) float32
+        The source's, on ``grid``.
+    to_target : Transformer
+        From the source's CRS to the target's.
+    """
+    row, col = local_maxima(heights_m)
+    easting, northing = to_target.transform(
+        grid.west + col * grid.step_east, grid.north - row * grid.step_north
+    )
+    nearest = _nearest_known(
+        warped_m,
+        (target.north - northing) / target.step_north,
+        (easting - target.west) / target.step_east,
+    )
+    np.maximum.at(warped_m.reshape(-1), nearest[nearest >= 0], heights_m[row, col][nearest >= 0])
+
+
+def _nearest_known(heights_m: Float32Array, row: Float64Array, col: Float64Array) -> Int64Array:
+    """Return flat indices of the nearest known corners of cells, -1 where there is none."""
+    rows, cols = heights_m.shape
+    top, left = np.floor(row).astype(np.int64), np.floor(col).astype(np.int64)
+    nearest = np.full(row.shape, -1, dtype=np.int64)
+    least = np.full(row.shape, np.inf)
+    for corner_row in (top, top + 1):
+        for corner_col in (left, left + 1):
+            inside = (corner_row >= 0) & (corner_row < rows)
+            inside &= (corner_col >= 0) & (corner_col < cols)
+            at = np.where(inside, corner_row * cols + corner_col, 0)
+            known = inside & ~np.isnan(heights_m.reshape(-1)[at])
+            apart = np.where(known, (row - corner_row) ** 2 + (col - corner_col) ** 2, np.inf)
+            nearest = np.where(apart < least, at, nearest)
+            least = np.minimum(apart, least)
+    return nearest

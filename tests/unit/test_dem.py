@@ -17,9 +17,8 @@ from skyline.geodesy import Frame
 from skyline.terrain import cleaning
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.summits import local_maxima
 from skyline.terrain.tiles import Grid
-from skyline.terrain.warp import Warp, square_spacing_m
+from skyline.terrain.warp import Warp, local_maxima, square_spacing_m
 
 
 @pytest.mark.parametrize("step_east", [30.0, -30.0])

@@ -11,8 +11,7 @@ from rasterio.transform import Affine, from_origin
 
 from skyline.errors import InputError
 from skyline.terrain.dem import read_dem
-from skyline.terrain.mosaic import mosaic_grid, read_mosaic
-from skyline.terrain.tiles import crs_of, open_tile
+from skyline.terrain.tiles import crs_of, mosaic_grid, open_tile, read_mosaic
 
 
 def tile_at(folder: Path, heights: AnyArray, row: int, col: int) -> Path:

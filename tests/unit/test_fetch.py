@@ -12,8 +12,7 @@ from scenes import fractal
 from skyline import read_dem
 from skyline.errors import FetchError, InputError
 from skyline.fetch.remote import HttpOptions
-from skyline.fetch.sources import MAX_TILES, SOURCES, TileSource
-from skyline.fetch.tiles import fetch_dem
+from skyline.fetch.tiles import MAX_TILES, SOURCES, TileSource, fetch_dem
 
 SAMPLES = 600
 BOUNDS = (9.8, 46.6, 10.1, 46.8)
@@ -205,7 +204,7 @@ def test_templates_that_are_refused(template, said, tmp_path):
 def test_copernicus_addresses_are_as_documented():
     source = TileSource.named("copernicus")
     assert source == TileSource(SOURCES["copernicus"])
-    addresses = [source.url(tile) for tile in source.tiles((-0.5, -0.5, 0.5, 0.5))]
+    addresses = [source.url(*tile) for tile in source.tiles((-0.5, -0.5, 0.5, 0.5))]
     for address, name in zip(
         addresses, ["S01_00_W001", "S01_00_E000", "N00_00_W001", "N00_00_E000"], strict=True
     ):
@@ -215,7 +214,7 @@ def test_copernicus_addresses_are_as_documented():
 
 def test_bounds_across_the_antimeridian():
     tiles = TileSource("http://host/{lat}{lon}").tiles((179.5, 10.0, -179.5, 11.0))
-    assert [tile.name for tile in tiles] == ["N10E179", "N10W180"]
+    assert tiles == [(10, 179), (10, -180)]
 
 
 @pytest.mark.parametrize(

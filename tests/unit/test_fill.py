@@ -7,8 +7,8 @@ import pytest
 from dem_files import AnyArray, write
 from scipy.ndimage import gaussian_filter
 
+from skyline.terrain.cleaning import void_undeclared
 from skyline.terrain.dem import DemOptions, read_dem
-from skyline.terrain.fill import void_undeclared
 
 THRESHOLD_M = 100.0
 

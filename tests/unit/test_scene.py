@@ -5,13 +5,15 @@ import pytest
 from scenes import field_from, field_of, fractal
 
 from skyline.camera import pixel_size
-from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.scene import (
     BLOCK_CELLS,
+    COARSER_STEPS,
     coarser_deviation_m,
-    scene_needs,
+    coarser_step,
+    curvature_bound_px,
+    share_beyond,
     sight_range_m,
 )
 from skyline.terrain.viewpoints import stand_on
@@ -23,11 +25,11 @@ def test_leaving_curvature_out_costs_no_more_than_its_bound():
         field = field_of(fractal(64, 64, relief_m=900.0, seed=seed), 300.0)
         eyes = stand_on(field, 9000.0, -9000.0)
         mars = Curvature(radius_m=3_389_500.0, refraction_k=0.0)
-        needs = scene_needs(field, eyes, 160, 0.1, mars)
+        bound_px = curvature_bound_px(field.reach_m(9000.0, -9000.0), mars.drop_per_m2, 160)
         curved = oracle.skyline(field, eyes, 160, mars)
         flat = oracle.skyline(field, eyes, 160, Curvature(enabled=False))
         cost_px = np.abs(curved.elevation_tan - flat.elevation_tan).max() / pixel_size(160)
-        assert 0.1 * needs.curvature_px < cost_px <= needs.curvature_px
+        assert 0.1 * bound_px < cost_px <= bound_px
 
 
 @pytest.mark.parametrize("eye_height_m", [2.0, 300.0])
@@ -54,11 +56,12 @@ def test_share_beyond_sight_is_counted_right():
     field = field_of(fractal(60, 50, seed=2), 2000.0)
     eye = stand_on(field, 20_000.0, -30_000.0)
     moon = Curvature(radius_m=200_000.0, refraction_k=0.0)
-    needs = scene_needs(field, eye, 64, 0.1, moon)
+    sight_m = sight_range_m(field, float(eye.eye_elevation_m[0]), moon.drop_per_m2)
+    beyond = share_beyond(field, eye, sight_m)
     row, col = np.mgrid[:60, :50]
     distance = np.hypot(col * 2000.0 - 20_000.0, row * 2000.0 - 30_000.0)
-    assert needs.beyond_sight == pytest.approx((distance > needs.sight_m).mean(), abs=1e-9)
-    assert 0.1 < needs.beyond_sight < 0.9
+    assert beyond == pytest.approx((distance > sight_m).mean(), abs=1e-9)
+    assert 0.1 < beyond < 0.9
 
 
 @pytest.mark.parametrize("step", [2, 4, 8])
@@ -81,12 +84,5 @@ def test_deviation_is_that_of_the_thinned_surface(step):
 
 def test_a_plane_needs_no_fine_steps():
     field = field_from(lambda east, north: 0.1 * east - 0.2 * north, 65, 30.0)
-    needs = scene_needs(field, stand_on(field, 0.0, 0.0), 640, 0.1)
-    assert [step.step for step in needs.steps] == [2, 4, 8]
-    assert all(step.share == 1.0 for step in needs.steps)
-
-
-def test_one_viewpoint_only():
-    field = field_of(fractal(20, 20), 30.0)
-    with pytest.raises(InputError, match="expected one"):
-        scene_needs(field, stand_on(field, [30.0, 60.0], -30.0), 640, 0.1)
+    for step in COARSER_STEPS:
+        assert coarser_step(field, stand_on(field, 0.0, 0.0), step, 0.1 * pixel_size(640))[1] == 1.0

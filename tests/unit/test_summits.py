@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from skyline.terrain import cleaning
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.summits import local_maxima
+from skyline.terrain.warp import local_maxima
 
 STEP_DEG = 1.0 / 1200.0
 

@@ -23,8 +23,7 @@ from skyline.places import BINS
 from skyline.render.panorama import PanoramaRenderer
 from skyline.terrain.dem import DemOptions, clean, read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.mosaic import mosaic_grid, read_mosaic
-from skyline.terrain.tiles import Grid, open_tile
+from skyline.terrain.tiles import Grid, mosaic_grid, open_tile, read_mosaic
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import in_turns

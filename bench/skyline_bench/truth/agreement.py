@@ -18,7 +18,7 @@ from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.triangles import Rims, Triangles
+from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 from skyline_bench.truth import oracle
@@ -232,8 +232,8 @@ def undecided_columns(scene: Scene, bound_px: Float64Array) -> tuple[BoolArray, 
 def _columns_past_rims(scene: Scene) -> BoolArray:
     """Return (N, W): whether a column's ray passes a sample where the surface ends."""
     field, eyes, u = scene.field, scene.viewpoints, columns_u(scene.width)
-    rims = Rims.of(Triangles.of(field.heights_m))
-    row, col = np.unique(np.stack([rims.row.ravel(), rims.col.ravel()]), axis=1)
+    rims = Triangles.of(field.heights_m).rims()
+    row, col = np.unique(np.stack([ends.ravel() for ends in rims]), axis=1)
     easting, northing = field.to_map(row, col)
     passes = np.zeros((len(eyes), len(HEADINGS), scene.width), dtype=bool)
     for index in range(len(eyes)):
