@@ -25,8 +25,7 @@ from skyline.matching.eye_height import EyeHeight
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.panoramas import Panoramas
 from skyline.matching.progress import tell
-from skyline.matching.query import QueryRays
-from skyline.matching.rays import thinned
+from skyline.matching.query import QueryRays, thinned
 from skyline.matching.refine_config import RefineConfig
 from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, Fit, Solver
 from skyline.rows import Rows

@@ -15,11 +15,11 @@ import numpy as np
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.matching.curve_fit import CurveFit, FitConfig, Rays
+from skyline.matching.curve_fit import CurveFit, FitConfig
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.progress import tell
-from skyline.matching.query import QueryRays
+from skyline.matching.query import REFERENCE_FOV_DEG, QueryRays, in_runs
 from skyline.matching.screening import Alike, Screen, sample_of, screen_places
 from skyline.places import Places, PlaceSource
 from skyline.rows import Rows
@@ -34,7 +34,6 @@ _LIKELY_DEVIATIONS = 2.5
 """Fields of view farther from the one expected are not screened; fits do start from them."""
 _UNLIKELY = 0.25
 """Times the square of how many deviations a field of view is off: what its scores lose."""
-_USUAL_FOV_DEG = 60.0
 _SLOPE_BASE_M = 30.0
 _NOWHERE = (
     "no place of the store lies within what the search is narrowed to; widen it, or build a store "
@@ -245,13 +244,12 @@ class Retriever:
 
     def _fits(self, query: QueryRays, start: "_Start", config: FitConfig) -> Hypotheses:
         """Return the poses of places fitted from where they start, in order."""
-        rays = Rays.of(query, config.rays)
-        bounds = query.log_scale_bounds, query.log_scale_sd
+        rays = in_runs(query, config.rays)
 
         def fitted(first: int) -> Hypotheses:
             some = start[slice(first, first + _FITS_AT_ONCE)]
             places, slope = some.places, self._slope(some.places)
-            fit = CurveFit(places, slope, rays, *bounds, config, self._edge)
+            fit = CurveFit(places, slope, rays, config, self._edge)
             pose, score = fit.fit(some.heading_rad, some.zoom)
             heading, pitch, roll, zoom = pose[:, :4].T.astype(np.float64)
             move = pose[:, 4:].astype(np.float64)
@@ -323,7 +321,7 @@ def _middles(low: float, high: float, step: float) -> Float64Array:
 
 def _zoom_share(query: QueryRays) -> float:
     """Return the share of a step of the zoom that moves the ends of a wide panorama as far."""
-    return min(1.0, _USUAL_FOV_DEG / query.fov_deg) if query.is_panorama else 1.0
+    return min(1.0, REFERENCE_FOV_DEG / query.fov_deg) if query.is_panorama else 1.0
 
 
 def _fov_deg(query: QueryRays, zoom: Float64Array) -> Float64Array:

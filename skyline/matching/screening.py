@@ -1,6 +1,6 @@
 r"""Screening: every heading of every place against a query, by products of matrices.
 
-What is compared are rises of a skyline over 2 degrees as phases (`skyline.places.phases`). With
+What is compared are rises of a skyline over 2 degrees as phases (`skyline.places`). With
 the query's weighted phases w_q and a place's phases p_b, the score of a turn t is
 
 .. math::
@@ -32,8 +32,7 @@ from numpy.typing import NDArray
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.matching.progress import tell
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
-from skyline.places import PHASE_BINS, Places, PlaceSource
-from skyline.places.phases import decode_phases, rise_to_turn
+from skyline.places import PHASE_BINS, RISE_TO_TURN, Places, PlaceSource, decode_phases
 from skyline.rows import Rows
 
 Within = Callable[[Places], BoolArray]
@@ -217,13 +216,13 @@ def query_waves(query: QueryRays) -> NDArray[np.complex128]:
     rise[-1] = np.nan
     known = np.isfinite(rise)
     weight = np.minimum(weight, np.roll(weight, -1)) * known
-    return np.asarray(weight * np.exp(1j * rise_to_turn() * np.where(known, rise, 0.0)))
+    return np.asarray(weight * np.exp(1j * RISE_TO_TURN * np.where(known, rise, 0.0)))
 
 
 def roll_to_turn() -> Float64Array:
     """Return the radians (B,) that the phases of a query's rises grow by, a radian of roll."""
     azimuth = np.radians((np.arange(PHASE_BINS + 1) - PHASE_BINS // 2) * (360.0 / PHASE_BINS))
-    return np.asarray(rise_to_turn() * np.diff(np.sin(azimuth)))
+    return np.asarray(RISE_TO_TURN * np.diff(np.sin(azimuth)))
 
 
 def turn_heading_deg(turn: IntArray) -> Float64Array:

@@ -26,8 +26,7 @@ from skyline.matching.eye_height import EyeHeight
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.noise import HeightErrors, Judged, Noise, judge
 from skyline.matching.panoramas import Panoramas
-from skyline.matching.query import QueryRays
-from skyline.matching.rays import level_with_changes
+from skyline.matching.query import QueryRays, level_with_changes
 from skyline.rows import Rows
 from skyline.terrain.edge import DataEdge
 
@@ -329,18 +328,20 @@ class Solver:
 
     def linearize(self, curves: Curves, state: Float64Array) -> Linear:
         """Return residuals and their derivatives at states (M, P)."""
-        rays = level_with_changes(self.query, *state[:, PITCH:].T)
-        azimuth = rays.azimuth_rad + state[:, HEADING, np.newaxis]
+        turned, ray_y, turned_change, ray_change = level_with_changes(
+            self.query, *state[:, PITCH:].T
+        )
+        azimuth = turned + state[:, HEADING, np.newaxis]
         there = curves.at(azimuth)
         slope, change = there[..., 1:2], there[..., 2:5]
         move = state[:, _MOVES].copy()
         move[:, EYE_HEIGHT] -= curves.eye_height_m
         y = there[..., 0] + (change @ move[..., np.newaxis])[..., 0]
         # Differences of tangents become angles; how that factor changes is left out.
-        to_angle = 1.0 / (1.0 + rays.y**2)
-        attitude = rays.y_change - slope * rays.azimuth_change
+        to_angle = 1.0 / (1.0 + ray_y**2)
+        attitude = ray_change - slope * turned_change
         jacobian = np.concatenate([-change, -slope, attitude], axis=-1) * to_angle[..., np.newaxis]
-        residual = (rays.y - y) * to_angle
+        residual = (ray_y - y) * to_angle
         # Next to an unknown column the curve may be known but not its slope.
         known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=-1)
         return Linear(
