@@ -40,10 +40,12 @@ _CHUNK = 8
 """Locations at a time; keeps the transforms' arrays in the cache."""
 
 
-@dataclass(frozen=True, slots=True)
-class CorrelationMatcher:
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrelationMatcher(Ranker):
     """The plain baseline: the greatest normalized correlation wins."""
 
+    profiles: Profiles
+    """Of the store it matches to."""
     attitudes: Attitudes = field(default_factory=Attitudes)
     """Assumed pitches and rolls."""
     min_overlap: float = 0.8
@@ -57,16 +59,28 @@ class CorrelationMatcher:
         if not 0.0 < self.min_overlap <= 1.0:
             raise InputError(f"least overlap is {self.min_overlap}; expected above 0, at most 1")
 
-    def prepare(self, profiles: Profiles) -> "PreparedCorrelation":
-        """Take a store's profiles.
+    @classmethod
+    def open(cls, source: Source) -> Self:
+        """See `Ranker.open`.
 
         Nothing is computed yet: the transforms of profiles are few beside those that a query
         needs, and would take several times the profiles' memory.
         """
-        return PreparedCorrelation(self, profiles)
+        return cls(source.profiles())
 
-    def fit(self, profiles: Profiles, query: QueryRays) -> Fits:
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        narrowed: Narrowed | None = None,
+        screened: Alike | None = None,
+    ) -> Ranking:
+        """Return the best poses, best first; see `Ranker.rank`."""
+        return select(self.profiles, self.fit(query), query.fov_deg, top, self.separation_m)
+
+    def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score is 1 - ncc."""
+        profiles = self.profiles
         curves = QueryCurves.of(query, self.attitudes, profiles.bins)
         chunks = [profiles.y[k : k + _CHUNK] for k in range(0, len(profiles), _CHUNK)]
         ncc = [self._greatest(curves, chunk) for chunk in chunks]
@@ -121,30 +135,6 @@ class CorrelationMatcher:
         usable = enough & (variance_q > flat) & (variance_y > flat)
         scale = np.sqrt(np.where(usable, variance_q * variance_y, 1.0))
         return np.where(usable, covariance / scale, -np.inf)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PreparedCorrelation(Ranker):
-    """The correlation matcher with the store it matches to."""
-
-    matcher: CorrelationMatcher
-    profiles: Profiles
-
-    @classmethod
-    def open(cls, source: Source) -> Self:
-        """See `Ranker.open`."""
-        return cls(CorrelationMatcher(), source.profiles())
-
-    def rank(
-        self,
-        query: QueryRays,
-        top: int,
-        narrowed: Narrowed | None = None,
-        screened: Alike | None = None,
-    ) -> Ranking:
-        """Return the best poses, best first; see `Ranker.rank`."""
-        fits = self.matcher.fit(self.profiles, query)
-        return select(self.profiles, fits, query.fov_deg, top, self.matcher.separation_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

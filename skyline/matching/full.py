@@ -13,13 +13,12 @@ from skyline.matching import confidence
 from skyline.matching.claim import Claim
 from skyline.matching.confidence import DISTANCES_M, model_name
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.match_config import FullConfig
+from skyline.matching.match_config import FullConfig, RefineConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Poses, Refinement, Scene, refine
 from skyline.matching.query import QueryRays
 from skyline.matching.ranker import Ranker, Source
 from skyline.matching.ranking import JointRanking, Ranking
-from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike
 from skyline.matching.threads import one_blas_thread

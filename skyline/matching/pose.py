@@ -20,13 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.matching.claim import Claim
-from skyline.matching.eye_height import EyeHeight
+from skyline.matching.claim import Claim, EyeHeight
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.panoramas import Panoramas
+from skyline.matching.match_config import RefineConfig
+from skyline.matching.profiles import Panoramas
 from skyline.matching.progress import tell
 from skyline.matching.query import QueryRays, thinned
-from skyline.matching.refine_config import RefineConfig
 from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, Fit, Solver
 from skyline.rows import Rows
 from skyline.terrain.edge import DataEdge

@@ -317,7 +317,7 @@ def thinned(query: QueryRays, bins: int) -> QueryRays:
     step -= step.min()
     total = np.bincount(step, query.weight)
     kept = np.flatnonzero(total)
-    return _averaged(query, step, total, kept, total[kept] / np.bincount(step)[kept])
+    return _averaged(query, step, kept, total[kept] / np.bincount(step)[kept])
 
 
 def in_runs(query: QueryRays, count: int) -> QueryRays:
@@ -333,17 +333,13 @@ def in_runs(query: QueryRays, count: int) -> QueryRays:
     step = np.minimum((query.u - left) / width, count - 1).astype(np.intp)
     total = np.bincount(step, query.weight, count)
     kept = np.flatnonzero(total > 0.3 * np.median(total[total > 0.0]))
-    return _averaged(query, step, total, kept, total[kept] / total[kept].mean())
+    return _averaged(query, step, kept, total[kept] / total[kept].mean())
 
 
-def _averaged(
-    query: QueryRays, step: IntArray, total: Float64Array, kept: IntArray, weight: Float64Array
-) -> QueryRays:
-    """Return the means of the rays in each step that is kept, of total weights, weighed anew."""
-    u, v = (
-        np.bincount(step, query.weight * ray, len(total))[kept] / total[kept]
-        for ray in (query.u, query.v)
-    )
+def _averaged(query: QueryRays, step: IntArray, kept: IntArray, weight: Float64Array) -> QueryRays:
+    """Return the means of the rays in each step that is kept, weighed anew."""
+    total = np.bincount(step, query.weight)[kept]
+    u, v = (np.bincount(step, query.weight * ray)[kept] / total for ray in (query.u, query.v))
     return replace(query, u=u, v=v, weight=weight)
 
 

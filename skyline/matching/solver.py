@@ -21,11 +21,10 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.matching.claim import Claim
-from skyline.matching.eye_height import EyeHeight
+from skyline.matching.claim import Claim, EyeHeight
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.noise import HeightErrors, Judged, Noise, judge
-from skyline.matching.panoramas import Panoramas
+from skyline.matching.profiles import Panoramas
 from skyline.matching.query import QueryRays, level_with_changes
 from skyline.rows import Rows
 from skyline.terrain.edge import DataEdge

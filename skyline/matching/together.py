@@ -21,8 +21,8 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.match_config import RefineConfig
 from skyline.matching.pose import LONGER, SHORTER, Particles, Poses, Refinement
-from skyline.matching.refine_config import RefineConfig
 from skyline.matching.solver import EYE_HEIGHT
 
 _ELSEWHERE = 10.0

@@ -10,9 +10,9 @@ from scenes import field_of, fractal
 
 from skyline.errors import InputError
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.panoramas import Panoramas
+from skyline.matching.match_config import RefineConfig
 from skyline.matching.pose import Refinement, refine
-from skyline.matching.refine_config import RefineConfig
+from skyline.matching.profiles import Panoramas
 from skyline.matching.solver import Curves
 from skyline.matching.together import JointRefinement
 from skyline.render.horizon import HorizonRenderer

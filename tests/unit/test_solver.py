@@ -8,9 +8,9 @@ from query_scenes import BINS, hills, panorama_of, poses, rays_of, seen, swept
 
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.matching.eye_height import EyeHeight
+from skyline.matching.claim import EyeHeight
 from skyline.matching.noise import Noise
-from skyline.matching.panoramas import Panoramas
+from skyline.matching.profiles import Panoramas
 from skyline.matching.query import QueryRays, level, level_with_changes, thinned
 from skyline.matching.solver import Curves, Solver, SolverConfig
 from skyline.photo.projection import distorted
