@@ -178,9 +178,6 @@ class Places(Rows):
     distance: NDArray[np.uint8]
     phase: NDArray[np.uint8]
 
-    def __len__(self) -> int:
-        return len(self.easting_m)
-
     @classmethod
     def of(cls, horizons: Horizons, tolerance_m: float | Float32Array) -> "Places":
         """Return the places of rendered skylines in 360 bins, each with its tolerance."""

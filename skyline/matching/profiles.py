@@ -118,9 +118,6 @@ class Panoramas(Rows):
                 "of (M, B), B at least 8"
             )
 
-    def __len__(self) -> int:
-        return len(self.y)
-
     @property
     def bins(self) -> int:
         """Number of azimuth bins B."""

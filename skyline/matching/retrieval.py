@@ -34,7 +34,7 @@ _LIKELY_DEVIATIONS = 2.5
 """Fields of view farther from the one expected are not screened; fits do start from them."""
 _UNLIKELY = 0.25
 """Times the square of how many deviations a field of view is off: what its scores lose."""
-_SLOPE_BASE_M = 30.0
+_SLOPE_REACH_M = 15.0
 _NOWHERE = (
     "no place of the store lies within what the search is narrowed to; widen it, or build a store "
     "of that area"
@@ -279,18 +279,21 @@ class Retriever:
         return Hypotheses.concatenate(found)
 
     def _slope(self, places: Places) -> Float32Array:
-        """Return the ground's rise (N, 2) to the east and to the north; 0 beside a hole."""
+        """Return the ground's rise (N, 2) to the east and to the north; 0 where unknown."""
         if self._ground is None:
             return np.zeros((len(places), 2), dtype=np.float32)
-        east, north, half = places.easting_m, places.northing_m, _SLOPE_BASE_M / 2.0
-        rise = np.stack(
-            [
-                self._ground(east + half, north) - self._ground(east - half, north),
-                self._ground(east, north + half) - self._ground(east, north - half),
-            ],
-            axis=1,
-        )
-        return np.nan_to_num(rise / _SLOPE_BASE_M).astype(np.float32)
+        slope = ground_slope(self._ground, places.easting_m, places.northing_m, _SLOPE_REACH_M)
+        return slope.astype(np.float32)
+
+
+def ground_slope(
+    ground: Ground, easting_m: Float64Array, northing_m: Float64Array, reach_m: float
+) -> Float64Array:
+    """Return the rise of the ground (M, 2) a metre east and north; 0 beside the unknown."""
+    place = easting_m + 1j * northing_m
+    around = np.concatenate([place + reach_m * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
+    east, west, north, south = ground(around.real, around.imag).reshape(4, -1)
+    return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * reach_m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -301,9 +304,6 @@ class _Start(Rows):
     score: Float32Array
     heading_rad: Float64Array
     zoom: Float64Array
-
-    def __len__(self) -> int:
-        return len(self.score)
 
 
 def _total(found: Sequence[Hypotheses]) -> Float64Array:

@@ -69,9 +69,6 @@ class Alike(Rows):
     row: IntArray
     score: Float32Array
 
-    def __len__(self) -> int:
-        return len(self.row)
-
     def best(self, count: int) -> "Alike":
         """Return the best; of equals those that come first in the source."""
         return self[np.lexsort((self.row, -self.score))[:count]]

@@ -274,7 +274,7 @@ class Solver:
         errors = None
         for iteration in range(self.config.iterations + 1):
             linear = self.linearize(curves, fit.state)
-            errors = errors or self._errors(linear, curves)
+            errors = self._errors(linear, curves) if errors is None else errors
             choose = iteration < self.config.choices
             fit, judged = self._chosen(fit, linear, errors, _NEIGHBOURS if choose else ())
             if iteration < self.config.iterations:
@@ -354,13 +354,13 @@ class Solver:
             y,
         )
 
-    def beyond_rad(self, linear: Linear) -> Float64Array | None:
+    def beyond_rad(self, linear: Linear) -> Float64Array:
         """Return how far above the skyline, (M, R), terrain past the data's edge may rise.
 
-        It is below 0 where none reaches it, and 0 where the skyline is unknown.
+        It is below 0 where none reaches it, and 0 where the skyline or the edge is unknown.
         """
         if self._edge is None:
-            return None
+            return np.zeros_like(linear.residual_rad)
         place_m, eye_m = linear.place_m[:, np.newaxis], linear.eye_m[:, np.newaxis]
         most = self._edge.elevation_tan(place_m.real, place_m.imag, eye_m, linear.azimuth_rad)
         return np.asarray(np.nan_to_num(np.arctan(most) - np.arctan(linear.elevation_tan)))

@@ -22,7 +22,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Float64Array
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.match_config import RefineConfig
-from skyline.matching.pose import LONGER, SHORTER, Particles, Poses, Refinement
+from skyline.matching.pose import Particles, Poses, Refinement, best_and_rivals
 from skyline.matching.solver import EYE_HEIGHT
 
 _ELSEWHERE = 10.0
@@ -97,42 +97,21 @@ class JointRefinement:
         precision = self._precision(solved, self._share(self._off(now)))
         steps = np.stack([some.fit.state[:, _MOVES] for some in solved])[..., np.newaxis]
         step = np.linalg.solve(precision.sum(axis=0), (precision @ steps).sum(axis=0))[..., 0]
-        length_m = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
-        east_m, north_m = step[:, :2].T * np.minimum(1.0, 2.0 * now[0].step_m / length_m)
         new = [
-            one.arrived(
-                solver,
-                some.easting_m + east_m,
-                some.northing_m + north_m,
-                solver.at_height(some.fit, step[:, EYE_HEIGHT]),
-            )
+            one.stepped(solver, some, step, solver.at_height(some.fit, step[:, EYE_HEIGHT]))
             for one, solver, some in zip(self._each, self._solvers, solved, strict=True)
         ]
         before, after = np.split(self._cost(self._off(self._joined(now, new))), 2)
-        better = after < before
-        step_m = now[0].step_m * np.where(better, LONGER, SHORTER)
-        step_m = np.minimum(step_m, self._config.longest_step_m)
         return [
-            replace(old.replaced(better, some), step_m=step_m)
-            for old, some in zip(now, new, strict=True)
+            one.kept(old, some, after < before)
+            for one, old, some in zip(self._each, now, new, strict=True)
         ]
 
     def _restarted(self, now: Sequence[Particles]) -> list[Particles]:
         """Return what becomes of a ring around each of the best places."""
-        config = self._config
-        best = self._kept(now, config.restarts)
-        row = np.repeat(np.arange(len(best[0])), 8)
-        ring = np.tile(config.restart_m * np.exp(0.25j * np.pi * np.arange(8)), len(best[0]))
-        around = [
-            one.arrived(
-                solver,
-                some.easting_m[row] + ring.real,
-                some.northing_m[row] + ring.imag,
-                some.fit[row],
-            )
-            for one, solver, some in zip(self._each, self._solvers, best, strict=True)
-        ]
-        for _ in range(config.restart_rounds - 1):
+        best = self._kept(now, self._config.restarts)
+        around = [one.around(some) for one, some in zip(self._each, best, strict=True)]
+        for _ in range(self._config.restart_rounds - 1):
             around = self._moved(around)
         return around
 
@@ -160,16 +139,9 @@ class JointRefinement:
 
     def _kept(self, now: Sequence[Particles], count: int) -> list[Particles]:
         """Return the best places that stand apart, and rivals of the best, best first."""
-        config, cost = self._config, self._cost(self._off(now))
-        standing = replace(self._each[0].hypotheses(now[0], self._solvers[0]), score=cost)
-        chosen = standing.suppress_non_maxima(count, config.separation_m)
-        apart_m = standing.apart_m()[chosen[:1]]
-        for least_m in (config.elsewhere_m, config.far_m):
-            far = np.flatnonzero((apart_m > least_m).any(axis=0))
-            if config.rivals and len(far):
-                rivals = standing[far].suppress_non_maxima(config.rivals, config.separation_m)
-                chosen = np.union1d(chosen, far[rivals])
-        chosen = chosen[np.argsort(cost[chosen], kind="stable")]
+        standing = self._each[0].hypotheses(now[0], self._solvers[0])
+        standing = replace(standing, score=self._cost(self._off(now)))
+        chosen = best_and_rivals(standing, count, self._config)
         return [some[chosen] for some in now]
 
     def _off(self, now: Sequence[Particles]) -> Float64Array:
