@@ -216,12 +216,9 @@ class PlaceSource(Protocol):
 
     def __len__(self) -> int:
         """Return the number of places."""
-        ...
 
     def blocks(self) -> Iterator[Places]:
         """Yield all places in order, in blocks whose arrays may be mapped from a file."""
-        ...
 
     def take(self, rows: IntArray) -> Places:
         """Return copies of the places ``rows``, in order."""
-        ...

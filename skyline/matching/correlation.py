@@ -97,7 +97,7 @@ class CorrelationMatcher(Ranker):
         self, curves: QueryCurves, y: NDArray[np.float32]
     ) -> tuple[Float64Array, NDArray[np.intp], NDArray[np.intp]]:
         """Return the greatest ncc of each location (-inf if none), its attitude and its turn."""
-        known = _Known.of(y)
+        known = _transformed(y)
         row = np.arange(len(y))
         best = np.full(len(y), -np.inf)
         attitude, turn = np.zeros((2, len(y)), dtype=np.intp)
@@ -110,25 +110,26 @@ class CorrelationMatcher(Ranker):
             turn = np.where(greater, peak, turn)
         return best, attitude, turn
 
-    def _ncc(self, known: "_Known", q: Float64Array, weight: Float64Array) -> Float64Array:
+    def _ncc(self, known: "_Transforms", q: Float64Array, weight: Float64Array) -> Float64Array:
         """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""
         # Deviations from the mean keep the differences of sums below well conditioned.
         q = np.where(weight > 0.0, q, 0.0)
         q = np.where(weight > 0.0, q - np.average(q, weights=weight), 0.0)
+        known_n, known_y, known_y2 = known
         flat_w, flat_wq, flat_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
         bins = len(q)
-        sum_y, sum_y2 = fft.irfft(known.y * flat_w, bins), fft.irfft(known.y2 * flat_w, bins)
-        covariance = fft.irfft(known.y * flat_wq, bins)
-        if known.n is None:
+        sum_y, sum_y2 = fft.irfft(known_y * flat_w, bins), fft.irfft(known_y2 * flat_w, bins)
+        covariance = fft.irfft(known_y * flat_wq, bins)
+        if known_n is None:
             # Then all of the query lands on known profile, and its mean over that is 0.
             total, enough = np.full(1, weight.sum()), np.full(1, True)
             variance_q = np.full(1, np.sum(weight * q**2))
         else:
-            total = fft.irfft(known.n * flat_w, bins)
+            total = fft.irfft(known_n * flat_w, bins)
             enough = total >= self.min_overlap * weight.sum() - 1e-9
             total = np.where(enough, total, 1.0)
-            sum_q = fft.irfft(known.n * flat_wq, bins)
-            variance_q = fft.irfft(known.n * flat_wq2, bins) - sum_q**2 / total
+            sum_q = fft.irfft(known_n * flat_wq, bins)
+            variance_q = fft.irfft(known_n * flat_wq2, bins) - sum_q**2 / total
             covariance -= sum_q * sum_y / total
         variance_y = sum_y2 - sum_y**2 / total
         flat = (self.flat_px * TANGENT_PER_PX) ** 2 * total
@@ -137,21 +138,16 @@ class CorrelationMatcher(Ranker):
         return np.where(usable, covariance / scale, -np.inf)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Known:
-    """Fourier transforms (L, B / 2 + 1) of where profiles are known, of y and of y squared.
+_Transforms = tuple[NDArray[np.complex128] | None, NDArray[np.complex128], NDArray[np.complex128]]
+
+
+def _transformed(y: NDArray[np.float32]) -> _Transforms:
+    """Return the Fourier transforms (L, B / 2 + 1) of where profiles are known, of y and of y**2.
 
     The first is None where all is known.
     """
-
-    n: NDArray[np.complex128] | None
-    y: NDArray[np.complex128]
-    y2: NDArray[np.complex128]
-
-    @classmethod
-    def of(cls, y: NDArray[np.float32]) -> "_Known":
-        n = np.isfinite(y).astype(np.float64)
-        y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)
-        mean = y0.sum(axis=1, keepdims=True) / np.maximum(n.sum(axis=1, keepdims=True), 1.0)
-        y0 = (y0 - mean) * n
-        return cls(None if n.all() else fft.rfft(n), fft.rfft(y0), fft.rfft(y0**2))
+    n = np.isfinite(y).astype(np.float64)
+    y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)
+    mean = y0.sum(axis=1, keepdims=True) / np.maximum(n.sum(axis=1, keepdims=True), 1.0)
+    y0 = (y0 - mean) * n
+    return None if n.all() else fft.rfft(n), fft.rfft(y0), fft.rfft(y0**2)

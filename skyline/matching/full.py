@@ -74,7 +74,9 @@ class FullMatcher(Ranker):
             return Ranking(found[chosen], near, confidence_1km=roughly)
         figures = confidence.refined_figures(poses, found, query)
         if narrowed is not None:
-            poses = replace(poses, hypotheses=_held(poses.hypotheses, narrowed))
+            # What has moved out of the narrowing fits nowhere.
+            score = np.where(narrowed.holds(poses.hypotheses), poses.hypotheses.score, np.inf)
+            poses = replace(poses, hypotheses=replace(poses.hypotheses, score=score))
         chosen = self._chosen(poses.hypotheses, top)
         near, roughly = self._sure("refined", figures, chosen)
         return _ranking(poses, chosen, near, roughly)
@@ -247,11 +249,6 @@ def _with_one_claim(
         (query, known and (known if known.claim is best else replace(known, claim=None)))
         for query, known in asked
     ]
-
-
-def _held(poses: Hypotheses, narrowed: Narrowed) -> Hypotheses:
-    """Return poses of which those that have moved out of a narrowing fit nowhere."""
-    return replace(poses, score=np.where(narrowed.holds(poses), poses.score, np.inf))
 
 
 def _naming(config: RefineConfig, least: int, narrowed: Narrowed | None) -> RefineConfig:

@@ -49,24 +49,19 @@ class Scene(Protocol):
     @property
     def edge(self) -> DataEdge | None:
         """Where its data end; None where nothing is taken to lie beyond."""
-        ...
 
     @property
     def height_sd_m(self) -> float:
         """Deviation of the terrain model's heights to be expected."""
-        ...
 
     def render(self, viewpoints: Viewpoints, headings: NDArray[np.uint8]) -> Views:
         """Render one view an eye, each along its heading, in order."""
-        ...
 
     def render_surface(self, viewpoints: Viewpoints, headings: NDArray[np.uint8]) -> Views | None:
         """Render likewise the surface of what may stand on the terrain; None where unknown."""
-        ...
 
     def ground_m(self, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
         """Return the terrain's height, (N,) for (N,); NaN off the map and over holes."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

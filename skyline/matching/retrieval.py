@@ -10,6 +10,7 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -108,7 +109,10 @@ class Retriever:
         self.places = places
         self._ground = ground
         self._screened = self.config.screened(len(places))
-        self._sample: Places | None = None
+
+    @cached_property
+    def _sample(self) -> Places:
+        return sample_of(self.places)
 
     def screened(
         self, query: QueryRays, narrowed: Narrowed | None = None, part: slice = slice(None)
@@ -193,17 +197,15 @@ class Retriever:
 
     def _aim(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         """Prepare to find headings and fields of view at places, all that are searched."""
-        return self._prepared(query, narrowed, self._start_zooms(query), None)
+        return self._prepared(query, narrowed, self._start_zooms(query))
 
     def _prepared(
         self,
         query: QueryRays,
         narrowed: Narrowed | None,
         zooms: Float64Array,
-        unlikely: Float64Array | None,
+        unlikely: Float64Array | None = None,
     ) -> Screen:
-        if self._sample is None:
-            self._sample = sample_of(self.places)
         turns = None if narrowed is None else narrowed.open_turns
         return Screen.of(query, _fov_deg(query, zooms), self._sample, turns, unlikely)
 

@@ -266,7 +266,7 @@ def screen_places(
     waiting: list[Alike] = []
     seen, held, last = 0, 0, max(len(source), 1)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for found, places in _a_few_ahead(pool, scored, _batched(_numbered(source, part))):
+        for found, places in _a_few_ahead(pool, scored, _batches(source, part)):
             waiting.append(found)
             seen += places
             held += len(found)
@@ -277,19 +277,18 @@ def screen_places(
     return Alike.joined([kept, *waiting]).best(count)
 
 
-def _numbered(source: PlaceSource, part: slice) -> Iterator[tuple[int, Places]]:
-    """Yield the first row of each block, and the block."""
-    start = 0
+def _batches(source: PlaceSource, part: slice) -> Iterator[list[tuple[int, Places]]]:
+    """Yield the first row of each block of a part, and the block, as many as a thread takes."""
+    start, batch = 0, []
     chosen = range(*part.indices(1 << 40))
     for index, places in enumerate(source.blocks()):
         if index in chosen:
-            yield start, places
+            batch.append((start, places))
         start += len(places)
-
-
-def _batched(blocks: Iterator[tuple[int, Places]]) -> Iterator[list[tuple[int, Places]]]:
-    """Yield as many blocks as a thread takes, in order."""
-    while batch := list(islice(blocks, _BLOCKS_AT_ONCE)):
+        if len(batch) == _BLOCKS_AT_ONCE:
+            yield batch
+            batch = []
+    if batch:
         yield batch
 
 
