@@ -114,28 +114,25 @@ class FullMatcher(Ranker):
         ]
         with one_blas_thread():
             places = self._retriever.shortlist_together(asked, config.particles)
-            joint = JointRefinement(refinements, config).run(places, own)
-        cost = joint.cost
-        for poses, (_, known), agrees in zip(joint.poses, asked, joint.agrees, strict=True):
+            joint, agreeing = JointRefinement(refinements, config).run(places, own)
+        cost = joint[0].hypotheses.score
+        for poses, (_, known), agrees in zip(joint, asked, agreeing, strict=True):
             if known is not None:
                 cost = np.where(known.holds(poses.hypotheses) | ~agrees, cost, np.inf)
-        chosen = self._chosen(replace(joint.poses[0].hypotheses, score=cost), top)
-        agrees = np.asarray(joint.agrees[:, chosen[:1]].any(axis=1))
+        chosen = self._chosen(replace(joint[0].hypotheses, score=cost), top)
+        agrees = np.asarray(agreeing[:, chosen[:1]].any(axis=1))
         figures = [
             confidence.refined_figures(poses, retrieved, query)
             for poses, (query, _), (retrieved, _), is_of in zip(
-                joint.poses, asked, found, agrees, strict=True
+                joint, asked, found, agrees, strict=True
             )
             if is_of and len(retrieved)
         ]
         near = roughly = np.zeros(len(chosen))
         if figures:
             near, roughly = self._sure("refined", confidence.mean_figures(figures), chosen)
-        rankings = []
-        for poses in joint.poses:
-            placed = replace(poses, hypotheses=replace(poses.hypotheses, score=cost))
-            rankings.append(_ranking(placed, chosen, near, roughly))
-        return JointRanking(tuple(rankings), agrees)
+        rankings = tuple(_ranking(poses, chosen, near, roughly) for poses in joint)
+        return JointRanking(rankings, agrees)
 
     def screened(self, query: QueryRays, narrowed: Narrowed | None, part: slice) -> Alike:
         """Return the places most like a query; see `Retriever.screened`."""

@@ -176,16 +176,13 @@ class Retriever:
             for (query, narrowed), screen in zip(asked, screens, strict=True)
         ]
         found = self._fitted_together([query for query, _ in asked], starts)
-        east, north = (
-            np.mean([getattr(one, name) for one in found], axis=0)
+        shared = {
+            name: np.mean([getattr(one, name) for one in found], axis=0)
             for name in ("easting_m", "northing_m")
-        )
-        joint = replace(found[0], easting_m=east, northing_m=north, score=_total(found))
-        chosen = joint.suppress_non_maxima(count, self.config.separation_m)
-        return [
-            replace(one, easting_m=east, northing_m=north, score=joint.score)[chosen]
-            for one in found
-        ]
+        } | {"score": _total(found)}
+        joint = [replace(one, **shared) for one in found]
+        chosen = joint[0].suppress_non_maxima(count, self.config.separation_m)
+        return [one[chosen] for one in joint]
 
     def _screen(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         """Prepare to find places: few fields of view, the likely ones."""

@@ -15,7 +15,7 @@ the others costs at most T L wherever they are put.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,20 +37,6 @@ _LEAST_SHARE = 1e-6
 _GREATEST_LOG_ODDS = 50.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JointPoses:
-    """M places, best first, and the poses of N queries there."""
-
-    poses: tuple[Poses, ...]
-    """Of each query, M; they differ in the camera alone. Margins and covariances are the joint ones
-    for one query in the mean: queries of one place share the terrain model's errors, and those that
-    look the same way share all, so that they are not summed."""
-    cost: Float64Array
-    """(M,) float64. Of the places."""
-    agrees: BoolArray
-    """(N, M) bool. Whether each query is likelier to be of the place than of anywhere else."""
-
-
 class JointRefinement:
     """The refinement of several queries of one eye.
 
@@ -63,11 +49,23 @@ class JointRefinement:
         self._solvers = [one.rough for one in refinements]
         self._least = np.full(len(refinements), np.inf)
 
-    def run(self, found: Sequence[Hypotheses], alone: Sequence[Hypotheses]) -> JointPoses:
-        """Return where the queries fit together.
+    def run(
+        self, found: Sequence[Hypotheses], alone: Sequence[Hypotheses]
+    ) -> tuple[tuple[Poses, ...], BoolArray]:
+        """Return where the queries fit together: M places, best first, and N queries there.
 
         ``found`` is of each query, of the same places in the same order, best first; ``alone`` is
         the best pose that each was refined to by itself, if any.
+
+        Returns
+        -------
+        poses : tuple of Poses
+            Of each query, M; they differ in the camera alone, and their scores are what the places
+            cost. Margins and covariances are the joint ones for one query in the mean: queries of
+            one place share the terrain model's errors, and those that look the same way share all,
+            so that they are not summed.
+        agrees : (N, M) bool
+            Whether each query is likelier to be of the place than of anywhere else.
         """
         config = self._config
         now = [
@@ -172,7 +170,7 @@ class JointRefinement:
         share = np.maximum(share, _LEAST_SHARE)[..., np.newaxis, np.newaxis]
         return np.asarray(np.linalg.inv(covariance) * share)
 
-    def _poses(self, now: Sequence[Particles]) -> JointPoses:
+    def _poses(self, now: Sequence[Particles]) -> tuple[tuple[Poses, ...], BoolArray]:
         off = self._off(now)
         cost, share = self._cost(off), self._share(off)
         agrees = share >= 0.5
@@ -189,4 +187,5 @@ class JointRefinement:
             for least_m in (self._config.elsewhere_m, self._config.far_m)
         )
         joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
-        return JointPoses(tuple(replace(one, **joint) for one in poses), cost, agrees)
+        scored = (replace(one, hypotheses=replace(one.hypotheses, score=cost)) for one in poses)
+        return tuple(replace(one, **joint) for one in scored), agrees
