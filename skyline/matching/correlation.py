@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from skyline.arrays import Float64Array
-from skyline.errors import InputError
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
@@ -38,6 +37,11 @@ from skyline.matching.screening import Alike
 
 _CHUNK = 8
 """Locations at a time; keeps the transforms' arrays in the cache."""
+_MIN_OVERLAP = 0.8
+"""Least share of the query's weight that must lie over known profile."""
+_FLAT_PX = 0.1
+"""Curves with a smaller standard deviation over the overlap have no correlation."""
+_Transforms = tuple[NDArray[np.complex128] | None, NDArray[np.complex128], NDArray[np.complex128]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,16 +52,6 @@ class CorrelationMatcher(Ranker):
     """Of the store it matches to."""
     attitudes: Attitudes = field(default_factory=Attitudes)
     """Assumed pitches and rolls."""
-    min_overlap: float = 0.8
-    """Least share of the query's weight that must lie over known profile, in (0, 1]."""
-    flat_px: float = 0.1
-    """Curves with a smaller standard deviation over the overlap have no correlation."""
-    separation_m: float = 0.0
-    """Candidates are at least this far apart."""
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.min_overlap <= 1.0:
-            raise InputError(f"least overlap is {self.min_overlap}; expected above 0, at most 1")
 
     @classmethod
     def open(cls, source: Source) -> Self:
@@ -76,7 +70,7 @@ class CorrelationMatcher(Ranker):
         screened: Alike | None = None,
     ) -> Ranking:
         """Return the best poses, best first; see `Ranker.rank`."""
-        return select(self.profiles, self.fit(query), query.fov_deg, top, self.separation_m)
+        return select(self.profiles, self.fit(query), query.fov_deg, top)
 
     def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score is 1 - ncc."""
@@ -110,7 +104,7 @@ class CorrelationMatcher(Ranker):
             turn = np.where(greater, peak, turn)
         return best, attitude, turn
 
-    def _ncc(self, known: "_Transforms", q: Float64Array, weight: Float64Array) -> Float64Array:
+    def _ncc(self, known: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
         """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""
         # Deviations from the mean keep the differences of sums below well conditioned.
         q = np.where(weight > 0.0, q, 0.0)
@@ -126,19 +120,16 @@ class CorrelationMatcher(Ranker):
             variance_q = np.full(1, np.sum(weight * q**2))
         else:
             total = fft.irfft(known_n * flat_w, bins)
-            enough = total >= self.min_overlap * weight.sum() - 1e-9
+            enough = total >= _MIN_OVERLAP * weight.sum() - 1e-9
             total = np.where(enough, total, 1.0)
             sum_q = fft.irfft(known_n * flat_wq, bins)
             variance_q = fft.irfft(known_n * flat_wq2, bins) - sum_q**2 / total
             covariance -= sum_q * sum_y / total
         variance_y = sum_y2 - sum_y**2 / total
-        flat = (self.flat_px * TANGENT_PER_PX) ** 2 * total
+        flat = (_FLAT_PX * TANGENT_PER_PX) ** 2 * total
         usable = enough & (variance_q > flat) & (variance_y > flat)
         scale = np.sqrt(np.where(usable, variance_q * variance_y, 1.0))
         return np.where(usable, covariance / scale, -np.inf)
-
-
-_Transforms = tuple[NDArray[np.complex128] | None, NDArray[np.complex128], NDArray[np.complex128]]
 
 
 def _transformed(y: NDArray[np.float32]) -> _Transforms:

@@ -50,7 +50,6 @@ _BLOCKS_AT_ONCE = 16
 """That a thread takes. With one at a time, two threads wait for the interpreter half the time."""
 _PLACES_AT_ONCE = 1024
 """Scored together: what is held does not grow with how many are asked for."""
-_LEVEL = Attitudes((0.0,), (0.0,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,7 +205,7 @@ def query_waves(query: QueryRays) -> NDArray[np.complex128]:
 
     Bin B / 2 is straight ahead.
     """
-    curve = QueryCurves.of(query, _LEVEL, PHASE_BINS)
+    curve = QueryCurves.of(query, Attitudes((0.0,)), PHASE_BINS)
     y, weight = curve.y[0], curve.weight[0]
     rise = np.roll(y, -1) - y
     # The last bin's neighbour is the first one, behind the camera.
