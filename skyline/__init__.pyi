@@ -10,10 +10,9 @@ from .errors import (
     StoreMismatchError,
 )
 from .geodesy import Curvature, Frame
-from .matching.match_config import FullConfig, MatchConfig
+from .matching.match_config import FullConfig, MatchConfig, RefineConfig
 from .matching.narrowing import Narrowing
 from .matching.ranking import Candidate
-from .matching.refine_config import RefineConfig
 from .matching.retrieval import RetrievalConfig
 from .matching.screening import Alike
 from .photo.correction import Correction, Stroke, StrokeKind

@@ -15,6 +15,9 @@ class Rows:
 
     __slots__ = ()
 
+    def __len__(self) -> int:
+        return len(getattr(self, self._names()[0]))
+
     def __getitem__(self, index: Index) -> Self:
         return type(self)(*(getattr(self, name)[index] for name in self._names()))
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.panoramas import Panoramas
+from skyline.matching.profiles import Panoramas
 from skyline.matching.query import QueryRays
 
 BINS = 1440

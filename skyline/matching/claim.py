@@ -1,8 +1,9 @@
-r"""What a photo says of where it was taken, as a prior: a place with a long tail, a compass hardly.
+r"""What is likely of a pose before a skyline is compared: where its photo says, and how high.
 
-A position is near the truth most of the time, with an error like a Cauchy distribution's of two
-dimensions, and now and then it is another photo's, or the phone's last one before it was carried
-elsewhere. So the density of the truth about a claim is
+A compass is hardly more than a hint, and a position has a long tail: it is near the truth most of
+the time, with an error like a Cauchy distribution's of two dimensions, and now and then it is
+another photo's, or the phone's last one before it was carried elsewhere. So the density of the
+truth about a claim is
 
 .. math::
 
@@ -27,6 +28,8 @@ _COMPASS_WRONG_SHARE = 0.2
 """Compasses are disturbed by cars, railings and cases: what they say is hardly more than a hint."""
 _REACH_SD = 3.0
 _REACH_M = 1000.0
+_LEAST_SD_M = 1e-6
+_GREATEST_SD = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,3 +106,39 @@ class Claim:
 
     def _tail(self, place_m: NDArray[np.complex128]) -> Float64Array:
         return np.asarray(1.0 + (self.offset_m(place_m) ** 2).sum(axis=-1) / self.sd_m**2)
+
+
+@dataclass(frozen=True, slots=True)
+class EyeHeight:
+    r"""How high an eye may stand above the terrain model's ground.
+
+    Most stand about as high as a person. Where the model cuts a summit or a cliff off they stand
+    far above its ground, so what is added is spread like a Cauchy distribution:
+    :math:`-\log p(h) = \log(1 + ((h - usual) / sd)^2)`.
+    """
+
+    usual_m: float
+    sd_m: float
+    """How the rest is spread; 0 where the height is known."""
+
+    @property
+    def least_m(self) -> float:
+        """The least height that is tried."""
+        return self.usual_m if self.sd_m == 0.0 else 0.0
+
+    @property
+    def most_m(self) -> float:
+        """The greatest height that is tried."""
+        return self.usual_m + _GREATEST_SD * self.sd_m
+
+    def cost(self, height_m: Float64Array) -> Float64Array:
+        """Return the negative logarithm of the probability of heights (M,), but for a constant."""
+        return np.asarray(np.log1p(self._deviations(height_m) ** 2))
+
+    def precision(self, height_m: Float64Array) -> Float64Array:
+        """Return the precision (M,) of the normal distribution that draws heights as much."""
+        sd_m = max(self.sd_m, _LEAST_SD_M)
+        return np.asarray(2.0 / (sd_m**2 * (1.0 + self._deviations(height_m) ** 2)))
+
+    def _deviations(self, height_m: Float64Array) -> Float64Array:
+        return (height_m - self.usual_m) / max(self.sd_m, _LEAST_SD_M)

@@ -81,6 +81,7 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
     margin = poses.margin if widest_m > RIGHT_WITHIN_M else np.zeros(len(poses))
     far_margin = poses.far_margin if widest_m > ROUGHLY_WITHIN_M else margin
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
+    lens_off = np.abs(query.log_scale(poses.hypotheses.fov_deg)) / query.log_scale_sd
     return {
         "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
         "inlier_share": poses.inlier_share,
@@ -91,7 +92,7 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
         "log_far_margin": _log_margin(far_margin),
         "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
         "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
-        "lens_deviations": _lens_deviations(poses.hypotheses, query),
+        "lens_deviations": np.minimum(lens_off, _MOST_LENS_DEVIATIONS),
         "roll_deg": np.abs(poses.hypotheses.roll_deg),
         "retrieved_score": np.full(len(poses), retrieved["score"][best]),
         "retrieved_log_margin": np.full(len(poses), retrieved["log_margin"][best]),
@@ -109,12 +110,6 @@ def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64A
         "log_margin": _log_margin(margin),
         "log_far_margin": _log_margin(far_margin),
     } | _query_figures(query, len(found))
-
-
-def _lens_deviations(poses: Hypotheses, query: QueryRays) -> Float64Array:
-    """Return how far the fitted field of view is from the one given, in its deviations, (M,)."""
-    off = np.abs(query.log_scale(poses.fov_deg)) / query.log_scale_sd
-    return np.asarray(np.minimum(off, _MOST_LENS_DEVIATIONS))
 
 
 def mean_figures(each: Sequence[dict[str, Float64Array]]) -> dict[str, Float64Array]:

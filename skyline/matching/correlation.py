@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from skyline.arrays import Float64Array
-from skyline.errors import InputError
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
@@ -38,35 +37,44 @@ from skyline.matching.screening import Alike
 
 _CHUNK = 8
 """Locations at a time; keeps the transforms' arrays in the cache."""
+_MIN_OVERLAP = 0.8
+"""Least share of the query's weight that must lie over known profile."""
+_FLAT_PX = 0.1
+"""Curves with a smaller standard deviation over the overlap have no correlation."""
+_Transforms = tuple[NDArray[np.complex128] | None, NDArray[np.complex128], NDArray[np.complex128]]
 
 
-@dataclass(frozen=True, slots=True)
-class CorrelationMatcher:
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrelationMatcher(Ranker):
     """The plain baseline: the greatest normalized correlation wins."""
 
+    profiles: Profiles
+    """Of the store it matches to."""
     attitudes: Attitudes = field(default_factory=Attitudes)
     """Assumed pitches and rolls."""
-    min_overlap: float = 0.8
-    """Least share of the query's weight that must lie over known profile, in (0, 1]."""
-    flat_px: float = 0.1
-    """Curves with a smaller standard deviation over the overlap have no correlation."""
-    separation_m: float = 0.0
-    """Candidates are at least this far apart."""
 
-    def __post_init__(self) -> None:
-        if not 0.0 < self.min_overlap <= 1.0:
-            raise InputError(f"least overlap is {self.min_overlap}; expected above 0, at most 1")
-
-    def prepare(self, profiles: Profiles) -> "PreparedCorrelation":
-        """Take a store's profiles.
+    @classmethod
+    def open(cls, source: Source) -> Self:
+        """See `Ranker.open`.
 
         Nothing is computed yet: the transforms of profiles are few beside those that a query
         needs, and would take several times the profiles' memory.
         """
-        return PreparedCorrelation(self, profiles)
+        return cls(source.profiles())
 
-    def fit(self, profiles: Profiles, query: QueryRays) -> Fits:
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        narrowed: Narrowed | None = None,
+        screened: Alike | None = None,
+    ) -> Ranking:
+        """Return the best poses, best first; see `Ranker.rank`."""
+        return select(self.profiles, self.fit(query), query.fov_deg, top)
+
+    def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score is 1 - ncc."""
+        profiles = self.profiles
         curves = QueryCurves.of(query, self.attitudes, profiles.bins)
         chunks = [profiles.y[k : k + _CHUNK] for k in range(0, len(profiles), _CHUNK)]
         ncc = [self._greatest(curves, chunk) for chunk in chunks]
@@ -83,7 +91,7 @@ class CorrelationMatcher:
         self, curves: QueryCurves, y: NDArray[np.float32]
     ) -> tuple[Float64Array, NDArray[np.intp], NDArray[np.intp]]:
         """Return the greatest ncc of each location (-inf if none), its attitude and its turn."""
-        known = _Known.of(y)
+        known = _transformed(y)
         row = np.arange(len(y))
         best = np.full(len(y), -np.inf)
         attitude, turn = np.zeros((2, len(y)), dtype=np.intp)
@@ -96,72 +104,41 @@ class CorrelationMatcher:
             turn = np.where(greater, peak, turn)
         return best, attitude, turn
 
-    def _ncc(self, known: "_Known", q: Float64Array, weight: Float64Array) -> Float64Array:
+    def _ncc(self, known: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
         """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""
         # Deviations from the mean keep the differences of sums below well conditioned.
         q = np.where(weight > 0.0, q, 0.0)
         q = np.where(weight > 0.0, q - np.average(q, weights=weight), 0.0)
+        known_n, known_y, known_y2 = known
         flat_w, flat_wq, flat_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
         bins = len(q)
-        sum_y, sum_y2 = fft.irfft(known.y * flat_w, bins), fft.irfft(known.y2 * flat_w, bins)
-        covariance = fft.irfft(known.y * flat_wq, bins)
-        if known.n is None:
+        sum_y, sum_y2 = fft.irfft(known_y * flat_w, bins), fft.irfft(known_y2 * flat_w, bins)
+        covariance = fft.irfft(known_y * flat_wq, bins)
+        if known_n is None:
             # Then all of the query lands on known profile, and its mean over that is 0.
             total, enough = np.full(1, weight.sum()), np.full(1, True)
             variance_q = np.full(1, np.sum(weight * q**2))
         else:
-            total = fft.irfft(known.n * flat_w, bins)
-            enough = total >= self.min_overlap * weight.sum() - 1e-9
+            total = fft.irfft(known_n * flat_w, bins)
+            enough = total >= _MIN_OVERLAP * weight.sum() - 1e-9
             total = np.where(enough, total, 1.0)
-            sum_q = fft.irfft(known.n * flat_wq, bins)
-            variance_q = fft.irfft(known.n * flat_wq2, bins) - sum_q**2 / total
+            sum_q = fft.irfft(known_n * flat_wq, bins)
+            variance_q = fft.irfft(known_n * flat_wq2, bins) - sum_q**2 / total
             covariance -= sum_q * sum_y / total
         variance_y = sum_y2 - sum_y**2 / total
-        flat = (self.flat_px * TANGENT_PER_PX) ** 2 * total
+        flat = (_FLAT_PX * TANGENT_PER_PX) ** 2 * total
         usable = enough & (variance_q > flat) & (variance_y > flat)
         scale = np.sqrt(np.where(usable, variance_q * variance_y, 1.0))
         return np.where(usable, covariance / scale, -np.inf)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PreparedCorrelation(Ranker):
-    """The correlation matcher with the store it matches to."""
-
-    matcher: CorrelationMatcher
-    profiles: Profiles
-
-    @classmethod
-    def open(cls, source: Source) -> Self:
-        """See `Ranker.open`."""
-        return cls(CorrelationMatcher(), source.profiles())
-
-    def rank(
-        self,
-        query: QueryRays,
-        top: int,
-        narrowed: Narrowed | None = None,
-        screened: Alike | None = None,
-    ) -> Ranking:
-        """Return the best poses, best first; see `Ranker.rank`."""
-        fits = self.matcher.fit(self.profiles, query)
-        return select(self.profiles, fits, query.fov_deg, top, self.matcher.separation_m)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Known:
-    """Fourier transforms (L, B / 2 + 1) of where profiles are known, of y and of y squared.
+def _transformed(y: NDArray[np.float32]) -> _Transforms:
+    """Return the Fourier transforms (L, B / 2 + 1) of where profiles are known, of y and of y**2.
 
     The first is None where all is known.
     """
-
-    n: NDArray[np.complex128] | None
-    y: NDArray[np.complex128]
-    y2: NDArray[np.complex128]
-
-    @classmethod
-    def of(cls, y: NDArray[np.float32]) -> "_Known":
-        n = np.isfinite(y).astype(np.float64)
-        y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)
-        mean = y0.sum(axis=1, keepdims=True) / np.maximum(n.sum(axis=1, keepdims=True), 1.0)
-        y0 = (y0 - mean) * n
-        return cls(None if n.all() else fft.rfft(n), fft.rfft(y0), fft.rfft(y0**2))
+    n = np.isfinite(y).astype(np.float64)
+    y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)
+    mean = y0.sum(axis=1, keepdims=True) / np.maximum(n.sum(axis=1, keepdims=True), 1.0)
+    y0 = (y0 - mean) * n
+    return None if n.all() else fft.rfft(n), fft.rfft(y0), fft.rfft(y0**2)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array
-from skyline.matching.query import QueryRays, level_axes
+from skyline.matching.query import REFERENCE_FOV_DEG, QueryRays, level_axes
 from skyline.places import Places
 from skyline.terrain.edge import DataEdge
 
@@ -27,7 +27,6 @@ _HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH = range(6)
 """Columns of a pose: heading from grid north, pitch and roll, radians; zoom: `QueryRays.log_scale`
 of the field of view; metres east and north of the stored place."""
 _DAMPING = np.float32(1e-3)
-_REFERENCE_FOV_DEG = 60.0
 _LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
 """Of a round; moves in deviations of the place."""
 _MIN_FORWARD = np.float32(0.05)
@@ -57,43 +56,6 @@ class FitConfig:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rays:
-    """Means (R,) float32 of runs of a query's rays, and weight; as of `QueryRays`."""
-
-    u: Float32Array
-    v: Float32Array
-    weight: Float32Array
-    is_panorama: bool
-    pixel_size: float
-    """Against that of a photo with a field of view of 60 degrees."""
-
-    @classmethod
-    def of(cls, query: QueryRays, count: int) -> "Rays":
-        """Average the rays over ``count`` equal steps of u; steps mostly unseen are left out.
-
-        A panorama is joined of photos: it has as many steps in each 60 degrees.
-        """
-        if query.is_panorama:
-            count = max(1, round(count * query.fov_deg / _REFERENCE_FOV_DEG))
-            pixel_size = 1.0
-        else:
-            half_rad = np.radians([query.fov_deg, _REFERENCE_FOV_DEG]) / 2.0
-            pixel_size = float(np.divide(*np.tan(half_rad)))
-        left, right = query.u.min(), query.u.max()
-        step = max((right - left) / count, 1e-9)
-        run = np.minimum((query.u - left) / step, count - 1).astype(np.intp)
-        weight = np.bincount(run, query.weight, count)
-        used = weight > 0.3 * np.median(weight[weight > 0.0])
-        mean = [
-            np.bincount(run, query.weight * ray, count)[used] / weight[used]
-            for ray in (query.u, query.v)
-        ]
-        u, v = (ray.astype(np.float32) for ray in mean)
-        weight = (weight[used] / weight[used].mean()).astype(np.float32)
-        return cls(u, v, weight, query.is_panorama, pixel_size)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
     """How rays (M, R) of M poses miss their profiles, and what changes that."""
 
@@ -117,10 +79,8 @@ class CurveFit:
     the tolerance over the root of 3; no fit moves farther than twice that."""
     ground_slope: Float32Array
     """(M, 2) float32. Rise of the ground to the east and to the north."""
-    rays: Rays
-    zoom_bounds: tuple[float, float]
-    zoom_sd: float
-    """Deviation of the zoom about 0; infinite where any within the bounds is as likely."""
+    rays: QueryRays
+    """R means of runs of the query's rays; see `in_runs`."""
     config: FitConfig
     edge: DataEdge | None = None
     """Where the terrain's data end; without it nothing is taken to lie beyond."""
@@ -129,6 +89,10 @@ class CurveFit:
     def _deviation_m(self) -> Float32Array:
         """Of the query's easting, and of its northing, from each place's (M,)."""
         return self.places.tolerance_m / np.float32(np.sqrt(3.0))
+
+    @property
+    def _weight(self) -> Float32Array:
+        return self.rays.weight.astype(np.float32)
 
     def fit(self, heading: Float64Array, zoom: Float64Array) -> tuple[Float32Array, Float32Array]:
         """Return poses (M, 6) fitted from headings, radians, and zooms (M,), and their scores (M,).
@@ -145,7 +109,7 @@ class CurveFit:
         for scale_deg in self.config.rounds_deg:
             seen = self._seen(pose, y, nearness)
             variance = self._variance(pose, seen.nearness)
-            weight = self.rays.weight * seen.known
+            weight = self._weight * seen.known
             weight = weight / (variance + np.square(seen.miss) + np.radians(scale_deg) ** 2)
             pose = self._bounded(pose, _step(pose, seen, weight.astype(np.float32), prior))
         return pose, self._score(pose, self._seen(pose, y, nearness), prior)
@@ -189,7 +153,7 @@ class CurveFit:
         """Return azimuth from straight ahead and tangent of the rays (M, R); as `query.level`."""
         pitch, roll, zoom = (pose[:, k, np.newaxis] for k in (_PITCH, _ROLL, _ZOOM))
         scale = np.exp(zoom)
-        u, v = self.rays.u * scale, self.rays.v * scale
+        u, v = (ray.astype(np.float32) * scale for ray in (self.rays.u, self.rays.v))
         is_panorama = self.rays.is_panorama
         right, up, forward = level_axes(u, v, pitch, roll, is_panorama=is_panorama)
         if is_panorama:
@@ -209,14 +173,16 @@ class CurveFit:
         What a camera measures are pixels: without this a small enough field of view would make
         every miss small.
         """
-        return np.asarray(np.exp(pose[:, _ZOOM]) * self.rays.pixel_size, dtype=np.float32)
+        half_rad = np.radians([self.rays.fov_deg, REFERENCE_FOV_DEG]) / 2.0
+        size = 1.0 if self.rays.is_panorama else float(np.divide(*np.tan(half_rad)))
+        return np.asarray(np.exp(pose[:, _ZOOM]) * size, dtype=np.float32)
 
     def _prior(self) -> Float32Array:
         """Return the inverse variances (M, 6) of the parameters."""
         prior = np.zeros((len(self.places), 6), dtype=np.float32)
         prior[:, _PITCH] = np.radians(self.config.pitch_deg) ** -2.0
         prior[:, _ROLL] = np.radians(self.config.roll_deg) ** -2.0
-        prior[:, _ZOOM] = self.zoom_sd**-2.0
+        prior[:, _ZOOM] = self.rays.log_scale_sd**-2.0
         prior[:, _EAST:] = self._deviation_m[:, np.newaxis] ** -2.0
         return prior
 
@@ -225,7 +191,7 @@ class CurveFit:
         limit = np.tile(_LONGEST_STEP, (len(pose), 1))
         limit[:, _EAST:] *= deviation_m
         pose = pose - np.clip(step, -limit, limit)
-        pose[:, _ZOOM] = np.clip(pose[:, _ZOOM], *self.zoom_bounds)
+        pose[:, _ZOOM] = np.clip(pose[:, _ZOOM], *self.rays.log_scale_bounds)
         farthest = 2.0 * deviation_m
         pose[:, _EAST:] = np.clip(pose[:, _EAST:], -farthest, farthest)
         return pose
@@ -238,7 +204,7 @@ class CurveFit:
         cost = np.where(seen.known, np.minimum(miss, most), outlier)
         cost += 0.5 * np.log(variance / np.square(self._scale(pose))[:, np.newaxis])
         unlikely = 0.5 * (np.square(pose) * prior).sum(axis=1) / self.config.rays
-        mean = (cost * self.rays.weight).mean(axis=1)
+        mean = (cost * self._weight).mean(axis=1)
         return np.asarray(mean + unlikely, dtype=np.float32)
 
     def _may_hide(self, seen: _Seen) -> NDArray[np.bool_]:

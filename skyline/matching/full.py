@@ -13,13 +13,12 @@ from skyline.matching import confidence
 from skyline.matching.claim import Claim
 from skyline.matching.confidence import DISTANCES_M, model_name
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.match_config import FullConfig
+from skyline.matching.match_config import FullConfig, RefineConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Poses, Refinement, Scene, refine
 from skyline.matching.query import QueryRays
 from skyline.matching.ranker import Ranker, Source
 from skyline.matching.ranking import JointRanking, Ranking
-from skyline.matching.refine_config import RefineConfig
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike
 from skyline.matching.threads import one_blas_thread
@@ -75,7 +74,9 @@ class FullMatcher(Ranker):
             return Ranking(found[chosen], near, confidence_1km=roughly)
         figures = confidence.refined_figures(poses, found, query)
         if narrowed is not None:
-            poses = replace(poses, hypotheses=_held(poses.hypotheses, narrowed))
+            # What has moved out of the narrowing fits nowhere.
+            score = np.where(narrowed.holds(poses.hypotheses), poses.hypotheses.score, np.inf)
+            poses = replace(poses, hypotheses=replace(poses.hypotheses, score=score))
         chosen = self._chosen(poses.hypotheses, top)
         near, roughly = self._sure("refined", figures, chosen)
         return _ranking(poses, chosen, near, roughly)
@@ -113,28 +114,25 @@ class FullMatcher(Ranker):
         ]
         with one_blas_thread():
             places = self._retriever.shortlist_together(asked, config.particles)
-            joint = JointRefinement(refinements, config).run(places, own)
-        cost = joint.cost
-        for poses, (_, known), agrees in zip(joint.poses, asked, joint.agrees, strict=True):
+            joint, agreeing = JointRefinement(refinements, config).run(places, own)
+        cost = joint[0].hypotheses.score
+        for poses, (_, known), agrees in zip(joint, asked, agreeing, strict=True):
             if known is not None:
                 cost = np.where(known.holds(poses.hypotheses) | ~agrees, cost, np.inf)
-        chosen = self._chosen(replace(joint.poses[0].hypotheses, score=cost), top)
-        agrees = np.asarray(joint.agrees[:, chosen[:1]].any(axis=1))
+        chosen = self._chosen(replace(joint[0].hypotheses, score=cost), top)
+        agrees = np.asarray(agreeing[:, chosen[:1]].any(axis=1))
         figures = [
             confidence.refined_figures(poses, retrieved, query)
             for poses, (query, _), (retrieved, _), is_of in zip(
-                joint.poses, asked, found, agrees, strict=True
+                joint, asked, found, agrees, strict=True
             )
             if is_of and len(retrieved)
         ]
         near = roughly = np.zeros(len(chosen))
         if figures:
             near, roughly = self._sure("refined", confidence.mean_figures(figures), chosen)
-        rankings = []
-        for poses in joint.poses:
-            placed = replace(poses, hypotheses=replace(poses.hypotheses, score=cost))
-            rankings.append(_ranking(placed, chosen, near, roughly))
-        return JointRanking(tuple(rankings), agrees)
+        rankings = tuple(_ranking(poses, chosen, near, roughly) for poses in joint)
+        return JointRanking(rankings, agrees)
 
     def screened(self, query: QueryRays, narrowed: Narrowed | None, part: slice) -> Alike:
         """Return the places most like a query; see `Retriever.screened`."""
@@ -248,11 +246,6 @@ def _with_one_claim(
         (query, known and (known if known.claim is best else replace(known, claim=None)))
         for query, known in asked
     ]
-
-
-def _held(poses: Hypotheses, narrowed: Narrowed) -> Hypotheses:
-    """Return poses of which those that have moved out of a narrowing fit nowhere."""
-    return replace(poses, score=np.where(narrowed.holds(poses), poses.score, np.inf))
 
 
 def _naming(config: RefineConfig, least: int, narrowed: Narrowed | None) -> RefineConfig:

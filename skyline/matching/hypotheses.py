@@ -36,9 +36,6 @@ class Hypotheses(Rows):
         """Return one pose, given in the order of the attributes, that nothing has scored."""
         return cls(*(np.array([float(value)]) for value in (*pose, 0.0)))
 
-    def __len__(self) -> int:
-        return len(self.score)
-
     def apart_m(self) -> Float64Array:
         """Return how far the poses stand from one another, (M, M)."""
         place = self.easting_m + 1j * self.northing_m

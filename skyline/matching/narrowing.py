@@ -1,7 +1,6 @@
 """Narrowing: where a search looks, and which way the camera may have looked."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +93,7 @@ class Narrowing:
             turns = turns_within(heading, slack + _CONVERGENCE_DEG)
         if self.bounds_deg is not None:
             rectangle = frame.rectangle_m(self.bounds_deg)
-        return Narrowed(self, frame.wkt, circles, rectangle, turns, claim)
+        return Narrowed(self, frame, circles, rectangle, turns, claim)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +101,7 @@ class Narrowed:
     """A narrowing as a test of places in a frame: metres instead of degrees."""
 
     narrowing: Narrowing
-    frame_wkt: str
+    frame: Frame
     circles_m: tuple[tuple[float, float, float], ...]
     """East, north and radius of circles that all hold what is searched."""
     rectangle_m: Rectangle | None
@@ -128,7 +127,7 @@ class Narrowed:
         held = self._holds(poses.easting_m, poses.northing_m, poses.eye_elevation_m)
         if self.narrowing.heading_deg is not None and len(poses):
             heading, slack = self.narrowing.heading_deg
-            turn = _frame(self.frame_wkt).convergence_deg(poses.easting_m, poses.northing_m)
+            turn = self.frame.convergence_deg(poses.easting_m, poses.northing_m)
             off = (poses.heading_deg + turn - heading + 180.0) % 360.0 - 180.0
             held &= np.abs(off) <= slack
         return held
@@ -148,8 +147,3 @@ class Narrowed:
             held &= (easting_m >= west) & (easting_m <= east)
             held &= (northing_m >= south) & (northing_m <= north)
         return held
-
-
-@lru_cache(maxsize=1)
-def _frame(wkt: str) -> Frame:
-    return Frame(wkt)

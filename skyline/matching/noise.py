@@ -140,7 +140,10 @@ class HeightErrors(Rows):
             shared = distance / (distance**2 + reach_m**2)
             rough = 1.0 / np.hypot(distance, reach_m)
             return cls(shared[..., np.newaxis], rough, blur_rad, rise_rad, beyond_rad)
-        node, between = _interpolation(distance.shape[1], noise.nodes)
+        column = np.arange(distance.shape[1])
+        node = np.unique(np.rint(np.linspace(0, column[-1], noise.nodes)).astype(np.intp))
+        # Weights (R, K) of linear interpolation.
+        between = np.stack([np.interp(column, node, unit) for unit in np.eye(len(node))], axis=1)
         place = (distance * np.exp(1j * azimuth_rad))[:, node]
         to_eye = 0.5 - _correlation(np.abs(place), noise.reach_m)
         apart = np.abs(place[:, :, np.newaxis] - place[:, np.newaxis, :])
@@ -155,13 +158,6 @@ class HeightErrors(Rows):
             rise_rad,
             beyond_rad,
         )
-
-
-def _interpolation(columns: int, nodes: int) -> tuple[IntArray, Float64Array]:
-    """Return columns that are nodes, (K,), and the weights (R, K) of linear interpolation."""
-    node = np.unique(np.rint(np.linspace(0, columns - 1, nodes)).astype(np.intp))
-    weights = [np.interp(np.arange(columns), node, unit) for unit in np.eye(len(node))]
-    return node, np.stack(weights, axis=1)
 
 
 def _correlation(distance_m: Float64Array, reach_m: float) -> Float64Array:

@@ -19,15 +19,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.arrays import Float64Array, IntArray
-from skyline.matching.claim import Claim
-from skyline.matching.eye_height import EyeHeight
+from skyline.arrays import BoolArray, Float64Array, IntArray
+from skyline.matching.claim import Claim, EyeHeight
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.panoramas import Panoramas
+from skyline.matching.match_config import RefineConfig
+from skyline.matching.profiles import Panoramas
 from skyline.matching.progress import tell
-from skyline.matching.query import QueryRays
-from skyline.matching.rays import thinned
-from skyline.matching.refine_config import RefineConfig
+from skyline.matching.query import QueryRays, thinned
+from skyline.matching.retrieval import ground_slope
 from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, Fit, Solver
 from skyline.rows import Rows
 from skyline.terrain.edge import DataEdge
@@ -38,7 +37,7 @@ _SECTOR_MARGIN_DEG = 3.0
 """A view is rendered where the query comes this near to it."""
 _SAME_VIEW_DEG = 30.0
 """Two poses at one place that look within this angle of one another are one."""
-LONGER, SHORTER = 1.5, 0.4
+_LONGER, _SHORTER = 1.5, 0.4
 """What a step is multiplied by when the last one was kept, and when it was not."""
 _SETTLING = 3
 _GREATEST_LOG_ODDS = 50.0
@@ -50,24 +49,19 @@ class Scene(Protocol):
     @property
     def edge(self) -> DataEdge | None:
         """Where its data end; None where nothing is taken to lie beyond."""
-        ...
 
     @property
     def height_sd_m(self) -> float:
         """Deviation of the terrain model's heights to be expected."""
-        ...
 
     def render(self, viewpoints: Viewpoints, headings: NDArray[np.uint8]) -> Views:
         """Render one view an eye, each along its heading, in order."""
-        ...
 
     def render_surface(self, viewpoints: Viewpoints, headings: NDArray[np.uint8]) -> Views | None:
         """Render likewise the surface of what may stand on the terrain; None where unknown."""
-        ...
 
     def ground_m(self, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
         """Return the terrain's height, (N,) for (N,); NaN off the map and over holes."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,9 +127,6 @@ class Particles(Rows):
     curves: Curves
     fit: Fit
 
-    def __len__(self) -> int:
-        return len(self.easting_m)
-
     def best(self, count: int) -> "Particles":
         """Return the best that fit at all, best first."""
         order = np.argsort(self.fit.cost, kind="stable")[:count]
@@ -173,10 +164,9 @@ class Refinement:
         particles = self.started(self.rough, taken)
         for _ in range(config.rounds - 1):
             kept = max(config.keep_least, int(np.ceil(config.keep_share * len(particles))))
-            particles = self._moved(self.rough, self._kept(particles, kept))
+            particles = self._moved(self.rough, self._left(particles, kept))
         if config.restarts and config.restart_rounds:
-            restarted = self._restarted(self._apart(particles, config.restarts))
-            particles = Particles.concatenate([particles, restarted])
+            particles = Particles.concatenate([particles, self._restarted(particles)])
         particles = self._finalists(particles)
         if config.final_rounds:
             particles = self.weighed_anew(particles)
@@ -200,35 +190,49 @@ class Refinement:
         fit = particles.fit
         for _ in range(_SETTLING):
             fit = self.fine.improve(particles.curves, fit, np.zeros(len(particles)))
-        return replace(particles, fit=fit, step_m=self._first_steps(len(particles)))
+        step_m = np.full(len(particles), self._config.first_step_m)
+        return replace(particles, fit=fit, step_m=step_m)
 
     def _moved(self, solver: Solver, particles: Particles) -> Particles:
         """Take one step; keep it where the rendering from the new place fits better."""
         solved = solver.improve(particles.curves, particles.fit, particles.step_m)
-        step = solved.state[:, :EYE_HEIGHT]
-        length = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
-        step = step * np.minimum(1.0, 2.0 * particles.step_m / length)[:, np.newaxis]
-        new = self.arrived(
-            solver, particles.easting_m + step[:, 0], particles.northing_m + step[:, 1], solved
-        )
-        better = new.fit.cost < particles.fit.cost
-        step_m = particles.step_m * np.where(better, LONGER, SHORTER)
-        return replace(
-            particles.replaced(better, new), step_m=np.minimum(step_m, self._config.longest_step_m)
+        new = self.stepped(solver, particles, solved.state, solved)
+        return self.kept(particles, new, new.fit.cost < particles.fit.cost)
+
+    def stepped(
+        self, solver: Solver, particles: Particles, step: Float64Array, fit: Fit
+    ) -> Particles:
+        """Return particles moved by steps (M, 2 or more), east and north, that are not too long."""
+        length_m = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
+        east_m, north_m = step[:, :2].T * np.minimum(1.0, 2.0 * particles.step_m / length_m)
+        return self.arrived(
+            solver, particles.easting_m + east_m, particles.northing_m + north_m, fit
         )
 
-    def _restarted(self, particles: Particles) -> Particles:
+    def kept(self, old: Particles, new: Particles, better: BoolArray) -> Particles:
+        """Return what is new where it is better, the next step longer there and else shorter."""
+        step_m = old.step_m * np.where(better, _LONGER, _SHORTER)
+        step_m = np.minimum(step_m, self._config.longest_step_m)
+        return replace(old.replaced(better, new), step_m=step_m)
+
+    def around(self, particles: Particles) -> Particles:
         """Return particles that start from a ring around each place."""
         ring = self._config.restart_m * np.exp(0.25j * np.pi * np.arange(8))
-        around = particles[np.repeat(np.arange(len(particles)), len(ring))]
         offset = np.tile(ring, len(particles))
-        around = self.arrived(
-            self.rough,
-            around.easting_m + offset.real,
-            around.northing_m + offset.imag,
-            around.fit,
+        near = particles[np.repeat(np.arange(len(particles)), len(ring))]
+        easting_m, northing_m = near.easting_m + offset.real, near.northing_m + offset.imag
+        return self.arrived(self.rough, easting_m, northing_m, near.fit)
+
+    def _restarted(self, particles: Particles) -> Particles:
+        """Return where particles around the best places, that stand apart, have moved to."""
+        standing = self.hypotheses(particles, self.rough)
+        config = self._config
+        around = self.around(
+            particles[
+                standing.suppress_non_maxima(config.restarts, config.separation_m, _SAME_VIEW_DEG)
+            ]
         )
-        for _ in range(self._config.restart_rounds - 1):
+        for _ in range(config.restart_rounds - 1):
             around = self._moved(self.rough, around.best(len(around)))
         return around
 
@@ -244,7 +248,8 @@ class Refinement:
         unjudged = bool(np.isinf(fit.cost).all())
         still = np.zeros(len(state))
         fit = solver.settle(curves, fit) if unjudged else solver.improve(curves, fit, still)
-        return Particles(easting_m, northing_m, self._first_steps(len(state)), curves, fit)
+        step_m = np.full(len(state), self._config.first_step_m)
+        return Particles(easting_m, northing_m, step_m, curves, fit)
 
     def _seen(
         self,
@@ -269,59 +274,27 @@ class Refinement:
         panoramas = Panoramas.from_views(views, row, len(easting_m), bins)
         over = self._scene.render_surface(eyes, along)
         surface = over if over is None else Panoramas.from_views(over, row, len(easting_m), bins)
-        slope = self._slope(easting_m, northing_m, ground_m)
+        reach_m = self._config.slope_reach_m
+        slope = ground_slope(self._scene.ground_m, easting_m, northing_m, reach_m)
         # Who stands off the map fits nowhere, whatever the ground is.
         ground_m = np.nan_to_num(ground_m)
         place_m = easting_m + 1j * northing_m
         return Curves.of(panoramas, place_m, ground_m, slope, height_m, surface)
 
-    def _slope(
-        self, easting_m: Float64Array, northing_m: Float64Array, ground_m: Float64Array
-    ) -> Float64Array:
-        """Return the rise of the ground (M, 2) a metre east and north; 0 beside the unknown."""
-        reach_m = self._config.slope_reach_m
-        place = easting_m + 1j * northing_m
-        around = np.concatenate([place + reach_m * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
-        east, west, north, south = self._scene.ground_m(around.real, around.imag).reshape(4, -1)
-        slope = np.stack([east - west, north - south], axis=1) / (2.0 * reach_m)
-        return np.nan_to_num(slope)
-
-    def _first_steps(self, count: int) -> Float64Array:
-        return np.full(count, self._config.first_step_m)
-
-    def _apart(self, particles: Particles, count: int) -> Particles:
-        """Return the best that stand apart or look elsewhere, best first."""
-        standing = self.hypotheses(particles, self.rough)
-        return particles[
-            standing.suppress_non_maxima(count, self._config.separation_m, _SAME_VIEW_DEG)
-        ]
-
-    def _kept(self, particles: Particles, count: int) -> Particles:
+    def _left(self, particles: Particles, count: int) -> Particles:
         """Return the best, and the rivals of the very best where they are not among them."""
         ordered = particles.best(len(particles))
         chosen = np.arange(min(count, len(ordered)))
-        for elsewhere in self._elsewhere(ordered):
+        place = ordered.easting_m + 1j * ordered.northing_m
+        for least_m in (self._config.elsewhere_m, self._config.far_m):
+            elsewhere = np.flatnonzero(np.abs(place - place[:1]) > least_m)
             chosen = np.union1d(chosen, elsewhere[: self._config.rivals])
         return ordered[chosen]
 
     def _finalists(self, particles: Particles) -> Particles:
-        """Return the best that stand apart, and rivals that do, best first."""
-        ordered = particles.best(len(particles))
-        standing = self.hypotheses(ordered, self.rough)
-        apart = self._config.separation_m, _SAME_VIEW_DEG
-        chosen = standing.suppress_non_maxima(self._config.finalists, *apart)
-        for elsewhere in self._elsewhere(ordered):
-            if self._config.rivals and len(elsewhere):
-                some = standing[elsewhere].suppress_non_maxima(self._config.rivals, *apart)
-                chosen = np.union1d(chosen, elsewhere[some])
-        return ordered[chosen]
-
-    def _elsewhere(self, ordered: Particles) -> tuple[IntArray, IntArray]:
-        """Return the indices of those elsewhere than the first one, and of those far off."""
-        place = ordered.easting_m + 1j * ordered.northing_m
-        apart_m = np.abs(place - place[:1])
-        config = self._config
-        return np.flatnonzero(apart_m > config.elsewhere_m), np.flatnonzero(apart_m > config.far_m)
+        """Return the best that stand apart or look elsewhere, and rivals that do, best first."""
+        standing, config = self.hypotheses(particles, self.rough), self._config
+        return particles[best_and_rivals(standing, config.finalists, config, _SAME_VIEW_DEG)]
 
     def hypotheses(self, particles: Particles, solver: Solver) -> Hypotheses:
         """Return where particles stand and look; the scores are their costs."""
@@ -347,7 +320,7 @@ class Refinement:
             shown / trust.sum(),
             judged.effective_columns,
             np.array(solver.noise.height_m)[particles.fit.height],
-            _beyond_share(solver.beyond_rad(linear), trust, len(hypotheses)),
+            np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
             hypotheses.lead(self._config.elsewhere_m),
             hypotheses.lead(self._config.far_m),
             self._renderings,
@@ -365,8 +338,16 @@ class Refinement:
         return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
 
 
-def _beyond_share(beyond_rad: Float64Array | None, trust: Float64Array, count: int) -> Float64Array:
-    """Return the share (M,) of the trust in columns that what lies past the edge may rise in."""
-    if beyond_rad is None:
-        return np.zeros(count)
-    return np.asarray((beyond_rad > 0.0) @ trust / trust.sum())
+def best_and_rivals(
+    standing: Hypotheses, count: int, config: RefineConfig, turn_deg: float = 360.0
+) -> IntArray:
+    """Return the indices of the best that stand apart and of the best's rivals, best first."""
+    apart = config.separation_m, turn_deg
+    chosen = standing.suppress_non_maxima(count, *apart)
+    apart_m = standing.apart_m()[chosen[:1]]
+    for least_m in (config.elsewhere_m, config.far_m):
+        elsewhere = np.flatnonzero((apart_m > least_m).any(axis=0))
+        if config.rivals and len(elsewhere):
+            rivals = standing[elsewhere].suppress_non_maxima(config.rivals, *apart)
+            chosen = np.union1d(chosen, elsewhere[rivals])
+    return chosen[np.argsort(standing.score[chosen], kind="stable")]

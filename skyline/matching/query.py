@@ -1,15 +1,18 @@
 """The query's skyline as rays, and what it looks like at an assumed pitch and roll."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
 import numpy as np
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 
+REFERENCE_FOV_DEG = 60.0
+"""That of a usual photo."""
 _FULL_CIRCLE_DEG = 360.0
 _FOV_DEVIATIONS = 4.0
 """To either side of the one that is given."""
@@ -218,6 +221,126 @@ def project(
         (right * np.cos(roll) - up * np.sin(roll)) / forward,
         (right * np.sin(roll) + up * np.cos(roll)) / forward,
     )
+
+
+def level_with_changes(
+    query: QueryRays,
+    pitch_rad: Float64Array,
+    roll_rad: Float64Array,
+    log_scale: Float64Array,
+    distortion: Float64Array | None = None,
+) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
+    """Level a query's R rays at M attitudes, scales and distortions, with derivatives; as `level`.
+
+    Returns
+    -------
+    azimuth_rad, y : (M, R) float64
+        As of `level`.
+    azimuth_change, y_change : (M, R, 3 or 4) float64
+        Derivatives by pitch, by roll, both in radians, by the logarithm of the scale, and by the
+        distortion of a lens that has one.
+    """
+    axes = _panorama_axes if query.is_panorama else _lens_axes
+    pitch, roll = pitch_rad[:, np.newaxis], roll_rad[:, np.newaxis]
+    turns = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    scale = np.exp(log_scale)[:, np.newaxis]
+    stretch = 1.0 if distortion is None else 1.0 + distortion[:, np.newaxis] * query.reach
+    (right, up, forward), (right_change, up_change, forward_change) = axes(
+        query.u * scale * stretch, query.v * scale * stretch, turns
+    )
+    if distortion is not None:
+        # Like the scale, it moves rays outwards, but the more the farther out they are.
+        share = (query.reach / stretch)[..., np.newaxis]
+        right_change, up_change, forward_change = (
+            np.concatenate([change, change[..., 2:] * share], axis=-1)
+            for change in (right_change, up_change, forward_change)
+        )
+    flat = np.hypot(right, forward)
+    right_, forward_, up_, flat_ = (a[..., np.newaxis] for a in (right, forward, up, flat))
+    flat_change = (right_ * right_change + forward_ * forward_change) / flat_
+    return (
+        np.arctan2(right, forward),
+        up / flat,
+        (forward_ * right_change - right_ * forward_change) / flat_**2,
+        (up_change - up_ * flat_change / flat_) / flat_,
+    )
+
+
+_Axes = tuple[Float64Array, Float64Array, Float64Array]
+"""To the right, up and forward."""
+
+
+def _lens_axes(
+    u: Float64Array, v: Float64Array, turns: Sequence[Float64Array]
+) -> tuple[_Axes, _Axes]:
+    """Return rays (M, R) on the axes of a level camera, and (M, R, 3) how they change.
+
+    The changes are by pitch, by roll, and by the logarithm of the scale.
+    """
+    cos_roll, sin_roll, cos_pitch, sin_pitch = turns
+    right = u * cos_roll + v * sin_roll
+    above = v * cos_roll - u * sin_roll
+    forward = cos_pitch - above * sin_pitch
+    up = above * cos_pitch + sin_pitch
+    return (right, up, forward), (
+        np.stack([np.zeros_like(up), above, right], axis=-1),
+        np.stack([forward, -right * cos_pitch, above * cos_pitch], axis=-1),
+        np.stack([-up, right * sin_pitch, -above * sin_pitch], axis=-1),
+    )
+
+
+def _panorama_axes(
+    u: Float64Array, v: Float64Array, turns: Sequence[Float64Array]
+) -> tuple[_Axes, _Axes]:
+    """Return the same of a panorama."""
+    cos_roll, sin_roll, cos_pitch, sin_pitch = turns
+    across, forward = np.sin(u), np.cos(u)
+    above = v + sin_pitch / cos_pitch
+    right = across * cos_roll + above * sin_roll
+    up = above * cos_roll - across * sin_roll
+    raised, turned = np.ones_like(u) / cos_pitch**2, u * forward
+    return (right, up, forward), (
+        np.stack([raised * sin_roll, up, turned * cos_roll + v * sin_roll], axis=-1),
+        np.stack([raised * cos_roll, -right, v * cos_roll - turned * sin_roll], axis=-1),
+        np.stack([np.zeros_like(u), np.zeros_like(u), -u * across], axis=-1),
+    )
+
+
+def thinned(query: QueryRays, bins: int) -> QueryRays:
+    """Average rays that fall into one of ``bins`` steps of azimuth, as a level camera has them.
+
+    Averages keep what many columns say together, at the cost of few: the terrain's curve is no
+    finer than its bins. Rays come out from left to right; an average weighs as much as its rays
+    do on average, so the noise of averages is what the weights refer to.
+    """
+    step = np.floor(query.azimuth_rad * (bins / (2.0 * np.pi))).astype(np.intp)
+    step -= step.min()
+    total = np.bincount(step, query.weight)
+    kept = np.flatnonzero(total)
+    return _averaged(query, step, kept, total[kept] / np.bincount(step)[kept])
+
+
+def in_runs(query: QueryRays, count: int) -> QueryRays:
+    """Average rays over ``count`` equal steps of u; steps mostly unseen are left out.
+
+    Weights are of 1 in the mean. A panorama is joined of photos: it has as many steps in each 60
+    degrees.
+    """
+    if query.is_panorama:
+        count = max(1, round(count * query.fov_deg / REFERENCE_FOV_DEG))
+    left, right = query.u.min(), query.u.max()
+    width = max((right - left) / count, 1e-9)
+    step = np.minimum((query.u - left) / width, count - 1).astype(np.intp)
+    total = np.bincount(step, query.weight, count)
+    kept = np.flatnonzero(total > 0.3 * np.median(total[total > 0.0]))
+    return _averaged(query, step, kept, total[kept] / total[kept].mean())
+
+
+def _averaged(query: QueryRays, step: IntArray, kept: IntArray, weight: Float64Array) -> QueryRays:
+    """Return the means of the rays in each step that is kept, weighed anew."""
+    total = np.bincount(step, query.weight)[kept]
+    u, v = (np.bincount(step, query.weight * ray)[kept] / total for ray in (query.u, query.v))
+    return replace(query, u=u, v=v, weight=weight)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

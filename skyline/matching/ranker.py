@@ -53,7 +53,6 @@ class Ranker(Protocol):
     @classmethod
     def open(cls, source: Source) -> Self:
         """Prepare for a store; what queries share is done here, once."""
-        ...
 
     def rank(
         self,
@@ -69,7 +68,6 @@ class Ranker(Protocol):
         north. A ranking without confidence always counts as an answer. ``screened`` is what
         `screened` found in all parts of the store, joined.
         """
-        ...
 
     def rank_together(
         self, asked: Sequence[tuple[QueryRays, Narrowed | None]], top: int

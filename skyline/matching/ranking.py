@@ -1,7 +1,7 @@
 """What every matcher answers with, and how a list of answers is drawn from all scores."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -112,30 +112,20 @@ class Ranking:
         lon, lat = frame.to_lonlat(*place)
         convergence_deg = frame.convergence_deg(*place) if len(self) else np.zeros(0)
         heading_deg = (self.poses.heading_deg + convergence_deg) % 360.0
-        return tuple(
-            Candidate(
-                lon=float(lon[index]),
-                lat=float(lat[index]),
-                heading_deg=float(heading_deg[index]),
-                pitch_deg=float(self.poses.pitch_deg[index]),
-                roll_deg=float(self.poses.roll_deg[index]),
-                fov_deg=float(self.poses.fov_deg[index]),
-                easting_m=float(self.poses.easting_m[index]),
-                northing_m=float(self.poses.northing_m[index]),
-                eye_elevation_m=float(self.poses.eye_elevation_m[index]),
-                convergence_deg=float(convergence_deg[index]),
-                score=float(self.poses.score[index]),
-                distortion=float(self.poses.distortion[index]),
-                confidence=_of(self.confidence, index),
-                confidence_1km=_of(self.confidence_1km, index),
-                refined=self.covariance_m2 is not None,
-                covariance_m2=None
-                if self.covariance_m2 is None
-                else _as_rows(self.covariance_m2[index]),
-                beyond_share=_of(self.beyond_share, index),
-            )
-            for index in range(len(self))
-        )
+        columns = {f.name: getattr(self.poses, f.name).tolist() for f in fields(Hypotheses)} | {
+            "lon": lon.tolist(),
+            "lat": lat.tolist(),
+            "heading_deg": heading_deg.tolist(),
+            "convergence_deg": convergence_deg.tolist(),
+        }
+        for name in ("confidence", "confidence_1km", "beyond_share"):
+            if getattr(self, name) is not None:
+                columns[name] = getattr(self, name).tolist()
+        if self.covariance_m2 is not None:
+            columns["refined"] = [True] * len(self)
+            columns["covariance_m2"] = [tuple(map(tuple, m)) for m in self.covariance_m2.tolist()]
+        rows = zip(*columns.values(), strict=True)
+        return tuple(Candidate(**dict(zip(columns, row, strict=True))) for row in rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,15 +136,6 @@ class JointRanking:
     """Of each query, M poses; they differ in the camera alone."""
     agrees: BoolArray
     """(N,) bool. Whether each query was taken at the best place rather than anywhere else."""
-
-
-def _of(values: Float64Array | None, index: int) -> float | None:
-    return None if values is None else float(values[index])
-
-
-def _as_rows(covariance_m2: Float64Array) -> tuple[tuple[float, float], tuple[float, float]]:
-    (a, b), (c, d) = covariance_m2.tolist()
-    return (a, b), (c, d)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

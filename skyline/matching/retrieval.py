@@ -10,16 +10,17 @@ import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.matching.curve_fit import CurveFit, FitConfig, Rays
+from skyline.matching.curve_fit import CurveFit, FitConfig
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.progress import tell
-from skyline.matching.query import QueryRays
+from skyline.matching.query import REFERENCE_FOV_DEG, QueryRays, in_runs
 from skyline.matching.screening import Alike, Screen, sample_of, screen_places
 from skyline.places import Places, PlaceSource
 from skyline.rows import Rows
@@ -34,8 +35,7 @@ _LIKELY_DEVIATIONS = 2.5
 """Fields of view farther from the one expected are not screened; fits do start from them."""
 _UNLIKELY = 0.25
 """Times the square of how many deviations a field of view is off: what its scores lose."""
-_USUAL_FOV_DEG = 60.0
-_SLOPE_BASE_M = 30.0
+_SLOPE_REACH_M = 15.0
 _NOWHERE = (
     "no place of the store lies within what the search is narrowed to; widen it, or build a store "
     "of that area"
@@ -109,7 +109,10 @@ class Retriever:
         self.places = places
         self._ground = ground
         self._screened = self.config.screened(len(places))
-        self._sample: Places | None = None
+
+    @cached_property
+    def _sample(self) -> Places:
+        return sample_of(self.places)
 
     def screened(
         self, query: QueryRays, narrowed: Narrowed | None = None, part: slice = slice(None)
@@ -173,16 +176,13 @@ class Retriever:
             for (query, narrowed), screen in zip(asked, screens, strict=True)
         ]
         found = self._fitted_together([query for query, _ in asked], starts)
-        east, north = (
-            np.mean([getattr(one, name) for one in found], axis=0)
+        shared = {
+            name: np.mean([getattr(one, name) for one in found], axis=0)
             for name in ("easting_m", "northing_m")
-        )
-        joint = replace(found[0], easting_m=east, northing_m=north, score=_total(found))
-        chosen = joint.suppress_non_maxima(count, self.config.separation_m)
-        return [
-            replace(one, easting_m=east, northing_m=north, score=joint.score)[chosen]
-            for one in found
-        ]
+        } | {"score": _total(found)}
+        joint = [replace(one, **shared) for one in found]
+        chosen = joint[0].suppress_non_maxima(count, self.config.separation_m)
+        return [one[chosen] for one in joint]
 
     def _screen(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         """Prepare to find places: few fields of view, the likely ones."""
@@ -194,17 +194,15 @@ class Retriever:
 
     def _aim(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
         """Prepare to find headings and fields of view at places, all that are searched."""
-        return self._prepared(query, narrowed, self._start_zooms(query), None)
+        return self._prepared(query, narrowed, self._start_zooms(query))
 
     def _prepared(
         self,
         query: QueryRays,
         narrowed: Narrowed | None,
         zooms: Float64Array,
-        unlikely: Float64Array | None,
+        unlikely: Float64Array | None = None,
     ) -> Screen:
-        if self._sample is None:
-            self._sample = sample_of(self.places)
         turns = None if narrowed is None else narrowed.open_turns
         return Screen.of(query, _fov_deg(query, zooms), self._sample, turns, unlikely)
 
@@ -245,13 +243,12 @@ class Retriever:
 
     def _fits(self, query: QueryRays, start: "_Start", config: FitConfig) -> Hypotheses:
         """Return the poses of places fitted from where they start, in order."""
-        rays = Rays.of(query, config.rays)
-        bounds = query.log_scale_bounds, query.log_scale_sd
+        rays = in_runs(query, config.rays)
 
         def fitted(first: int) -> Hypotheses:
             some = start[slice(first, first + _FITS_AT_ONCE)]
             places, slope = some.places, self._slope(some.places)
-            fit = CurveFit(places, slope, rays, *bounds, config, self._edge)
+            fit = CurveFit(places, slope, rays, config, self._edge)
             pose, score = fit.fit(some.heading_rad, some.zoom)
             heading, pitch, roll, zoom = pose[:, :4].T.astype(np.float64)
             move = pose[:, 4:].astype(np.float64)
@@ -281,18 +278,21 @@ class Retriever:
         return Hypotheses.concatenate(found)
 
     def _slope(self, places: Places) -> Float32Array:
-        """Return the ground's rise (N, 2) to the east and to the north; 0 beside a hole."""
+        """Return the ground's rise (N, 2) to the east and to the north; 0 where unknown."""
         if self._ground is None:
             return np.zeros((len(places), 2), dtype=np.float32)
-        east, north, half = places.easting_m, places.northing_m, _SLOPE_BASE_M / 2.0
-        rise = np.stack(
-            [
-                self._ground(east + half, north) - self._ground(east - half, north),
-                self._ground(east, north + half) - self._ground(east, north - half),
-            ],
-            axis=1,
-        )
-        return np.nan_to_num(rise / _SLOPE_BASE_M).astype(np.float32)
+        slope = ground_slope(self._ground, places.easting_m, places.northing_m, _SLOPE_REACH_M)
+        return slope.astype(np.float32)
+
+
+def ground_slope(
+    ground: Ground, easting_m: Float64Array, northing_m: Float64Array, reach_m: float
+) -> Float64Array:
+    """Return the rise of the ground (M, 2) a metre east and north; 0 beside the unknown."""
+    place = easting_m + 1j * northing_m
+    around = np.concatenate([place + reach_m * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
+    east, west, north, south = ground(around.real, around.imag).reshape(4, -1)
+    return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * reach_m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -303,9 +303,6 @@ class _Start(Rows):
     score: Float32Array
     heading_rad: Float64Array
     zoom: Float64Array
-
-    def __len__(self) -> int:
-        return len(self.score)
 
 
 def _total(found: Sequence[Hypotheses]) -> Float64Array:
@@ -323,7 +320,7 @@ def _middles(low: float, high: float, step: float) -> Float64Array:
 
 def _zoom_share(query: QueryRays) -> float:
     """Return the share of a step of the zoom that moves the ends of a wide panorama as far."""
-    return min(1.0, _USUAL_FOV_DEG / query.fov_deg) if query.is_panorama else 1.0
+    return min(1.0, REFERENCE_FOV_DEG / query.fov_deg) if query.is_panorama else 1.0
 
 
 def _fov_deg(query: QueryRays, zoom: Float64Array) -> Float64Array:

@@ -1,6 +1,6 @@
 r"""Screening: every heading of every place against a query, by products of matrices.
 
-What is compared are rises of a skyline over 2 degrees as phases (`skyline.places.phases`). With
+What is compared are rises of a skyline over 2 degrees as phases (`skyline.places`). With
 the query's weighted phases w_q and a place's phases p_b, the score of a turn t is
 
 .. math::
@@ -32,8 +32,7 @@ from numpy.typing import NDArray
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.matching.progress import tell
 from skyline.matching.query import Attitudes, QueryCurves, QueryRays
-from skyline.places import PHASE_BINS, Places, PlaceSource
-from skyline.places.phases import decode_phases, rise_to_turn
+from skyline.places import PHASE_BINS, RISE_TO_TURN, Places, PlaceSource, decode_phases
 from skyline.rows import Rows
 
 Within = Callable[[Places], BoolArray]
@@ -51,7 +50,6 @@ _BLOCKS_AT_ONCE = 16
 """That a thread takes. With one at a time, two threads wait for the interpreter half the time."""
 _PLACES_AT_ONCE = 1024
 """Scored together: what is held does not grow with how many are asked for."""
-_LEVEL = Attitudes((0.0,), (0.0,))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,9 +67,6 @@ class Alike(Rows):
 
     row: IntArray
     score: Float32Array
-
-    def __len__(self) -> int:
-        return len(self.row)
 
     def best(self, count: int) -> "Alike":
         """Return the best; of equals those that come first in the source."""
@@ -210,20 +205,20 @@ def query_waves(query: QueryRays) -> NDArray[np.complex128]:
 
     Bin B / 2 is straight ahead.
     """
-    curve = QueryCurves.of(query, _LEVEL, PHASE_BINS)
+    curve = QueryCurves.of(query, Attitudes((0.0,)), PHASE_BINS)
     y, weight = curve.y[0], curve.weight[0]
     rise = np.roll(y, -1) - y
     # The last bin's neighbour is the first one, behind the camera.
     rise[-1] = np.nan
     known = np.isfinite(rise)
     weight = np.minimum(weight, np.roll(weight, -1)) * known
-    return np.asarray(weight * np.exp(1j * rise_to_turn() * np.where(known, rise, 0.0)))
+    return np.asarray(weight * np.exp(1j * RISE_TO_TURN * np.where(known, rise, 0.0)))
 
 
 def roll_to_turn() -> Float64Array:
     """Return the radians (B,) that the phases of a query's rises grow by, a radian of roll."""
     azimuth = np.radians((np.arange(PHASE_BINS + 1) - PHASE_BINS // 2) * (360.0 / PHASE_BINS))
-    return np.asarray(rise_to_turn() * np.diff(np.sin(azimuth)))
+    return np.asarray(RISE_TO_TURN * np.diff(np.sin(azimuth)))
 
 
 def turn_heading_deg(turn: IntArray) -> Float64Array:
@@ -270,7 +265,7 @@ def screen_places(
     waiting: list[Alike] = []
     seen, held, last = 0, 0, max(len(source), 1)
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for found, places in _a_few_ahead(pool, scored, _batched(_numbered(source, part))):
+        for found, places in _a_few_ahead(pool, scored, _batches(source, part)):
             waiting.append(found)
             seen += places
             held += len(found)
@@ -281,19 +276,18 @@ def screen_places(
     return Alike.joined([kept, *waiting]).best(count)
 
 
-def _numbered(source: PlaceSource, part: slice) -> Iterator[tuple[int, Places]]:
-    """Yield the first row of each block, and the block."""
-    start = 0
+def _batches(source: PlaceSource, part: slice) -> Iterator[list[tuple[int, Places]]]:
+    """Yield the first row of each block of a part, and the block, as many as a thread takes."""
+    start, batch = 0, []
     chosen = range(*part.indices(1 << 40))
     for index, places in enumerate(source.blocks()):
         if index in chosen:
-            yield start, places
+            batch.append((start, places))
         start += len(places)
-
-
-def _batched(blocks: Iterator[tuple[int, Places]]) -> Iterator[list[tuple[int, Places]]]:
-    """Yield as many blocks as a thread takes, in order."""
-    while batch := list(islice(blocks, _BLOCKS_AT_ONCE)):
+        if len(batch) == _BLOCKS_AT_ONCE:
+            yield batch
+            batch = []
+    if batch:
         yield batch
 
 

@@ -21,13 +21,11 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.matching.claim import Claim
-from skyline.matching.eye_height import EyeHeight
+from skyline.matching.claim import Claim, EyeHeight
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.noise import HeightErrors, Judged, Noise, judge
-from skyline.matching.panoramas import Panoramas
-from skyline.matching.query import QueryRays
-from skyline.matching.rays import level_with_changes
+from skyline.matching.profiles import Panoramas
+from skyline.matching.query import QueryRays, level_with_changes
 from skyline.rows import Rows
 from skyline.terrain.edge import DataEdge
 
@@ -276,7 +274,7 @@ class Solver:
         errors = None
         for iteration in range(self.config.iterations + 1):
             linear = self.linearize(curves, fit.state)
-            errors = errors or self._errors(linear, curves)
+            errors = self._errors(linear, curves) if errors is None else errors
             choose = iteration < self.config.choices
             fit, judged = self._chosen(fit, linear, errors, _NEIGHBOURS if choose else ())
             if iteration < self.config.iterations:
@@ -329,18 +327,20 @@ class Solver:
 
     def linearize(self, curves: Curves, state: Float64Array) -> Linear:
         """Return residuals and their derivatives at states (M, P)."""
-        rays = level_with_changes(self.query, *state[:, PITCH:].T)
-        azimuth = rays.azimuth_rad + state[:, HEADING, np.newaxis]
+        turned, ray_y, turned_change, ray_change = level_with_changes(
+            self.query, *state[:, PITCH:].T
+        )
+        azimuth = turned + state[:, HEADING, np.newaxis]
         there = curves.at(azimuth)
         slope, change = there[..., 1:2], there[..., 2:5]
         move = state[:, _MOVES].copy()
         move[:, EYE_HEIGHT] -= curves.eye_height_m
         y = there[..., 0] + (change @ move[..., np.newaxis])[..., 0]
         # Differences of tangents become angles; how that factor changes is left out.
-        to_angle = 1.0 / (1.0 + rays.y**2)
-        attitude = rays.y_change - slope * rays.azimuth_change
+        to_angle = 1.0 / (1.0 + ray_y**2)
+        attitude = ray_change - slope * turned_change
         jacobian = np.concatenate([-change, -slope, attitude], axis=-1) * to_angle[..., np.newaxis]
-        residual = (rays.y - y) * to_angle
+        residual = (ray_y - y) * to_angle
         # Next to an unknown column the curve may be known but not its slope.
         known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=-1)
         return Linear(
@@ -354,13 +354,13 @@ class Solver:
             y,
         )
 
-    def beyond_rad(self, linear: Linear) -> Float64Array | None:
+    def beyond_rad(self, linear: Linear) -> Float64Array:
         """Return how far above the skyline, (M, R), terrain past the data's edge may rise.
 
-        It is below 0 where none reaches it, and 0 where the skyline is unknown.
+        It is below 0 where none reaches it, and 0 where the skyline or the edge is unknown.
         """
         if self._edge is None:
-            return None
+            return np.zeros_like(linear.residual_rad)
         place_m, eye_m = linear.place_m[:, np.newaxis], linear.eye_m[:, np.newaxis]
         most = self._edge.elevation_tan(place_m.real, place_m.imag, eye_m, linear.azimuth_rad)
         return np.asarray(np.nan_to_num(np.arctan(most) - np.arctan(linear.elevation_tan)))

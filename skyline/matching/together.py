@@ -15,14 +15,14 @@ the others costs at most T L wherever they are put.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.pose import LONGER, SHORTER, Particles, Poses, Refinement
-from skyline.matching.refine_config import RefineConfig
+from skyline.matching.match_config import RefineConfig
+from skyline.matching.pose import Particles, Poses, Refinement, best_and_rivals
 from skyline.matching.solver import EYE_HEIGHT
 
 _ELSEWHERE = 10.0
@@ -37,20 +37,6 @@ _LEAST_SHARE = 1e-6
 _GREATEST_LOG_ODDS = 50.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JointPoses:
-    """M places, best first, and the poses of N queries there."""
-
-    poses: tuple[Poses, ...]
-    """Of each query, M; they differ in the camera alone. Margins and covariances are the joint ones
-    for one query in the mean: queries of one place share the terrain model's errors, and those that
-    look the same way share all, so that they are not summed."""
-    cost: Float64Array
-    """(M,) float64. Of the places."""
-    agrees: BoolArray
-    """(N, M) bool. Whether each query is likelier to be of the place than of anywhere else."""
-
-
 class JointRefinement:
     """The refinement of several queries of one eye.
 
@@ -63,11 +49,23 @@ class JointRefinement:
         self._solvers = [one.rough for one in refinements]
         self._least = np.full(len(refinements), np.inf)
 
-    def run(self, found: Sequence[Hypotheses], alone: Sequence[Hypotheses]) -> JointPoses:
-        """Return where the queries fit together.
+    def run(
+        self, found: Sequence[Hypotheses], alone: Sequence[Hypotheses]
+    ) -> tuple[tuple[Poses, ...], BoolArray]:
+        """Return where the queries fit together: M places, best first, and N queries there.
 
         ``found`` is of each query, of the same places in the same order, best first; ``alone`` is
         the best pose that each was refined to by itself, if any.
+
+        Returns
+        -------
+        poses : tuple of Poses
+            Of each query, M; they differ in the camera alone, and their scores are what the places
+            cost. Margins and covariances are the joint ones for one query in the mean: queries of
+            one place share the terrain model's errors, and those that look the same way share all,
+            so that they are not summed.
+        agrees : (N, M) bool
+            Whether each query is likelier to be of the place than of anywhere else.
         """
         config = self._config
         now = [
@@ -97,42 +95,21 @@ class JointRefinement:
         precision = self._precision(solved, self._share(self._off(now)))
         steps = np.stack([some.fit.state[:, _MOVES] for some in solved])[..., np.newaxis]
         step = np.linalg.solve(precision.sum(axis=0), (precision @ steps).sum(axis=0))[..., 0]
-        length_m = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
-        east_m, north_m = step[:, :2].T * np.minimum(1.0, 2.0 * now[0].step_m / length_m)
         new = [
-            one.arrived(
-                solver,
-                some.easting_m + east_m,
-                some.northing_m + north_m,
-                solver.at_height(some.fit, step[:, EYE_HEIGHT]),
-            )
+            one.stepped(solver, some, step, solver.at_height(some.fit, step[:, EYE_HEIGHT]))
             for one, solver, some in zip(self._each, self._solvers, solved, strict=True)
         ]
         before, after = np.split(self._cost(self._off(self._joined(now, new))), 2)
-        better = after < before
-        step_m = now[0].step_m * np.where(better, LONGER, SHORTER)
-        step_m = np.minimum(step_m, self._config.longest_step_m)
         return [
-            replace(old.replaced(better, some), step_m=step_m)
-            for old, some in zip(now, new, strict=True)
+            one.kept(old, some, after < before)
+            for one, old, some in zip(self._each, now, new, strict=True)
         ]
 
     def _restarted(self, now: Sequence[Particles]) -> list[Particles]:
         """Return what becomes of a ring around each of the best places."""
-        config = self._config
-        best = self._kept(now, config.restarts)
-        row = np.repeat(np.arange(len(best[0])), 8)
-        ring = np.tile(config.restart_m * np.exp(0.25j * np.pi * np.arange(8)), len(best[0]))
-        around = [
-            one.arrived(
-                solver,
-                some.easting_m[row] + ring.real,
-                some.northing_m[row] + ring.imag,
-                some.fit[row],
-            )
-            for one, solver, some in zip(self._each, self._solvers, best, strict=True)
-        ]
-        for _ in range(config.restart_rounds - 1):
+        best = self._kept(now, self._config.restarts)
+        around = [one.around(some) for one, some in zip(self._each, best, strict=True)]
+        for _ in range(self._config.restart_rounds - 1):
             around = self._moved(around)
         return around
 
@@ -160,16 +137,9 @@ class JointRefinement:
 
     def _kept(self, now: Sequence[Particles], count: int) -> list[Particles]:
         """Return the best places that stand apart, and rivals of the best, best first."""
-        config, cost = self._config, self._cost(self._off(now))
-        standing = replace(self._each[0].hypotheses(now[0], self._solvers[0]), score=cost)
-        chosen = standing.suppress_non_maxima(count, config.separation_m)
-        apart_m = standing.apart_m()[chosen[:1]]
-        for least_m in (config.elsewhere_m, config.far_m):
-            far = np.flatnonzero((apart_m > least_m).any(axis=0))
-            if config.rivals and len(far):
-                rivals = standing[far].suppress_non_maxima(config.rivals, config.separation_m)
-                chosen = np.union1d(chosen, far[rivals])
-        chosen = chosen[np.argsort(cost[chosen], kind="stable")]
+        standing = self._each[0].hypotheses(now[0], self._solvers[0])
+        standing = replace(standing, score=self._cost(self._off(now)))
+        chosen = best_and_rivals(standing, count, self._config)
         return [some[chosen] for some in now]
 
     def _off(self, now: Sequence[Particles]) -> Float64Array:
@@ -200,7 +170,7 @@ class JointRefinement:
         share = np.maximum(share, _LEAST_SHARE)[..., np.newaxis, np.newaxis]
         return np.asarray(np.linalg.inv(covariance) * share)
 
-    def _poses(self, now: Sequence[Particles]) -> JointPoses:
+    def _poses(self, now: Sequence[Particles]) -> tuple[tuple[Poses, ...], BoolArray]:
         off = self._off(now)
         cost, share = self._cost(off), self._share(off)
         agrees = share >= 0.5
@@ -217,4 +187,5 @@ class JointRefinement:
             for least_m in (self._config.elsewhere_m, self._config.far_m)
         )
         joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
-        return JointPoses(tuple(replace(one, **joint) for one in poses), cost, agrees)
+        scored = (replace(one, hypotheses=replace(one.hypotheses, score=cost)) for one in poses)
+        return tuple(replace(one, **joint) for one in scored), agrees

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from skyline.errors import InputError
-from skyline.matching.correlation import PreparedCorrelation
+from skyline.matching.correlation import CorrelationMatcher
 from skyline.matching.full import FullMatcher
 from skyline.matching.ranker import Ranker
 from skyline.paper.matcher import PaperMatcher
@@ -12,7 +12,7 @@ from skyline.paper.matcher import PaperMatcher
 FULL = "full"
 
 MATCHERS: Mapping[str, type[Ranker]] = MappingProxyType(
-    {FULL: FullMatcher, "paper": PaperMatcher, "correlation": PreparedCorrelation}
+    {FULL: FullMatcher, "paper": PaperMatcher, "correlation": CorrelationMatcher}
 )
 """Matchers by the name the command line gives them: ours, the paper's, the plain baseline."""
 

@@ -15,9 +15,17 @@ from skyline.camera import check_width
 from skyline.errors import InputError, StoreMismatchError
 from skyline.features import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
 from skyline.geodesy import Frame
-from skyline.places import BINS, DISTANCE_BINS, PHASE_BINS
-from skyline.places.coding import DISTANCE_STEP, NEAREST_M, RISE_GROWTH, RISE_SIZE
-from skyline.places.phases import ALIKE_DEG, PHASES
+from skyline.places import (
+    ALIKE_DEG,
+    BINS,
+    DISTANCE_BINS,
+    DISTANCE_STEP,
+    NEAREST_M,
+    PHASE_BINS,
+    PHASES,
+    RISE_GROWTH,
+    RISE_SIZE,
+)
 from skyline.store.coding import RowCoding
 
 SCHEMA = "skyline-store"
@@ -85,7 +93,7 @@ PLACE_CODING = {
     "phase_steps": PHASES,
     "phase_alike_deg": ALIKE_DEG,
 }
-"""What the bytes of places mean (see `skyline.places.coding` and `skyline.places.phases`)."""
+"""What the bytes of places mean (see `skyline.places`)."""
 
 
 def package_version() -> str:

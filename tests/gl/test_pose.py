@@ -10,9 +10,9 @@ from scenes import field_of, fractal
 
 from skyline.errors import InputError
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.panoramas import Panoramas
+from skyline.matching.match_config import RefineConfig
 from skyline.matching.pose import Refinement, refine
-from skyline.matching.refine_config import RefineConfig
+from skyline.matching.profiles import Panoramas
 from skyline.matching.solver import Curves
 from skyline.matching.together import JointRefinement
 from skyline.render.horizon import HorizonRenderer
@@ -255,17 +255,17 @@ def test_queries_of_one_eye_move_together_and_a_stranger_is_named(scene):
     alone = [refine(some, query, scene, SHORT) for some, query in zip(found, queries, strict=True)]
     alone[2] = refine(own, queries[2], scene, SHORT)
     together = JointRefinement([Refinement(one, scene, SHORT, None) for one in queries], SHORT)
-    joint = together.run(found, [one.hypotheses[:1] for one in alone])
-    assert joint.agrees[:, 0].tolist() == [True, True, False]
-    assert (np.diff(joint.cost) >= 0.0).all()
-    for one, (_, heading_deg) in zip(joint.poses[:2], asked, strict=False):
+    joint, agrees = together.run(found, [one.hypotheses[:1] for one in alone])
+    assert agrees[:, 0].tolist() == [True, True, False]
+    assert (np.diff(joint[0].hypotheses.score) >= 0.0).all()
+    for one, (_, heading_deg) in zip(joint[:2], asked, strict=False):
         assert _off_m(one.hypotheses)[0] < 2.0
         assert one.hypotheses.heading_deg[0] == pytest.approx(heading_deg, abs=0.05)
         assert np.linalg.eigvalsh(one.covariance_m2[0]).min() > 0.0
     # The stranger alone would stand at its own place, and it is a rival of the others'.
-    np.testing.assert_array_equal(joint.poses[2].margin, joint.poses[0].margin)
+    np.testing.assert_array_equal(joint[2].margin, joint[0].margin)
     assert _off_m(alone[2].hypotheses)[0] > 1000.0
-    assert 0.0 < joint.poses[0].margin[0] < np.inf
+    assert 0.0 < joint[0].margin[0] < np.inf
 
 
 def test_near_poses_that_fit_as_well_widen_each_other(scene, rays):
@@ -282,6 +282,6 @@ def test_the_same_photo_twice_is_no_surer_than_once(scene, rays):
     found = _around()
     alone = refine(found, query, scene, SHORT)
     each = Refinement(query, scene, SHORT, None)
-    joint = JointRefinement([each, each], SHORT).run([found] * 2, [alone.hypotheses[:1]] * 2)
-    once, twice = (np.trace(one.covariance_m2[0]) for one in (alone, joint.poses[0]))
+    joint, _ = JointRefinement([each, each], SHORT).run([found] * 2, [alone.hypotheses[:1]] * 2)
+    once, twice = (np.trace(one.covariance_m2[0]) for one in (alone, joint[0]))
     assert twice > 0.8 * once

@@ -8,8 +8,8 @@ from scenes import field_from, field_of, fractal
 from skyline import horizon, stand_on
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.matching.match_config import RefineConfig
 from skyline.matching.pose import refine
-from skyline.matching.refine_config import RefineConfig
 from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.scene import RenderedScene
 from skyline.render.horizon import HorizonRenderer

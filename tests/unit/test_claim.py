@@ -8,8 +8,7 @@ from query_scenes import hills, panorama_of, poses, rays_of, seen
 from scipy.integrate import quad
 
 from skyline.geodesy import Frame
-from skyline.matching.claim import Claim
-from skyline.matching.eye_height import EyeHeight
+from skyline.matching.claim import Claim, EyeHeight
 from skyline.matching.ranking import Candidate
 from skyline.matching.solver import Curves as SeenCurves
 from skyline.matching.solver import Solver, SolverConfig

@@ -1,5 +1,7 @@
 """Profiles and the two matchers, on terrain whose skylines the oracle gives."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from query_scenes import equally_trusted
@@ -17,6 +19,7 @@ from skyline.planning.uniform import uniform_grid
 from skyline_bench.truth import oracle
 
 LEVEL = Attitudes(pitch_deg=(0.0,))
+MATCHERS = partial(PaperMatcher, attitudes=LEVEL), partial(CorrelationMatcher, attitudes=LEVEL)
 TERRAIN = field_of(fractal(160, 160, 600.0, seed=2, exponent=1.9))
 CENTRE = (1200.0, -3600.0, 3600.0, -1200.0)
 
@@ -94,21 +97,14 @@ def test_levelling_undoes_pitch_and_roll():
     np.testing.assert_allclose(found_y, y, atol=1e-12)
 
 
-def paper(profiles):
-    return PaperMatcher(profiles, LEVEL)
-
-
-def correlation(profiles):
-    return CorrelationMatcher(LEVEL).prepare(profiles)
-
-
-@pytest.mark.parametrize("prepare", [paper, correlation])
-def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepare):
+@pytest.mark.parametrize("prepared", MATCHERS)
+def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepared):
+    matcher = prepared(profiles)
     # 44.9 and 315 look across the seams between headings, 359.5 across north.
     right = 0
     cases = [(3, 44.9), (9, 315.0), (17, 359.5), (22, 200.0), (30, 100.0), (41, 271.0)]
     for index, heading_deg in cases:
-        best = prepare(profiles).rank(query_at(viewpoints, index, heading_deg), 3).poses
+        best = matcher.rank(query_at(viewpoints, index, heading_deg), 3).poses
         right += (
             np.hypot(
                 best.easting_m[0] - viewpoints.easting_m[index],
@@ -118,20 +114,19 @@ def test_stored_places_are_found_with_their_heading(profiles, viewpoints, prepar
             and turned_by(best.heading_deg[0], heading_deg) < 1.0
         )
     # Keypoints are the paper's weak spot: now and then a low skyline has too few.
-    assert right >= (len(cases) if prepare is correlation else len(cases) - 1)
+    assert right >= (len(cases) if isinstance(matcher, CorrelationMatcher) else len(cases) - 1)
 
 
 def test_an_assumed_pitch_is_told_from_the_others(profiles, viewpoints):
     query = query_at(viewpoints, 12, 150.0, pitch_deg=-5.0)
-    best = CorrelationMatcher().prepare(profiles).rank(query, 1).poses
+    best = CorrelationMatcher(profiles).rank(query, 1).poses
     assert best.pitch_deg[0] == -5.0
     assert turned_by(best.heading_deg[0], 150.0) < 1.0
 
 
 def test_correlation_equals_a_direct_loop(profiles, viewpoints):
     query = query_at(viewpoints, 7, 77.0)
-    matcher = CorrelationMatcher(LEVEL)
-    fits = matcher.fit(profiles, query)
+    fits = CorrelationMatcher(profiles, LEVEL).fit(query)
     curve = QueryCurves.of(query, LEVEL, profiles.bins)
     seen = np.flatnonzero(curve.weight[0] > 0.0)
     q, weight = curve.y[0, seen], curve.weight[0, seen]
@@ -147,8 +142,8 @@ def test_correlation_equals_a_direct_loop(profiles, viewpoints):
 
 def test_ranking_is_the_same_each_time_and_each_place_once(profiles, viewpoints):
     query = query_at(viewpoints, 15, 20.0)
-    for prepare in (paper, correlation):
-        first, again = (prepare(profiles).rank(query, 8).candidates(FRAME) for _ in range(2))
+    for prepared in MATCHERS:
+        first, again = (prepared(profiles).rank(query, 8).candidates(FRAME) for _ in range(2))
         assert first == again
         assert [c.score for c in first] == sorted(c.score for c in first)
         assert len({(c.easting_m, c.northing_m) for c in first}) == len(first)
@@ -195,13 +190,13 @@ def flat_query():
 
 
 def test_degenerate_queries_and_stores_have_an_answer(profiles):
-    for prepare in (paper, correlation):
+    for prepared in MATCHERS:
         for query in (
             flat_query(),
             equally_trusted(np.array([0.0]), np.array([0.1]), 60.0),
             equally_trusted(np.array([-0.1, 0.1]), np.array([0.1, 0.2]), 60.0),
         ):
-            assert np.isfinite(prepare(profiles).rank(query, 3).poses.score).all()
+            assert np.isfinite(prepared(profiles).rank(query, 3).poses.score).all()
         unknown = Profiles(
             profiles.easting_m[:2],
             profiles.northing_m[:2],
@@ -210,7 +205,7 @@ def test_degenerate_queries_and_stores_have_an_answer(profiles):
             np.zeros(0, dtype=np.intp),
             np.zeros(3, dtype=np.intp),
         )
-        assert prepare(unknown).rank(flat_query(), 3).candidates(FRAME) == ()
+        assert prepared(unknown).rank(flat_query(), 3).candidates(FRAME) == ()
 
 
 def test_queries_and_stores_of_nothing_say_so(profiles):
@@ -219,4 +214,4 @@ def test_queries_and_stores_of_nothing_say_so(profiles):
     with pytest.raises(InputError, match="holds no views"):
         Profiles.from_views([])
     with pytest.raises(InputError, match="top is 0"):
-        CorrelationMatcher(LEVEL).prepare(profiles).rank(flat_query(), 0)
+        CorrelationMatcher(profiles, LEVEL).rank(flat_query(), 0)

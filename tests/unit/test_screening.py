@@ -22,8 +22,7 @@ from skyline.matching.screening import (
     turn_heading_deg,
     turns_within,
 )
-from skyline.places import PHASE_BINS, Places
-from skyline.places.phases import PHASES, rise_to_turn
+from skyline.places import PHASE_BINS, PHASES, RISE_TO_TURN, Places
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
 
@@ -59,7 +58,7 @@ def test_a_score_is_the_plain_sum_of_the_kernel(seed, heading):
             for bin_ in np.flatnonzero(weight):
                 there = rise[place, (bin_ + turn) % PHASE_BINS]
                 if np.isfinite(there):
-                    difference = rise_to_turn() * there - angle[bin_]
+                    difference = RISE_TO_TURN * there - angle[bin_]
                     level[place, turn] += weight[bin_] * np.cos(difference)
                     rolled[place, turn] += weight[bin_] * grows[bin_] * np.sin(difference)
     stiff = weight @ grows**2

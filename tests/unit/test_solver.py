@@ -8,11 +8,10 @@ from query_scenes import BINS, hills, panorama_of, poses, rays_of, seen, swept
 
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.matching.eye_height import EyeHeight
+from skyline.matching.claim import EyeHeight
 from skyline.matching.noise import Noise
-from skyline.matching.panoramas import Panoramas
-from skyline.matching.query import QueryRays, level
-from skyline.matching.rays import level_with_changes, thinned
+from skyline.matching.profiles import Panoramas
+from skyline.matching.query import QueryRays, level, level_with_changes, thinned
 from skyline.matching.solver import Curves, Solver, SolverConfig
 from skyline.photo.projection import distorted
 from skyline.terrain.edge import DataEdge
@@ -48,11 +47,12 @@ def _query(**change):
 def test_levelled_rays_are_those_of_every_matcher(is_panorama):
     u, v = np.random.default_rng(0).normal(0.0, 0.3, (2, 9))
     query = QueryRays(u, v, np.ones(9), 60.0, is_panorama=is_panorama)
-    rays = level_with_changes(query, np.array([0.1]), np.array([-0.2]), np.array([np.log(1.2)]))
+    state = np.array([0.1]), np.array([-0.2]), np.array([np.log(1.2)])
+    found_azimuth, found_y, *_ = level_with_changes(query, *state)
     angles_deg = np.degrees(0.1), np.degrees(-0.2)
     azimuth, y = level(1.2 * u, 1.2 * v, *angles_deg, is_panorama=is_panorama)
-    np.testing.assert_allclose(rays.azimuth_rad[0], azimuth, atol=1e-12)
-    np.testing.assert_allclose(rays.y[0], y, atol=1e-12)
+    np.testing.assert_allclose(found_azimuth[0], azimuth, atol=1e-12)
+    np.testing.assert_allclose(found_y[0], y, atol=1e-12)
 
 
 LENS = rays_of(*seen(hills, **TRUTH), 60.0)

@@ -116,7 +116,7 @@ class Search:
             )
             (west, south), (east, north) = corner, corner + side_m
             rectangle = float(west), float(south), float(east), float(north)
-            return Narrowed(Narrowing(), frame.wkt, (), rectangle, None)
+            return Narrowed(Narrowing(), frame, (), rectangle, None)
         if self.radius_m is not None:
             off_m = self.radius_m * math.sqrt(generator.uniform())
             turn = generator.uniform(0.0, 2.0 * np.pi)
