@@ -17,8 +17,6 @@ from skyline.pipeline.opened import terrain_at_hand
 from skyline.pipeline.queries import Query
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.results import JointResult, MatchResult
-from skyline.report.beyond import beyond_in_words
-from skyline.report.claims import claim_in_words, describe_claim
 from skyline.report.exports import export_matches
 from skyline.report.peaks import Peaks
 from skyline.report.records import (
@@ -26,7 +24,10 @@ from skyline.report.records import (
     FailureRecord,
     LensRecord,
     MatchRecord,
+    beyond_in_words,
+    claim_in_words,
     describe_candidates,
+    describe_claim,
 )
 from skyline.report.results import Results, open_results, row_of
 

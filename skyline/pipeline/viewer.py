@@ -15,10 +15,10 @@ from skyline.photo.query import QuerySkyline
 from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.scene import RenderedScene
+from skyline.report.matched import Surroundings
 from skyline.report.peaks import Peaks
 from skyline.report.projection import Panorama, PosedPicture
 from skyline.report.sightings import visible_peaks
-from skyline.report.surroundings import Surroundings
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
 
 _WIDTH = 1024

@@ -10,19 +10,16 @@ from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
 from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
-from skyline.report.beyond import beyond_said
-from skyline.report.claims import claim_said
-from skyline.report.geojson import write_geojson
+from skyline.report.exports import write_geojson
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
-from skyline.report.matched import Matched
+from skyline.report.matched import Matched, Surroundings
 from skyline.report.overlay import Overlay
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, median_gap_deg
-from skyline.report.records import confidence_within
+from skyline.report.records import beyond_in_words, claim_said, confidence_within
 from skyline.report.shapes import Ellipse
 from skyline.report.sightings import HIDDEN_DEG, Sighting, visible_peaks
-from skyline.report.surroundings import Surroundings
 
 _MAP_DPI = 150.0
 _DETAIL_SHARE = 0.4
@@ -106,7 +103,7 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
     if matched.candidates:
         parts.append(_candidate_table(matched.candidates))
     claim = claim_said(matched.query.noted, best, matched.is_answered, with_place=False)
-    beyond = beyond_said(matched.candidates)
+    beyond = beyond_in_words(None if best is None else best.beyond_share)
     parts += [Text(said) for said in (claim, beyond) if said]
     done = " ".join(matched.done)
     parts.append(

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
-from skyline.report.labels import Placed, place_labels
+from skyline.report.labels import Placed, extent_px, place_labels
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, PosedPicture
 from skyline.report.sightings import Sighting
@@ -75,10 +75,8 @@ def _draw(overlay: Overlay) -> Figure:
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
     peaks = _peaks_in_picture(overlay, scale)
-    texts = [sighting.label for sighting, _, _ in peaks]
-    labels = place_labels(
-        [at for _, at, _ in peaks], _text_widths(figure, texts), width, _MOST_ROWS
-    )
+    widths = [extent_px(figure, sighting.label, _LABEL_POINTS)[0] for sighting, _, _ in peaks]
+    labels = place_labels([at for _, at, _ in peaks], widths, width, _MOST_ROWS)
     band = _ROW_PX * (1 + max((label.row for label in labels), default=-1)) + (
         10.0 if labels else 0
     )
@@ -180,16 +178,6 @@ def _peaks_in_picture(overlay: Overlay, scale: float) -> list[tuple[Sighting, fl
         for index, sighting in enumerate(overlay.sightings)
         if inside[index]
     ]
-
-
-def _text_widths(figure: Figure, texts: Sequence[str]) -> list[float]:
-    """Return how wide texts are drawn, px."""
-    widths = []
-    for text in texts:
-        drawn = figure.text(0.0, 0.0, text, fontsize=_LABEL_POINTS, parse_math=False)
-        widths.append(float(drawn.get_window_extent().width))
-        drawn.remove()
-    return widths
 
 
 def _draw_label(axis: Axes, text: str, label: Placed, peak_px: tuple[float, float]) -> None:

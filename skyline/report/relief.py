@@ -11,7 +11,7 @@ from matplotlib.offsetbox import AnchoredText
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.geodesy import Frame, degrees_in_words
-from skyline.report.tints import DARKEST, TINTS
+from skyline.report.tiles import DARKEST, TINTS
 from skyline.terrain.heightfield import HeightField
 
 _MOST_SAMPLES = 900
@@ -40,11 +40,6 @@ class Area:
         east = float(easting.min() + easting.max()) / 2.0
         north = float(northing.min() + northing.max()) / 2.0
         return cls(east - half, north - half, east + half, north + half)
-
-    @classmethod
-    def of(cls, terrain: HeightField) -> "Area":
-        """Return the area of a whole height field."""
-        return cls(*terrain.bounds_m)
 
     def within(self, terrain: HeightField) -> "Area":
         """Return the part of the area that a height field covers, if any, else all of it."""
