@@ -23,7 +23,6 @@ from skyline import (
     Stroke,
     read_photo,
 )
-from skyline.web.told import stroke_json
 
 MAX_PIXELS = 120_000_000
 """A browser shows no larger picture."""
@@ -47,7 +46,6 @@ class PagePhoto:
     def __init__(self, path: Path, name: str) -> None:
         self.id = secrets.token_urlsafe(12)
         self.path, self.name = path, name
-        self.error: str | None = None
         self.seen: Photo | None = None
         self.query: QuerySkyline | None = None
         self.strokes: tuple[Stroke, ...] = ()
@@ -60,12 +58,7 @@ class PagePhoto:
 
     def record(self) -> dict[str, Any]:
         """Return what the page's list says of it."""
-        said: dict[str, Any] = {
-            "id": self.id,
-            "name": self.name,
-            "state": self.state,
-            "error": self.error,
-        }
+        said: dict[str, Any] = {"id": self.id, "name": self.name, "state": self.state}
         query, seen = self.query, self.seen
         if query is not None and seen is not None:
             said |= {
@@ -76,7 +69,10 @@ class PagePhoto:
                 "lonlat": seen.place.lonlat_deg,
                 "elevation": seen.place.elevation_m,
                 "heading": seen.place.heading_deg,
-                "strokes": [stroke_json(stroke) for stroke in self.strokes],
+                "strokes": [
+                    {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
+                    for one in self.strokes
+                ],
                 "trusted": float(query.trusted.mean()),
                 "result": self.told,
             }
@@ -125,13 +121,9 @@ class Opened:
             self._kept.pop(photo.id, None)
 
     def first_look(self, photo: PagePhoto) -> None:
-        """Open a photo and find its skyline; what is wrong with it becomes its error."""
-        try:
-            read, correction = self.open(photo)
-            query = correction.solve()
-        except SkylineError as error:
-            photo.error, photo.state = str(error), "unusable"
-            return
+        """Open a photo and find its skyline; raises as `open`."""
+        read, correction = self.open(photo)
+        query = correction.solve()
         photo.seen = replace(read, rgb=read.rgb[:0])
         photo.query, photo.state = query, "ready"
 
