@@ -1,4 +1,3 @@
-from .coverage_map import save_coverage_map
 from .html import Page, Picture, Section, Table, Text
 from .landscape import Landscape
 from .matched import Matched, Surroundings
@@ -6,7 +5,7 @@ from .matches import write_match_report
 from .panorama import PanoramaView, draw_panorama, encode_panorama, picture_azimuths_deg
 from .peaks import Peaks, read_peaks
 from .pictures import save_depth_images
-from .place_map import save_place_map
+from .plan_maps import save_coverage_map, save_place_map
 
 __all__ = [
     "Landscape",

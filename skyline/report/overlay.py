@@ -87,7 +87,11 @@ def _draw(overlay: Overlay) -> Figure:
     axis.set_axis_off()
     axis.set(xlim=(0.0, width), ylim=(height + foot, -band))
     axis.autoscale(False)
-    _draw_photo(axis, overlay, width, height)
+    picture = np.full((2, 2, 3), _CANVAS_RGB, dtype=np.uint8)
+    if overlay.photo is not None:
+        size = round(width), max(1, round(height))
+        picture = np.asarray(cv2.resize(overlay.photo, size, interpolation=cv2.INTER_AREA))
+    axis.imshow(picture, extent=(0.0, width, height, 0.0), aspect="auto")
     _draw_masked(axis, query, scale, height)
     _draw_rendered(axis, overlay, scale)
     axis.plot(
@@ -110,19 +114,9 @@ def _drawn(pixel: ArrayLike, scale: float) -> Float64Array:
     return (np.asarray(pixel, dtype=np.float64) + 0.5) * scale
 
 
-def _draw_photo(axis: Axes, overlay: Overlay, width: float, height: float) -> None:
-    if overlay.photo is None:
-        picture = np.full((2, 2, 3), _CANVAS_RGB, dtype=np.uint8)
-    else:
-        size = round(width), max(1, round(height))
-        picture = np.asarray(cv2.resize(overlay.photo, size, interpolation=cv2.INTER_AREA))
-    axis.imshow(picture, extent=(0.0, width, height, 0.0), aspect="auto")
-
-
 def _draw_masked(axis: Axes, query: QuerySkyline, scale: float, height: float) -> None:
     """Veil the columns in which no skyline is trusted."""
-    untrusted = np.concatenate([[False], ~query.trusted, [False]])
-    edges = np.flatnonzero(np.diff(untrusted.astype(np.int8))).reshape(-1, 2)
+    edges = np.flatnonzero(np.diff(~query.trusted, prepend=False, append=False)).reshape(-1, 2)
     spans = [(start * scale, (end - start) * scale) for start, end in edges]
     if spans:
         axis.broken_barh(

@@ -10,7 +10,7 @@ import os
 import sqlite3
 import struct
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -140,23 +140,21 @@ class _GeoPackage:
         if not path.exists():
             partial = path.with_name(path.name + ".partial")
             partial.unlink(missing_ok=True)
-            with _connected(partial) as made:
+            with closing(sqlite3.connect(partial)) as made:
                 made.executescript(_GEOPACKAGE)
             partial.replace(path)
 
     def rows(self) -> Iterator[Mapping[str, object]]:
-        with _connected(self._path) as opened:
+        with closing(sqlite3.connect(self._path)) as opened:
             for query, search in opened.execute("SELECT query, search FROM photos"):
                 yield {"query": query, "search": search}
 
     def add(self, row: Row) -> None:
         names = ", ".join(f'"{name}"' for name in ("geom", *_TYPES))
         marks = ", ".join("?" * (len(_TYPES) + 1))
-        with _as_input_errors(self._path), _connected(self._path) as opened:
-            opened.execute(
-                f"INSERT INTO photos ({names}) VALUES ({marks})",
-                (_point(row["lon"], row["lat"]), *(row[name] for name in _TYPES)),
-            )
+        values = _point(row["lon"], row["lat"]), *(row[name] for name in _TYPES)
+        with _as_input_errors(self._path), closing(sqlite3.connect(self._path)) as opened, opened:
+            opened.execute(f"INSERT INTO photos ({names}) VALUES ({marks})", values)
 
 
 Results = _Csv | _GeoPackage
@@ -164,16 +162,6 @@ Results = _Csv | _GeoPackage
 
 RESULTS: Mapping[str, type[_Csv] | type[_GeoPackage]] = {".csv": _Csv, ".gpkg": _GeoPackage}
 """Files of results by suffix."""
-
-
-@contextmanager
-def _connected(path: Path) -> Iterator[sqlite3.Connection]:
-    connection = sqlite3.connect(path)
-    try:
-        with connection:
-            yield connection
-    finally:
-        connection.close()
 
 
 def _point(lon: object, lat: object) -> bytes | None:

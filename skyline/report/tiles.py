@@ -122,10 +122,10 @@ def _on_pixels(mesh: Float64Array) -> Float32Array:
 
 def _sampled(heights: Float32Array, rows: Float32Array, cols: Float32Array) -> Float32Array:
     """Return heights at fractional rows and columns, NaN beyond what there is."""
-    top = int(np.clip(rows.min() - 2, 0, heights.shape[0]))
-    left = int(np.clip(cols.min() - 2, 0, heights.shape[1]))
-    bottom = int(np.clip(rows.max() + 3, 0, heights.shape[0]))
-    right = int(np.clip(cols.max() + 3, 0, heights.shape[1]))
+    (top, bottom), (left, right) = (
+        np.clip([at.min() - 2, at.max() + 3], 0, length).astype(int).tolist()
+        for at, length in zip((rows, cols), heights.shape, strict=True)
+    )
     if bottom - top < 2 or right - left < 2:
         return np.full(rows.shape, np.nan, dtype=np.float32)
     part = np.ascontiguousarray(heights[top:bottom, left:right])

@@ -226,7 +226,7 @@ class _Pages:
         kind = request.path_params["kind"]
         if kind not in KINDS:
             return Response(status_code=404)
-        candidates = photo.candidates
+        candidates = () if photo.result is None else photo.result.candidates
         if asked.get("pose") is not None and self._engine.viewer is not None:
             candidates = (pose_of(asked["pose"], self._engine.viewer),)
         elif isinstance(asked.get("rank"), int) and 0 <= asked["rank"] < len(candidates):
@@ -276,21 +276,19 @@ async def _json(request: Request) -> Mapping[str, Any]:
 
 async def _received(request: Request, path: Path, name: str, limit: int) -> None:
     """Write what a request brings to a new file; raises `TooLargeError` beyond a limit."""
+
+    def check(size: int) -> None:
+        if size > limit:
+            raise TooLargeError(
+                f"{name} has {size / _MEGABYTE:.0f} MB or more; the page takes at most "
+                f"{limit / _MEGABYTE:.0f} MB: save it smaller, or remove other photos"
+            )
+
     told = request.headers.get("content-length", "0")
-    size = int(told) if told.isdecimal() else 0
-    if size > limit:
-        raise TooLargeError(_too_large(name, size, limit))
+    check(int(told) if told.isdecimal() else 0)
     with path.open("xb") as file:
         size = 0
         async for part in request.stream():
             size += len(part)
-            if size > limit:
-                raise TooLargeError(_too_large(name, size, limit))
+            check(size)
             file.write(part)
-
-
-def _too_large(name: str, size: int, limit: int) -> str:
-    return (
-        f"{name} has {size / _MEGABYTE:.0f} MB or more; the page takes at most "
-        f"{limit / _MEGABYTE:.0f} MB: save it smaller, or remove other photos"
-    )

@@ -34,7 +34,8 @@ class Guard:
     def __init__(self, app: ASGIApp, host: str, port: int) -> None:
         self._app, self._port = app, port
         self._names = set(_LOOPBACK)
-        self._open = not _is_loopback(host)
+        address = _address(host)
+        self._open = host != "localhost" and (address is None or not address.is_loopback)
         if self._open:
             self._names |= {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
 
@@ -69,16 +70,11 @@ class Guard:
         if not colon or port != str(self._port):
             return False
         # A number cannot be made to lead here, as a name can.
-        return name in self._names or (self._open and _is_address(name))
+        return name in self._names or (self._open and _address(name) is not None)
 
 
-def _is_loopback(host: str) -> bool:
-    return host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
-
-
-def _is_address(name: str) -> bool:
+def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
     try:
-        ipaddress.ip_address(name.strip("[]"))
+        return ipaddress.ip_address(name.strip("[]"))
     except ValueError:
-        return False
-    return True
+        return None

@@ -45,7 +45,7 @@ class Match:
         except MemoryError:
             self.error = "there is not enough memory for this match; narrow the search"
         else:
-            self.photo.result, self.photo.candidates = result, result.candidates
+            self.photo.result = result
             self.photo.told = _outcome(result, engine)
             self.photo.state = "answered" if result.answer else "no answer"
         finally:

@@ -13,7 +13,6 @@ import numpy as np
 from PIL import Image
 
 from skyline import (
-    Candidate,
     Correction,
     InputError,
     MatchResult,
@@ -51,7 +50,6 @@ class PagePhoto:
         self.strokes: tuple[Stroke, ...] = ()
         self.trace: QuerySkyline | None = None
         self.result: MatchResult | None = None
-        self.candidates: tuple[Candidate, ...] = ()
         self.told: dict[str, Any] | None = None
         self.state = "waiting"
         self.lock = threading.Lock()
@@ -152,7 +150,12 @@ def is_guess(query: QuerySkyline) -> bool:
 
 
 def _read(photo: PagePhoto) -> tuple[Photo, Correction]:
-    _check_size(photo)
+    too_many = _too_many(photo.path)
+    if too_many is not None:
+        raise InputError(
+            f"{photo.name} has {too_many} pixels; the page takes at most "
+            f"{MAX_PIXELS // 1_000_000} million: scale it down, 12 million are plenty"
+        )
     try:
         read = read_photo(photo.path)
         return read, Correction(read)
@@ -161,20 +164,13 @@ def _read(photo: PagePhoto) -> tuple[Photo, Correction]:
         raise InputError(said if photo.name in said else f"{photo.name}: {said}") from error
 
 
-def _check_size(photo: PagePhoto) -> None:
+def _too_many(path: Path) -> str | None:
+    """Return how many pixels a picture has, where they are too many."""
     try:
-        with Image.open(photo.path) as image:
+        with Image.open(path) as image:
             width, height = image.size
     except Image.DecompressionBombError:
-        raise InputError(_too_large(photo.name, "more than 170 million")) from None
+        return "more than 170 million"
     except Exception:  # What is no picture is said when it is read.
-        return
-    if width * height > MAX_PIXELS:
-        raise InputError(_too_large(photo.name, f"{width} x {height}"))
-
-
-def _too_large(name: str, pixels: str) -> str:
-    return (
-        f"{name} has {pixels} pixels; the page takes at most {MAX_PIXELS // 1_000_000} million: "
-        "scale it down, 12 million are plenty"
-    )
+        return None
+    return f"{width} x {height}" if width * height > MAX_PIXELS else None
