@@ -13,7 +13,7 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.geodesy import Curvature
-from skyline.report.sightings import HIDDEN_DEG, UNDERFOOT_SAMPLES
+from skyline.report.peaks import HIDDEN_DEG, UNDERFOOT_SAMPLES
 from skyline.terrain.blocks import Blocks
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on

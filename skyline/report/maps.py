@@ -10,9 +10,9 @@ from matplotlib.patheffects import withStroke
 
 from skyline.matching.ranking import Candidate
 from skyline.report.matched import Surroundings
+from skyline.report.peaks import Sighting
 from skyline.report.relief import Area, draw_bearings, draw_relief
 from skyline.report.shapes import Ellipse, view_wedge_m
-from skyline.report.sightings import Sighting
 from skyline.terrain.viewpoints import Viewpoints
 
 BEST_COLOUR, OTHER_COLOUR = "#d1103d", "#1f5fbf"

@@ -15,11 +15,11 @@ from skyline.report.html import Page, Part, Picture, Section, Table, Text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.matched import Matched, Surroundings
 from skyline.report.overlay import Overlay
+from skyline.report.peaks import HIDDEN_DEG, Sighting, visible_peaks
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, median_gap_deg
 from skyline.report.records import beyond_in_words, claim_said, confidence_within
 from skyline.report.shapes import Ellipse
-from skyline.report.sightings import HIDDEN_DEG, Sighting, visible_peaks
 
 _MAP_DPI = 150.0
 _DETAIL_SHARE = 0.4

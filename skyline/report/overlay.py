@@ -16,9 +16,9 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
 from skyline.report.labels import Placed, extent_px, place_labels
+from skyline.report.peaks import Sighting
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, PosedPicture
-from skyline.report.sightings import Sighting
 
 FOUND_COLOUR, RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
 
@@ -74,8 +74,12 @@ def _draw(overlay: Overlay) -> Figure:
     width, height = (max(8.0, side * scale) for side in (query.width_px, query.height_px))
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
-    peaks = _peaks_in_picture(overlay, scale)
-    widths = [extent_px(figure, sighting.label, _LABEL_POINTS)[0] for sighting, _, _ in peaks]
+    pose = overlay.pose
+    peaks = [
+        (sighting.label, *_drawn([column, row], scale).tolist())
+        for sighting, column, row in ([] if pose is None else pose.peaks(overlay.sightings))
+    ]
+    widths = [extent_px(figure, text, _LABEL_POINTS)[0] for text, _, _ in peaks]
     labels = place_labels([at for _, at, _ in peaks], widths, width, _MOST_ROWS)
     band = _ROW_PX * (1 + max((label.row for label in labels), default=-1)) + (
         10.0 if labels else 0
@@ -103,8 +107,8 @@ def _draw(overlay: Overlay) -> Figure:
         label="skyline found in the query",
     )
     for label in labels:
-        sighting, column, row = peaks[label.index]
-        _draw_label(axis, sighting.label, label, (column, row))
+        text, column, row = peaks[label.index]
+        _draw_label(axis, text, label, (column, row))
     axis.legend(loc="lower left", fontsize=9, frameon=False, ncols=keys_across, borderpad=0.1)
     return figure
 
@@ -153,25 +157,6 @@ def _draw_rendered(axis: Axes, overlay: Overlay, scale: float) -> None:
                 path_effects=_HALO,
                 label=label,
             )
-
-
-def _peaks_in_picture(overlay: Overlay, scale: float) -> list[tuple[Sighting, float, float]]:
-    """Return the sighted peaks that fall into the picture, and where they are drawn."""
-    pose = overlay.pose
-    if pose is None or not overlay.sightings:
-        return []
-    column, row = pose.pixels(
-        [sighting.azimuth_deg for sighting in overlay.sightings],
-        [sighting.elevation_tan for sighting in overlay.sightings],
-    )
-    inside = (np.abs(column - pose.width_px / 2.0) <= pose.width_px / 2.0) & (
-        np.abs(row - pose.height_px / 2.0) <= pose.height_px / 2.0
-    )
-    return [
-        (sighting, float(_drawn(column[index], scale)), float(_drawn(row[index], scale)))
-        for index, sighting in enumerate(overlay.sightings)
-        if inside[index]
-    ]
 
 
 def _draw_label(axis: Axes, text: str, label: Placed, peak_px: tuple[float, float]) -> None:

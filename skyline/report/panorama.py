@@ -15,8 +15,8 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.geodesy import degrees_in_words
 from skyline.report.labels import extent_px, place_labels
 from skyline.report.landscape import Landscape
+from skyline.report.peaks import Sighting
 from skyline.report.pictures import encode_figure
-from skyline.report.sightings import Sighting
 from skyline.terrain.heightfield import HeightField
 
 ROW_DEG = 120.0

@@ -99,10 +99,7 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: Area) -> None:
     light = (DARKEST + (1.0 - DARKEST) * shade)[..., np.newaxis]
     rgb = _TINT(tint(np.ma.masked_invalid(heights)))[..., :3]
     picture = np.where(np.isnan(heights)[..., np.newaxis], rgb, rgb * light)
-    limits = axis.axis()
-    axis.imshow(picture, extent=extent, interpolation="bilinear")
-    axis.axis(limits)
-    axis.set_aspect("equal")
+    axis.imshow(picture, extent=extent, interpolation="bilinear", aspect="equal")
 
 
 def _crop(

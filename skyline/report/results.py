@@ -77,12 +77,11 @@ def open_results(path: Path, search: str) -> "tuple[Results, set[str]]":
         )
     with _as_input_errors(path):
         results = kind(path)
-        rows = list(results.rows())
-    if any(row["search"] != search for row in rows):
+    if any(of_search != search for _, of_search in results.had):
         raise InputError(
             f"--results {path} has results of another store or other options; name another file"
         )
-    return results, {str(row["query"]) for row in rows}
+    return results, {query for query, _ in results.had}
 
 
 def row_of(record: Mapping[str, Any], search: str) -> Row:
@@ -115,12 +114,10 @@ class _Csv:
             whole = ",".join(_TYPES).encode() + b"\n"
         if whole != held:
             path.write_bytes(whole)
-        if next(csv.reader(io.StringIO(whole.decode())), None) != list(_TYPES):
+        rows = csv.DictReader(io.StringIO(whole.decode()))
+        if rows.fieldnames != list(_TYPES):
             raise InputError(f"--results {path} is no file of results; name another one")
-
-    def rows(self) -> Iterator[Mapping[str, object]]:
-        with self._path.open(encoding="utf-8", newline="") as file:
-            yield from csv.DictReader(file)
+        self.had = [(row["query"], row["search"]) for row in rows]
 
     def add(self, row: Row) -> None:
         line = io.StringIO()
@@ -143,11 +140,8 @@ class _GeoPackage:
             with closing(sqlite3.connect(partial)) as made:
                 made.executescript(_GEOPACKAGE)
             partial.replace(path)
-
-    def rows(self) -> Iterator[Mapping[str, object]]:
-        with closing(sqlite3.connect(self._path)) as opened:
-            for query, search in opened.execute("SELECT query, search FROM photos"):
-                yield {"query": query, "search": search}
+        with closing(sqlite3.connect(path)) as opened:
+            self.had = opened.execute("SELECT query, search FROM photos").fetchall()
 
     def add(self, row: Row) -> None:
         names = ", ".join(f'"{name}"' for name in ("geom", *_TYPES))
@@ -158,7 +152,8 @@ class _GeoPackage:
 
 
 Results = _Csv | _GeoPackage
-"""A file of results: `rows` yields what is there, and a row that `add` has written is kept."""
+"""A file of results: `had` is the query and the search of each row that was there, and a row that
+`add` has written is kept."""
 
 RESULTS: Mapping[str, type[_Csv] | type[_GeoPackage]] = {".csv": _Csv, ".gpkg": _GeoPackage}
 """Files of results by suffix."""
