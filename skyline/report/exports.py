@@ -180,17 +180,16 @@ def write_kml(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
             href = f"files/{number:02d}.jpg"
             pictures[href] = matched.photo
         _add_match(folder, matched, frame, href)
-    text = Xml.tostring(root, encoding="utf-8", xml_declaration=True)
-    write_with_folders(path, _packed(text, pictures) if packed else text)
-
-
-def _packed(kml: bytes, pictures: dict[str, UInt8Array]) -> bytes:
-    held = io.BytesIO()
-    with zipfile.ZipFile(held, "w") as archive:
-        archive.writestr("doc.kml", kml, zipfile.ZIP_DEFLATED)
-        for name, picture in pictures.items():
-            archive.writestr(name, cv2.imencode(".jpg", picture[..., ::-1], _QUALITY)[1].tobytes())
-    return held.getvalue()
+    content = Xml.tostring(root, encoding="utf-8", xml_declaration=True)
+    if packed:
+        held = io.BytesIO()
+        with zipfile.ZipFile(held, "w") as archive:
+            archive.writestr("doc.kml", content, zipfile.ZIP_DEFLATED)
+            for name, picture in pictures.items():
+                jpeg = cv2.imencode(".jpg", picture[..., ::-1], _QUALITY)[1].tobytes()
+                archive.writestr(name, jpeg)
+        content = held.getvalue()
+    write_with_folders(path, content)
 
 
 def _add_match(folder: Xml.Element, matched: Matched, frame: Frame, href: str) -> None:
@@ -275,7 +274,6 @@ def write_gpx(path: Path, matches: Sequence[Matched]) -> None:
 
 
 def _child(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
-    """Return a new last child of an element."""
     element = Xml.SubElement(parent, tag, attributes)
     if text:
         element.text = _NOT_XML.sub("\ufffd", text)

@@ -163,8 +163,8 @@ def _point(lon: object, lat: object) -> bytes | None:
     """Return a point as GeoPackage has it: a header without an envelope, then WKB."""
     if lon is None or lat is None:
         return None
-    header = struct.pack("<2sBBi", b"GP", 0, 1, 4326)
-    return header + struct.pack("<BIdd", 1, 1, float(str(lon)), float(str(lat)))
+    place = float(str(lon)), float(str(lat))
+    return struct.pack("<2sBBiBIdd", b"GP", 0, 1, 4326, 1, 1, *place)
 
 
 @contextmanager
