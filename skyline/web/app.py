@@ -25,8 +25,7 @@ from skyline.web.saving import KINDS, saved
 from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, Session, Sessions, shown_name
 
 _PAGE = Path(__file__).parent / "page"
-_MAX_JSON_BYTES = 8_000_000
-_MAX_TRACE_BYTES = 8_000_000
+_MAX_JSON_BYTES = _MAX_TRACE_BYTES = 8_000_000
 _SWEEP_S = 1.0
 _MEGABYTE = 1_000_000
 
