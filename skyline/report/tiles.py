@@ -25,8 +25,9 @@ _MESH = 9
 _NOWHERE = -1e6
 _STOPS = np.array([list(bytes.fromhex(tint[1:])) for tint in TINTS])[:, ::-1]
 _AT = np.linspace(0.0, len(TINTS) - 1.0, 256)
-_TINTS = np.stack([np.interp(_AT, range(len(TINTS)), stop) for stop in _STOPS.T], axis=1)
-_TINTS = _TINTS.astype(np.float32)
+_TINTS = np.stack(
+    [np.interp(_AT, range(len(TINTS)), stop) for stop in _STOPS.T], axis=1, dtype=np.float32
+)
 """Blue, green, red (256, 3) from the lowest to the highest."""
 _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
 """Towards the light, east, north and up: from the north-west, halfway up."""
