@@ -20,10 +20,15 @@ from skyline.pipeline.opened import terrain_at_hand
 from skyline.pipeline.queries import Query
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.results import JointResult, MatchResult
-from skyline.report.claims import describe_claim
 from skyline.report.exports import export_matches
 from skyline.report.peaks import Peaks
-from skyline.report.records import FailureRecord, LensRecord, MatchRecord, describe_candidates
+from skyline.report.records import (
+    FailureRecord,
+    LensRecord,
+    MatchRecord,
+    describe_candidates,
+    describe_claim,
+)
 from skyline.report.results import Results, open_results, row_of
 
 T = TypeVar("T")

@@ -11,8 +11,7 @@ from skyline.errors import InputError
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
 from skyline.pipeline.local_horizons import horizons_of
-from skyline.report.peaks import Peaks
-from skyline.report.sightings import visible_peaks
+from skyline.report.peaks import Peaks, visible_peaks
 from skyline.terrain.blocks import Blocks
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import Dem, read_surface

@@ -9,9 +9,8 @@ from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.results import MatchResult
 from skyline.pipeline.scene import RenderedScene
-from skyline.report.matched import Matched
+from skyline.report.matched import Matched, Surroundings
 from skyline.report.peaks import Peaks
-from skyline.report.surroundings import Surroundings
 from skyline.store.header import package_version
 from skyline.terrain.heightfield import HeightField
 

@@ -7,9 +7,7 @@ from typing import Any
 from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
 from skyline.pipeline.tables import to_geodataframe
-from skyline.report.beyond import beyond_said
-from skyline.report.claims import claim_said
-from skyline.report.records import confidence_within
+from skyline.report.records import beyond_in_words, claim_said, confidence_within
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +54,7 @@ class MatchResult:
     @property
     def beyond(self) -> str | None:
         """How much of the skyline may be of terrain past the model's edge; None if little."""
-        return beyond_said(self.candidates)
+        return beyond_in_words(self.candidates[0].beyond_share if self.candidates else None)
 
     def __repr__(self) -> str:
         return f"MatchResult({_in_short(self)}; candidates: {len(self.candidates)})"

@@ -15,10 +15,9 @@ from skyline.photo.query import QuerySkyline
 from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.scene import RenderedScene
-from skyline.report.peaks import Peaks
+from skyline.report.matched import Surroundings
+from skyline.report.peaks import Peaks, visible_peaks
 from skyline.report.projection import Panorama, PosedPicture
-from skyline.report.sightings import visible_peaks
-from skyline.report.surroundings import Surroundings
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
 
 _WIDTH = 1024
@@ -151,9 +150,7 @@ class Viewer:
         column, row = picture.pixels(ahead.azimuth_deg, ahead.elevation_tan)
         near = np.abs(column - query.width_px / 2.0) <= _AROUND * query.width_px
         gap_deg = np.full(query.width_px, np.nan)
-        azimuth_deg, y = picture.directions(query)
-        gap = np.arctan(y) - np.arctan(panorama.at(azimuth_deg))
-        gap_deg[query.trusted] = np.degrees(gap)
+        gap_deg[query.trusted] = picture.gap_deg(query, panorama)
         return Sight(column[near], row[near], ahead.is_sure[near], gap_deg)
 
     def panorama(self, pose: Candidate) -> Panorama:
@@ -174,13 +171,7 @@ class Viewer:
             return []
         seen = visible_peaks(self.terrain, eye, self.peaks, self.curvature)
         picture = PosedPicture(query.width_px, query.height_px, pose, query.projection)
-        column, row = picture.pixels(
-            [one.azimuth_deg for one in seen], [one.elevation_tan for one in seen]
-        )
-        inside = (column >= 0.0) & (column < query.width_px) & (row >= 0.0)
-        inside &= row < query.height_px
         return [
-            SeenPeak(one.label, float(column[index]), float(row[index]), one.distance_m)
-            for index, one in enumerate(seen)
-            if inside[index]
+            SeenPeak(one.label, column_px, row_px, one.distance_m)
+            for one, column_px, row_px in picture.peaks(seen)
         ]

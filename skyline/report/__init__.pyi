@@ -1,13 +1,11 @@
-from .coverage_map import save_coverage_map
 from .html import Page, Picture, Section, Table, Text
 from .landscape import Landscape
-from .matched import Matched
+from .matched import Matched, Surroundings
 from .matches import write_match_report
 from .panorama import PanoramaView, draw_panorama, encode_panorama, picture_azimuths_deg
 from .peaks import Peaks, read_peaks
 from .pictures import save_depth_images
-from .place_map import save_place_map
-from .surroundings import Surroundings
+from .plan_maps import save_coverage_map, save_place_map
 
 __all__ = [
     "Landscape",

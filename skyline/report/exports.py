@@ -1,16 +1,284 @@
-"""Matches as files that other programs read, by the file's suffix."""
+"""Matches as files that other programs read, by the file's suffix.
 
+Candidates are points, views and ellipses in degrees of WGS 84 as GeoJSON (RFC 7946); places, views,
+and the photo standing in the landscape as KML 2.2 (OGC 07-147r2); waypoints, which navigation
+devices and hiking maps read, as GPX 1.1; and cameras in UTM as plain JSON, what monoplotting and
+photogrammetry start from.
+"""
+
+import io
+import json
+import math
+import re
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from xml.etree import ElementTree as Xml
 
+import cv2
+import numpy as np
+
+from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError
+from skyline.files import write_with_folders
 from skyline.geodesy import Frame
-from skyline.report.cameras import write_cameras
-from skyline.report.geojson import write_geojson
-from skyline.report.gpx import write_gpx
-from skyline.report.kml import write_kml
+from skyline.matching.ranking import Candidate
+from skyline.photo.projection import Projection
+from skyline.photo.query import QuerySkyline
 from skyline.report.matched import Matched
+from skyline.report.records import describe_candidate
+from skyline.report.shapes import Ellipse, view_wedge_m
+
+VIEW_REACH_M = 2000.0
+"""How far a view's wedge reaches; views see farther, but a map is for telling them apart."""
+
+_DECIMALS = 7
+"""A centimetre."""
+_NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""What XML 1.0 has no way to say."""
+_KML, _GPX = "http://www.opengis.net/kml/2.2", "http://www.topografix.com/GPX/1/1"
+_QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 90]
+_PHOTO_AT_M = 300.0
+"""How far before the camera the photo stands."""
+
+Json = dict[str, object]
+
+
+def write_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
+    """Write the candidates of matches, whose frame is given, as a FeatureCollection.
+
+    Per candidate a Point whose properties are those of the public JSON with ``query``, ``rank``
+    and ``shape`` = ``candidate``; a Polygon with ``shape`` = ``view``, the field of view out to
+    2 km; and where its covariance is known one with ``shape`` = ``ellipse95``, ``semi_major_m``
+    and ``semi_minor_m``.
+
+    Raises `InputError` where the file cannot be written.
+    """
+    features = [
+        feature
+        for one in matches
+        for rank, candidate in enumerate(one.candidates, start=1)
+        for feature in _features(one.name, rank, candidate, frame)
+    ]
+    collection = {"type": "FeatureCollection", "features": features}
+    write_with_folders(path, json.dumps(collection, indent=1, allow_nan=False) + "\n")
+
+
+def _features(query: str, rank: int, candidate: Candidate, frame: Frame) -> list[Json]:
+    record: Json = {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in describe_candidate(candidate).items()
+    }
+    place = [round(candidate.lon, _DECIMALS), round(candidate.lat, _DECIMALS)]
+    point: Json = {"type": "Point", "coordinates": place}
+    wedge = _polygon(view_wedge_m(candidate, VIEW_REACH_M), frame)
+    shapes: list[tuple[str, Json, Json]] = [
+        ("candidate", point, record),
+        ("view", wedge, {"reach_m": VIEW_REACH_M}),
+    ]
+    ellipse = Ellipse.of(candidate)
+    if ellipse is not None:
+        axes: Json = {"semi_major_m": ellipse.semi_major_m, "semi_minor_m": ellipse.semi_minor_m}
+        shapes.append(("ellipse95", _polygon(ellipse.outline_m(), frame), axes))
+    return [
+        {
+            "type": "Feature",
+            "geometry": geometry,
+            "properties": {"query": query, "rank": rank, "shape": shape, **about},
+        }
+        for shape, geometry, about in shapes
+    ]
+
+
+def _polygon(outline_m: Float64Array, frame: Frame) -> Json:
+    return {"type": "Polygon", "coordinates": [_lonlat_of(outline_m, frame)]}
+
+
+def _lonlat_of(places_m: Float64Array, frame: Frame) -> list[list[float]]:
+    """Return longitudes and latitudes to a centimetre of places (P, 2), metres."""
+    lon, lat = frame.to_lonlat(places_m[:, 0], places_m[:, 1])
+    degrees = np.round(np.stack([lon, lat], axis=1), _DECIMALS)
+    pairs: list[list[float]] = degrees.tolist()
+    return pairs
+
+
+def write_cameras(path: Path, matches: Sequence[Matched]) -> None:
+    """Write the candidates of matches as cameras, best first.
+
+    A point X (easting, northing, elevation) is seen at the pixel ``matrix @ rotation @ (X -
+    position)``, divided by its third component: columns to the right and rows down, the middle of
+    the first pixel at 0.5, 0.5. A panorama has no matrix. A wide lens may bend what it shows by
+    `Candidate.distortion`.
+
+    Raises `InputError` where the file cannot be written.
+    """
+    photos = [
+        {
+            "photo": matched.name,
+            "width_px": matched.query.width_px,
+            "height_px": matched.query.height_px,
+            "cameras": [_camera(matched.query, one) for one in matched.candidates],
+        }
+        for matched in matches
+    ]
+    write_with_folders(path, json.dumps({"photos": photos}, indent=1).encode())
+
+
+def _camera(query: QuerySkyline, candidate: Candidate) -> dict[str, object]:
+    zone = int((candidate.lon + 180.0) % 360.0 // 6.0) + 1
+    crs = f"EPSG:{(32600 if candidate.lat >= 0.0 else 32700) + zone}"
+    utm = Frame.from_crs(crs)
+    easting_m, northing_m = (float(at) for at in utm.from_lonlat(candidate.lon, candidate.lat))
+    grid_deg = candidate.heading_deg - float(utm.convergence_deg(easting_m, northing_m))
+    return {
+        "crs": crs,
+        "position_m": [easting_m, northing_m, candidate.eye_elevation_m],
+        "rotation": _rotation(grid_deg, candidate.pitch_deg, candidate.roll_deg).tolist(),
+        "matrix": _matrix(query, candidate.fov_deg),
+        "distortion": candidate.distortion,
+        "confidence": candidate.confidence,
+    }
+
+
+def _rotation(heading_deg: float, pitch_deg: float, roll_deg: float) -> Float64Array:
+    """Return the camera's axes, right, down and forward, as rows in easting, northing and up."""
+    heading, pitch, roll = np.radians((heading_deg, pitch_deg, roll_deg))
+    ahead = np.array([np.sin(heading), np.cos(heading), 0.0])
+    zenith = np.array([0.0, 0.0, 1.0])
+    level = np.array([np.cos(heading), -np.sin(heading), 0.0])
+    forward = ahead * np.cos(pitch) + zenith * np.sin(pitch)
+    upright = zenith * np.cos(pitch) - ahead * np.sin(pitch)
+    right = level * np.cos(roll) - upright * np.sin(roll)
+    return np.stack([right, np.cross(forward, right), forward])
+
+
+def _matrix(query: QuerySkyline, fov_deg: float) -> list[list[float]] | None:
+    if query.projection is not Projection.PERSPECTIVE:
+        return None
+    focal_px = 0.5 * query.width_px / math.tan(math.radians(0.5 * fov_deg))
+    middle = 0.5 * query.width_px, 0.5 * query.height_px
+    return [[focal_px, 0.0, middle[0]], [0.0, focal_px, middle[1]], [0.0, 0.0, 1.0]]
+
+
+def write_kml(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
+    """Write matches as KML, or with their photos in it as KMZ where that is the file's suffix.
+
+    Each candidate is a place and a view of 2 km. The best of each query has a PhotoOverlay, whose
+    picture is the photo's file beside the KML, or the photo in the KMZ.
+
+    Raises `InputError` where the file cannot be written.
+    """
+    packed = path.suffix.lower() == ".kmz"
+    pictures: dict[str, UInt8Array] = {}
+    root = Xml.Element("kml", xmlns=_KML)
+    folder = _child(root, "Document")
+    _child(folder, "name", "Where these were taken")
+    for number, matched in enumerate(matches, start=1):
+        href = Path(matched.name).name
+        if packed and matched.photo is not None:
+            href = f"files/{number:02d}.jpg"
+            pictures[href] = matched.photo
+        _add_match(folder, matched, frame, href)
+    content = Xml.tostring(root, encoding="utf-8", xml_declaration=True)
+    if packed:
+        held = io.BytesIO()
+        with zipfile.ZipFile(held, "w") as archive:
+            archive.writestr("doc.kml", content, zipfile.ZIP_DEFLATED)
+            for name, picture in pictures.items():
+                jpeg = cv2.imencode(".jpg", picture[..., ::-1], _QUALITY)[1].tobytes()
+                archive.writestr(name, jpeg)
+        content = held.getvalue()
+    write_with_folders(path, content)
+
+
+def _add_match(folder: Xml.Element, matched: Matched, frame: Frame, href: str) -> None:
+    name = Path(matched.name).name
+    for rank, candidate in enumerate(matched.candidates, start=1):
+        mark = _child(folder, "Placemark")
+        _child(mark, "name", f"{name}: candidate {rank}")
+        _child(mark, "description", _described(candidate))
+        shapes = _child(mark, "MultiGeometry")
+        _add_point(shapes, candidate)
+        ring = _child(_child(_child(shapes, "Polygon"), "outerBoundaryIs"), "LinearRing")
+        outline = _lonlat_of(view_wedge_m(candidate, VIEW_REACH_M), frame)
+        _child(ring, "coordinates", " ".join(f"{lon},{lat}" for lon, lat in outline))
+    if matched.candidates and matched.query.projection is Projection.PERSPECTIVE:
+        _add_photo(folder, name, matched.query, matched.candidates[0], href)
+
+
+def _add_photo(
+    folder: Xml.Element, name: str, query: QuerySkyline, candidate: Candidate, href: str
+) -> None:
+    overlay = _child(folder, "PhotoOverlay")
+    _child(overlay, "name", name)
+    camera = _child(overlay, "Camera")
+    half = math.radians(candidate.fov_deg) / 2.0
+    up_deg = math.degrees(math.atan(math.tan(half) * query.height_px / query.width_px))
+    for tag, value in (
+        ("longitude", f"{candidate.lon:.7f}"),
+        ("latitude", f"{candidate.lat:.7f}"),
+        ("altitude", f"{candidate.eye_elevation_m:.2f}"),
+        ("heading", f"{candidate.heading_deg:.3f}"),
+        # A tilt counts from straight down, a roll counter-clockwise as seen from behind.
+        ("tilt", f"{90.0 + candidate.pitch_deg:.3f}"),
+        ("roll", f"{-candidate.roll_deg:.3f}"),
+        ("altitudeMode", "absolute"),
+    ):
+        _child(camera, tag, value)
+    _child(_child(overlay, "Icon"), "href", href)
+    volume = _child(overlay, "ViewVolume")
+    side_deg = candidate.fov_deg / 2.0
+    for tag, degrees in (
+        ("leftFov", -side_deg),
+        ("rightFov", side_deg),
+        ("bottomFov", -up_deg),
+        ("topFov", up_deg),
+    ):
+        _child(volume, tag, f"{degrees:.3f}")
+    _child(volume, "near", f"{_PHOTO_AT_M:g}")
+    _add_point(overlay, candidate)
+    _child(overlay, "shape", "rectangle")
+
+
+def _add_point(parent: Xml.Element, candidate: Candidate) -> None:
+    place = f"{candidate.lon:.7f},{candidate.lat:.7f},{candidate.eye_elevation_m:.2f}"
+    _child(_child(parent, "Point"), "coordinates", place)
+
+
+def _described(candidate: Candidate) -> str:
+    """Return how a candidate's camera stood and how sure it is, in words."""
+    sure = "" if candidate.confidence is None else f"; confidence {candidate.confidence:.2f}"
+    return (
+        f"Heading {candidate.heading_deg:.1f}° from true north, pitch {candidate.pitch_deg:.1f}°, "
+        f"roll {candidate.roll_deg:.1f}°, field of view {candidate.fov_deg:.1f}°, eye "
+        f"{candidate.eye_elevation_m:.0f} m above the datum{sure}"
+    )
+
+
+def write_gpx(path: Path, matches: Sequence[Matched]) -> None:
+    """Write the candidates of matches as waypoints, best first.
+
+    Raises `InputError` where the file cannot be written.
+    """
+    root = Xml.Element("gpx", xmlns=_GPX, version="1.1", creator="skyline")
+    for matched in matches:
+        name = Path(matched.name).name
+        for rank, candidate in enumerate(matched.candidates, start=1):
+            place = {"lat": f"{candidate.lat:.7f}", "lon": f"{candidate.lon:.7f}"}
+            point = _child(root, "wpt", **place)
+            _child(point, "ele", f"{candidate.eye_elevation_m:.1f}")
+            _child(point, "name", f"{name}: candidate {rank}")
+            _child(point, "desc", _described(candidate))
+    write_with_folders(path, Xml.tostring(root, encoding="utf-8", xml_declaration=True))
+
+
+def _child(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
+    element = Xml.SubElement(parent, tag, attributes)
+    if text:
+        element.text = _NOT_XML.sub("\ufffd", text)
+    return element
+
 
 Writer = Callable[[Path, Sequence[Matched], Frame], None]
 

@@ -2,9 +2,10 @@
 
 import base64
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from itertools import groupby
 from numbers import Real
 from pathlib import Path
 
@@ -74,17 +75,10 @@ class Table:
     def html(self) -> str:
         """Return the table's HTML."""
         aligned = [_is_numeric([row[at] for row in self.rows]) for at in range(len(self.columns))]
-        head = "".join(
-            _cell("th", name, right) for name, right in zip(self.columns, aligned, strict=True)
-        )
-        body = "".join(
-            "<tr>"
-            + "".join(_cell("td", _shown(v), r) for v, r in zip(row, aligned, strict=True))
-            + "</tr>\n"
-            for row in self.rows
-        )
+        body = "".join(_row("td", map(_shown, row), aligned) + "\n" for row in self.rows)
         caption = f"<caption>{escape(self.caption)}</caption>" if self.caption else ""
-        thead = f"<thead><tr>{head}</tr></thead>" if any(self.columns) else ""
+        head = _row("th", self.columns, aligned)
+        thead = f"<thead>{head}</thead>" if any(self.columns) else ""
         return f"<div class=scroll><table>{caption}{thead}<tbody>\n{body}</tbody></table></div>"
 
 
@@ -128,13 +122,10 @@ class Section:
     def html(self) -> str:
         """Return the section's HTML."""
         lines = [f"<section><h2>{escape(self.title)}</h2>"]
-        in_grid = False
-        for part in self.parts:
-            if isinstance(part, Picture) != in_grid:
-                in_grid = not in_grid
-                lines.append("<div class=figures>" if in_grid else "</div>")
-            lines.append(part.html())
-        return "\n".join([*lines, *(["</div>"] if in_grid else []), "</section>"])
+        for are_pictures, parts in groupby(self.parts, lambda part: isinstance(part, Picture)):
+            shown = "\n".join(part.html() for part in parts)
+            lines.append(f"<div class=figures>\n{shown}\n</div>" if are_pictures else shown)
+        return "\n".join([*lines, "</section>"])
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,5 +174,10 @@ def _shown(value: object) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _cell(tag: str, text: str, right: bool) -> str:
-    return f"<{tag}{' class=n' if right else ''}>{escape(text)}</{tag}>"
+def _row(tag: str, texts: Iterable[str], aligned: Sequence[bool]) -> str:
+    """Return a row of cells; to the right where ``aligned``."""
+    cells = (
+        f"<{tag}{' class=n' if right else ''}>{escape(text)}</{tag}>"
+        for text, right in zip(texts, aligned, strict=True)
+    )
+    return f"<tr>{''.join(cells)}</tr>"

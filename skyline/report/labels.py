@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
 
 @dataclass(frozen=True, slots=True)
 class Placed:
@@ -22,6 +25,13 @@ class Placed:
             return self.left_px < other.right_px and other.left_px < self.right_px
         low, high = (self, other) if self.row < other.row else (other, self)
         return low.left_px <= high.anchor_px <= low.right_px
+
+
+def extent_px(figure: Figure, text: str, size_pt: float) -> tuple[float, float]:
+    """Return the width and the height of a text, as a figure draws it lying, px."""
+    drawn = Text(0, 0, text, fontsize=size_pt, parse_math=False, figure=figure)
+    box = drawn.get_window_extent()
+    return float(box.width), float(box.height)
 
 
 def place_labels(

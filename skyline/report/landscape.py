@@ -13,7 +13,7 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.geodesy import Curvature
-from skyline.report.sightings import HIDDEN_DEG, UNDERFOOT_SAMPLES
+from skyline.report.peaks import HIDDEN_DEG, UNDERFOOT_SAMPLES
 from skyline.terrain.blocks import Blocks
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
@@ -56,9 +56,8 @@ class Landscape:
         place_m: tuple[float, float],
         eye_height_m: float,
         azimuth_deg: Float64Array,
-        curvature: Curvature | None = None,
     ) -> Self:
-        """Look at the terrain.
+        """Look at the terrain, over the Earth's curvature with k = 0.13.
 
         Raises `OffMapError` where the place is off the map or on a hole.
 
@@ -70,8 +69,6 @@ class Landscape:
             Above ground.
         azimuth_deg : (C,) float64
             From true north, in equal steps, at least two.
-        curvature : Curvature, optional
-            Defaults to the Earth's with k = 0.13.
         """
         near_m, *farther_m = (samples * blocks.spacing_m for samples in _RINGS_SAMPLES)
         from_m = np.hypot(*blocks.around_m(*place_m)) - blocks.radius_m
@@ -80,7 +77,7 @@ class Landscape:
         if np.isnan(terrain.height_at(*place_m)):
             terrain = blocks.field(np.zeros_like(wanted))  # For an error that names all of the map.
         eye = stand_on(terrain, *place_m, eye_height_m)
-        look = _Look(blocks, eye, azimuth_deg, curvature or Curvature())
+        look = _Look(blocks, eye, azimuth_deg)
         look.walk(terrain, 0.0, near_m, np.full(len(azimuth_deg), np.inf))
         for ring_m in itertools.pairwise((near_m, *farther_m)):
             seen, until_m = look.may_be_seen(ring_m[0])
@@ -142,10 +139,8 @@ class Landscape:
 class _Look:
     """Follows columns outwards; see `Landscape`."""
 
-    def __init__(
-        self, blocks: Blocks, eye: Viewpoints, azimuth_deg: Float64Array, curvature: Curvature
-    ) -> None:
-        self._blocks, self._curvature = blocks, curvature
+    def __init__(self, blocks: Blocks, eye: Viewpoints, azimuth_deg: Float64Array) -> None:
+        self._blocks, self._curvature = blocks, Curvature()
         self._place = float(eye.easting_m[0]), float(eye.northing_m[0])
         self._eye_m = float(eye.eye_elevation_m[0])
         turn_deg = float(blocks.frame.convergence_deg(*self._place))

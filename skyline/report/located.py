@@ -6,7 +6,6 @@ read is written as a JPEG of the upright photo.
 
 import io
 from collections.abc import Iterator
-from fractions import Fraction
 from pathlib import Path
 
 from PIL import Image
@@ -64,9 +63,9 @@ def _gps(candidate: Candidate) -> dict[int, object]:
         GPS.GPSLongitudeRef: "W" if candidate.lon < 0.0 else "E",
         GPS.GPSLongitude: _sexagesimal(candidate.lon),
         GPS.GPSAltitudeRef: b"\x01" if below else b"\x00",
-        GPS.GPSAltitude: _rational(abs(candidate.eye_elevation_m), 100),
+        GPS.GPSAltitude: IFDRational(round(100.0 * abs(candidate.eye_elevation_m)), 100),
         GPS.GPSImgDirectionRef: "T",
-        GPS.GPSImgDirection: _rational(candidate.heading_deg, 1000),
+        GPS.GPSImgDirection: IFDRational(round(1000.0 * candidate.heading_deg), 1000),
         GPS.GPSMapDatum: "WGS-84",
     }
 
@@ -77,11 +76,6 @@ def _sexagesimal(degrees: float) -> tuple[IFDRational, ...]:
     whole, rest = divmod(parts, 36_000_000)
     minutes, seconds = divmod(rest, 600_000)
     return IFDRational(whole, 1), IFDRational(minutes, 1), IFDRational(seconds, 10_000)
-
-
-def _rational(value: float, steps: int) -> IFDRational:
-    share = Fraction(round(value * steps), steps)
-    return IFDRational(share.numerator, share.denominator)
 
 
 def _with_exif(jpeg: bytes, exif: bytes) -> bytes:

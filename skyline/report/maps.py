@@ -9,10 +9,10 @@ from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 
 from skyline.matching.ranking import Candidate
+from skyline.report.matched import Surroundings
+from skyline.report.peaks import Sighting
 from skyline.report.relief import Area, draw_bearings, draw_relief
 from skyline.report.shapes import Ellipse, view_wedge_m
-from skyline.report.sightings import Sighting
-from skyline.report.surroundings import Surroundings
 from skyline.terrain.viewpoints import Viewpoints
 
 BEST_COLOUR, OTHER_COLOUR = "#d1103d", "#1f5fbf"
@@ -29,15 +29,11 @@ _HALO = [withStroke(linewidth=2.5, foreground="white")]
 
 def overview_area(candidates: Sequence[Candidate], surroundings: Surroundings) -> Area:
     """Return the area that shows all candidates and what of the store lies around them."""
-    easting = [candidate.easting_m for candidate in candidates]
-    northing = [candidate.northing_m for candidate in candidates]
-    if not candidates:
-        easting, northing = (
-            list(surroundings.viewpoints.easting_m),
-            list(surroundings.viewpoints.northing_m),
-        )
+    places: Sequence[Candidate | Viewpoints] = candidates or [surroundings.viewpoints]
+    easting = np.hstack([place.easting_m for place in places])
+    northing = np.hstack([place.northing_m for place in places])
     area = Area.around(easting, northing, _MARGIN, 2.0 * _LEAST_SIDE_M)
-    return area if surroundings.terrain is None else area.within(surroundings.terrain)
+    return area.within(surroundings.terrain)
 
 
 def detail_area(candidate: Candidate, surroundings: Surroundings) -> Area:
@@ -45,7 +41,7 @@ def detail_area(candidate: Candidate, surroundings: Surroundings) -> Area:
     ellipse = Ellipse.of(candidate)
     side_m = _LEAST_SIDE_M if ellipse is None else max(_LEAST_SIDE_M, 4.0 * ellipse.semi_major_m)
     area = Area.around([candidate.easting_m], [candidate.northing_m], _MARGIN, side_m)
-    return area if surroundings.terrain is None else area.within(surroundings.terrain)
+    return area.within(surroundings.terrain)
 
 
 def draw_match_map(
@@ -68,12 +64,12 @@ def draw_match_map(
     )
     axis = figure.subplots()
     draw_relief(axis, surroundings.terrain, area)
-    places = surroundings.viewpoints
-    shown = _draw_viewpoints(axis, places, area)
+    shown = _draw_viewpoints(axis, surroundings.viewpoints, area)
     reach_m = _WEDGE_SHARE * max(area.width_m, area.height_m)
     for rank, candidate in reversed(list(enumerate(candidates, start=1))):
         _draw_candidate(axis, candidate, rank, reach_m)
-    _draw_peaks(axis, [peak for peak in sightings if _is_in(area, peak)][:_MOST_PEAKS], area)
+    peaks = [peak for peak in sightings if area.holds(peak.easting_m, peak.northing_m)]
+    _draw_peaks(axis, peaks[:_MOST_PEAKS], area)
     axis.autoscale(False)
     draw_bearings(axis, surroundings.frame, area)
     axis.set_title(f"{shown} viewpoints of the store (dots)", fontsize=9, loc="left")
@@ -85,9 +81,7 @@ def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Area) -> int:
     easting, northing = np.unique(
         np.stack([viewpoints.easting_m, viewpoints.northing_m]), axis=1
     ).reshape(2, -1)
-    inside = (abs(easting - area.centre_m[0]) <= area.width_m / 2.0) & (
-        abs(northing - area.centre_m[1]) <= area.height_m / 2.0
-    )
+    inside = area.holds(easting, northing)
     axis.plot(easting[inside], northing[inside], ".", color="black", markersize=2.5, alpha=0.7)
     return int(inside.sum())
 
@@ -116,13 +110,6 @@ def _draw_candidate(axis: Axes, candidate: Candidate, rank: int, reach_m: float)
         zorder=order + 0.5,
         bbox={"boxstyle": "circle,pad=0.22", "fc": colour, "ec": "white", "lw": 1.0},
         annotation_clip=True,
-    )
-
-
-def _is_in(area: Area, peak: Sighting) -> bool:
-    return (
-        area.west_m <= peak.easting_m <= area.east_m
-        and area.south_m <= peak.northing_m <= area.north_m
     )
 
 

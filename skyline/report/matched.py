@@ -1,13 +1,22 @@
-"""One query and what was found for it, as reports and exports take it."""
+"""What a report is made of: queries with what was found for them, and the place all around."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from skyline.arrays import UInt8Array
+from skyline.errors import OffMapError
+from skyline.geodesy import Curvature, Frame
 from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
+from skyline.report.peaks import Peaks
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.views import Views
+
+Render = Callable[[Viewpoints, Sequence[int]], Views]
+"""Renders N eyes with one heading each."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,6 +44,34 @@ class Matched:
     candidates: Sequence[Candidate]
     seconds: float
     is_answered: bool = True
-    photo: NDArray[np.uint8] | None = None
+    photo: UInt8Array | None = None
     done: Sequence[str] = ()
     within_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """The place a store describes."""
+
+    frame: Frame
+    """Of the store, and so of every candidate."""
+    viewpoints: Viewpoints
+    """The store's."""
+    terrain: HeightField | None = None
+    """Without it there is no relief, no rendered skyline and no peak."""
+    render: Render | None = None
+    """How the candidates' skylines are made; goes with ``terrain``."""
+    peaks: Peaks | None = None
+    """Names to put to summits."""
+    curvature: Curvature = field(default_factory=Curvature)
+
+    def eye_of(self, candidate: Candidate) -> Viewpoints | None:
+        """Return a candidate's eye, lifted to the ground from below it; None without terrain."""
+        if self.terrain is None:
+            return None
+        try:
+            eye = stand_on(self.terrain, candidate.easting_m, candidate.northing_m, 0.0)
+        except OffMapError:
+            return None
+        np.maximum(eye.eye_elevation_m, candidate.eye_elevation_m, out=eye.eye_elevation_m)
+        return eye

@@ -10,23 +10,27 @@ from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
 from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
-from skyline.report.beyond import beyond_said
-from skyline.report.claims import claim_said
-from skyline.report.geojson import write_geojson
+from skyline.report.exports import write_geojson
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
 from skyline.report.maps import detail_area, draw_match_map, overview_area
-from skyline.report.matched import Matched
+from skyline.report.matched import Matched, Surroundings
 from skyline.report.overlay import Overlay
+from skyline.report.peaks import HIDDEN_DEG, Sighting, visible_peaks
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, median_gap_deg
-from skyline.report.records import confidence_within
+from skyline.report.records import beyond_in_words, claim_said, confidence_within
 from skyline.report.shapes import Ellipse
-from skyline.report.sightings import HIDDEN_DEG, Sighting, visible_peaks
-from skyline.report.surroundings import Surroundings
 
 _MAP_DPI = 150.0
 _DETAIL_SHARE = 0.4
 """A second map is drawn where it shows less than this share of the first one's side."""
+_COLUMNS = {
+    "latitude °": ("lat", ".5f"), "longitude °": ("lon", ".5f"),
+    "heading °": ("heading_deg", ".2f"), "pitch °": ("pitch_deg", ".2f"),
+    "roll °": ("roll_deg", ".2f"), "FOV °": ("fov_deg", ".2f"), "score": ("score", ".4f"),
+    "confidence": ("confidence", ".2f"), "within 1 km": ("confidence_1km", ".2f"),
+}  # fmt: skip
+"""Of the table of candidates: what is in them, and how it is written."""
 
 
 def write_match_report(
@@ -106,7 +110,7 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
     if matched.candidates:
         parts.append(_candidate_table(matched.candidates))
     claim = claim_said(matched.query.noted, best, matched.is_answered, with_place=False)
-    beyond = beyond_said(matched.candidates)
+    beyond = beyond_in_words(None if best is None else best.beyond_share)
     parts += [Text(said) for said in (claim, beyond) if said]
     done = " ".join(matched.done)
     parts.append(
@@ -191,27 +195,12 @@ def _overlay_caption(overlay: Overlay) -> str:
 
 
 def _candidate_table(candidates: Sequence[Candidate]) -> Table:
-    columns = (
-        "#", "latitude °", "longitude °", "heading °", "pitch °", "roll °", "FOV °", "score",
-        "confidence", "within 1 km", "refined", "95 % ellipse, m",
-    )  # fmt: skip
-    rows = [_candidate_row(rank, each) for rank, each in enumerate(candidates, start=1)]
+    rows: list[list[object]] = []
+    for rank, candidate in enumerate(candidates, start=1):
+        values = [(getattr(candidate, name), form) for name, form in _COLUMNS.values()]
+        ellipse = Ellipse.of(candidate)
+        axes_m = ellipse and f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}"
+        shown = (None if value is None else format(value, form) for value, form in values)
+        rows.append([rank, *shown, candidate.refined, axes_m])
+    columns = ("#", *_COLUMNS, "refined", "95 % ellipse, m")
     return Table(columns, rows, "Candidates; headings from true north, a lower score is better")
-
-
-def _candidate_row(rank: int, candidate: Candidate) -> list[object]:
-    sure, ellipse = candidate.confidence, Ellipse.of(candidate)
-    return [
-        rank,
-        f"{candidate.lat:.5f}",
-        f"{candidate.lon:.5f}",
-        f"{candidate.heading_deg:.2f}",
-        f"{candidate.pitch_deg:.2f}",
-        f"{candidate.roll_deg:.2f}",
-        f"{candidate.fov_deg:.2f}",
-        f"{candidate.score:.4f}",
-        None if sure is None else f"{sure:.2f}",
-        None if candidate.confidence_1km is None else f"{candidate.confidence_1km:.2f}",
-        candidate.refined,
-        None if ellipse is None else f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}",
-    ]

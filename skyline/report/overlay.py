@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
-from skyline.report.labels import Placed, place_labels
+from skyline.report.labels import Placed, extent_px, place_labels
+from skyline.report.peaks import Sighting
 from skyline.report.pictures import encode_figure
 from skyline.report.projection import Panorama, PosedPicture
-from skyline.report.sightings import Sighting
 
 FOUND_COLOUR, RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
 
@@ -74,11 +74,13 @@ def _draw(overlay: Overlay) -> Figure:
     width, height = (max(8.0, side * scale) for side in (query.width_px, query.height_px))
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
-    peaks = _peaks_in_picture(overlay, scale)
-    texts = [sighting.label for sighting, _, _ in peaks]
-    labels = place_labels(
-        [at for _, at, _ in peaks], _text_widths(figure, texts), width, _MOST_ROWS
-    )
+    pose = overlay.pose
+    peaks = [
+        (sighting.label, *_drawn([column, row], scale).tolist())
+        for sighting, column, row in ([] if pose is None else pose.peaks(overlay.sightings))
+    ]
+    widths = [extent_px(figure, text, _LABEL_POINTS)[0] for text, _, _ in peaks]
+    labels = place_labels([at for _, at, _ in peaks], widths, width, _MOST_ROWS)
     band = _ROW_PX * (1 + max((label.row for label in labels), default=-1)) + (
         10.0 if labels else 0
     )
@@ -89,7 +91,11 @@ def _draw(overlay: Overlay) -> Figure:
     axis.set_axis_off()
     axis.set(xlim=(0.0, width), ylim=(height + foot, -band))
     axis.autoscale(False)
-    _draw_photo(axis, overlay, width, height)
+    picture = np.full((2, 2, 3), _CANVAS_RGB, dtype=np.uint8)
+    if overlay.photo is not None:
+        size = round(width), max(1, round(height))
+        picture = np.asarray(cv2.resize(overlay.photo, size, interpolation=cv2.INTER_AREA))
+    axis.imshow(picture, extent=(0.0, width, height, 0.0), aspect="auto")
     _draw_masked(axis, query, scale, height)
     _draw_rendered(axis, overlay, scale)
     axis.plot(
@@ -101,8 +107,8 @@ def _draw(overlay: Overlay) -> Figure:
         label="skyline found in the query",
     )
     for label in labels:
-        sighting, column, row = peaks[label.index]
-        _draw_label(axis, sighting.label, label, (column, row))
+        text, column, row = peaks[label.index]
+        _draw_label(axis, text, label, (column, row))
     axis.legend(loc="lower left", fontsize=9, frameon=False, ncols=keys_across, borderpad=0.1)
     return figure
 
@@ -112,19 +118,9 @@ def _drawn(pixel: ArrayLike, scale: float) -> Float64Array:
     return (np.asarray(pixel, dtype=np.float64) + 0.5) * scale
 
 
-def _draw_photo(axis: Axes, overlay: Overlay, width: float, height: float) -> None:
-    if overlay.photo is None:
-        picture = np.full((2, 2, 3), _CANVAS_RGB, dtype=np.uint8)
-    else:
-        size = round(width), max(1, round(height))
-        picture = np.asarray(cv2.resize(overlay.photo, size, interpolation=cv2.INTER_AREA))
-    axis.imshow(picture, extent=(0.0, width, height, 0.0), aspect="auto")
-
-
 def _draw_masked(axis: Axes, query: QuerySkyline, scale: float, height: float) -> None:
     """Veil the columns in which no skyline is trusted."""
-    untrusted = np.concatenate([[False], ~query.trusted, [False]])
-    edges = np.flatnonzero(np.diff(untrusted.astype(np.int8))).reshape(-1, 2)
+    edges = np.flatnonzero(np.diff(~query.trusted, prepend=False, append=False)).reshape(-1, 2)
     spans = [(start * scale, (end - start) * scale) for start, end in edges]
     if spans:
         axis.broken_barh(
@@ -161,35 +157,6 @@ def _draw_rendered(axis: Axes, overlay: Overlay, scale: float) -> None:
                 path_effects=_HALO,
                 label=label,
             )
-
-
-def _peaks_in_picture(overlay: Overlay, scale: float) -> list[tuple[Sighting, float, float]]:
-    """Return the sighted peaks that fall into the picture, and where they are drawn."""
-    pose = overlay.pose
-    if pose is None or not overlay.sightings:
-        return []
-    column, row = pose.pixels(
-        [sighting.azimuth_deg for sighting in overlay.sightings],
-        [sighting.elevation_tan for sighting in overlay.sightings],
-    )
-    inside = (np.abs(column - pose.width_px / 2.0) <= pose.width_px / 2.0) & (
-        np.abs(row - pose.height_px / 2.0) <= pose.height_px / 2.0
-    )
-    return [
-        (sighting, float(_drawn(column[index], scale)), float(_drawn(row[index], scale)))
-        for index, sighting in enumerate(overlay.sightings)
-        if inside[index]
-    ]
-
-
-def _text_widths(figure: Figure, texts: Sequence[str]) -> list[float]:
-    """Return how wide texts are drawn, px."""
-    widths = []
-    for text in texts:
-        drawn = figure.text(0.0, 0.0, text, fontsize=_LABEL_POINTS, parse_math=False)
-        widths.append(float(drawn.get_window_extent().width))
-        drawn.remove()
-    return widths
 
 
 def _draw_label(axis: Axes, text: str, label: Placed, peak_px: tuple[float, float]) -> None:

@@ -1,4 +1,10 @@
-"""Named summits: a gazetteer, as CSV or as GeoJSON of OpenStreetMap."""
+"""Named summits: a gazetteer, as CSV or as GeoJSON of OpenStreetMap, and which an eye can see.
+
+A gazetteer's places are good to a hundred metres or so, and a grid of heights cuts summits off.
+So a peak is the highest sample near the place named, at the height the terrain has there, the
+same terrain that may hide it. It is visible where nothing on the straight line to it stands
+more than a tenth of a degree above it.
+"""
 
 import csv
 import json
@@ -12,8 +18,16 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError, MissingFileError
-from skyline.geodesy import Frame
+from skyline.geodesy import Curvature, Frame
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
+SUMMIT_RADIUS_M = 150.0
+"""How far from the place named a summit is looked for; terrain this near to it does not hide it."""
+UNDERFOOT_SAMPLES = 0.35
+"""Ground nearer than so many samples hides nothing: a model does not know it so well."""
+HIDDEN_DEG = 0.1
+"""How far terrain before a peak may stand above it while the peak still counts as seen."""
 _GEOJSON = (".geojson", ".json")
 _PLACES = (("lon", "lat"), ("easting", "northing"))
 _EXPECTED = "expected a header `name,lon,lat` or `name,easting,northing`, and optionally `height_m`"
@@ -138,3 +152,115 @@ def _number(path: Path, record: dict[str, str], column: str) -> float:
             f"from {low:g} to {high:g}"
         )
     return value
+
+
+@dataclass(frozen=True, slots=True)
+class Sighting:
+    """A peak as an eye sees it."""
+
+    label: str
+    easting_m: float
+    northing_m: float
+    surface_m: float
+    """``easting_m``, ``northing_m``, ``surface_m``: the summit on the terrain."""
+    azimuth_deg: float
+    """Grid azimuth."""
+    elevation_tan: float
+    """Tangent of the elevation angle: up over horizontal distance."""
+    distance_m: float
+    """Horizontal."""
+
+
+def visible_peaks(
+    terrain: HeightField, eye: Viewpoints, peaks: Peaks, curvature: Curvature
+) -> list[Sighting]:
+    """Return the peaks one eye sees, highest above the datum first.
+
+    Peaks off the terrain are left out, since nothing says what hides them.
+    """
+    seen = [
+        sighting
+        for index in range(len(peaks))
+        if (sighting := _sight(terrain, eye, peaks, index, curvature)) is not None
+        and not _is_hidden(terrain, eye, sighting, curvature)
+    ]
+    return sorted(seen, key=lambda sighting: -sighting.surface_m)
+
+
+def _sight(
+    terrain: HeightField, eye: Viewpoints, peaks: Peaks, index: int, curvature: Curvature
+) -> Sighting | None:
+    summit = _summit(terrain, peaks.easting_m[index], peaks.northing_m[index])
+    if summit is None:
+        return None
+    easting, northing, surface = summit
+    east, north = easting - float(eye.easting_m[0]), northing - float(eye.northing_m[0])
+    distance = math.hypot(east, north)
+    if distance <= 2.0 * SUMMIT_RADIUS_M:
+        return None  # Whoever stands on a peak does not see it.
+    up = surface - float(eye.eye_elevation_m[0]) - float(curvature.drop_m(distance))
+    height = peaks.height_m[index]
+    return Sighting(
+        peaks.names[index] + ("" if math.isnan(height) else f" {height:.0f} m"),
+        easting,
+        northing,
+        surface,
+        math.degrees(math.atan2(east, north)) % 360.0,
+        up / distance,
+        distance,
+    )
+
+
+def _summit(
+    terrain: HeightField, easting_m: float, northing_m: float
+) -> tuple[float, float, float] | None:
+    """Return easting, northing and height of the highest sample near a place, if there is any."""
+    row, col = (float(at) for at in terrain.to_grid(easting_m, northing_m))
+    if not (0.0 <= row <= terrain.rows - 1 and 0.0 <= col <= terrain.cols - 1):
+        return None
+    reach_rows = max(1.0, SUMMIT_RADIUS_M / terrain.spacing_north_m)
+    reach_cols = max(1.0, SUMMIT_RADIUS_M / terrain.spacing_east_m)
+    top, left = max(0, math.ceil(row - reach_rows)), max(0, math.ceil(col - reach_cols))
+    near = terrain.heights_m[
+        top : math.floor(row + reach_rows) + 1, left : math.floor(col + reach_cols) + 1
+    ]
+    if np.isnan(near).all():
+        return None
+    at_row, at_col = np.unravel_index(np.nanargmax(near), near.shape)
+    east, north = terrain.to_map(top + at_row, left + at_col)
+    return float(east), float(north), float(near[at_row, at_col])
+
+
+def _is_hidden(
+    terrain: HeightField, eye: Viewpoints, sighting: Sighting, curvature: Curvature
+) -> bool:
+    """Whether terrain on the line to a peak stands above it by more than the tolerance."""
+    share = _crossings(terrain, eye, sighting)
+    distance = share * sighting.distance_m
+    near_m, far_m = UNDERFOOT_SAMPLES * terrain.spacing_m, sighting.distance_m - SUMMIT_RADIUS_M
+    distance = distance[(distance > near_m) & (distance < far_m)]
+    turn = math.radians(sighting.azimuth_deg)
+    ground = terrain.height_at(
+        eye.easting_m[0] + distance * math.sin(turn), eye.northing_m[0] + distance * math.cos(turn)
+    )
+    up = ground - eye.eye_elevation_m[0] - curvature.drop_m(distance)
+    highest = float(np.fmax.reduce(up / distance, initial=-np.inf))
+    above_deg = math.degrees(math.atan(highest) - math.atan(sighting.elevation_tan))
+    return above_deg > HIDDEN_DEG
+
+
+def _crossings(terrain: HeightField, eye: Viewpoints, sighting: Sighting) -> Float64Array:
+    """Return the shares of the line to a peak at which it crosses an edge of the surface.
+
+    Between two edges the surface is a plane, so what stands highest as seen from the eye stands
+    on one of them.
+    """
+    row, col = (float(at[0]) for at in terrain.to_grid(eye.easting_m, eye.northing_m))
+    to_row, to_col = (float(at) for at in terrain.to_grid(sighting.easting_m, sighting.northing_m))
+    spans = ((row, to_row), (col, to_col), (col - row, to_col - to_row))
+    shares = [
+        (np.arange(math.ceil(min(span)), math.floor(max(span)) + 1) - span[0]) / (span[1] - span[0])
+        for span in spans
+        if span[0] != span[1]
+    ]
+    return np.concatenate(shares)

@@ -2,23 +2,27 @@
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from skyline.arrays import Float32Array
 from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
 from skyline.views import Views
 
 HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
 DPI = 110
-_JPEG = {"quality": 88, "subsampling": 0}
-"""Full colour resolution, or thin coloured lines fade."""
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "png": {"pil_kwargs": {"compress_level": 4}},
+    "jpeg": {"pil_kwargs": {"quality": 88, "subsampling": 0}},
+}
+"""A tenth more bytes in half the time; full colour resolution, or thin coloured lines fade."""
 
 
-def save_depth_images(images: NDArray[np.float32], views: Views, path: Path) -> None:
+def save_depth_images(images: Float32Array, views: Views, path: Path) -> None:
     """Save the four depth images of one viewpoint side by side, their skylines drawn.
 
     Parameters
@@ -58,8 +62,8 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def encode_figure(figure: Figure, kind: str = "png", dpi: float = DPI) -> bytes:
-    """Return a figure's picture as ``png`` or ``jpeg``."""
+    """Return a figure's picture as ``png``, ``jpeg``, ``svg`` or ``pdf``."""
     FigureCanvasAgg(figure)
     picture = io.BytesIO()
-    figure.savefig(picture, format=kind, dpi=dpi, pil_kwargs=_JPEG if kind == "jpeg" else {})
+    figure.savefig(picture, format=kind, dpi=dpi, **_OPTIONS.get(kind, {}))
     return picture.getvalue()

@@ -1,15 +1,17 @@
 """From a candidate's pose to pixels of the query's picture and back."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from skyline.arrays import Float64Array
+from skyline.arrays import BoolArray, Float64Array
 from skyline.matching.query import level, project
 from skyline.matching.ranking import Candidate
 from skyline.photo.projection import Projection, distorted
 from skyline.photo.query import QuerySkyline
+from skyline.report.peaks import Sighting
 from skyline.views import Views
 
 
@@ -60,6 +62,24 @@ class PosedPicture:
         )
         return (np.degrees(turn) + self.candidate.grid_heading_deg) % 360.0, y
 
+    def gap_deg(self, query: QuerySkyline, panorama: "Panorama") -> Float64Array:
+        """Return how far the found skyline is above the rendered one in the trusted columns."""
+        azimuth_deg, y = self.directions(query)
+        return np.asarray(np.degrees(np.arctan(y) - np.arctan(panorama.at(azimuth_deg))))
+
+    def peaks(self, sightings: Sequence[Sighting]) -> list[tuple[Sighting, float, float]]:
+        """Return the peaks that are in the picture, each with its column and row."""
+        column, row = self.pixels(
+            [sighting.azimuth_deg for sighting in sightings],
+            [sighting.elevation_tan for sighting in sightings],
+        )
+        inside = (column >= 0.0) & (column < self.width_px) & (row >= 0.0) & (row < self.height_px)
+        return [
+            (sighting, float(column[index]), float(row[index]))
+            for index, sighting in enumerate(sightings)
+            if inside[index]
+        ]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Panorama:
@@ -69,7 +89,7 @@ class Panorama:
     """(C,) float64. Grid azimuths, increasing, in [0, 360)."""
     elevation_tan: Float64Array
     """(C,) float64. Tangent of the elevation angle; NaN where there is no data."""
-    is_sure: NDArray[np.bool_]
+    is_sure: BoolArray
     """(C,) bool. False where the data's border or a hole may hide what is farther."""
 
     @classmethod
@@ -83,11 +103,8 @@ class Panorama:
     def from_azimuth(self, start_deg: float) -> "Panorama":
         """Return the same, starting at another azimuth, so that a view is one unbroken run."""
         first = int(np.searchsorted(self.azimuth_deg, start_deg % 360.0))
-        return Panorama(
-            np.roll(self.azimuth_deg, -first),
-            np.roll(self.elevation_tan, -first),
-            np.roll(self.is_sure, -first),
-        )
+        turned = np.roll(np.arange(len(self.azimuth_deg)), -first)
+        return Panorama(self.azimuth_deg[turned], self.elevation_tan[turned], self.is_sure[turned])
 
     def at(self, azimuth_deg: Float64Array) -> Float64Array:
         """Return elevation tangents at azimuths, interpolated between columns."""
@@ -101,6 +118,4 @@ class Panorama:
 
 def median_gap_deg(picture: PosedPicture, query: QuerySkyline, panorama: Panorama) -> float:
     """Return the median angle between found and rendered skyline, up or down, degrees."""
-    azimuth_deg, y = picture.directions(query)
-    gap = np.arctan(panorama.at(azimuth_deg)) - np.arctan(y)
-    return float(np.degrees(np.median(np.abs(gap))))
+    return float(np.median(np.abs(picture.gap_deg(query, panorama))))

@@ -1,11 +1,20 @@
-"""A match in the terms of the public JSON."""
+"""A match in the terms of the public JSON, and what is said of it in words."""
 
 from collections.abc import Iterable
 from typing import NotRequired, TypedDict, cast
 
+from pyproj import Geod
+
 from skyline.matching.confidence import DISTANCES_M
 from skyline.matching.ranking import Candidate
-from skyline.report.claims import ExifRecord
+from skyline.photo.exif import NotedPlace
+
+_WORTH_SAYING = 0.1
+"""Part of a skyline below which nothing is said of terrain beyond the elevation model."""
+_DISAGREES_M, _DISAGREES_ACCURACIES = 500.0, 5.0
+_DISAGREES_DEG = 45.0
+"""Farther off than phones usually are."""
+_WGS84 = Geod(ellps="WGS84")
 
 
 class CandidateRecord(TypedDict):
@@ -27,6 +36,22 @@ class CandidateRecord(TypedDict):
     confidence_1km: float | None
     refined: bool
     beyond_share: float | None
+
+
+class ExifRecord(TypedDict):
+    """What a photo's EXIF says, and how far the best candidate is from it.
+
+    ``heading_off_deg`` is how far the best candidate's heading is clockwise of the photo's.
+    """
+
+    lon: float | None
+    lat: float | None
+    elevation_m: float | None
+    accuracy_m: float | None
+    heading_deg: float | None
+    heading_is_magnetic: bool
+    distance_m: float | None
+    heading_off_deg: float | None
 
 
 class LensRecord(TypedDict):
@@ -79,3 +104,86 @@ def describe_candidate(candidate: Candidate) -> CandidateRecord:
     """Return one candidate in the public JSON's terms."""
     names = CandidateRecord.__annotations__
     return cast(CandidateRecord, {name: getattr(candidate, name) for name in names})
+
+
+def beyond_in_words(share: float | None) -> str | None:
+    """Return that a share of the skyline may be of terrain the elevation model lacks.
+
+    None where the share is not known, or small.
+    """
+    if share is None or share < _WORTH_SAYING:
+        return None
+    return (
+        f"{100.0 * share:.0f} % of the skyline may be of terrain beyond the elevation model's "
+        "edge; a model that reaches farther may give another answer"
+    )
+
+
+def describe_claim(noted: NotedPlace, best: Candidate | None) -> ExifRecord | None:
+    """Return what a photo notes against the best candidate; None where it notes nothing."""
+    if noted == NotedPlace():
+        return None
+    lon, lat = noted.lonlat_deg or (None, None)
+    distance_m = off_deg = None
+    if best is not None and noted.lonlat_deg is not None:
+        distance_m = float(_WGS84.inv(*noted.lonlat_deg, best.lon, best.lat)[2])
+    if best is not None and noted.heading_deg is not None:
+        off_deg = (best.heading_deg - noted.heading_deg + 180.0) % 360.0 - 180.0
+    return ExifRecord(
+        lon=lon,
+        lat=lat,
+        elevation_m=noted.elevation_m,
+        accuracy_m=noted.accuracy_m,
+        heading_deg=noted.heading_deg,
+        heading_is_magnetic=noted.is_magnetic,
+        distance_m=distance_m,
+        heading_off_deg=off_deg,
+    )
+
+
+def claim_said(
+    noted: NotedPlace, best: Candidate | None, is_answer: bool, with_place: bool = True
+) -> str:
+    """Return what a photo notes against the best candidate, in words; empty where it is nothing."""
+    claim = describe_claim(noted, best)
+    if claim is None:
+        return ""
+    heading_deg = None if best is None else best.heading_deg
+    return claim_in_words(claim, heading_deg, is_answer, with_place)
+
+
+def claim_in_words(
+    claim: ExifRecord, best_heading_deg: float | None, is_answer: bool, with_place: bool = True
+) -> str:
+    """Return a claim as sentences.
+
+    Parameters
+    ----------
+    best_heading_deg : float, optional
+        Of the best candidate.
+    is_answer : bool
+        Whether that is the answer.
+    with_place : bool
+        Whether the photo's own longitude and latitude are said.
+    """
+    said, best = [], "the answer" if is_answer else "candidate 1"
+    if claim["lat"] is not None:
+        where = f"lat {claim['lat']:.5f} lon {claim['lon']:.5f}" if with_place else "a place"
+        sure = "" if claim["accuracy_m"] is None else f" (good to {claim['accuracy_m']:.0f} m)"
+        off = "" if claim["distance_m"] is None else f", {_metres(claim['distance_m'])} from {best}"
+        said.append(f"The photo says {where}{off}{sure}.")
+    if claim["heading_deg"] is not None:
+        north = ", from magnetic north" if claim["heading_is_magnetic"] else ""
+        own = "" if best_heading_deg is None else f", {best} {best_heading_deg:.0f}"
+        said.append(f"Its compass says {claim['heading_deg']:.0f} degrees{north}{own}.")
+    far_m = max(_DISAGREES_M, _DISAGREES_ACCURACIES * (claim["accuracy_m"] or 0.0))
+    wrong = ["position"] if (claim["distance_m"] or 0.0) > far_m else []
+    if abs(claim["heading_off_deg"] or 0.0) > _DISAGREES_DEG:
+        wrong.append("compass")
+    if wrong:
+        said.append(f"The photo's {' and '.join(wrong)} and {best} disagree: one of them is wrong.")
+    return " ".join(said)
+
+
+def _metres(distance_m: float) -> str:
+    return f"{distance_m:.0f} m" if distance_m < 10_000.0 else f"{distance_m / 1000.0:,.0f} km"

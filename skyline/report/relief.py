@@ -8,10 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LightSource, LinearSegmentedColormap, Normalize
 from matplotlib.offsetbox import AnchoredText
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from skyline.arrays import BoolArray, Float64Array
 from skyline.geodesy import Frame, degrees_in_words
-from skyline.report.tints import DARKEST, TINTS
+from skyline.report.tiles import DARKEST, TINTS
 from skyline.terrain.heightfield import HeightField
 
 _MOST_SAMPLES = 900
@@ -41,13 +42,10 @@ class Area:
         north = float(northing.min() + northing.max()) / 2.0
         return cls(east - half, north - half, east + half, north + half)
 
-    @classmethod
-    def of(cls, terrain: HeightField) -> "Area":
-        """Return the area of a whole height field."""
-        return cls(*terrain.bounds_m)
-
-    def within(self, terrain: HeightField) -> "Area":
+    def within(self, terrain: HeightField | None) -> "Area":
         """Return the part of the area that a height field covers, if any, else all of it."""
+        if terrain is None:
+            return self
         west, south, east, north = terrain.bounds_m
         part = Area(
             max(west, self.west_m),
@@ -56,6 +54,12 @@ class Area:
             min(north, self.north_m),
         )
         return part if part.west_m < part.east_m and part.south_m < part.north_m else self
+
+    def holds(self, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
+        """Whether places lie in the area."""
+        easting, northing = np.asarray(easting_m), np.asarray(northing_m)
+        across = (self.west_m <= easting) & (easting <= self.east_m)
+        return across & (self.south_m <= northing) & (northing <= self.north_m)
 
     @property
     def width_m(self) -> float:
@@ -95,15 +99,12 @@ def draw_relief(axis: Axes, terrain: HeightField | None, area: Area) -> None:
     light = (DARKEST + (1.0 - DARKEST) * shade)[..., np.newaxis]
     rgb = _TINT(tint(np.ma.masked_invalid(heights)))[..., :3]
     picture = np.where(np.isnan(heights)[..., np.newaxis], rgb, rgb * light)
-    limits = axis.axis()
-    axis.imshow(picture, extent=extent, interpolation="bilinear")
-    axis.axis(limits)
-    axis.set_aspect("equal")
+    axis.imshow(picture, extent=extent, interpolation="bilinear", aspect="equal")
 
 
 def _crop(
     terrain: HeightField, area: Area
-) -> tuple[NDArray[np.float64], tuple[float, float, float, float], int] | None:
+) -> tuple[Float64Array, tuple[float, float, float, float], int] | None:
     """Return the heights in an area, where they lie (west, east, south, north), and their step."""
     top, left = (math.floor(at) - 1 for at in terrain.to_grid(area.west_m, area.north_m))
     bottom, right = (math.ceil(at) + 2 for at in terrain.to_grid(area.east_m, area.south_m))

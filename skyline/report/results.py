@@ -10,7 +10,7 @@ import os
 import sqlite3
 import struct
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -77,12 +77,11 @@ def open_results(path: Path, search: str) -> "tuple[Results, set[str]]":
         )
     with _as_input_errors(path):
         results = kind(path)
-        rows = list(results.rows())
-    if any(row["search"] != search for row in rows):
+    if any(of_search != search for _, of_search in results.had):
         raise InputError(
             f"--results {path} has results of another store or other options; name another file"
         )
-    return results, {str(row["query"]) for row in rows}
+    return results, {query for query, _ in results.had}
 
 
 def row_of(record: Mapping[str, Any], search: str) -> Row:
@@ -115,12 +114,10 @@ class _Csv:
             whole = ",".join(_TYPES).encode() + b"\n"
         if whole != held:
             path.write_bytes(whole)
-        if next(csv.reader(io.StringIO(whole.decode())), None) != list(_TYPES):
+        rows = csv.DictReader(io.StringIO(whole.decode()))
+        if rows.fieldnames != list(_TYPES):
             raise InputError(f"--results {path} is no file of results; name another one")
-
-    def rows(self) -> Iterator[Mapping[str, object]]:
-        with self._path.open(encoding="utf-8", newline="") as file:
-            yield from csv.DictReader(file)
+        self.had = [(row["query"], row["search"]) for row in rows]
 
     def add(self, row: Row) -> None:
         line = io.StringIO()
@@ -140,48 +137,34 @@ class _GeoPackage:
         if not path.exists():
             partial = path.with_name(path.name + ".partial")
             partial.unlink(missing_ok=True)
-            with _connected(partial) as made:
+            with closing(sqlite3.connect(partial)) as made:
                 made.executescript(_GEOPACKAGE)
             partial.replace(path)
-
-    def rows(self) -> Iterator[Mapping[str, object]]:
-        with _connected(self._path) as opened:
-            for query, search in opened.execute("SELECT query, search FROM photos"):
-                yield {"query": query, "search": search}
+        with closing(sqlite3.connect(path)) as opened:
+            self.had = opened.execute("SELECT query, search FROM photos").fetchall()
 
     def add(self, row: Row) -> None:
         names = ", ".join(f'"{name}"' for name in ("geom", *_TYPES))
         marks = ", ".join("?" * (len(_TYPES) + 1))
-        with _as_input_errors(self._path), _connected(self._path) as opened:
-            opened.execute(
-                f"INSERT INTO photos ({names}) VALUES ({marks})",
-                (_point(row["lon"], row["lat"]), *(row[name] for name in _TYPES)),
-            )
+        values = _point(row["lon"], row["lat"]), *(row[name] for name in _TYPES)
+        with _as_input_errors(self._path), closing(sqlite3.connect(self._path)) as opened, opened:
+            opened.execute(f"INSERT INTO photos ({names}) VALUES ({marks})", values)
 
 
 Results = _Csv | _GeoPackage
-"""A file of results: `rows` yields what is there, and a row that `add` has written is kept."""
+"""A file of results: `had` is the query and the search of each row that was there, and a row that
+`add` has written is kept."""
 
 RESULTS: Mapping[str, type[_Csv] | type[_GeoPackage]] = {".csv": _Csv, ".gpkg": _GeoPackage}
 """Files of results by suffix."""
-
-
-@contextmanager
-def _connected(path: Path) -> Iterator[sqlite3.Connection]:
-    connection = sqlite3.connect(path)
-    try:
-        with connection:
-            yield connection
-    finally:
-        connection.close()
 
 
 def _point(lon: object, lat: object) -> bytes | None:
     """Return a point as GeoPackage has it: a header without an envelope, then WKB."""
     if lon is None or lat is None:
         return None
-    header = struct.pack("<2sBBi", b"GP", 0, 1, 4326)
-    return header + struct.pack("<BIdd", 1, 1, float(str(lon)), float(str(lat)))
+    place = float(str(lon)), float(str(lat))
+    return struct.pack("<2sBBiBIdd", b"GP", 0, 1, 4326, 1, 1, *place)
 
 
 @contextmanager

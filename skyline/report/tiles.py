@@ -9,20 +9,26 @@ import warnings
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import Float32Array, Float64Array
+from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.errors import InputError
-from skyline.report.tints import DARKEST, tint_table
 from skyline.terrain.heightfield import HeightField
 
+TINTS = ("#7fa87a", "#a9bd8b", "#d3c79b", "#c4a983", "#b59f8d", "#d9d5d1", "#ffffff")
+"""The colours of heights on maps, low to high."""
+DARKEST = 0.35
+"""How dark a slope away from the light is, as a share of a level one."""
 TILE_PX = 256
 MAX_ZOOM = 20
 _MESH = 9
 """Points along a tile's side at which the map's projection is computed; it is smooth between."""
 _NOWHERE = -1e6
-_TINTS = tint_table(256)[:, ::-1].astype(np.float32)
-"""Blue, green, red from the lowest to the highest."""
+_STOPS = np.array([list(bytes.fromhex(tint[1:])) for tint in TINTS])[:, ::-1]
+_AT = np.linspace(0.0, len(TINTS) - 1.0, 256)
+_TINTS = np.stack(
+    [np.interp(_AT, range(len(TINTS)), stop) for stop in _STOPS.T], axis=1, dtype=np.float32
+)
+"""Blue, green, red (256, 3) from the lowest to the highest."""
 _LIGHT = np.array([-0.5, 0.5, np.sqrt(0.5)], dtype=np.float32)
 """Towards the light, east, north and up: from the north-west, halfway up."""
 
@@ -38,12 +44,8 @@ class ReliefTiles:
         low, high = np.nanpercentile(coarse, [0.5, 99.5])
         self._range_m = float(low), max(float(high), float(low) + 1.0)
         west, south, east, north = terrain.bounds_m
-        share = np.linspace(0.0, 1.0, 33)
-        edge_east = west + (east - west) * np.concatenate([share, share, 0 * share, 0 * share + 1])
-        edge_north = south + (north - south) * np.concatenate(
-            [0 * share, 0 * share + 1, share, share]
-        )
-        self.bounds_deg = terrain.frame.box_deg(edge_east, edge_north)
+        mesh_m = np.meshgrid(np.linspace(west, east, 33), np.linspace(south, north, 33))
+        self.bounds_deg = terrain.frame.box_deg(*mesh_m)
         """West, south, east, north of what there is, degrees."""
 
     def png(self, zoom: int, x: int, y: int) -> bytes:
@@ -85,7 +87,7 @@ class ReliefTiles:
                 self._levels.append(_halved(self._levels[-1]))
         return self._levels[min(level, len(self._levels) - 1)]
 
-    def _drawn(self, heights: Float32Array, pixel_m: float) -> NDArray[np.uint8]:
+    def _drawn(self, heights: Float32Array, pixel_m: float) -> UInt8Array:
         """Return the picture (T, T, 4) uint8, BGRA."""
         # Rows run south, so that the rise to the north is upwards in the picture.
         east = (heights[1:-1, 2:] - heights[1:-1, :-2]) / np.float32(2.0 * pixel_m)
@@ -121,10 +123,10 @@ def _on_pixels(mesh: Float64Array) -> Float32Array:
 
 def _sampled(heights: Float32Array, rows: Float32Array, cols: Float32Array) -> Float32Array:
     """Return heights at fractional rows and columns, NaN beyond what there is."""
-    top = int(np.clip(rows.min() - 2, 0, heights.shape[0]))
-    left = int(np.clip(cols.min() - 2, 0, heights.shape[1]))
-    bottom = int(np.clip(rows.max() + 3, 0, heights.shape[0]))
-    right = int(np.clip(cols.max() + 3, 0, heights.shape[1]))
+    (top, bottom), (left, right) = (
+        np.clip([at.min() - 2, at.max() + 3], 0, length).astype(int).tolist()
+        for at, length in zip((rows, cols), heights.shape, strict=True)
+    )
     if bottom - top < 2 or right - left < 2:
         return np.full(rows.shape, np.nan, dtype=np.float32)
     part = np.ascontiguousarray(heights[top:bottom, left:right])

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
@@ -19,19 +19,15 @@ from skyline import InputError, SkylineError, read_trace
 from skyline.web.asked import narrowing_of, pose_of, query_of, strokes_of
 from skyline.web.engine import Engine
 from skyline.web.live import LiveChannel
-from skyline.web.matches import Match
+from skyline.web.matches import Match, candidate_json
 from skyline.web.photos import PagePhoto
-from skyline.web.saving import KINDS, Saving
+from skyline.web.saving import KINDS, saved
 from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, Session, Sessions, shown_name
-from skyline.web.told import candidate_json
 
 _PAGE = Path(__file__).parent / "page"
-_MAX_JSON_BYTES = 8_000_000
-_MAX_TRACE_BYTES = 8_000_000
+_MAX_JSON_BYTES = _MAX_TRACE_BYTES = 8_000_000
 _SWEEP_S = 1.0
 _MEGABYTE = 1_000_000
-
-Answer = Callable[[Request], Awaitable[Response]]
 
 
 class TooLargeError(InputError):
@@ -66,26 +62,24 @@ class _Pages:
             Route("/", _page),
             Route("/state", self._state),
             Route("/relief/{zoom:int}/{x:int}/{y:int}.png", self._relief),
-            Route("/session", _answering(self._begin), methods=["POST"]),
-            Route("/session/{session}", _answering(self._all)),
+            Route("/session", self._begin, methods=["POST"]),
+            Route("/session/{session}", self._all),
             WebSocketRoute("/session/{session}/live", self._live),
-            Route("/session/{session}/photos", _answering(self._upload), methods=["POST"]),
-            Route(
-                "/session/{session}/given/{index:int}", _answering(self._given), methods=["POST"]
-            ),
-            Route(of_photo, _answering(self._remove), methods=["DELETE"]),
-            Route(f"{of_photo}/open", _answering(self._open), methods=["POST"]),
-            Route(f"{of_photo}/picture", _answering(self._picture)),
-            Route(f"{of_photo}/skyline", _answering(self._skyline), methods=["POST"]),
-            Route(f"{of_photo}/trace", _answering(self._trace), methods=["POST"]),
-            Route(f"{of_photo}/match", _answering(self._match), methods=["POST"]),
-            Route(f"{of_photo}/match", _answering(self._cancel), methods=["DELETE"]),
-            Route(f"{of_photo}/fit", _answering(self._fit), methods=["POST"]),
-            Route(f"{of_photo}/save/{{kind}}", _answering(self._save), methods=["POST"]),
+            Route("/session/{session}/photos", self._upload, methods=["POST"]),
+            Route("/session/{session}/given/{index:int}", self._given, methods=["POST"]),
+            Route(of_photo, self._remove, methods=["DELETE"]),
+            Route(f"{of_photo}/picture", self._picture),
+            Route(f"{of_photo}/skyline", self._skyline, methods=["POST"]),
+            Route(f"{of_photo}/trace", self._trace, methods=["POST"]),
+            Route(f"{of_photo}/match", self._match, methods=["POST"]),
+            Route(f"{of_photo}/match", self._cancel, methods=["DELETE"]),
+            Route(f"{of_photo}/fit", self._fit, methods=["POST"]),
+            Route(f"{of_photo}/save/{{kind}}", self._save, methods=["POST"]),
             Mount("/page", StaticFiles(directory=_PAGE)),
             Mount("/leaflet", StaticFiles(directory=leaflet_folder())),
         ]
-        return Starlette(routes=routes, lifespan=self._lifespan)
+        refused = dict.fromkeys((SkylineError, KeyError, IndexError, ClientDisconnect), _refused)
+        return Starlette(routes=routes, exception_handlers=refused, lifespan=self._lifespan)
 
     @contextlib.asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
@@ -139,24 +133,20 @@ class _Pages:
         except BaseException:
             path.unlink(missing_ok=True)
             raise
-        await self._engine.work("photos", self._sessions.opened.first_look, photo)
-        return self._opened_or_refused(session, photo)
+        return await self._first_look(session, photo)
 
     async def _given(self, request: Request) -> Response:
         session = self._session(request)
         path = self._engine.given.photos[request.path_params["index"]]
-        photo = session.add(path, path.name)
-        await self._engine.work("photos", self._sessions.opened.first_look, photo)
-        return self._opened_or_refused(session, photo)
+        return await self._first_look(session, session.add(path, path.name))
 
-    def _opened_or_refused(self, session: Session, photo: PagePhoto) -> Response:
-        if photo.error is not None:
+    async def _first_look(self, session: Session, photo: PagePhoto) -> Response:
+        try:
+            await self._engine.work("photos", self._sessions.opened.first_look, photo)
+        except SkylineError:
             session.remove(photo)
-            raise InputError(photo.error)
+            raise
         return JSONResponse(photo.record())
-
-    async def _open(self, request: Request) -> Response:
-        return JSONResponse(self._photo(request).record())
 
     async def _remove(self, request: Request) -> Response:
         photo = self._photo(request)
@@ -228,50 +218,43 @@ class _Pages:
         found = self._engine.matcher.fit(photo.query, start)
         if found is None:
             raise InputError("nothing near this pose fits; bring the two skylines closer by hand")
-        return candidate_json(found, self._engine.height_m)
+        return candidate_json(found, self._engine)
 
     async def _save(self, request: Request) -> Response:
         session, photo, asked = self._session(request), self._photo(request), await _json(request)
         kind = request.path_params["kind"]
         if kind not in KINDS:
             return Response(status_code=404)
-        candidates = photo.candidates
+        candidates = () if photo.result is None else photo.result.candidates
         if asked.get("pose") is not None and self._engine.viewer is not None:
             candidates = (pose_of(asked["pose"], self._engine.viewer),)
         elif isinstance(asked.get("rank"), int) and 0 <= asked["rank"] < len(candidates):
             chosen = asked["rank"]
             candidates = (candidates[chosen], *candidates[:chosen], *candidates[chosen + 1 :])
-        saving = Saving(self._engine, self._sessions.opened, photo, candidates)
-        content = await self._engine.work("files", saving.write, kind, session.folder)
-        return Response(content, media_type=KINDS[kind].media_type)
+        what = kind, self._engine, self._sessions.opened, photo, candidates, session.folder
+        content = await self._engine.work("files", saved, *what)
+        return Response(content, media_type=KINDS[kind][1])
 
     def _session(self, request: Request) -> Session:
         return self._sessions.of(request.path_params["session"])
 
     def _photo(self, request: Request) -> PagePhoto:
-        return self._session(request).photo(request.path_params["photo"])
+        return self._session(request).photos[request.path_params["photo"]]
 
 
 async def _page(_: Request) -> Response:
     return FileResponse(_PAGE / "index.html")
 
 
-def _answering(answer: Answer) -> Answer:
-    """Return a handler whose errors are one line, and whose unknown sessions and photos are 404."""
-
-    async def handled(request: Request) -> Response:
-        try:
-            return await answer(request)
-        except TooLargeError as error:
-            return JSONResponse({"error": str(error)}, 413, {"Connection": "close"})
-        except SkylineError as error:
-            return JSONResponse({"error": str(error)}, 400)
-        except (KeyError, IndexError):
-            return JSONResponse({"error": "this is not on the page any more; reload it"}, 404)
-        except ClientDisconnect:
-            return Response(status_code=400)
-
-    return handled
+async def _refused(_: Request, error: Exception) -> Response:
+    """Answer an error with one line; an unknown session or photo is a key that is not there."""
+    if isinstance(error, ClientDisconnect):
+        return Response(status_code=400)
+    if not isinstance(error, SkylineError):
+        return JSONResponse({"error": "this is not on the page any more; reload it"}, 404)
+    if isinstance(error, TooLargeError):
+        return JSONResponse({"error": str(error)}, 413, {"Connection": "close"})
+    return JSONResponse({"error": str(error)}, 400)
 
 
 async def _json(request: Request) -> Mapping[str, Any]:
@@ -292,21 +275,19 @@ async def _json(request: Request) -> Mapping[str, Any]:
 
 async def _received(request: Request, path: Path, name: str, limit: int) -> None:
     """Write what a request brings to a new file; raises `TooLargeError` beyond a limit."""
+
+    def check(size: int) -> None:
+        if size > limit:
+            raise TooLargeError(
+                f"{name} has {size / _MEGABYTE:.0f} MB or more; the page takes at most "
+                f"{limit / _MEGABYTE:.0f} MB: save it smaller, or remove other photos"
+            )
+
     told = request.headers.get("content-length", "0")
-    size = int(told) if told.isdecimal() else 0
-    if size > limit:
-        raise TooLargeError(_too_large(name, size, limit))
+    check(int(told) if told.isdecimal() else 0)
     with path.open("xb") as file:
         size = 0
         async for part in request.stream():
             size += len(part)
-            if size > limit:
-                raise TooLargeError(_too_large(name, size, limit))
+            check(size)
             file.write(part)
-
-
-def _too_large(name: str, size: int, limit: int) -> str:
-    return (
-        f"{name} has {size / _MEGABYTE:.0f} MB or more; the page takes at most "
-        f"{limit / _MEGABYTE:.0f} MB: save it smaller, or remove other photos"
-    )

@@ -10,11 +10,19 @@ from skyline.web.photos import is_guess
 
 _MAX_STROKES = 2000
 _MAX_POINTS = 20_000
+_RANGES = {
+    "lon": (-180.0, 180.0), "lat": (-90.0, 90.0), "km": (0.01, 20_000.0),
+    "deg": (-360.0, 720.0), "slack": (0.1, 180.0), "low": (-500.0, 9000.0),
+    "high": (-500.0, 9000.0), "eyeHeight": (0.0, 5000.0), "heading": (-360.0, 720.0),
+    "pitch": (-80.0, 80.0), "roll": (-80.0, 80.0), "fov": (1.0, 360.0),
+    "distortion": (-1.0, 1.0), "column": (-1e6, 1e6), "row": (-1e6, 1e6), "radius": (0.0, 1e5),
+}  # fmt: skip
 
 
-def number(asked: Mapping[str, Any], name: str, low: float, high: float) -> float:
+def number(asked: Mapping[str, Any], name: str) -> float:
     """Return one of what is asked as a number; raises `InputError` where it is none in range."""
     value: Any = asked.get(name)
+    low, high = _RANGES[name]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if is_number and math.isfinite(value) and low <= value <= high:
         return float(value)
@@ -39,40 +47,26 @@ def _stroke(asked: Any) -> Stroke:
         if not isinstance(point, list) or len(point) != 2:
             raise InputError("a point of a stroke is no pair of a column and a row")
         at = dict(zip(("column", "row"), point, strict=True))
-        pairs.append((number(at, "column", -1e6, 1e6), number(at, "row", -1e6, 1e6)))
-    return Stroke(StrokeKind(asked["kind"]), tuple(pairs), number(asked, "radius", 0.0, 1e5))
+        pairs.append((number(at, "column"), number(at, "row")))
+    return Stroke(StrokeKind(asked["kind"]), tuple(pairs), number(asked, "radius"))
 
 
 def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:
     """Return what is known of where a photo was taken; what is null is not known."""
-    near = heading = elevation = None
-    if asked.get("near") is not None:
-        circle = _part(asked, "near")
-        near = (
-            number(circle, "lon", -180.0, 180.0),
-            number(circle, "lat", -90.0, 90.0),
-            number(circle, "km", 0.01, 20_000.0),
-        )
-    if asked.get("heading") is not None:
-        way = _part(asked, "heading")
-        heading = (number(way, "deg", -360.0, 720.0), number(way, "slack", 0.1, 180.0))
-    if asked.get("elevation") is not None:
-        between = _part(asked, "elevation")
-        elevation = (
-            number(between, "low", -500.0, 9000.0),
-            number(between, "high", -500.0, 9000.0),
-        )
-    height_m = None
-    if asked.get("eyeHeight") is not None:
-        height_m = number(asked, "eyeHeight", 0.0, 5000.0)
-    return Narrowing(near=near, heading_deg=heading, elevation_m=elevation, eye_height_m=height_m)
+    height = asked.get("eyeHeight")
+    return Narrowing(
+        near=_numbers(asked, "near", "lon", "lat", "km"),
+        heading_deg=_numbers(asked, "heading", "deg", "slack"),
+        elevation_m=_numbers(asked, "elevation", "low", "high"),
+        eye_height_m=None if height is None else number(asked, "eyeHeight"),
+    )
 
 
 def query_of(asked: Mapping[str, Any], query: QuerySkyline) -> QuerySkyline:
     """Return a skyline with the field of view that is asked for; null is not known."""
     if asked.get("fov") is None:
         return query if is_guess(query) else replace(query, fov_deg=None, lens=None)
-    return query.with_fov(number(asked, "fov", 1.0, 360.0))
+    return query.with_fov(number(asked, "fov"))
 
 
 def pose_of(asked: Any, viewer: Viewer) -> Candidate:
@@ -80,20 +74,22 @@ def pose_of(asked: Any, viewer: Viewer) -> Candidate:
     if not isinstance(asked, Mapping):
         raise InputError("there is no pose; place the camera on the map")
     pose = viewer.pose(
-        number(asked, "lon", -180.0, 180.0),
-        number(asked, "lat", -90.0, 90.0),
-        number(asked, "heading", -360.0, 720.0),
-        pitch_deg=number(asked, "pitch", -80.0, 80.0),
-        roll_deg=number(asked, "roll", -80.0, 80.0),
-        fov_deg=number(asked, "fov", 1.0, 360.0),
-        eye_height_m=number(asked, "eyeHeight", 0.0, 5000.0),
+        number(asked, "lon"),
+        number(asked, "lat"),
+        number(asked, "heading"),
+        pitch_deg=number(asked, "pitch"),
+        roll_deg=number(asked, "roll"),
+        fov_deg=number(asked, "fov"),
+        eye_height_m=number(asked, "eyeHeight"),
     )
-    distortion = number(asked, "distortion", -1.0, 1.0) if "distortion" in asked else 0.0
-    return replace(pose, distortion=distortion)
+    return replace(pose, distortion=number({"distortion": 0.0, **asked}, "distortion"))
 
 
-def _part(asked: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    part = asked[name]
-    if not isinstance(part, Mapping):
-        raise InputError(f"{name} is {str(part)[:40]}; expected an object")
-    return part
+def _numbers(asked: Mapping[str, Any], part: str, *names: str) -> Any:
+    """Return the numbers of a part of what is asked; None where it is null."""
+    of_part = asked.get(part)
+    if of_part is None:
+        return None
+    if not isinstance(of_part, Mapping):
+        raise InputError(f"{part} is {str(of_part)[:40]}; expected an object")
+    return tuple(number(of_part, name) for name in names)

@@ -6,16 +6,11 @@ another origin, or, where a name was made to lead here, another host.
 
 import ipaddress
 import socket
-from collections.abc import Awaitable, Callable, MutableMapping
-from typing import Any
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import PlainTextResponse
-
-Scope = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
-Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocketClose
 
 _LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
 _POLICY = {
@@ -36,10 +31,11 @@ class Guard:
     ``host`` and ``port`` are what the server listens on.
     """
 
-    def __init__(self, app: App, host: str, port: int) -> None:
+    def __init__(self, app: ASGIApp, host: str, port: int) -> None:
         self._app, self._port = app, port
         self._names = set(_LOOPBACK)
-        self._open = not _is_loopback(host)
+        address = _address(host)
+        self._open = host != "localhost" and (address is None or not address.is_loopback)
         if self._open:
             self._names |= {host.lower(), socket.gethostname().lower(), socket.getfqdn().lower()}
 
@@ -50,10 +46,13 @@ class Guard:
             return
         headers = Headers(scope=scope)
         if not self.allows(headers.getlist("host"), headers.getlist("origin")):
-            await _refuse(scope, receive, send)
+            text = "This server answers its own page only: open the address that it printed.\n"
+            is_socket = scope["type"] == "websocket"
+            refusal = WebSocketClose(1008) if is_socket else PlainTextResponse(text, 403)
+            await refusal(scope, receive, send)
             return
 
-        async def with_policy(message: MutableMapping[str, Any]) -> None:
+        async def with_policy(message: Message) -> None:
             if message["type"] == "http.response.start":
                 MutableHeaders(scope=message).update(_POLICY)
             await send(message)
@@ -71,25 +70,11 @@ class Guard:
         if not colon or port != str(self._port):
             return False
         # A number cannot be made to lead here, as a name can.
-        return name in self._names or (self._open and _is_address(name))
+        return name in self._names or (self._open and _address(name) is not None)
 
 
-async def _refuse(scope: Scope, receive: Receive, send: Send) -> None:
-    if scope["type"] == "websocket":
-        await receive()
-        await send({"type": "websocket.close", "code": 1008})
-        return
-    text = "This server answers its own page only: open the address that it printed.\n"
-    await PlainTextResponse(text, status_code=403)(scope, receive, send)
-
-
-def _is_loopback(host: str) -> bool:
-    return host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
-
-
-def _is_address(name: str) -> bool:
+def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
     try:
-        ipaddress.ip_address(name.strip("[]"))
+        return ipaddress.ip_address(name.strip("[]"))
     except ValueError:
-        return False
-    return True
+        return None

@@ -91,15 +91,15 @@ class LiveChannel:
         same = {"type": asked["type"], "seq": asked.get("seq")}
         try:
             if asked["type"] == "height":
-                at = number(asked, "lon", -180.0, 180.0), number(asked, "lat", -90.0, 90.0)
-                return {**same, "height": self._engine.height_m(*at)}
+                height_m = self._engine.height_m(number(asked, "lon"), number(asked, "lat"))
+                return {**same, "height": height_m}
             return {**same, **self._looked(asked)}
         except (SkylineError, KeyError) as error:
             return {**same, "error": str(error)}
 
     def _looked(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         viewer = self._engine.viewer
-        photo = self._session.photo(str(asked.get("photo")))
+        photo = self._session.photos[str(asked.get("photo"))]
         if viewer is None or photo.query is None:
             return {"error": "there is nothing to render with: the store's DEM is not at hand"}
         pose = pose_of(asked.get("pose"), viewer)

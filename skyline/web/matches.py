@@ -3,10 +3,9 @@
 import threading
 from typing import Any
 
-from skyline import Narrowing, QuerySkyline, SkylineError
+from skyline import Candidate, MatchResult, Narrowing, QuerySkyline, SkylineError
 from skyline.web.engine import Engine
 from skyline.web.photos import PagePhoto
-from skyline.web.told import outcome
 
 _STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
 """Where each step of a match begins and ends, as shares of all of it."""
@@ -46,8 +45,8 @@ class Match:
         except MemoryError:
             self.error = "there is not enough memory for this match; narrow the search"
         else:
-            self.photo.result, self.photo.candidates = result, result.candidates
-            self.photo.told = outcome(result, engine.height_m)
+            self.photo.result = result
+            self.photo.told = _outcome(result, engine)
             self.photo.state = "answered" if result.answer else "no answer"
         finally:
             if self.error is not None:
@@ -68,3 +67,38 @@ class Match:
     def _check(self) -> None:
         if self._cancelled.is_set():
             raise _CancelledError
+
+
+def _outcome(result: MatchResult, engine: Engine) -> dict[str, Any]:
+    """Return a result as the page shows it."""
+    return {
+        "candidates": [candidate_json(one, engine) for one in result.candidates],
+        "answered": result.answer is not None,
+        "within": result.within_m,
+        "chance": result.confidence,
+        "refusal": result.refusal,
+        "claim": result.claim,
+        "beyond": result.beyond,
+        "seconds": result.seconds,
+    }
+
+
+def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
+    """Return a candidate as the page takes it."""
+    ground_m = engine.height_m(candidate.lon, candidate.lat)
+    above_m = None if ground_m is None else max(0.0, candidate.eye_elevation_m - ground_m)
+    return {
+        "lon": candidate.lon,
+        "lat": candidate.lat,
+        "heading": candidate.heading_deg,
+        "pitch": candidate.pitch_deg,
+        "roll": candidate.roll_deg,
+        "fov": candidate.fov_deg,
+        "distortion": candidate.distortion,
+        "elevation": candidate.eye_elevation_m,
+        "eyeHeight": above_m,
+        "confidence": candidate.confidence,
+        "refined": candidate.refined,
+        "covariance": candidate.covariance_m2,
+        "convergence": candidate.convergence_deg,
+    }

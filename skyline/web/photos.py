@@ -13,7 +13,6 @@ import numpy as np
 from PIL import Image
 
 from skyline import (
-    Candidate,
     Correction,
     InputError,
     MatchResult,
@@ -23,7 +22,6 @@ from skyline import (
     Stroke,
     read_photo,
 )
-from skyline.web.told import stroke_json
 
 MAX_PIXELS = 120_000_000
 """A browser shows no larger picture."""
@@ -47,25 +45,18 @@ class PagePhoto:
     def __init__(self, path: Path, name: str) -> None:
         self.id = secrets.token_urlsafe(12)
         self.path, self.name = path, name
-        self.error: str | None = None
         self.seen: Photo | None = None
         self.query: QuerySkyline | None = None
         self.strokes: tuple[Stroke, ...] = ()
         self.trace: QuerySkyline | None = None
         self.result: MatchResult | None = None
-        self.candidates: tuple[Candidate, ...] = ()
         self.told: dict[str, Any] | None = None
         self.state = "waiting"
         self.lock = threading.Lock()
 
     def record(self) -> dict[str, Any]:
         """Return what the page's list says of it."""
-        said: dict[str, Any] = {
-            "id": self.id,
-            "name": self.name,
-            "state": self.state,
-            "error": self.error,
-        }
+        said: dict[str, Any] = {"id": self.id, "name": self.name, "state": self.state}
         query, seen = self.query, self.seen
         if query is not None and seen is not None:
             said |= {
@@ -76,7 +67,10 @@ class PagePhoto:
                 "lonlat": seen.place.lonlat_deg,
                 "elevation": seen.place.elevation_m,
                 "heading": seen.place.heading_deg,
-                "strokes": [stroke_json(stroke) for stroke in self.strokes],
+                "strokes": [
+                    {"kind": str(one.kind), "radius": one.radius_px, "points": one.points_px}
+                    for one in self.strokes
+                ],
                 "trusted": float(query.trusted.mean()),
                 "result": self.told,
             }
@@ -125,13 +119,9 @@ class Opened:
             self._kept.pop(photo.id, None)
 
     def first_look(self, photo: PagePhoto) -> None:
-        """Open a photo and find its skyline; what is wrong with it becomes its error."""
-        try:
-            read, correction = self.open(photo)
-            query = correction.solve()
-        except SkylineError as error:
-            photo.error, photo.state = str(error), "unusable"
-            return
+        """Open a photo and find its skyline; raises as `open`."""
+        read, correction = self.open(photo)
+        query = correction.solve()
         photo.seen = replace(read, rgb=read.rgb[:0])
         photo.query, photo.state = query, "ready"
 
@@ -160,7 +150,12 @@ def is_guess(query: QuerySkyline) -> bool:
 
 
 def _read(photo: PagePhoto) -> tuple[Photo, Correction]:
-    _check_size(photo)
+    too_many = _too_many(photo.path)
+    if too_many is not None:
+        raise InputError(
+            f"{photo.name} has {too_many} pixels; the page takes at most "
+            f"{MAX_PIXELS // 1_000_000} million: scale it down, 12 million are plenty"
+        )
     try:
         read = read_photo(photo.path)
         return read, Correction(read)
@@ -169,20 +164,13 @@ def _read(photo: PagePhoto) -> tuple[Photo, Correction]:
         raise InputError(said if photo.name in said else f"{photo.name}: {said}") from error
 
 
-def _check_size(photo: PagePhoto) -> None:
+def _too_many(path: Path) -> str | None:
+    """Return how many pixels a picture has, where they are too many."""
     try:
-        with Image.open(photo.path) as image:
+        with Image.open(path) as image:
             width, height = image.size
     except Image.DecompressionBombError:
-        raise InputError(_too_large(photo.name, "more than 170 million")) from None
+        return "more than 170 million"
     except Exception:  # What is no picture is said when it is read.
-        return
-    if width * height > MAX_PIXELS:
-        raise InputError(_too_large(photo.name, f"{width} x {height}"))
-
-
-def _too_large(name: str, pixels: str) -> str:
-    return (
-        f"{name} has {pixels} pixels; the page takes at most {MAX_PIXELS // 1_000_000} million: "
-        "scale it down, 12 million are plenty"
-    )
+        return None
+    return f"{width} x {height}" if width * height > MAX_PIXELS else None

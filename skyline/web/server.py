@@ -31,11 +31,8 @@ def serve(given: Given, host: str, port: int) -> None:
     SkylineError
         The store cannot be used; see `Engine`.
     """
-    with (
-        contextlib.suppress(KeyboardInterrupt),
-        contextlib.ExitStack() as opened,
-        _listening(host, port) as listening,
-    ):
+    with contextlib.suppress(KeyboardInterrupt), contextlib.ExitStack() as opened:
+        listening = _listening(opened, host, port)
         port = listening.getsockname()[1]
         engine = opened.enter_context(contextlib.closing(Engine(given)))
         config = uvicorn.Config(
@@ -56,18 +53,14 @@ def _say_ready(host: str, port: int) -> None:
     print(f"The page is at http://{name}:{port}/ (Ctrl-C ends it)", flush=True)
 
 
-def _listening(host: str, port: int) -> socket.socket:
+def _listening(opened: contextlib.ExitStack, host: str, port: int) -> socket.socket:
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(
             host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
-        listening = socket.socket(family, kind, protocol)
-        try:
-            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listening.bind(address)
-        except OSError:
-            listening.close()
-            raise
+        listening = opened.enter_context(socket.socket(family, kind, protocol))
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind(address)
     except OSError as error:
         raise InputError(
             f"{host} port {port} cannot be listened on ({error}); name another with --port"

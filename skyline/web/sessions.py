@@ -33,10 +33,6 @@ class Session:
         self.bytes = 0
         self.left_at = time.monotonic()
 
-    def photo(self, photo_id: str) -> PagePhoto:
-        """Return one of the photos; raises `KeyError` where it is not this person's."""
-        return self.photos[photo_id]
-
     def path_for(self, name: str) -> Path:
         """Return where a new file goes: a name of ours, with the suffix of theirs."""
         suffix = Path(name).suffix.lower()

@@ -14,7 +14,7 @@ from skyline.matching.solver import Curves as SeenCurves
 from skyline.matching.solver import Solver, SolverConfig
 from skyline.photo.exif import NotedPlace
 from skyline.pipeline.claims import claim_of
-from skyline.report.claims import claim_in_words, describe_claim
+from skyline.report.records import claim_in_words, describe_claim
 
 CLAIM = Claim(1000.0, 2000.0, 25.0)
 THERE = np.array([1000.0 + 2000.0j])

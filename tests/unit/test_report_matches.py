@@ -14,8 +14,8 @@ from skyline.photo.query import QuerySkyline
 from skyline.planning.uniform import uniform_grid
 from skyline.report import Matched, Peaks, Surroundings, write_match_report
 from skyline.report.overlay import Overlay
+from skyline.report.peaks import Sighting
 from skyline.report.projection import Panorama, PosedPicture, median_gap_deg
-from skyline.report.sightings import Sighting
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 

@@ -6,8 +6,7 @@ from scenes import FRAME, field_from
 
 from skyline.errors import InputError, MissingFileError
 from skyline.geodesy import Curvature
-from skyline.report.peaks import Peaks, read_peaks
-from skyline.report.sightings import visible_peaks
+from skyline.report.peaks import Peaks, read_peaks, visible_peaks
 from skyline.terrain.viewpoints import stand_on
 
 FLAT = Curvature(enabled=False)

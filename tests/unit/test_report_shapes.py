@@ -9,7 +9,7 @@ from scenes import FRAME, candidate_at
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.report import Matched
-from skyline.report.geojson import VIEW_REACH_M, match_collection, write_geojson
+from skyline.report.exports import VIEW_REACH_M, write_geojson
 from skyline.report.shapes import Ellipse, view_wedge_m
 
 UTM = Frame.from_crs("EPSG:32632")
@@ -104,10 +104,10 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
     np.testing.assert_allclose(away, VIEW_REACH_M, atol=0.05)
 
 
-def test_geojson_has_no_word_for_infinity():
-    lost = candidate_at(0.0, 0.0, score=np.inf)
-    point = match_collection([Matched("q", None, [lost], 0.0)], FRAME)["features"][0]
-    assert point["properties"]["score"] is None
+def test_geojson_has_no_word_for_infinity(tmp_path):
+    lost, path = candidate_at(0.0, 0.0, score=np.inf), tmp_path / "matches.geojson"
+    write_geojson(path, [Matched("q", None, [lost], 0.0)], FRAME)
+    assert json.loads(path.read_text())["features"][0]["properties"]["score"] is None
 
 
 def test_geojson_that_cannot_be_written_is_one_line_and_leaves_nothing(tmp_path):

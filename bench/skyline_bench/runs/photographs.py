@@ -22,7 +22,7 @@ from skyline import (
 )
 from skyline.pipeline.config import PlaceConfig
 from skyline.planning.uniform import map_bounds
-from skyline.report.claims import describe_claim
+from skyline.report.records import describe_claim
 from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph
 from skyline_bench.stores.reference import place_store
 

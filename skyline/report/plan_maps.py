@@ -1,0 +1,128 @@
+"""Maps of what a store is planned to hold, over the shaded terrain."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from skyline.arrays import Float64Array
+from skyline.camera import HEADINGS
+from skyline.paper.planning.coverage import Coverage
+from skyline.paper.planning.plan import Plan
+from skyline.places import Places
+from skyline.report.pictures import HEADING_NAMES, save_figure
+from skyline.report.relief import Area, draw_bearings, draw_relief
+from skyline.terrain.heightfield import HeightField
+
+_WIDTH_IN = 9.0
+_INK_SHARE = 0.35
+"""Of the picture, that points cover between them."""
+_PANEL_SQUARE_IN = 14.0
+_OPACITY = 0.55
+
+
+def save_place_map(terrain: HeightField, places: Places, path: Path) -> None:
+    """Save a map (PNG) of places (N), coloured by the spacing that each has there.
+
+    Raises `InputError` where the file cannot be written.
+    """
+    spacing_m = 2.0 * places.tolerance_m
+    easting_m, northing_m = places.easting_m, places.northing_m
+    area = Area(easting_m.min(), northing_m.min(), easting_m.max(), northing_m.max())
+    height_in = _WIDTH_IN * max(area.height_m, 1.0) / max(area.width_m, 1.0)
+    figure = Figure(figsize=(_WIDTH_IN + 1.0, height_in + 0.7), layout="constrained")
+    axis = figure.subplots()
+    draw_relief(axis, terrain, area)
+    points_in = 72.0 * np.sqrt(_INK_SHARE * _WIDTH_IN * height_in / len(places))
+    drawn = axis.scatter(
+        easting_m,
+        northing_m,
+        c=spacing_m,
+        s=float(np.clip(points_in, 0.5, 6.0)) ** 2,
+        cmap="plasma",
+        norm=LogNorm(spacing_m.min(), max(spacing_m.max(), 1.01 * spacing_m.min())),
+        linewidths=0.0,
+    )
+    draw_bearings(axis, terrain.frame, area)
+    axis.set_title(f"{len(places):,} places", fontsize=10)
+    bar = figure.colorbar(drawn, ax=axis, shrink=0.8, pad=0.01)
+    bar.set_label("spacing of the places (m)")
+    ticks = np.unique(spacing_m)
+    bar.set_ticks(list(ticks), labels=[f"{tick:.0f}" for tick in ticks])
+    bar.minorticks_off()
+    save_figure(figure, path)
+
+
+def save_coverage_map(plan: Plan, path: Path) -> None:
+    """Save a map (PNG) for each heading: viewpoints, and what their tolerance areas cover.
+
+    After the paper's Figure 6. A location has the colour of the largest tolerance area that holds
+    it; the terrain is bare where none does.
+
+    Raises `InputError` where the file cannot be written.
+    """
+    candidates = plan.candidates
+    columns_m, rows_m = candidates.easting_m, candidates.northing_m
+    # Each candidate stands in the middle of its cell; one row or column has the others' spacing.
+    known_m = [abs(float(axis[1] - axis[0])) for axis in (columns_m, rows_m) if len(axis) > 1]
+    east_m, north_m = known_m[0], known_m[-1]
+    area = Area(
+        float(columns_m[0]) - east_m / 2.0,
+        float(rows_m[-1]) - north_m / 2.0,
+        float(columns_m[-1]) + east_m / 2.0,
+        float(rows_m[0]) + north_m / 2.0,
+    )
+    shape = area.height_m / area.width_m
+    width = np.sqrt(_PANEL_SQUARE_IN / shape)
+    figure = Figure(
+        figsize=(len(HEADINGS) * width + 1.2, width * shape + 0.7), layout="constrained"
+    )
+    axes = figure.subplots(1, len(HEADINGS), sharey=True)
+    cell_km2 = east_m * north_m / 1e6
+    norm = LogNorm(cell_km2, cell_km2 * candidates.grid.window**2)
+    for heading, axis in zip(HEADINGS, axes, strict=True):
+        coverage = plan.coverages[heading]
+        draw_relief(axis, candidates.field, area)
+        axis.imshow(
+            _largest(coverage) * cell_km2,
+            norm=norm,
+            cmap="plasma",
+            alpha=_OPACITY,
+            extent=(area.west_m, area.east_m, area.south_m, area.north_m),
+            interpolation="nearest",
+        )
+        row, col = candidates.grid.row_col(coverage.viewpoints)
+        axis.plot(
+            columns_m[col],
+            rows_m[row],
+            ".",
+            color="black",
+            markeredgecolor="white",
+            markeredgewidth=0.3,
+            markersize=4.0,
+        )
+        draw_bearings(axis, candidates.field.frame, area)
+        axis.set_title(
+            f"heading {heading}, {HEADING_NAMES[heading]}\n{len(coverage.viewpoints)} renderings "
+            f"cover {coverage.fraction():.1%}",
+            fontsize=9,
+        )
+    bar = figure.colorbar(ScalarMappable(norm, "plasma"), ax=axes, shrink=0.8, pad=0.01)
+    bar.set_label("largest tolerance area that holds a location (km²)")
+    save_figure(figure, path)
+
+
+def _largest(coverage: Coverage) -> Float64Array:
+    """Return the size of the largest area that holds each candidate (rows, cols), NaN for none."""
+    grid = coverage.grid
+    sizes = np.count_nonzero(coverage.areas, axis=(1, 2))
+    largest = np.zeros(np.pad(grid.valid, grid.reach).shape)
+    for row, col, area, size in zip(
+        *grid.row_col(coverage.viewpoints), coverage.areas, sizes, strict=True
+    ):
+        place = largest[row : row + grid.window, col : col + grid.window]
+        np.maximum(place, area * float(size), out=place)
+    inner = largest[grid.reach : -grid.reach, grid.reach : -grid.reach]
+    return np.where(inner > 0.0, inner, np.nan)
