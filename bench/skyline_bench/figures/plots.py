@@ -18,9 +18,8 @@ from skyline_bench.measuring.record import Row
 from skyline_bench.runs.calibration import Reliability, calibration_error, reliability
 from skyline_bench.runs.cost_summary import UNIFORM
 from skyline_bench.runs.scale import GROUPS
-from skyline_bench.trials.distance_groups import ALL
-from skyline_bench.trials.matchers import PAPER, WHAT
 from skyline_bench.trials.traced import STAGES
+from skyline_bench.trials.trials import ALL, PAPER, WHAT
 from skyline_bench.truth.simulation import TABLE_1, Simulation, simulate
 
 _FEW_DECADES = 500.0
@@ -338,4 +337,24 @@ def save_table1(path: Path) -> None:
         axis.set(xlabel="renderings", ylabel="coverage (%)", ylim=(0, 101))
         axis.grid(alpha=0.3)
     axis.legend(loc="lower right")
+    save_figure(figure, path)
+
+
+def save_placing(rows: Sequence[Row], path: Path) -> None:
+    """Save the rows of `skyline_bench.runs.placing.measure`."""
+    figure = new_figure(11.0, 4.6)
+    everything = [row for row in rows if row["group"] == "all"]
+    for axis, key, label in zip(
+        figure.subplots(1, 2),
+        ("within_200m", "within_1km"),
+        ("share within 200 m", "share within 1 km"),
+        strict=True,
+    ):
+        for kind, begins in (("uniform", "places"), ("planned", "planned")):
+            mine = [row for row in everything if row["layout"].startswith(begins)]
+            draw_line(axis, mine, "places", key, kind, "o-")
+        axis.set(xscale="log", xlabel="places", ylabel=label)
+        plain_ticks(axis.xaxis)
+        axis.grid(alpha=0.3)
+        axis.legend()
     save_figure(figure, path)

@@ -8,8 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from skyline_bench.measuring.record import Row
-from skyline_bench.trials.distance_groups import ALL
-from skyline_bench.trials.matchers import PAPER, WHAT
+from skyline_bench.trials.trials import ALL, PAPER, WHAT
 
 UNIFORM = "uniform"
 COSTS = ("renderings", "bytes")

@@ -37,10 +37,18 @@ from skyline_bench.stores.reference import (
     planned_store,
     uniform_store,
 )
-from skyline_bench.trials.distance_groups import DistanceGroup, distance_groups
 from skyline_bench.trials.kept import Kept, file_digest
-from skyline_bench.trials.matchers import PAPER, WHAT, open_matcher, searched_by
-from skyline_bench.trials.trials import Trial, run_trials, summarize
+from skyline_bench.trials.trials import (
+    PAPER,
+    WHAT,
+    DistanceGroup,
+    Trial,
+    distance_groups,
+    open_matcher,
+    run_trials,
+    searched_by,
+    summarize,
+)
 
 BoundsDeg = tuple[float, float, float, float]
 Grid = tuple[str, float | None]
@@ -87,7 +95,7 @@ class MatchingConfig:
     # places at their eyes, likewise.
     plans: tuple[PlanConfig, ...] = ()
     stores: tuple[Path, ...] = ()  # Stores that are there already, measured after the others
-    # Names of `skyline_bench.trials.matchers.WHAT`; each is run on the stores it can search.
+    # Names of `skyline_bench.trials.trials.WHAT`; each is run on the stores it can search.
     matchers: tuple[str, ...] = tuple(WHAT)
     kinds: tuple[str, ...] = tuple(KINDS)  # Names of `KINDS`
     queries: int = 300  # Of each kind

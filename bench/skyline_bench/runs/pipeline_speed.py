@@ -18,11 +18,11 @@ from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.dem import read_dem
+from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import in_turns
 from skyline_bench.queries.photographs import photograph
 from skyline_bench.queries.pinhole import Camera
-from skyline_bench.queries.sample import write_sample_dem
 from skyline_bench.truth import oracle
 
 BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)

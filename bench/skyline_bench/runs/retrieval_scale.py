@@ -23,7 +23,7 @@ from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline_bench.measuring.memory import own_bytes
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
-from skyline_bench.stores.area import mapped_area_m
+from skyline_bench.stores.reference import mapped_area_m
 
 STEEPER = (0.6, 1.5)
 """Tangents of made-up places are those of the store's times a number between these."""

@@ -19,8 +19,7 @@ from skyline_bench.measuring.record import Row
 from skyline_bench.queries.synthetic import SyntheticQuery, make_queries_together
 from skyline_bench.runs.matching import BoundsDeg, middle_deg
 from skyline_bench.stores.reference import place_store
-from skyline_bench.trials.matchers import open_matcher
-from skyline_bench.trials.trials import Trial, accuracy, errors, run_trials
+from skyline_bench.trials.trials import Trial, accuracy, errors, open_matcher, run_trials
 
 Photos = tuple[SyntheticQuery, ...]
 

@@ -28,12 +28,16 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.memory import own_bytes, peak_bytes, reset_peak
 from skyline_bench.queries.synthetic import QueryConfig, Truth, make_queries
 from skyline_bench.runs.matching import BoundsDeg, middle_deg
-from skyline_bench.stores.area import mapped_area_m
-from skyline_bench.stores.reference import ReferenceStore, check_spacing, given_store, place_store
+from skyline_bench.stores.reference import (
+    ReferenceStore,
+    check_spacing,
+    given_store,
+    mapped_area_m,
+    place_store,
+)
 from skyline_bench.trials.kept import Kept
-from skyline_bench.trials.matchers import MATCHING
 from skyline_bench.trials.traced import STAGES, Outcome, Traced
-from skyline_bench.trials.trials import accuracy
+from skyline_bench.trials.trials import MATCHING, accuracy
 
 _log = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from skyline.arrays import Float32Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
-from skyline.geodesy import Bounds
+from skyline.geodesy import Bounds, Rectangle
 from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline.build import BuildResult, render_missing
 from skyline.pipeline.config import PlaceConfig, RenderConfig, store_header
@@ -23,7 +23,7 @@ from skyline.pipeline.layout import DEFAULT_LOSS, Layout
 from skyline.pipeline.places import build_store, place_renderer, place_rows
 from skyline.pipeline.planned import build_planned
 from skyline.planning.uniform import map_bounds, uniform_grid
-from skyline.store import open_store
+from skyline.store import StoreHeader, open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -203,3 +203,21 @@ def _reference(name: str, path: Path) -> ReferenceStore:
             path.stat().st_size,
             *(noted.get(key, math.nan) for key in _SECONDS),
         )
+
+
+def mapped_area_m(header: StoreHeader, terrain: HeightField) -> Rectangle | None:
+    """Return the part of a terrain that a store was built for; None where it does not say.
+
+    Bounds that are no box on the terrain count as unsaid, with a warning.
+    """
+    if "bounds_deg" not in header.config:
+        return None
+    bounds_deg = header.config["bounds_deg"]
+    if bounds_deg is None:
+        return map_bounds(terrain, None)
+    try:
+        west, south, east, north = (float(degrees) for degrees in cast(list[float], bounds_deg))
+        return map_bounds(terrain, (west, south, east, north))
+    except (TypeError, ValueError) as error:
+        _log.warning("the store's own bounds_deg, %r, are of no use: %s", bounds_deg, error)
+        return None

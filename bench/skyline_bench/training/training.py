@@ -18,7 +18,7 @@ from skyline.arrays import Float32Array, UInt8Array
 from skyline.files import write_whole
 from skyline.photo.evidence import levelled
 from skyline.pipeline.jobs import Progress
-from skyline_bench.training.photo import UNKNOWN, TrainingPhoto
+from skyline_bench.training.landscapes import UNKNOWN, TrainingPhoto
 from skyline_bench.training.sky_net import INPUTS, SkyNet
 
 log = logging.getLogger(__name__)

@@ -10,11 +10,17 @@ import numpy as np
 from skyline.geodesy import Frame
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.queries.photographs import draw_photo
-from skyline_bench.queries.scenery import Scenery
+from skyline_bench.queries.photographs import Scenery, draw_photo
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
-from skyline_bench.training.landscapes import CELL_M, draw_heights
-from skyline_bench.training.photo import COVER, GROUND, SKY, UNKNOWN, TrainingPhoto
+from skyline_bench.training.landscapes import (
+    CELL_M,
+    COVER,
+    GROUND,
+    SKY,
+    UNKNOWN,
+    TrainingPhoto,
+    draw_heights,
+)
 
 _CELLS = 400
 _FRAME = Frame.from_crs("EPSG:32632")

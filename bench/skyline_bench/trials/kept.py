@@ -22,7 +22,7 @@ MEASURED_CODE: Mapping[ModuleType, Sequence[str]] = {
     ),
     skyline_bench: (
         "queries/synthetic.py", "queries/occluders.py", "queries/pinhole.py",
-        "trials/matchers.py", "trials/traced.py", "trials/trials.py",
+        "trials/traced.py", "trials/trials.py",
     ),
 }  # fmt: skip
 """By package: code that an answer depends on; shaders beside it."""
