@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -25,42 +26,39 @@ from skyline_bench.cases.scenes import GRID_CASES, STEEP_CASES, WIDE_CASES
 from skyline_bench.measuring.record import Row
 from skyline_bench.truth.agreement import Agreement, RenderPath, Scene, Truth
 
-# --- the same bytes -------------------------------------------------------------------------
-
 
 @dataclass(frozen=True, slots=True)
-class RepeatCase:
-    """A batch rendered again, in parts, and by another renderer: the same bytes each time."""
+class SameCase:
+    """The same request, or the same terrain turned, or a request refused."""
 
     name: str
     breaks: str
-    scene: Callable[[], Scene]
-    parts: tuple[int, ...] = ()  # Where the batch is cut; none renders it whole a second time
+    agreement: Callable[[RenderPath, bool], Agreement]  # Along a path, and whether quick
     paths: tuple[str, ...] = ("horizon", "depth")
 
-    def agreement(self, path: RenderPath, quick: bool) -> Agreement:
-        """Compare bytes; a column with a differing byte has an infinite error."""
-        scene = self.scene()
-        cuts = [0, *self.parts[: 2 if quick else None], len(scene.viewpoints)]
-        with path.factory(scene.field, scene.width, scene.curvature) as renderer:
-            once = renderer.render(scene.viewpoints)
-            again = Views.concatenate(
-                [renderer.render(scene.viewpoints[start:stop]) for start, stop in pairwise(cuts)]
-            )
-        same = (_bits(once.elevation_tan) == _bits(again.elevation_tan)) & (
-            _bits(once.depth_m) == _bits(again.depth_m)
+
+# --- the same bytes -------------------------------------------------------------------------
+
+
+def _repeated(parts: Sequence[int], path: RenderPath, quick: bool) -> Agreement:
+    """Compare a batch with the same cut into parts; a column with other bytes is wrong by inf."""
+    field = rough_field(17)
+    scene = Scene(field, eyes_anywhere(field, 40, np.tile([0.0, 2.0], 20)), 160)
+    cuts = [0, *parts[: 2 if quick else None], len(scene.viewpoints)]
+    with path.factory(scene.field, scene.width, scene.curvature) as renderer:
+        once = renderer.render(scene.viewpoints)
+        again = Views.concatenate(
+            [renderer.render(scene.viewpoints[start:stop]) for start, stop in pairwise(cuts)]
         )
-        zero = np.zeros(same.shape)
-        return Agreement(np.where(same, zero, np.inf), zero, once.flags == again.flags)
+    same = (_bits(once.elevation_tan) == _bits(again.elevation_tan)) & (
+        _bits(once.depth_m) == _bits(again.depth_m)
+    )
+    zero = np.zeros(same.shape)
+    return Agreement(np.where(same, zero, np.inf), zero, once.flags == again.flags)
 
 
 def _bits(values: NDArray[np.floating]) -> NDArray[np.uint32]:
     return np.ascontiguousarray(values, dtype=np.float32).view(np.uint32)
-
-
-def _batch() -> Scene:
-    field = rough_field(17)
-    return Scene(field, eyes_anywhere(field, 40, np.tile([0.0, 2.0], 20)), 160)
 
 
 # --- the same terrain, turned ---------------------------------------------------------------
@@ -79,29 +77,17 @@ _WAYS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1)])
 """Steps along rows and columns of north, east, south and west."""
 
 
-@dataclass(frozen=True, slots=True)
-class TurnCase:
-    """Terrain and its turned copy: the skylines are the turned skylines.
+def _turned(stood: Callable[[], Scene], turn: Turn, path: RenderPath, quick: bool) -> Agreement:
+    """Compare terrain and its turned copy: each rendering may be off by the path's bound.
 
     A half turn and a transposition keep the cells' diagonals; a quarter turn and a mirror do
     not, so these take terrain whose cells are flat (height = a(row) + b(col)).
     """
-
-    name: str
-    breaks: str
-    scene: Callable[[], Scene]
-    turn: Turn
-    paths: tuple[str, ...] = HORIZON_ONLY
-
-    def agreement(self, path: RenderPath, quick: bool) -> Agreement:
-        """Compare two renderings, each of which may be off by the path's bound."""
-        scene = self.scene()
-        if quick:
-            scene = scene.first(2)
-        turned = turned_scene(scene, self.turn)
-        expected = turned_views(path.render(scene), self.turn)
-        agreement = path.agreement(turned, path.render(turned), Truth(expected))
-        return replace(agreement, bound_px=2.0 * agreement.bound_px)
+    scene = stood().first(2) if quick else stood()
+    turned = turned_scene(scene, turn)
+    expected = turned_views(path.render(scene), turn)
+    agreement = path.agreement(turned, path.render(turned), Truth(expected))
+    return replace(agreement, bound_px=2.0 * agreement.bound_px)
 
 
 def turned_scene(scene: Scene, turn: Turn) -> Scene:
@@ -159,53 +145,55 @@ def _dyadic_eyes(field: HeightField) -> Viewpoints:
 # --- refusals -------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class RefusalCase:
-    """A place that no eye can stand at: refused with a reason, not rendered."""
-
-    name: str
-    breaks: str
-    place: tuple[float, float]
-    says: str
-    paths: tuple[str, ...] = ("horizon", "depth")
-
-    def agreement(self, path: RenderPath, quick: bool) -> Agreement:
-        """Try to stand there: an infinite error unless refused in the expected words."""
-        heights = rough_heights(32, 32)
-        heights[10:20, 10:20] = np.nan
-        try:
-            eyes_at(field_of(heights), *self.place, 2.0)
-        except OffMapError as error:
-            refused = self.says in str(error)
-        else:
-            refused = False
-        zero = np.zeros((1, 1))
-        return Agreement(zero if refused else zero + np.inf, zero, np.ones((1, 1), dtype=bool))
+def _refused(row: float, col: float, says: str, _path: RenderPath, _quick: bool) -> Agreement:
+    """Try to stand where no eye can: wrong by inf unless refused in the expected words."""
+    heights = rough_heights(32, 32)
+    heights[10:20, 10:20] = np.nan
+    error_px = np.full((1, 1), np.inf)
+    try:
+        eyes_at(field_of(heights), row, col, 2.0)
+    except OffMapError as error:
+        error_px[says in str(error)] = 0.0
+    return Agreement(error_px, np.zeros((1, 1)), np.ones((1, 1), dtype=bool))
 
 
 SAME_CASES = (
-    RepeatCase("the same batch twice", "the order in which lanes finish shows", _batch),
-    RepeatCase(
-        "the same batch in parts",
-        "what a column starts from depends on what was rendered beside it",
-        _batch,
-        (1, 9, 10, 33),
+    *(
+        SameCase(name, breaks, partial(_repeated, parts))
+        for name, breaks, parts in (
+            ("the same batch twice", "the order in which lanes finish shows", ()),
+            (
+                "the same batch in parts",
+                "what a column starts from depends on what was rendered beside it",
+                (1, 9, 10, 33),
+            ),
+        )
     ),
-    TurnCase("half turn", "headings differ in more than a sign", _split_terrain, HALF_TURN),
-    TurnCase(
-        "transposition",
-        "rows and columns are marched by different code",
-        _split_terrain,
-        TRANSPOSITION,
+    *(
+        SameCase(name, breaks, partial(_turned, stood, turn), HORIZON_ONLY)
+        for name, breaks, stood, turn in (
+            ("half turn", "headings differ in more than a sign", _split_terrain, HALF_TURN),
+            (
+                "transposition",
+                "rows and columns are marched by different code",
+                _split_terrain,
+                TRANSPOSITION,
+            ),
+            ("quarter turn", "headings differ in more than a turn", _flat_celled, QUARTER_TURN),
+            ("mirror", "left and right are not treated alike", _flat_celled, MIRROR),
+        )
     ),
-    TurnCase("quarter turn", "headings differ in more than a turn", _flat_celled, QUARTER_TURN),
-    TurnCase("mirror", "left and right are not treated alike", _flat_celled, MIRROR),
-    RefusalCase("eye in a void", "an eye at NaN renders something", (15.0, 15.5), "on a hole"),
-    RefusalCase("eye off the map", "an eye beyond the border wraps", (-0.5, 3.0), "off the map"),
+    *(
+        SameCase(name, breaks, partial(_refused, *place, says))
+        for name, breaks, place, says in (
+            ("eye in a void", "an eye at NaN renders something", (15.0, 15.5), "on a hole"),
+            ("eye off the map", "an eye beyond the border wraps", (-0.5, 3.0), "off the map"),
+        )
+    ),
 )
 
 
-HardCase = SceneCase | RepeatCase | TurnCase | RefusalCase
+HardCase = SceneCase | SameCase
 HARD_CASES: tuple[HardCase, ...] = (
     *GRID_CASES, *STEEP_CASES, *WIDE_CASES, *FRAME_CASES, *SAME_CASES,
 )  # fmt: skip

@@ -25,12 +25,10 @@ from skyline_bench.figures.plots import (
 )
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import core_count
-from skyline_bench.runs import calibration
+from skyline_bench.runs import calibration, crowds
 from skyline_bench.runs import placing as layouts
-from skyline_bench.runs import retrieval_scale as retrieval
 from skyline_bench.runs import same_place as together
 from skyline_bench.runs import scale as size
-from skyline_bench.runs import strangers as elsewhere
 from skyline_bench.runs.cost_summary import equal_rows, reached_rows
 from skyline_bench.runs.matching import KINDS, PLAIN, MatchingConfig, check, measure
 from skyline_bench.trials.trials import ALL, PAPER, RETRIEVED, WHAT, DistanceGroup
@@ -350,7 +348,7 @@ def retrieval_scale(
     if quick:
         places, queries = min(places, 50_000), min(queries, 5)
     with progress_bar("queries") as progress:
-        rows = retrieval.measure(store, dem, places, queries, seed, progress)
+        rows = crowds.retrieval_scale(store, dem, places, queries, seed, progress)
     options.tell(json_file, "retrieval-scale", rows)
 
 
@@ -367,7 +365,7 @@ def strangers(
     terrain = read_dem(strange, DemOptions(reproject=True))
     count = min(queries, 5) if quick else queries
     with progress_bar("strangers") as progress:
-        found = elsewhere.measure(store, dem, terrain, count, seed, progress)
+        found = crowds.strangers(store, dem, terrain, count, seed, progress)
     rows = [{"strange": [Path(path).name for path in strange], **found}]
     options.tell(json_file, "strangers", rows)
 

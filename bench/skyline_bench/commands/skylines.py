@@ -16,11 +16,9 @@ from skyline_bench.commands import options
 from skyline_bench.figures.plots import save_speed_error, save_stability, save_table1
 from skyline_bench.measuring.record import Row, machine
 from skyline_bench.runs import horizon as horizon_tools
-from skyline_bench.runs import large_dem as large_dems
 from skyline_bench.runs import page as pages
-from skyline_bench.runs import pipeline_speed as pipeline_stages
-from skyline_bench.runs import place_speed as ways_to_places
 from skyline_bench.runs import prediction_quality as qualities
+from skyline_bench.runs import speeds
 from skyline_bench.runs import summits as summits_kept
 from skyline_bench.runs import table1 as simulated
 from skyline_bench.runs.speed_error import SpeedErrorConfig, measure
@@ -86,7 +84,7 @@ def place_speed(
 ) -> None:
     """Skylines all the way round against four headings: milliseconds an eye, taken in turns."""
     terrain = read_dem(dem, DemOptions(crs=crs))
-    rows = ways_to_places.measure(terrain, min(eyes, 100) if quick else eyes)
+    rows = speeds.place_speed(terrain, min(eyes, 100) if quick else eyes)
     options.tell(json_file, "place-speed", rows)
 
 
@@ -136,13 +134,13 @@ def large_dem(
     """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
     if quick:
         samples, viewpoints = min(samples, 4000), min(viewpoints, 32)
-    options.tell(json_file, "large-dem", [large_dems.measure(samples, viewpoints)])
+    options.tell(json_file, "large-dem", [speeds.large_dem(samples, viewpoints)])
 
 
 def pipeline_speed(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
     """Every stage from DEM to match, on a small DEM that is always at hand."""
     with tempfile.TemporaryDirectory() as folder:
-        rows = pipeline_stages.measure(Path(folder), repeats=1 if quick else 3)
+        rows = speeds.pipeline_speed(Path(folder), repeats=1 if quick else 3)
     options.tell(json_file, "pipeline-speed", rows)
 
 
