@@ -72,15 +72,9 @@ def ground_rgb(
     scenery: Scenery,
     generator: np.random.Generator,
 ) -> Float64Array:
-    """Return RGB (M, 3) of ground at map coordinates (easting, northing) and a distance.
+    """Return RGB (M, 3) of ground at map coordinates (easting, northing), each (M,).
 
-    Parameters
-    ----------
-    place_m : two (M,) float64
-    distance_m : (M,) float64
-        From the camera.
-    generator : np.random.Generator
-        Where meadows and forests are.
+    Distances (M,) are from the camera. The generator says where meadows and forests are.
     """
     height_m, slope_east, slope_north = _sampled(field, *place_m)
     normal = np.stack([-slope_east, np.ones_like(slope_east), -slope_north], axis=-1)

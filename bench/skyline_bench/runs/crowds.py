@@ -24,8 +24,8 @@ from skyline.places import BINS, DISTANCE_BINS, Places
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring.memory import own_bytes
 from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.timing import own_bytes
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_bench.stores.reference import mapped_area_m
 

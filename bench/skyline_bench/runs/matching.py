@@ -14,6 +14,7 @@ from types import MappingProxyType
 import numpy as np
 
 from skyline.errors import InputError
+from skyline.geodesy import Bounds
 from skyline.paper.planning.budget import check_coarse, spaced_for
 from skyline.paper.planning.candidates import lay_out
 from skyline.paper.planning.plan import PlanConfig
@@ -24,6 +25,7 @@ from skyline.planning.uniform import map_bounds
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.timing import unseen
 from skyline_bench.measuring.workers import Crew, crew
 from skyline_bench.queries.other_dems import perturbed, resampled
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
@@ -50,7 +52,6 @@ from skyline_bench.trials.trials import (
     summarize,
 )
 
-BoundsDeg = tuple[float, float, float, float]
 Grid = tuple[str, float | None]
 """What a store holds, and its spacing in metres; None for places as they are planned by default."""
 
@@ -86,7 +87,7 @@ class MatchingConfig:
     """What is compared."""
 
     # West, south, east, north of the area; by default 5 x 10 km in the DEM's middle.
-    bounds_deg: BoundsDeg | None = None
+    bounds_deg: Bounds | None = None
     # Of the uniform stores of renderings, built where a matcher searches such.
     spacings_m: tuple[float, ...] = (1024.0, 512.0, 256.0, 128.0)
     # Of the uniform stores of places, likewise; None for places as they are planned by default.
@@ -117,13 +118,11 @@ class MatchingConfig:
         for name in ("spacings_m", "place_spacings_m", "plans", "matchers", "kinds"):
             # Asked for twice is asked for once: two processes must not build the same store.
             object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
-        for what, names, known in (
-            ("matcher", self.matchers, WHAT),
-            ("kind of queries", self.kinds, KINDS),
-        ):
+        known = {"matcher": (self.matchers, WHAT), "kind of queries": (self.kinds, KINDS)}
+        for what, (names, these) in known.items():
             for name in names:
-                if name not in known:
-                    raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
+                if name not in these:
+                    raise InputError(f"{what} is {name!r}; expected one of {', '.join(these)}")
         if not (self.grids() or self.plans or self.stores):
             raise InputError("there is no store to match; give a spacing or a store")
 
@@ -164,17 +163,14 @@ class MatchingConfig:
 def middle_deg(
     terrain: HeightField,
     size_m: tuple[float, float] = DEFAULT_AREA_M,
-    bounds_deg: BoundsDeg | None = None,
-) -> BoundsDeg:
+    bounds_deg: Bounds | None = None,
+) -> Bounds:
     """Return the middle of bounds, by default of the DEM: so far east and north at most."""
     west, south, east, north = map_bounds(terrain, bounds_deg)
-    half_east = min(size_m[0], east - west) / 2.0
-    half_north = min(size_m[1], north - south) / 2.0
-    middle_east, middle_north = (west + east) / 2.0, (south + north) / 2.0
-    lon, lat = terrain.frame.to_lonlat(
-        [middle_east - half_east, middle_east + half_east, middle_east, middle_east],
-        [middle_north, middle_north, middle_north - half_north, middle_north + half_north],
-    )
+    half_east, half_north = min(size_m[0], east - west) / 2.0, min(size_m[1], north - south) / 2.0
+    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
+    ends = [[-half_east, half_east, 0.0, 0.0], [0.0, 0.0, -half_north, half_north]]
+    lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + ends))
     return float(lon[0]), float(lat[2]), float(lon[1]), float(lat[3])
 
 
@@ -184,7 +180,7 @@ class _Bench:
 
     terrain: HeightField
     config: MatchingConfig
-    bounds_deg: BoundsDeg
+    bounds_deg: Bounds
     queries: Mapping[str, Sequence[SyntheticQuery]]
     miss_m: float
     folder: Path
@@ -196,7 +192,7 @@ _Job = tuple[ReferenceStore, str]
 """A store, and a matcher that searches it."""
 
 
-def check(terrain: HeightField, config: MatchingConfig) -> BoundsDeg:
+def check(terrain: HeightField, config: MatchingConfig) -> Bounds:
     """Return the bounds of the area, if everything asked for fits into it."""
     bounds_deg = config.bounds_deg or middle_deg(terrain)
     area = map_bounds(terrain, bounds_deg)
@@ -217,27 +213,17 @@ def check(terrain: HeightField, config: MatchingConfig) -> BoundsDeg:
 
 
 def measure(
-    terrain: HeightField, config: MatchingConfig, folder: Path, progress: Progress | None = None
+    terrain: HeightField, config: MatchingConfig, folder: Path, progress: Progress = unseen
 ) -> tuple[list[Row], tuple[DistanceGroup, ...]]:
     """Match the same queries to every store with every matcher that can search it.
 
-    Parameters
-    ----------
-    terrain : HeightField
-        What the stores are rendered from, and the plain queries.
-    folder : Path
-        Where stores and trials are kept: what is there already is not done again.
-    progress : callable, optional
-        Called with stores and matchers done and to do.
+    The stores and the plain queries are rendered from the terrain. Stores and trials are kept in a
+    folder: what is there already is not done again. Progress is of stores and matchers.
 
-    Returns
-    -------
-    list of dict
-        A row for each store, matcher, kind and group. Position errors are those of the best
-        candidate, whether or not the matcher stands by it; a query without any counts as wrong by
-        half of the area's diagonal. Heading errors are those of the right answers.
-    tuple of DistanceGroup
-        None where they were not asked for.
+    Return a row for each store, matcher, kind and group, and the groups, none where they were not
+    asked for. Position errors are those of the best candidate, whether or not the matcher stands by
+    it; a query without any counts as wrong by half of the area's diagonal. Heading errors are those
+    of the right answers.
     """
     bounds_deg = check(terrain, config)
     west, south, east, north = map_bounds(terrain, bounds_deg)
@@ -262,9 +248,8 @@ def measure(
         found = {}
         for job, trials in run(_match, jobs):
             found[job] = trials
-            if progress:
-                progress(len(stores) + len(found), len(stores) + len(jobs))
-    rows: list[Row] = [
+            progress(len(stores) + len(found), len(stores) + len(jobs))
+    rows = [
         {
             "store": store.name,
             "planner": planner,
@@ -302,14 +287,13 @@ def _at_work(bench: _Bench) -> Iterator[Crew]:
     yield lambda work, items: ((item, work(bench, item)) for item in items)
 
 
-def _stores(bench: _Bench, run: Crew, progress: Progress | None) -> list[_Planned]:
+def _stores(bench: _Bench, run: Crew, progress: Progress) -> list[_Planned]:
     """Build what is asked for, the planned first, since they take longest; return all in order."""
     asked: list[Grid | PlanConfig] = [*bench.config.grids(), *bench.config.plans]
     built: dict[Grid | PlanConfig, list[_Planned]] = {}
     for one, stores in run(_build, sorted(asked, key=lambda one: isinstance(one, tuple))):
         built[one] = stores
-        if progress:
-            progress(len(built), len(asked))
+        progress(len(built), len(asked))
     given = [(_GIVEN, given_store(bench.terrain, path)) for path in bench.config.stores]
     return [store for one in asked for store in built[one]] + given
 
@@ -357,7 +341,7 @@ def _match(bench: _Bench, job: _Job) -> dict[str, tuple[Trial, ...]]:
 
 
 def _queries(
-    terrain: HeightField, config: MatchingConfig, bounds_deg: BoundsDeg, kind: str
+    terrain: HeightField, config: MatchingConfig, bounds_deg: Bounds, kind: str
 ) -> Sequence[SyntheticQuery]:
     seen, query = terrain, QueryConfig()
     if kind == OTHER_DEM:

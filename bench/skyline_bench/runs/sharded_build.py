@@ -23,7 +23,7 @@ from skyline.pipeline.match import Matcher
 from skyline.pipeline.shards import build_sharded
 from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring.memory import peak_bytes
+from skyline_bench.measuring.timing import peak_bytes
 from skyline_bench.queries.synthetic import make_queries
 from skyline_bench.trials.kept import file_digest
 from skyline_bench.trials.trials import errors

@@ -30,14 +30,11 @@ _JPEG_QUALITY = 92
 def measure(folder: Path, quick: bool, progress: Progress) -> list[Row]:
     """Measure both halves of a folder, or two photographs of each, one core.
 
-    Returns
-    -------
-    list of dict
-        ``within``: share of the trusted columns that lie within 1 % of the image's height;
-        ``trusted``: share of the columns whose mask has an edge, refused photographs' too, that
-        are trusted; ``mostly_wrong``: photographs with most of their trusted columns farther off;
-        ``seconds`` and ``seconds_12mp``: processor time a photograph, from the file to the
-        skyline, as it is, and the first three enlarged to 12 megapixels.
+    ``within`` is the share of the trusted columns that lie within 1 % of the image's height, and
+    ``trusted`` that of the columns whose mask has an edge, refused photographs' too, that are
+    trusted. ``mostly_wrong`` are photographs with most of their trusted columns farther off.
+    ``seconds`` and ``seconds_12mp`` are processor time a photograph, from the file to the skyline,
+    as it is, and the first three enlarged to 12 megapixels.
     """
     cv2.setNumThreads(1)
     names = sorted(

@@ -148,13 +148,9 @@ def same_rows(path: Path, whole: Path) -> bool:
 def kill_test(build: Build, folder: Path, kills: int) -> dict[str, object]:
     """Kill a build at random instants, resume it, kill it again, until enough are dead.
 
-    Returns
-    -------
-    dict
-        ``kills``; ``opened``: stores that opened afterwards, those killed before there was one
-        among them; ``lost``: kills after which rows were missing or changed; ``builds`` that were
-        finished between kills, and ``equal`` of them to the unbroken one, to the byte once
-        compacted.
+    Return ``kills``; ``opened``, stores that opened afterwards, those killed before there was one
+    among them; ``lost``, kills after which rows were missing or changed; ``builds`` that were
+    finished between kills, and ``equal`` of them to the unbroken one, to the byte once compacted.
     """
     generator = np.random.default_rng(0)
     whole = folder / "whole.h5"
@@ -302,12 +298,9 @@ def _same_rows(got: Rows, wanted: Rows) -> bool:
 def flip_test(whole: Path, folder: Path, flips: int) -> dict[str, object]:
     """Flip one random bit of a store at a time; look whether it changes data and is found.
 
-    Returns
-    -------
-    dict
-        ``flips``; ``harmless`` ones change nothing that a reader gets; ``harmful`` ones do, or
-        keep it from reading; ``found`` of these by `skyline store check`; ``silent`` of these get
-        past readers; ``crashes`` and hangs of readers and of the check.
+    Of the ``flips``, ``harmless`` ones change nothing that a reader gets; ``harmful`` ones do, or
+    keep it from reading. ``found`` of these are by `skyline store check`; ``silent`` of these get
+    past readers; ``crashes`` are those and hangs of readers and of the check.
     """
     generator = np.random.default_rng(0)
     data, tally = bytearray(whole.read_bytes()), Counter[str]()
@@ -349,10 +342,7 @@ def _read_as(path: Path, whole: Path) -> str:
 def fuzz_test(whole: Path, folder: Path, cases: int) -> dict[str, object]:
     """Read mutated copies of a store; each must be read or be refused in one line.
 
-    Returns
-    -------
-    dict
-        ``cases``; of them ``read``, ``refused``, ``raised`` (a traceback), ``hang`` and ``crash``.
+    Of the ``cases`` are told: ``read``, ``refused``, ``raised`` (a traceback), ``hang``, ``crash``.
     """
     generator = np.random.default_rng(0)
     data, tally = whole.read_bytes(), Counter[str]()

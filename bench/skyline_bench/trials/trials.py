@@ -107,9 +107,11 @@ def errors(candidate: Candidate, truth: Truth) -> tuple[float, float]:
     return float(truth.off_m(candidate.easting_m, candidate.northing_m)), abs(turn)
 
 
-def accuracy(error_m: Float64Array, within_m: Sequence[float | None]) -> dict[str, object]:
+def accuracy(
+    errors_m: Sequence[float] | Float64Array, within_m: Sequence[float | None]
+) -> dict[str, object]:
     """Return how often errors (N,) are small, and how often what is answered (N,) is true."""
-    said_m = np.array(within_m, dtype=np.float64)
+    error_m, said_m = np.asarray(errors_m), np.array(within_m, dtype=np.float64)
     answered = np.isfinite(said_m)
     return {
         "n": len(error_m),

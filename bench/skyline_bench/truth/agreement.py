@@ -198,20 +198,11 @@ def undecided_columns(scene: Scene, bound_px: Float64Array) -> tuple[BoolArray, 
 
     Where a ray passes a sample is known to `_ASIDE` of its depth. Whether it passes left or right
     of one on the border of the map or of a hole is open within that; and whether the skyline is
-    on such a border or inside is open where both have v within the bound of each other.
+    on such a border or inside is open where both have v within the bound (N, W) of each other.
 
-    Parameters
-    ----------
-    bound_px : (N, W) float64
-        Bound on the error of v.
-
-    Returns
-    -------
-    undecided : (N, W) bool
-    spread_px : (N, W) float64
-        How far apart the skylines to both sides of a column may be: next to nothing but where the
-        ray passes such a sample, or runs almost along the edge that it sees as the skyline.
-        Infinite where only one side meets data.
+    Return which columns (N, W) these are, and how far apart the skylines to both sides of a column
+    may be, (N, W) px: next to nothing but where the ray passes such a sample, or runs almost along
+    the edge that it sees as the skyline; infinite where only one side meets data.
     """
     u, pixel = columns_u(scene.width), pixel_size(scene.width)
     exact, left, right = (

@@ -13,12 +13,9 @@ PIXEL_TAN = pixel_size(DEFAULT_WIDTH)
 def compare(views: Views, truth: Views) -> Row:
     """Compare views with the oracle's of the same viewpoints and width.
 
-    Returns
-    -------
-    dict
-        ``rms_px`` and ``max_px`` over the ``columns`` that neither side flags, None without any;
-        ``flagged_share`` of all columns is left out because either side flags them; ``missing``
-        are unflagged columns of the truth where the other has no value, whatever its flags say.
+    Return ``rms_px`` and ``max_px`` over the ``columns`` that neither side flags, None without any.
+    ``flagged_share`` of all columns is left out because either side flags them; ``missing`` are
+    unflagged columns of the truth where the other has no value, whatever its flags say.
     """
     clear = truth.flags == 0
     missing = clear & np.isnan(views.elevation_tan)
