@@ -23,7 +23,7 @@ from skyline_bench.figures.plots import (
     save_reliability,
     save_scale,
 )
-from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.record import Row, write_record
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.runs import calibration, crowds
 from skyline_bench.runs import placing as layouts
@@ -34,7 +34,6 @@ from skyline_bench.runs.matching import KINDS, PLAIN, MatchingConfig, check, mea
 from skyline_bench.trials.trials import ALL, PAPER, RETRIEVED, WHAT, DistanceGroup
 
 _MATCHING = MatchingConfig()
-_SPACINGS_M = (1024.0, 512.0, 256.0, 128.0)
 _BUDGETS = (800, 1600, 2800)
 _COMPARED = (PAPER, RETRIEVED, FULL)
 
@@ -125,7 +124,7 @@ def uniform_adaptive(
     query without any candidate counts as wrong by half of the
     area's diagonal.
     """
-    grids = tuple(spacing or _SPACINGS_M)
+    grids = tuple(spacing or _MATCHING.spacings_m)
     apart = replace(Spacing(), candidate_m=candidate_spacing)
     config = MatchingConfig(
         bounds_deg=options.bounds_of(bounds),
@@ -156,7 +155,7 @@ def uniform_adaptive(
     summary = {"as_accurate": reached_rows(rows), "as_many_renderings": equal_rows(rows)}
     for table in summary.values():
         options.print_rows(table)
-    options.keep_record(json_file, "uniform-adaptive", rows, summary)
+    write_record(json_file, "uniform-adaptive", rows, summary)
     if plot is not None:
         save_figure(draw_costs(rows), plot)
 
@@ -184,25 +183,9 @@ def _store_lines(rows: list[Row]) -> list[Row]:
 
 
 _PLACING = layouts.PlacingConfig()
-_PLACING_COLUMNS = {
-    "layout": "layout",
-    "places": "places",
-    "bytes": "MB",
-    "build_cpu_s": "cpu s",
-    "group": "skyline",
-    "n": "n",
-    "within_200m": "in 200 m",
-    "within_1km": "in 1 km",
-    "median_m": "median m",
-    "mean_m": "mean m",
-    "answered": "answered",
-    "precision": "right of these",
-    "claimed_loss": "claimed loss",
-    "expected_loss": "expected",
-    "lost": "lost",
-    "model_precision": "model's precision",
-    "model_recall": "recall",
-}
+_PLACING_COLUMNS = """layout places bytes=MB build_cpu_s=cpu_s group=skyline n within_200m=in_200_m
+    within_1km=in_1_km median_m mean_m answered precision=right_of_these claimed_loss
+    expected_loss=expected lost model_precision=model's_precision model_recall=recall"""
 
 
 def placing(
@@ -303,7 +286,7 @@ def scale(
         query_cpu_s screened fitted retrieved refined"""
     options.print_rows([cost])
     options.print_rows(rows, columns)
-    options.keep_record(json_file, "scale", rows, {"store": [cost]})
+    write_record(json_file, "scale", rows, {"store": [cost]})
     if plot is not None:
         save_scale(rows, plot)
 

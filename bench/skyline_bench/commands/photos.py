@@ -14,26 +14,15 @@ from skyline.pipeline.jobs import Progress
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands import options
 from skyline_bench.figures.photographs import PhotographsPage, save_match
+from skyline_bench.measuring.record import write_record
 from skyline_bench.queries.manifest import EXTRACT, KINDS, Photograph, read_manifest
 from skyline_bench.runs import sky_masks as masks
 from skyline_bench.runs.photographs import Measured, PhotosConfig, Shown, measure, summarize
 from skyline_bench.training.photographs import draw_training_photos
 
 _PHOTOS = PhotosConfig()
-_PHOTO_COLUMNS = {
-    "photo": "photo",
-    "kind": "kind",
-    "trusted": "trusted",
-    "right_columns": "right",
-    "error_m": "error m",
-    "rank": "rank",
-    "heading_error_deg": "heading off",
-    "confidence": "confidence",
-    "answered": "answered",
-    "gps_off_m": "GPS off m",
-    "lost": "lost by",
-    "seconds": "s",
-}
+_PHOTO_COLUMNS = """photo kind trusted right_columns=right error_m rank
+    heading_error_deg=heading_off confidence answered gps_off_m=GPS_off_m lost=lost_by seconds=s"""
 
 
 def photos(
@@ -92,7 +81,7 @@ def photos(
     how = {"manifest": name, **asdict(config)}
     rows = [{**how, **row} for row in rows]
     summary = [{**how, **row} for row in summary]
-    options.keep_record(json_file, "photos", rows, {"photos": summary})
+    write_record(json_file, "photos", rows, {"photos": summary})
     if drawn is not None and page is not None:
         drawn.write(page, f"{len(rows)} photographs of {manifest.name}.")
 
@@ -113,12 +102,7 @@ def _told(page: PhotographsPage | None, progress: Progress, count: int) -> Shown
 
 
 def readme_picture(
-    out: Annotated[
-        Path,
-        Option(
-            "--out", "-o", metavar="FILE", help="The JPEG to write.", callback=options.in_a_folder
-        ),
-    ],
+    out: Annotated[Path, options.new_file("The JPEG to write.", "--out", "-o")],
     quick: options.Quick = False,
 ) -> None:
     """The README's picture: a photo made of the sample terrain, and where it was put."""

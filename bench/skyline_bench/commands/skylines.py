@@ -14,7 +14,7 @@ from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.cases import stability as hard_cases
 from skyline_bench.commands import options
 from skyline_bench.figures.plots import save_speed_error, save_stability, save_table1
-from skyline_bench.measuring.record import Row, machine
+from skyline_bench.measuring.record import Row, machine, write_record
 from skyline_bench.runs import horizon as horizon_tools
 from skyline_bench.runs import page as pages
 from skyline_bench.runs import prediction_quality as qualities
@@ -67,7 +67,7 @@ def stability(
             rows += hard_cases.measure(path, quick, [case])
     verdicts = [{**row, "verdict": "holds" if row["ok"] else "FAILS"} for row in rows]
     options.print_rows(verdicts, "case path error_px bound_px verdict")
-    options.keep_record(json_file, "stability", rows)
+    write_record(json_file, "stability", rows)
     if plot is not None:
         save_stability(rows, plot)
     failed = [f"{row['case']} ({row['path']})" for row in rows if not row["ok"]]
@@ -120,9 +120,7 @@ def summits(
     columns = """surface spacing_m summits lowest_m highest_m summits_off sights median_sight_m
         p90_sight_m bias_m rms_off_m place_cpu_ms"""
     options.print_rows(rows, columns)
-    options.keep_record(
-        json_file, "summits", options.rows_but(json_file, "dem", [rows[0]["dem"]]) + rows
-    )
+    write_record(json_file, "summits", options.rows_but(json_file, "dem", [rows[0]["dem"]]) + rows)
 
 
 def large_dem(
@@ -169,7 +167,7 @@ def table1(
     options.print_rows(rows, "row strategy A A_std B mean_area bound seconds")
     for said, holds in simulated.conclusions(rows).items():
         typer.echo(f"{'holds' if holds else 'does not hold':<14} {said}")
-    options.keep_record(json_file, "table1", rows)
+    write_record(json_file, "table1", rows)
     if plot is not None:
         save_table1(plot)
 

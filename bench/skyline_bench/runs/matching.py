@@ -20,6 +20,7 @@ from skyline.paper.planning.candidates import lay_out
 from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline.config import PlaceConfig, RenderConfig
 from skyline.pipeline.jobs import Progress
+from skyline.pipeline.layout import Layout
 from skyline.pipeline.match import Matcher
 from skyline.planning.uniform import map_bounds
 from skyline.store.header import PLACES, RENDERINGS
@@ -34,10 +35,9 @@ from skyline_bench.stores.reference import (
     ReferenceStore,
     check_spacing,
     given_store,
-    place_store,
+    laid_out_store,
     planned_places,
     planned_store,
-    uniform_store,
 )
 from skyline_bench.trials.kept import Kept, file_digest
 from skyline_bench.trials.trials import (
@@ -303,10 +303,9 @@ def _build(bench: _Bench, asked: Grid | PlanConfig) -> list[_Planned]:
     where = bench.terrain, bench.folder
     if not isinstance(asked, PlanConfig):
         holds, spacing_m = asked
-        if holds == PLACES or spacing_m is None:
-            store = place_store(*where, spacing_m, bench.bounds_deg, PlaceConfig())
-        else:
-            store = uniform_store(*where, spacing_m, bench.bounds_deg, RenderConfig())
+        layout = Layout(spacing_m, bounds_deg=bench.bounds_deg)
+        config = PlaceConfig() if holds == PLACES else RenderConfig()
+        store = laid_out_store(*where, layout, config)
         return [(_DEFAULT if spacing_m is None else UNIFORM, store)]
     planned = planned_store(*where, asked, bench.bounds_deg, RenderConfig())
     stores = [planned]

@@ -24,11 +24,12 @@ from skyline import (
 from skyline.arrays import Float64Array
 from skyline.geodesy import Bounds
 from skyline.pipeline.config import PlaceConfig
+from skyline.pipeline.layout import Layout
 from skyline.planning.uniform import map_bounds
 from skyline.report.claims import describe_claim
 from skyline_bench.measuring.record import Row
 from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph
-from skyline_bench.stores.reference import place_store
+from skyline_bench.stores.reference import laid_out_store
 
 RIGHT_M, RIGHT_DEG = 200.0, 10.0
 _RIGHT_ROWS = 0.01
@@ -98,8 +99,8 @@ def measure(
             raise InputError("photographs are to be located; give the elevation model too")
         place = folder / f"{group[0].name}-area"
         place.mkdir(exist_ok=True)
-        area_deg = _area_deg(terrain, group[0], config.side_m)
-        store = place_store(terrain, place, config.spacing_m, area_deg, PlaceConfig())
+        layout = Layout(config.spacing_m, bounds_deg=_area_deg(terrain, group[0], config.side_m))
+        store = laid_out_store(terrain, place, layout, PlaceConfig())
         with Matcher(store.path, terrain) as matcher, Viewer(matcher) as viewer:
             for one in group:
                 measured = _located(one, matcher, viewer, config)

@@ -11,6 +11,7 @@ from skyline.geodesy import Bounds
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.pipeline.config import PlaceConfig
 from skyline.pipeline.jobs import Progress
+from skyline.pipeline.layout import Layout
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import FULL
 from skyline.pipeline.results import JointResult
@@ -20,7 +21,7 @@ from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import unseen
 from skyline_bench.queries.synthetic import SyntheticQuery, make_queries_together
 from skyline_bench.runs.matching import middle_deg
-from skyline_bench.stores.reference import place_store
+from skyline_bench.stores.reference import laid_out_store
 from skyline_bench.trials.trials import Trial, accuracy, errors, open_matcher, run_trials
 
 Photos = tuple[SyntheticQuery, ...]
@@ -83,7 +84,8 @@ def measure(
     agree, ``stranger_named`` that where the photo of another place is.
     """
     bounds_deg = config.bounds_deg or middle_deg(terrain)
-    store = place_store(terrain, folder, config.spacing_m, bounds_deg, PlaceConfig())
+    layout = Layout(config.spacing_m, bounds_deg=bounds_deg)
+    store = laid_out_store(terrain, folder, layout, PlaceConfig())
     area = map_bounds(terrain, bounds_deg)
     made = make_queries_together(terrain, area, config.places, config.photos, config.seed)
     measured = []

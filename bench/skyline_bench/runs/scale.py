@@ -19,7 +19,7 @@ from skyline.geodesy import Bounds, Frame, Rectangle
 from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.pipeline.config import PlaceConfig
 from skyline.pipeline.jobs import Progress
-from skyline.pipeline.layout import DEFAULT_LOSS
+from skyline.pipeline.layout import DEFAULT_LOSS, Layout
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.scene import RenderedScene
 from skyline.planning.uniform import map_bounds
@@ -32,8 +32,8 @@ from skyline_bench.runs.matching import middle_deg
 from skyline_bench.stores.reference import (
     check_spacing,
     given_store,
+    laid_out_store,
     mapped_area_m,
-    place_store,
 )
 from skyline_bench.trials.kept import Kept
 from skyline_bench.trials.traced import STAGES, Outcome, Traced
@@ -170,8 +170,8 @@ def outcomes(
         store = given_store(terrain, config.store)
     else:
         check_spacing(terrain, config.spacing_m, config.bounds_deg)
-        where = config.spacing_m, config.bounds_deg, PlaceConfig()
-        store = place_store(terrain, folder, *where, progress, config.loss)
+        layout = Layout(config.spacing_m, bounds_deg=config.bounds_deg, loss=config.loss)
+        store = laid_out_store(terrain, folder, layout, PlaceConfig(), progress)
     reset_peak()
     started = time.perf_counter()
     with Matcher(store.path, terrain, config=MATCHING) as matcher:

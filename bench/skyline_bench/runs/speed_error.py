@@ -30,7 +30,7 @@ from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import in_turns, over_cores
 from skyline_bench.peers.embree import STARTS, Bisection, EmbreePeer, is_installed
 from skyline_bench.truth import oracle
-from skyline_bench.truth.comparison import compare
+from skyline_bench.truth.agreement import compare
 
 _Render = Callable[[Viewpoints], Views]
 

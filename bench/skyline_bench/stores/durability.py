@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +34,9 @@ from skyline.store import (
 from skyline.store.header import PLACES
 from skyline.store.integrity import examine
 from skyline.views import Views
-from skyline_bench.measuring.workers import fork, outcome_of
+from skyline_bench.measuring.workers import ended, fork, outcome_of
 
-Say = Callable[[int], None]
+Say = Callable[[int], object]
 """Called with the number of rows that are committed."""
 
 _LONGER = 1.5
@@ -43,8 +44,6 @@ _LONGER = 1.5
 
 Build = Callable[[Path, Say], None]
 """Builds a store at a path, or goes on with the one that is there."""
-
-Rows = Views | Places
 
 
 def numbered_header(width: int = 64, rows: str = "compact") -> StoreHeader:
@@ -62,13 +61,6 @@ def numbered_header(width: int = 64, rows: str = "compact") -> StoreHeader:
     return replace(header, holds=PLACES, width=0) if rows == "places" else header
 
 
-def numbered_rows(header: StoreHeader, start: int, stop: int) -> Rows:
-    """Return rows that say which they are, as they are read back from a store."""
-    if header.holds == PLACES:
-        return numbered_places(start, stop)
-    return numbered_views(header, start, stop)[0]
-
-
 def append_numbered(writer: StoreWriter, stop: int) -> None:
     """Append numbered rows after those that a store holds."""
     start = len(writer)
@@ -78,11 +70,22 @@ def append_numbered(writer: StoreWriter, stop: int) -> None:
         writer.append(*numbered_views(writer.header, start, stop))
 
 
-def read_numbered(store: Store, rows: slice) -> Rows:
-    """Read rows of a store of either kind."""
+def reads_as_numbered(store: Store, rows: slice) -> bool:
+    """Whether rows of a store of either kind are the numbered ones."""
+    span = np.arange(len(store))[rows]
+    if not span.size:
+        return True
+    start, stop = int(span[0]), int(span[-1]) + 1
+    got: Any
+    wanted: Any
     if store.header.holds == PLACES:
-        return store.places().take(np.arange(len(store))[rows])
-    return store.views(rows)
+        got, wanted = store.places().take(span), numbered_places(start, stop)
+    else:
+        got, wanted = store.views(rows), numbered_views(store.header, start, stop)[0]
+    return all(
+        np.array_equal(getattr(got, f.name), getattr(wanted, f.name), equal_nan=True)
+        for f in fields(wanted)
+    )
 
 
 def numbered_places(start: int, stop: int) -> Places:
@@ -158,22 +161,22 @@ def kill_test(build: Build, folder: Path, kills: int) -> dict[str, object]:
     for _ in range(3):
         whole.unlink(missing_ok=True)
         started = time.perf_counter()
-        _finish(*_start(build, whole))
+        _finish(_start(build, whole))
         lasts_s = min(lasts_s, time.perf_counter() - started)
     started = time.perf_counter()
-    _finish(*_start(build, whole))  # Nothing is left to do.
+    _finish(_start(build, whole))  # Nothing is left to do.
     starts_s = time.perf_counter() - started
     total = _committed(whole)
     compacted = _compacted(whole)
     tally = Counter(kills=0, opened=0, lost=0, builds=0, equal=0)
     path, said = folder / "killed.h5", 0
     while tally["kills"] < kills:
-        child, pipe = _start(build, path)
+        child = _start(build, path)
         # Some runs end before they are killed, so that resumed builds are seen to end as well.
         left_s = starts_s + lasts_s * (1.0 - said / total)
         time.sleep(generator.uniform(0.0, _LONGER * left_s))
-        os.kill(child, signal.SIGKILL)
-        code, committed = _finish(child, pipe)
+        os.kill(child[0], signal.SIGKILL)
+        code, committed = _finish(child)
         said = max(said, committed)
         if code == 0:
             tally["builds"] += 1
@@ -188,7 +191,7 @@ def kill_test(build: Build, folder: Path, kills: int) -> dict[str, object]:
             tally["lost"] += rows < said or (path.exists() and not same_rows(path, whole))
         except SkylineError:
             pass
-    _finish(*_start(build, path))
+    _finish(_start(build, path))
     tally["builds"] += 1
     tally["equal"] += _compacted(path) == compacted
     return {**tally, "unbroken_s": lasts_s}
@@ -210,27 +213,12 @@ def _compacted(path: Path) -> bytes:
 
 
 def _start(build: Build, path: Path) -> tuple[int, int]:
-    reading, writing = os.pipe()
-
-    def say(committed: int) -> None:
-        os.write(writing, struct.pack("<q", committed))
-
-    def child() -> None:
-        os.close(reading)
-        build(path, say)
-
-    pid = fork(child)
-    os.close(writing)
-    return pid, reading
+    return fork(lambda say: build(path, lambda committed: say(struct.pack("<q", committed))))
 
 
-def _finish(child: int, pipe: int) -> tuple[int, int]:
+def _finish(child: tuple[int, int]) -> tuple[int, int]:
     """Wait for a build; return its exit code and the last number of rows it said."""
-    said = b""
-    while piece := os.read(pipe, 1 << 16):
-        said += piece
-    os.close(pipe)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    code, said = ended(*child)
     return code, struct.unpack("<q", said[-8:])[0] if said else 0
 
 
@@ -264,18 +252,15 @@ def readers_test(
                 errors += not committed <= len(store) <= appended
                 first = int(generator.integers(0, max(len(store) - 200, 1)))
                 rows = slice(first, first + 200) if opened % 2 else slice(-200, None)
-                span = range(*rows.indices(len(store)))
-                if span:
-                    wanted = numbered_rows(header, span.start, span.stop)
-                    errors += not _same_rows(read_numbered(store, rows), wanted)
+                errors += not reads_as_numbered(store, rows)
             opened += 1
         return f"{opened} {errors}"
 
-    writer = fork(write)
+    writer = fork(lambda _: write())
     with ThreadPoolExecutor(readers) as pool:
         patience_s = int(seconds) + 60
         said = list(pool.map(lambda n: outcome_of(partial(read, n), patience_s), range(readers)))
-    code = os.waitstatus_to_exitcode(os.waitpid(writer, 0)[1])
+    code, _ = ended(*writer)
     counts = [tuple(map(int, answer.split())) for answer in said if answer[:1].isdigit()]
     return {
         "readers": readers,
@@ -286,13 +271,6 @@ def readers_test(
         "wrong": sum(errors for _, errors in counts),
         "writer_failed": code != 0,
     }
-
-
-def _same_rows(got: Rows, wanted: Rows) -> bool:
-    return all(
-        np.array_equal(getattr(got, f.name), getattr(wanted, f.name), equal_nan=True)
-        for f in fields(wanted)
-    )
 
 
 def flip_test(whole: Path, folder: Path, flips: int) -> dict[str, object]:

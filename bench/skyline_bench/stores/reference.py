@@ -18,8 +18,9 @@ from skyline.errors import InputError, MissingFileError
 from skyline.geodesy import Bounds, Rectangle
 from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline.build import BuildResult, render_missing
-from skyline.pipeline.config import PlaceConfig, RenderConfig, store_header
-from skyline.pipeline.layout import DEFAULT_LOSS, Layout
+from skyline.pipeline.config import BuildConfig, PlaceConfig, RenderConfig, store_header
+from skyline.pipeline.jobs import Progress
+from skyline.pipeline.layout import Layout
 from skyline.pipeline.places import build_store, place_renderer, place_rows
 from skyline.pipeline.planned import build_planned
 from skyline.planning.uniform import map_bounds, uniform_grid
@@ -73,31 +74,17 @@ def check_spacing(terrain: HeightField, spacing_m: float | None, bounds_deg: Bou
         )
 
 
-def uniform_store(
+def laid_out_store(
     terrain: HeightField,
     folder: Path,
-    spacing_m: float,
-    bounds_deg: Bounds | None,
-    config: RenderConfig,
+    layout: Layout,
+    config: BuildConfig,
+    progress: Progress | None = None,
 ) -> ReferenceStore:
-    """Return a uniform store of renderings in a folder, built as far as it is not there yet."""
-    name, layout = f"uniform-{spacing_m:g}", Layout(spacing_m, bounds_deg=bounds_deg)
-    path = folder / f"{name}.h5"
-    return _built(name, path, lambda: build_store(terrain, path, layout, config))
-
-
-def place_store(
-    terrain: HeightField,
-    folder: Path,
-    spacing_m: float | None,
-    bounds_deg: Bounds | None,
-    config: PlaceConfig,
-    progress: Callable[[int, int], None] | None = None,
-    loss: float = DEFAULT_LOSS,
-) -> ReferenceStore:
-    """Return a store of places in a folder, planned without a spacing; as `uniform_store`."""
-    name = f"planned-{loss:g}" if spacing_m is None else f"places-{spacing_m:g}"
-    layout = Layout(spacing_m, bounds_deg=bounds_deg, loss=loss)
+    """Return a store of a layout in a folder, built as far as it is not there yet."""
+    kind = "places" if isinstance(config, PlaceConfig) else "uniform"
+    spacing_m = layout.spacing_m
+    name = f"planned-{layout.loss:g}" if spacing_m is None else f"{kind}-{spacing_m:g}"
     path = folder / f"{name}.h5"
     return _built(name, path, lambda: build_store(terrain, path, layout, config, progress))
 
@@ -129,7 +116,7 @@ def planned_store(
 
 
 def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) -> ReferenceStore:
-    """Return a store of places at the locations of a planned store; as `uniform_store`.
+    """Return a store of places at the locations of a planned store; as `laid_out_store`.
 
     A place stands for half the distance to the nearest other. Its cost is the planning's as well.
     """

@@ -101,11 +101,7 @@ def _noises(seed: int) -> tuple[Float32Array, ...]:
 
 def draw_heights(rng: np.random.Generator, family: int) -> Float32Array:
     """Return a periodic height field of a family, metres: rolling hills to sharp ridges."""
-    return _heights(rng, _noises(family))
-
-
-def _heights(rng: np.random.Generator, noises: tuple[Float32Array, ...]) -> Float32Array:
-    rolling, creased, rough = noises[:3]
+    rolling, creased, rough = _noises(family)[:3]
     sharp = rng.uniform(0.0, 1.0)
     height = (1.0 - sharp) * rolling + sharp * creased + rng.uniform(0.0, 0.1) * rough
     return np.asarray(height * rng.uniform(250.0, 900.0), dtype=np.float32)
@@ -127,11 +123,10 @@ def draw_landscape(
     width: int,
     height: int,
     haze_rgb: NDArray[np.float32],
-    family: int | None = None,
+    family: int,
 ) -> Landscape:
-    """Draw what lies below the skyline."""
-    noises = _noises(int(rng.integers(1 << 40)) if family is None else family)
-    field, texture, fine = _heights(rng, noises), noises[3], noises[4]
+    """Draw what lies below the skyline, in relief that a family of photographs shares."""
+    field, (texture, fine) = draw_heights(rng, family), _noises(family)[3:]
     fov = np.radians(rng.uniform(22.0, 85.0))
     azimuth = rng.uniform(0, 2 * np.pi) + np.linspace(-fov / 2, fov / 2, width, dtype=np.float32)
     distance = np.geomspace(

@@ -1,28 +1,39 @@
-"""Training photographs: landscapes with what stands in front and what the camera made of them."""
+"""Training photographs: landscapes with what stands in front and what the camera made of them.
+
+Some are views of made terrain, as demos and tests draw them: their sky is the query maker's,
+smooth, with clouds that gather about the ridge.
+"""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from scipy import ndimage
 
 from skyline.arrays import Float32Array, UInt8Array
+from skyline.geodesy import Frame
 from skyline.pipeline.jobs import Progress
+from skyline.render.depth import DepthRenderer
+from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.drawn_photos import CONDITIONS, draw_recipe
+from skyline_bench.queries.photographs import Scenery, draw_photo
+from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_bench.training.landscapes import (
+    CELL_M,
     COVER,
     GROUND,
     SKY,
     UNKNOWN,
     Drawing,
     TrainingPhoto,
+    draw_heights,
     draw_landscape,
     draw_sky,
     fractal,
 )
-from skyline_bench.training.views import draw_view
 
 _SIZE_PX = (400, 304)
 _PLAIN_EVERY, _VIEW_EVERY = 8, 8
@@ -313,16 +324,8 @@ def _figure(drawing: Drawing) -> None:
     cv2.ellipse(mask, centre, (max(1, int(0.7 * size)), max(1, int(size))), 0, 0, 360, 255, -1)
     broad = rng.uniform(1.3, 2.2) * size
     foot = top + rng.uniform(6.0, 16.0) * size
-    body = [
-        (-0.5, 1.8),
-        (0.5, 1.8),
-        (1.0, 2.6),
-        (1.1, 6.0),
-        (0.8, 99.0),
-        (-0.8, 99.0),
-        (-1.1, 6.0),
-        (-1.0, 2.6),
-    ]
+    right = [(0.5, 1.8), (1.0, 2.6), (1.1, 6.0), (0.8, 99.0)]
+    body = [*right, *((-x, y) for x, y in reversed(right))]
     points = [(at + x * broad, min(top + y * size, foot)) for x, y in body]
     cv2.fillPoly(mask, [np.array(points, np.int32)], 255)
     if rng.random() < 0.3:
@@ -359,13 +362,8 @@ def _houses(drawing: Drawing) -> None:
         left, top = int(rng.uniform(-0.1, 1.0) * width), int(rng.uniform(0.2, 0.85) * height)
         mask = np.zeros((height, width), np.uint8)
         roof = int(rng.choice([0.0, 0.5]) * tall)
-        corners = [
-            (left, top),
-            (left + wide // 2, top - roof),
-            (left + wide, top),
-            (left + wide, height),
-            (left, height),
-        ]
+        right, ridge = left + wide, (left + wide // 2, top - roof)
+        corners = [(left, top), ridge, (right, top), (right, height), (left, height)]
         cv2.fillPoly(mask, [np.array(corners, np.int32)], 255)
         colour = np.full((height, width, 3), rng.uniform(30, 230, 3), np.float32)
         step = max(6, wide // int(rng.integers(3, 8)))
@@ -382,23 +380,13 @@ def _window(drawing: Drawing) -> None:
     mask = np.full((height, width), 255, np.uint8)
     reach = rng.uniform(-0.12, 0.25, 4)
     left, top, right, bottom = reach * (width, height, width, height)
+    right, bottom = width - right, height - bottom
     jitter = rng.uniform(-0.08, 0.08, (4, 2)) * (width, height)
-    corners = np.array(
-        [
-            (left, top),
-            (width - right, top),
-            (width - right, height - bottom),
-            (left, height - bottom),
-        ]
-    )
+    corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
     cv2.fillPoly(mask, [(corners + jitter).astype(np.int32)], 0)
     round_px = 2 * int(rng.uniform(0.0, 0.06) * width) + 1
-    opening = cv2.morphologyEx(
-        255 - mask,
-        cv2.MORPH_OPEN,
-        cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (round_px, round_px)),
-    )
-    mask = np.asarray(255 - opening, dtype=np.uint8)
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (round_px, round_px))
+    mask = np.asarray(255 - cv2.morphologyEx(255 - mask, cv2.MORPH_OPEN, disc), dtype=np.uint8)
     if rng.random() < 0.5:
         centre = (int(rng.uniform(0, 1) * width), int(rng.uniform(0.5, 1.0) * height))
         axes = (int(rng.uniform(0.05, 0.2) * width), int(rng.uniform(0.05, 0.2) * height))
@@ -407,3 +395,66 @@ def _window(drawing: Drawing) -> None:
     shade = 1.0 + 0.5 * fractal(rng, (height, width), 2.0)[..., np.newaxis]
     colour = np.clip(dark(rng, 60.0) * np.maximum(shade, 0.0), 0, 255)
     drawing.paint(opacity, colour, COVER)
+
+
+_CELLS = 400
+_FRAME = Frame.from_crs("EPSG:32632")
+_WEST_M, _NORTH_M = 600_000.0, 5_180_000.0
+_RENDERED_PX = 1024
+"""Columns of the depth images of a heading, of 90 degrees."""
+_POSES = 4
+"""Poses of which the one that shows most skyline is drawn: most others show a slope alone."""
+_PLACES_SHARE = 0.3
+"""Share of the terrain, at its middle, in which eyes stand."""
+
+
+def draw_view(seed: tuple[int, ...], terrain_seed: int, size_px: tuple[int, int]) -> TrainingPhoto:
+    """Draw one photograph from a random place of made terrain, in random weather."""
+    rng = np.random.default_rng([13, *seed])
+    terrain = _terrain(terrain_seed)
+    bottom, top = terrain.height_range_m
+    scenery = Scenery(
+        visibility_m=float(np.exp(rng.uniform(np.log(8e3), np.log(300e3)))),
+        snow_line_m=float(rng.choice([np.inf, rng.uniform(bottom, top)])),
+        tree_line_m=float(rng.uniform(bottom - 0.3 * (top - bottom), top + 0.5 * (top - bottom))),
+        clouds=float(rng.uniform(0.0, 1.0)),
+    )
+    width, height = size_px
+    config = QueryConfig(
+        fov_deg=(30.0, 90.0),
+        occluded_share=(0.0, 0.3),
+        width_px=width,
+        height_px=height,
+        eye_height_m=float(np.exp(rng.uniform(np.log(2.0), np.log(300.0)))),
+        azimuths=16 * width,
+    )
+    west, south, east, north = terrain.bounds_m
+    margin = 0.5 * (1.0 - _PLACES_SHARE)
+    aside, along = margin * (east - west), margin * (north - south)
+    area = west + aside, south + along, east - aside, north - along
+    queries = make_queries(terrain, area, _POSES, int(rng.integers(1 << 31)), config)
+    query = max(queries, key=lambda one: np.count_nonzero(np.isfinite(one.row_px)))
+    with DepthRenderer(terrain, _RENDERED_PX) as renderer:
+        image = draw_photo(renderer, query, int(rng.integers(1 << 31)), scenery)
+    # Rows of queries count pixel centres.
+    row = query.row_px + 0.5
+    row = np.where((row > 1.0) & (row < height - 1.0), row, np.nan)
+    rows = np.arange(height)[:, np.newaxis] + 0.5
+    label = np.where(rows < row, SKY, GROUND).astype(np.uint8)
+    label[:, np.isnan(row)] = UNKNOWN
+    for occluder in query.occluders:
+        columns = slice(*occluder.columns)
+        hidden = rows > occluder.row_px + 0.5
+        label[:, columns][hidden] = COVER
+        row[columns][occluder.row_px < row[columns] - 0.5] = np.nan
+    return TrainingPhoto(image, label, np.asarray(row, dtype=np.float32))
+
+
+@lru_cache(maxsize=1)
+def _terrain(seed: int) -> HeightField:
+    """Return terrain of a random spacing, kept for the photographs after."""
+    rng = np.random.default_rng([17, seed])
+    heights = draw_heights(rng, seed)[:_CELLS, :_CELLS]
+    spacing_m = float(np.exp(rng.uniform(np.log(20.0), np.log(90.0))))
+    heights = heights * np.float32(spacing_m / CELL_M)
+    return HeightField(heights, _WEST_M, _NORTH_M, spacing_m, spacing_m, _FRAME)
