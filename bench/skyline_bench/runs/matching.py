@@ -249,7 +249,7 @@ def measure(
         for job, trials in run(_match, jobs):
             found[job] = trials
             progress(len(stores) + len(found), len(stores) + len(jobs))
-    rows = [
+    rows: list[Row] = [
         {
             "store": store.name,
             "planner": planner,

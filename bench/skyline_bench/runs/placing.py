@@ -89,10 +89,8 @@ def measure(
             mine = np.array([low <= one.distance_m < high for one in found])
             if mine.any():
                 some = [one.outcome for one, chosen in zip(found, mine, strict=True) if chosen]
-                rows.append(
-                    {**shared, "group": group, **summary(some)}
-                    | model_quality(expected[mine], lost[mine])
-                )
+                quality = model_quality(expected[mine], lost[mine])
+                rows.append({**shared, "group": group, **summary(some), **quality})
     return rows
 
 
@@ -135,7 +133,7 @@ def _expected(
         distance_m = renderer.render(Viewpoints(easting_m, northing_m, up_m)).distance_m
     start_deg = heading_deg - _WINDOW_DEG / 2.0
     window = np.rint(start_deg / _STEP_DEG).astype(np.int64) % round(360.0 / _STEP_DEG)
-    spacing_m = 2.0 * places.tolerance_m[np.asarray(nearest)]
+    spacing_m = 2.0 * places.tolerance_m[np.asarray(nearest)].astype(np.float64)
     return np.array(
         [
             window_losses(distance_m[[one]], spacing_m[[one]])[0, 0, window[one]]

@@ -136,7 +136,9 @@ def _row(measured: Sequence[_Measured]) -> Row:
         "alone_radius_holds": _radius_holds(alone_m, [trial.radius_m for trial in alone]),
         "alone_seconds": float(np.median([trial.seconds for trial in alone])),
         **{name: together[name] for name in names},
-        "radius_holds": _radius_holds(error_m, [place and place.radius_m for place in best]),
+        "radius_holds": _radius_holds(
+            error_m, [place.radius_m if place else None for place in best]
+        ),
         "own_named_wrong": float(np.mean([not all(one.together.agrees) for one in measured])),
         "seconds": float(np.median([one.together.seconds for one in measured])),
         **{f"mixed_{name}": mixed[name] for name in names},

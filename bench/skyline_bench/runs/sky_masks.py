@@ -16,6 +16,7 @@ from PIL import Image
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError
+from skyline.photo.mask import topmost_border
 from skyline.photo.read import extract_photo
 from skyline.pipeline.jobs import Progress
 from skyline_bench.measuring.record import Row
@@ -108,6 +109,4 @@ def _counted(folder: Path, name: str) -> tuple[float, ...]:
 
 def mask_rows(mask: UInt8Array) -> Float64Array:
     """Return the upper edge of a mask's white in each column, (W,); NaN where there is none."""
-    white = mask > 127
-    first = white.argmax(axis=0)
-    return np.where(white.any(axis=0) & (first > 0), first - 0.5, np.nan)
+    return topmost_border((mask <= 127).astype(np.float64), 0.5)[0]

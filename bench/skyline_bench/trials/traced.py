@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -61,7 +60,8 @@ class Traced:
         """Match a query, and say how far it came."""
         if too_little(query.skyline, MATCHING):
             return Outcome()
-        rays, noted = query.rays(), self._retriever.forget()
+        rays, noted = query.rays(), self._retriever
+        noted.aim = noted.alike = noted.fitted = noted.retrieved = None
         wall, cpu = time.perf_counter(), time.process_time()
         try:
             candidates = self._matcher.rank(rays, _TOP, narrowed).candidates(self._frame)
@@ -115,11 +115,6 @@ class _Noting(Retriever):
     alike: Alike | None = None
     fitted: Hypotheses | None = None
     retrieved: Hypotheses | None = None
-
-    def forget(self) -> Self:
-        """Forget the last search."""
-        self.aim = self.alike = self.fitted = self.retrieved = None
-        return self
 
     def shortlist(
         self,
