@@ -30,9 +30,9 @@ from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on
+from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.queries.photographs import photograph
 from skyline_bench.queries.pinhole import Camera
-from skyline_bench.queries.sample import write_sample_dem
 
 BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
 RENDERINGS_M = 400.0

@@ -4,16 +4,7 @@ import inspect
 from collections.abc import Callable, Mapping
 
 from skyline.console import command_line, run_app
-from skyline_bench.commands import (
-    matching,
-    photos,
-    placing,
-    planning,
-    search,
-    sky_model,
-    skylines,
-    stores,
-)
+from skyline_bench.commands import matching, photos, skylines, stores
 
 COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Skylines": {
@@ -25,7 +16,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         skylines.large_dem: "2 minutes",
         skylines.pipeline_speed: "a minute",
     },
-    "Planning": {planning.table1: "a minute", planning.prediction_quality: "a minute"},
+    "Planning": {skylines.table1: "a minute", skylines.prediction_quality: "a minute"},
     "Builds, stores and files": {
         stores.sharded_build: "an hour",
         stores.store_durability: "an hour",
@@ -34,17 +25,17 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Search": {
         matching.matching: "hours",
         matching.uniform_adaptive: "hours",
-        search.scale: "hours",
-        placing.placing: "an hour",
-        search.retrieval_scale: "5 minutes",
-        search.strangers: "10 minutes",
-        search.same_place: "20 minutes",
-        search.calibrate: "an hour",
+        matching.scale: "hours",
+        matching.placing: "an hour",
+        matching.retrieval_scale: "5 minutes",
+        matching.strangers: "10 minutes",
+        matching.same_place: "20 minutes",
+        matching.calibrate: "an hour",
     },
     "Photographs": {
         photos.photos: "30 minutes",
-        sky_model.sky_masks: "a minute",
-        sky_model.train_sky_model: "an hour",
+        photos.sky_masks: "a minute",
+        photos.train_sky_model: "an hour",
         photos.readme_picture: "a minute",
     },
     "The page": {skylines.page: "3 minutes"},

@@ -9,7 +9,7 @@ from scenes import field_of, fractal
 from skyline.terrain.viewpoints import stand_on
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
 from skyline_bench.truth import oracle
-from skyline_bench.truth.comparison import compare
+from skyline_bench.truth.agreement import compare
 
 
 @pytest.fixture(scope="module")

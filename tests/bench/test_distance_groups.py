@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skyline.errors import InputError
-from skyline_bench.trials.distance_groups import distance_groups
+from skyline_bench.trials.trials import distance_groups
 
 
 def test_terciles_hold_every_query_once():

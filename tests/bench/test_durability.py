@@ -18,7 +18,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> Said:
     script = f"""
         import json
         from pathlib import Path
-        from skyline_bench.stores.damage import flip_test, fuzz_test
+        from skyline_bench.stores.durability import flip_test, fuzz_test
         from skyline_bench.stores.durability import (
             kill_test, numbered_build, numbered_header, readers_test
         )

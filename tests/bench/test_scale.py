@@ -10,7 +10,7 @@ from scenes import FRAME, field_of, fractal
 
 from skyline.errors import InputError
 from skyline.places import Places
-from skyline_bench.measuring.memory import own_bytes, peak_bytes, reset_peak
+from skyline_bench.measuring.timing import own_bytes, peak_bytes, reset_peak
 from skyline_bench.queries.synthetic import QueryConfig, Truth
 from skyline_bench.runs.scale import ScaleConfig, Search, measure
 from skyline_bench.trials.traced import STAGES, Traced

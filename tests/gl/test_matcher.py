@@ -29,7 +29,7 @@ from skyline.pipeline.config import curvature_of
 from skyline.pipeline.scene import RenderedScene
 from skyline.store import open_store
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
-from skyline_bench.stores.area import mapped_area_m
+from skyline_bench.stores.reference import mapped_area_m
 
 MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
 SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.03, 0.03), smooth_share=0.0)

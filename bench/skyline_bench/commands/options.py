@@ -3,7 +3,7 @@
 import json
 import re
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,9 +19,6 @@ from skyline_bench.measuring.record import Row, shown, write_record
 
 _PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 _PIPED_WIDTH = 300
-
-Columns = Mapping[str, str] | str
-"""Keys of rows, and the headings that a table gives them; of a text, the keys are the headings."""
 
 
 def in_a_folder(param: CallbackParam, path: Path | None) -> Path | None:
@@ -92,23 +89,12 @@ def store_folder(kept: Path | None) -> Iterator[Path]:
         yield Path(passing)
 
 
-def keep_record(
-    json_file: Path | None,
-    bench: str,
-    rows: Sequence[Row],
-    summary: Mapping[str, Sequence[Row]] | None = None,
-) -> None:
-    """Write the record of a benchmark where one is asked for."""
-    if json_file is not None:
-        write_record(json_file, bench, rows, summary)
-
-
 def tell(
-    json_file: Path | None, bench: str, rows: Sequence[Row], columns: Columns | None = None
+    json_file: Path | None, bench: str, rows: Sequence[Row], columns: str | None = None
 ) -> None:
     """Print the table of a benchmark and write its record where one is asked for."""
     print_rows(rows, columns)
-    keep_record(json_file, bench, rows)
+    write_record(json_file, bench, rows)
 
 
 def rows_but(json_file: Path | None, key: str, begins: Iterable[str]) -> list[Row]:
@@ -122,20 +108,22 @@ def rows_but(json_file: Path | None, key: str, begins: Iterable[str]) -> list[Ro
     return [row for row in rows if not str(row[key]).startswith(tuple(begins))]
 
 
-def print_rows(rows: Sequence[Row], columns: Columns | None = None) -> None:
-    """Print rows as a table; ``columns`` are those shown, by default all.
+def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
+    """Print rows as a table; ``columns`` are the keys shown, by default all.
 
-    Bytes are shown as megabytes where the heading says so.
+    A key is its own heading, or is given another: ``key=heading``; underscores become spaces. Bytes
+    are shown as megabytes where the heading says so.
     """
-    if not isinstance(columns, Mapping):
-        keys = columns.split() if columns else dict.fromkeys(key for row in rows for key in row)
-        columns = {key: re.sub("bytes$", "MB", key).replace("_", " ") for key in keys}
+    asked = columns.split() if columns else dict.fromkeys(key for row in rows for key in row)
+    headings = {}
+    for key, _, heading in (one.partition("=") for one in asked):
+        headings[key] = re.sub("bytes$", "MB", heading or key).replace("_", " ")
     table = Table(box=SIMPLE_HEAD)
-    for key, heading in columns.items():
+    for key, heading in headings.items():
         words = any(isinstance(row.get(key), str) for row in rows)
         table.add_column(heading, justify="left" if words else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*(_told(row.get(key), heading) for key, heading in columns.items()))
+        table.add_row(*(_told(row.get(key), heading) for key, heading in headings.items()))
     console = Console()
     # A file or a pipe has no width that figures would have to be cut to.
     (console if console.is_terminal else Console(width=_PIPED_WIDTH)).print(table)

@@ -1,10 +1,11 @@
-"""Skylines measured: speed against error, hard cases, places, very large DEMs, and the page."""
+"""Skylines measured: speed against error, hard cases, very large DEMs, the page; and planners."""
 
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
+import typer
 from typer import Option
 
 from skyline.console import progress_bar
@@ -12,14 +13,14 @@ from skyline.errors import SkylineError
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.cases import stability as hard_cases
 from skyline_bench.commands import options
-from skyline_bench.figures.plots import save_speed_error, save_stability
-from skyline_bench.measuring.record import Row, machine
+from skyline_bench.figures.plots import save_speed_error, save_stability, save_table1
+from skyline_bench.measuring.record import Row, machine, write_record
 from skyline_bench.runs import horizon as horizon_tools
-from skyline_bench.runs import large_dem as large_dems
 from skyline_bench.runs import page as pages
-from skyline_bench.runs import pipeline_speed as pipeline_stages
-from skyline_bench.runs import place_speed as ways_to_places
+from skyline_bench.runs import prediction_quality as qualities
+from skyline_bench.runs import speeds
 from skyline_bench.runs import summits as summits_kept
+from skyline_bench.runs import table1 as simulated
 from skyline_bench.runs.speed_error import SpeedErrorConfig, measure
 from skyline_bench.truth.agreement import DEPTH, HORIZON
 
@@ -66,7 +67,7 @@ def stability(
             rows += hard_cases.measure(path, quick, [case])
     verdicts = [{**row, "verdict": "holds" if row["ok"] else "FAILS"} for row in rows]
     options.print_rows(verdicts, "case path error_px bound_px verdict")
-    options.keep_record(json_file, "stability", rows)
+    write_record(json_file, "stability", rows)
     if plot is not None:
         save_stability(rows, plot)
     failed = [f"{row['case']} ({row['path']})" for row in rows if not row["ok"]]
@@ -83,7 +84,7 @@ def place_speed(
 ) -> None:
     """Skylines all the way round against four headings: milliseconds an eye, taken in turns."""
     terrain = read_dem(dem, DemOptions(crs=crs))
-    rows = ways_to_places.measure(terrain, min(eyes, 100) if quick else eyes)
+    rows = speeds.place_speed(terrain, min(eyes, 100) if quick else eyes)
     options.tell(json_file, "place-speed", rows)
 
 
@@ -119,9 +120,7 @@ def summits(
     columns = """surface spacing_m summits lowest_m highest_m summits_off sights median_sight_m
         p90_sight_m bias_m rms_off_m place_cpu_ms"""
     options.print_rows(rows, columns)
-    options.keep_record(
-        json_file, "summits", options.rows_but(json_file, "dem", [rows[0]["dem"]]) + rows
-    )
+    write_record(json_file, "summits", options.rows_but(json_file, "dem", [rows[0]["dem"]]) + rows)
 
 
 def large_dem(
@@ -133,13 +132,13 @@ def large_dem(
     """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
     if quick:
         samples, viewpoints = min(samples, 4000), min(viewpoints, 32)
-    options.tell(json_file, "large-dem", [large_dems.measure(samples, viewpoints)])
+    options.tell(json_file, "large-dem", [speeds.large_dem(samples, viewpoints)])
 
 
 def pipeline_speed(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
     """Every stage from DEM to match, on a small DEM that is always at hand."""
     with tempfile.TemporaryDirectory() as folder:
-        rows = pipeline_stages.measure(Path(folder), repeats=1 if quick else 3)
+        rows = speeds.pipeline_speed(Path(folder), repeats=1 if quick else 3)
     options.tell(json_file, "pipeline-speed", rows)
 
 
@@ -152,3 +151,37 @@ def page(
     with tempfile.TemporaryDirectory() as folder, progress_bar("page") as bar:
         rows = pages.measure(Path(folder), 3 if quick else matches, 2.0 if quick else 10.0, bar)
     options.tell(json_file, "page", rows)
+
+
+_SETUP = qualities.QualitySetup()
+
+
+def table1(
+    seeds: Annotated[int, Option(help="How many seeds, from 0 on.")] = simulated.SEEDS,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    quick: options.Quick = False,
+) -> None:
+    """Repeat the paper's simulation: viewpoints and overlap of each of its strategies."""
+    rows = simulated.measure(min(seeds, 1) if quick else seeds)
+    options.print_rows(rows, "row strategy A A_std B mean_area bound seconds")
+    for said, holds in simulated.conclusions(rows).items():
+        typer.echo(f"{'holds' if holds else 'does not hold':<14} {said}")
+    write_record(json_file, "table1", rows)
+    if plot is not None:
+        save_table1(plot)
+
+
+def prediction_quality(
+    dem: options.Dems,
+    viewpoints: Annotated[int, Option(help="Drawn at random.")] = _SETUP.viewpoints,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = _SETUP.seed,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
+) -> None:
+    """Predictors against renderings: which displaced views look alike."""
+    setup = replace(_SETUP, viewpoints=min(viewpoints, 8) if quick else viewpoints, seed=seed)
+    rows = qualities.prediction_quality(read_dem(dem, DemOptions(crs=crs)), setup)
+    columns = "predictor precision recall rank_correlation answered ms_per_area"
+    options.tell(json_file, "prediction-quality", rows, columns)

@@ -14,7 +14,7 @@ from skyline.errors import InputError
 from skyline.terrain.dem import read_dem
 from skyline_bench.commands import options
 from skyline_bench.commands.options import Names
-from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.record import Row, write_record
 from skyline_bench.runs import input_fuzz as damaged_input
 from skyline_bench.runs import sharded_build as shards
 from skyline_bench.runs import store_durability as durability
@@ -43,7 +43,7 @@ def sharded_build(
             progress(index, len(parts))
             with tempfile.TemporaryDirectory() as folder:
                 rows += shards.PARTS[name](terrain, Path(folder), quick)
-            options.keep_record(json_file, "sharded-build", rows)
+            write_record(json_file, "sharded-build", rows)
     for row in rows:
         options.print_rows([row])
 
@@ -77,7 +77,7 @@ def store_durability(
             rows.append(row)
             options.print_rows([row])
     # At the end: a record names the renderer, and OpenGL does not outlive the forks of these tests.
-    options.keep_record(json_file, "store-durability", rows)
+    write_record(json_file, "store-durability", rows)
 
 
 def input_fuzz(

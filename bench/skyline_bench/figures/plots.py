@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -18,20 +17,12 @@ from skyline_bench.measuring.record import Row
 from skyline_bench.runs.calibration import Reliability, calibration_error, reliability
 from skyline_bench.runs.cost_summary import UNIFORM
 from skyline_bench.runs.scale import GROUPS
-from skyline_bench.trials.distance_groups import ALL
-from skyline_bench.trials.matchers import PAPER, WHAT
 from skyline_bench.trials.traced import STAGES
+from skyline_bench.trials.trials import ALL, PAPER, WHAT
 from skyline_bench.truth.simulation import TABLE_1, Simulation, simulate
 
 _FEW_DECADES = 500.0
 """An axis that spans more has ticks at powers of ten alone."""
-
-
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure of a size in inches."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def save_figure(figure: Figure, path: Path) -> None:
@@ -84,7 +75,7 @@ def save_accuracy(rows: Sequence[Row], path: Path) -> None:
     lines = list(dict.fromkeys(tuple(row[key] for key in keys) for row in rows))
     matchers, kinds, _ = (list(dict.fromkeys(names)) for names in zip(*lines, strict=True))
     costs = "places", "build_cpu_s", "bytes"
-    figure = new_figure(13.0, 10.0)
+    figure = Figure(figsize=(13.0, 10.0), layout="constrained")
     grid = figure.subplots(len(_ERRORS), len(costs), sharex="col", sharey="row")
     for line, key in zip(grid, _ERRORS, strict=True):
         for axis, cost in zip(line, costs, strict=True):
@@ -131,7 +122,7 @@ def draw_costs(rows: Sequence[Row]) -> Figure:
     """
     shown = [row for row in rows if row["group"] == ALL]
     matchers = [name for name in WHAT if any(row["matcher"] == name for row in shown)]
-    figure = new_figure(2.75 * len(matchers) + 0.9, 6.4)
+    figure = Figure(figsize=(2.75 * len(matchers) + 0.9, 6.4), layout="constrained")
     grid = figure.subplots(2, len(matchers), sharey=True, sharex="row", squeeze=False)
     handles: dict[str, Artist] = {}
     for line, key in zip(grid, ("renderings", "bytes"), strict=True):
@@ -177,7 +168,7 @@ def draw_costs(rows: Sequence[Row]) -> Figure:
 
 def save_scale(rows: Sequence[Row], path: Path) -> None:
     """Save accuracy against area: what is found, where it is lost, and what it takes."""
-    figure = new_figure(14.0, 4.6)
+    figure = Figure(figsize=(14.0, 4.6), layout="constrained")
     accuracy, lost, seconds = figure.subplots(1, 3)
     everything = [row for row in rows if row["group"] == "all"]
     for group in GROUPS:
@@ -206,7 +197,7 @@ def save_scale(rows: Sequence[Row], path: Path) -> None:
 
 def save_reliability(path: Path, told: Iterable[Reliability], title: str) -> None:
     """Save the reliability diagram: how often answers are right against how sure they were."""
-    figure = new_figure(6.4, 6.6)
+    figure = Figure(figsize=(6.4, 6.6), layout="constrained")
     axis = figure.subplots()
     axis.plot([0, 1], [0, 1], ":", color="black", linewidth=0.8)
     for name, sure, right in told:
@@ -239,7 +230,7 @@ _SERIES = {
 
 def save_speed_error(rows: Sequence[Row], machine: Row, path: Path) -> None:
     """Save milliseconds a viewpoint against rms and greatest error, both on log scales."""
-    figure = new_figure(13, 6.2)
+    figure = Figure(figsize=(13, 6.2), layout="constrained")
     panels = figure.subplots(1, 2)
     times_ms = [row["ms_per_viewpoint"] for row in rows]
     for axis, key, name in zip(
@@ -301,7 +292,7 @@ def save_stability(rows: Sequence[Row], path: Path) -> None:
     """Save every hard case's greatest error beside its bound, on a log scale, a panel a path."""
     paths = list(dict.fromkeys(row["path"] for row in rows))
     cases = list(dict.fromkeys(row["case"] for row in rows))
-    figure = new_figure(6.5 + 3.5 * len(paths), 1.5 + 0.19 * len(cases))
+    figure = Figure(figsize=(6.5 + 3.5 * len(paths), 1.5 + 0.19 * len(cases)), layout="constrained")
     panels = figure.subplots(1, len(paths), sharey=True, squeeze=False)[0]
     for axis, name in zip(panels, paths, strict=True):
         mine = [row for row in rows if row["path"] == name]
@@ -323,7 +314,7 @@ def save_stability(rows: Sequence[Row], path: Path) -> None:
 
 def save_table1(path: Path) -> None:
     """Save coverage against renderings in the paper's simulation, all strategies, a panel a row."""
-    figure = new_figure(15, 4.6)
+    figure = Figure(figsize=(15, 4.6), layout="constrained")
     for axis, row in zip(figure.subplots(1, len(TABLE_1)), TABLE_1, strict=True):
         simulation = Simulation(row)
         for name, strategy in STRATEGIES.items():
@@ -338,4 +329,24 @@ def save_table1(path: Path) -> None:
         axis.set(xlabel="renderings", ylabel="coverage (%)", ylim=(0, 101))
         axis.grid(alpha=0.3)
     axis.legend(loc="lower right")
+    save_figure(figure, path)
+
+
+def save_placing(rows: Sequence[Row], path: Path) -> None:
+    """Save the rows of `skyline_bench.runs.placing.measure`."""
+    figure = Figure(figsize=(11.0, 4.6), layout="constrained")
+    everything = [row for row in rows if row["group"] == "all"]
+    for axis, key, label in zip(
+        figure.subplots(1, 2),
+        ("within_200m", "within_1km"),
+        ("share within 200 m", "share within 1 km"),
+        strict=True,
+    ):
+        for kind, begins in (("uniform", "places"), ("planned", "planned")):
+            mine = [row for row in everything if row["layout"].startswith(begins)]
+            draw_line(axis, mine, "places", key, kind, "o-")
+        axis.set(xscale="log", xlabel="places", ylabel=label)
+        plain_ticks(axis.xaxis)
+        axis.grid(alpha=0.3)
+        axis.legend()
     save_figure(figure, path)

@@ -1,9 +1,10 @@
-"""Elevation models written as files."""
+"""Elevation models written as files, one of them real and always at hand."""
 
 from pathlib import Path
 
 import numpy as np
 import rasterio
+from matplotlib.cbook import get_sample_data
 from numpy.typing import NDArray
 from rasterio.transform import Affine
 
@@ -23,3 +24,15 @@ def write_geotiff(
     ) as raster:
         raster.write(heights, 1)
     return path
+
+
+def write_sample_dem(path: Path) -> Path:
+    """Write matplotlib's sample DEM (Jacksboro fault, Tennessee; SRTM) as a GeoTIFF."""
+    name = str(get_sample_data("jacksboro_fault_dem.npz", asfileobj=False))
+    with np.load(name) as sample:
+        heights = sample["elevation"]
+        # The sample's ymin is its northern edge.
+        west, east, south, north = (float(sample[key]) for key in ("xmin", "xmax", "ymax", "ymin"))
+    rows, cols = heights.shape
+    step = (east - west) / cols, (north - south) / rows
+    return write_geotiff(path, heights, "EPSG:4326", (west, north), step)

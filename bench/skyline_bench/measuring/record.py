@@ -41,13 +41,18 @@ def machine() -> dict[str, object]:
 
 
 def write_record(
-    path: Path, bench: str, rows: Sequence[Row], summary: Mapping[str, Sequence[Row]] | None = None
+    path: Path | None,
+    bench: str,
+    rows: Sequence[Row],
+    summary: Mapping[str, Sequence[Row]] | None = None,
 ) -> None:
-    """Write rows and the machine they come from as JSON, whole or not at all.
+    """Write rows and the machine they come from as JSON, whole or not at all, to a path if any.
 
     Numbers that are not finite, for which JSON has no word, are written as null. A summary, which
     follows from the rows, is tables by name.
     """
+    if path is None:
+        return
     record: dict[str, object] = {"bench": bench, "machine": machine(), "rows": _plain(rows)}
     if summary:
         record["summary"] = {name: _plain(table) for name, table in summary.items()}

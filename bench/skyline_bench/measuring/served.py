@@ -13,7 +13,7 @@ from typing import Any
 from urllib.request import urlopen
 
 from skyline.errors import BuildError, InputError
-from skyline_bench.measuring.memory import own_bytes
+from skyline_bench.measuring.timing import own_bytes
 
 _SERVE = "from skyline.cli import main; main()"
 _WINDOW = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}

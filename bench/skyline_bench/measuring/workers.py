@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 from unittest.mock import patch
 
@@ -86,31 +87,43 @@ def _do(work: Callable[[Any, Any], Any], item: object) -> Any:
     return work(_held, item)
 
 
-def fork(work: Callable[[], None]) -> int:
-    """Do work in a new process, which exits with 0, or with 1 where it raises; return its id."""
+Say = Callable[[bytes], object]
+"""Tells the process that forked this one."""
+
+
+def fork(work: Callable[[Say], object]) -> tuple[int, int]:
+    """Do work in a new process, which exits with 0, or with 1 where it raises.
+
+    Return its id, and the end of a pipe at which what it says is read.
+    """
+    reading, writing = os.pipe()
     pid = os.fork()
     if pid:
-        return pid
+        os.close(writing)
+        return pid, reading
     code = 1
     try:
-        work()
+        os.close(reading)
+        work(partial(os.write, writing))
         code = 0
     finally:
         os._exit(code)
 
 
+def ended(pid: int, reading: int) -> tuple[int, bytes]:
+    """Wait for a process that was forked; return its exit code and what it said."""
+    with os.fdopen(reading, "rb") as pipe:
+        said = pipe.read()
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), said
+
+
 def outcome_of(work: Callable[[], str], patience_s: int = 60) -> str:
     """Return what work in a process of its own says, or "raised", "hang" or "crash"."""
-    reading, writing = os.pipe()
 
-    def child() -> None:
+    def child(say: Say) -> None:
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(patience_s)
-        os.write(writing, work().encode())
+        say(work().encode())
 
-    pid = fork(child)
-    os.close(writing)
-    with os.fdopen(reading, "rb") as pipe:
-        said = pipe.read().decode()
-    code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-    return {0: said, 1: "raised", -signal.SIGALRM: "hang"}.get(code, "crash")
+    code, said = ended(*fork(child))
+    return {0: said.decode(), 1: "raised", -signal.SIGALRM: "hang"}.get(code, "crash")

@@ -72,14 +72,9 @@ def is_installed() -> bool:
 
 
 class EmbreePeer:
-    """Skylines of one height field by Embree's rays.
+    """Skylines of one height field by Embree's rays, ``width`` columns W a view.
 
-    Parameters
-    ----------
-    width : int
-        Columns W of a view.
-    curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13.
+    The curvature is by default the Earth's with k = 0.13.
     """
 
     def __init__(
@@ -98,10 +93,7 @@ class EmbreePeer:
     def render(self, viewpoints: Viewpoints, bisection: Bisection) -> Views:
         """Find the skylines of N viewpoints in all four headings.
 
-        Returns
-        -------
-        Views
-            4 N views; depth is NaN throughout and `FLAG_NO_DATA` is the only flag.
+        Of the 4 N views depth is NaN throughout, and `FLAG_NO_DATA` is the only flag.
         """
         share = -(-len(viewpoints) // core_count())
         parts = over_cores(

@@ -38,20 +38,10 @@ def is_installed() -> bool:
 def horizons(
     field: HeightField, eyes: Viewpoints, step_deg: float
 ) -> tuple[Float64Array, Float64Array]:
-    """Return r.horizon's elevation angles from true north and its seconds a place.
+    """Return r.horizon's elevation angles (N, A) from true north, and seconds (N - 1,).
 
-    Parameters
-    ----------
-    field : HeightField
-        Without holes.
-    eyes : Viewpoints
-        N; their heights are not used.
-
-    Returns
-    -------
-    elevation_deg : (N, A) float64
-    seconds : (N - 1,) float64
-        Of all places but the first.
+    The field is without holes; heights of the eyes (N) are not used. Seconds are those of each
+    place but the first.
     """
     with tempfile.TemporaryDirectory() as folder:
         dem, script = Path(folder, "dem.tif"), Path(folder, "horizons.sh")

@@ -98,21 +98,17 @@ def draw_recipe(rng: np.random.Generator, recipe: Recipe) -> DrawnPhoto:
     if recipe.lake:
         _mirror(rng, picture)
     visible = np.ones(width, dtype=bool)
-    for cover in _hidden_by(rng, recipe, row_px):
-        picture += cover.opacity[:, :, np.newaxis] * (np.array(cover.rgb, np.float32) - picture)
-        at = np.clip(np.rint(row_px).astype(int), 0, height - 1)
-        visible &= cover.opacity[at, np.arange(width)] < 0.5
+    at = np.clip(np.rint(row_px).astype(int), 0, height - 1)
+    for opacity, rgb in _hidden_by(rng, recipe, row_px):
+        picture += opacity[:, :, np.newaxis] * (np.array(rgb, np.float32) - picture)
+        visible &= opacity[at, np.arange(width)] < 0.5
     if recipe.framed:
         _frame(rng, picture, row_px, visible)
     return DrawnPhoto(_expose(rng, recipe, picture), row_px, visible)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Cover:
-    """Something in front: where it hides the picture, (H, W) 0 to 1, and its colour."""
-
-    opacity: Float32Array
-    rgb: ArrayLike
+_Cover = tuple[Float32Array, ArrayLike]
+"""Something in front: where it hides the picture, (H, W) 0 to 1, and its colour."""
 
 
 def _fractal(
@@ -215,13 +211,11 @@ def _mirror(rng: np.random.Generator, picture: Float32Array) -> None:
 def _hidden_by(rng: np.random.Generator, recipe: Recipe, row_px: Float64Array) -> list[_Cover]:
     width, height = recipe.size_px
     covers = [_bank(rng, recipe, row_px) for _ in range(recipe.banks)]
-    covers += [_Cover(_tree(rng, width, height), _FOREST) for _ in range(recipe.trees)]
-    covers += [
-        _Cover(_person(rng, width, height), rng.uniform(20.0, 220.0, 3))
-        for _ in range(recipe.people)
-    ]
-    covers += [_Cover(_pole(rng, width, height), (70.0, 66.0, 60.0)) for _ in range(recipe.poles)]
-    covers += [_Cover(_wire(rng, width, height), (50.0, 50.0, 52.0)) for _ in range(recipe.wires)]
+    covers += [(_tree(rng, width, height), _FOREST) for _ in range(recipe.trees)]
+    for _ in range(recipe.people):
+        covers.append((_person(rng, width, height), rng.uniform(20.0, 220.0, 3)))
+    covers += [(_pole(rng, width, height), (70.0, 66.0, 60.0)) for _ in range(recipe.poles)]
+    covers += [(_wire(rng, width, height), (50.0, 50.0, 52.0)) for _ in range(recipe.wires)]
     return covers
 
 
@@ -235,7 +229,7 @@ def _bank(rng: np.random.Generator, recipe: Recipe, row_px: Float64Array) -> _Co
     density = 1.2 - np.hypot(across, down) + 0.35 * _fractal(rng, (height, width), 1.5, 0.6)
     opacity = np.clip(density / rng.uniform(0.2, 0.6), 0.0, 1.0)
     rgb = _CLOUD if rng.random() < 0.6 else _SKIES[recipe.sky][1]
-    return _Cover(np.asarray(0.97 * opacity, dtype=np.float32), rgb)
+    return np.asarray(0.97 * opacity, dtype=np.float32), rgb
 
 
 def _tree(rng: np.random.Generator, width: int, height: int) -> Float32Array:

@@ -10,6 +10,7 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_photo
+from skyline.photo.sky_model import topmost_border
 from skyline.photo.trace import read_trace
 from skyline.pipeline.queries import finite_number
 
@@ -116,6 +117,5 @@ def _photograph(path: Path, line: int, row: dict[str, str | None]) -> Photograph
 def _upper_edge(mask: UInt8Array) -> Float64Array:
     """Return the border's row (W,) under the colour of most of the top row; NaN where none is."""
     light = mask.mean(axis=2) >= _BLACK
-    ground = light != (light[0].mean() >= 0.5)
-    row = ground.argmax(axis=0) - 0.5
-    return np.where(ground.any(axis=0) & ~ground[0], row, np.nan)
+    is_sky = light == (light[0].mean() >= 0.5)
+    return topmost_border(is_sky.astype(np.float64), 0.5)[0]

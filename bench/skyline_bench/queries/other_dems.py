@@ -12,14 +12,9 @@ from skyline.terrain.heightfield import HeightField, Provenance
 def perturbed(
     terrain: HeightField, height_rms_m: float = 10.0, correlation_m: float = 300.0, seed: int = 0
 ) -> HeightField:
-    """Add smooth random errors to the heights.
+    """Add smooth random errors to the heights, of a root mean square over the whole field.
 
-    Parameters
-    ----------
-    height_rms_m : float
-        Root mean square of the errors over the whole field.
-    correlation_m : float
-        Distance at which their correlation, exp(-(d / L)^2), has dropped to 1/e.
+    ``correlation_m`` is where their correlation, exp(-(d / L)^2), has dropped to 1/e.
     """
     if not (0.0 <= height_rms_m < np.inf and 0.0 < correlation_m < np.inf and seed >= 0):
         raise InputError(
@@ -43,15 +38,10 @@ def perturbed(
 def resampled(
     terrain: HeightField, spacing_m: float, phase: tuple[float, float] = (0.5, 0.5)
 ) -> HeightField:
-    """Sample the surface on another grid of the same frame.
+    """Sample the surface on another grid of the same frame, of one spacing east and north.
 
-    Parameters
-    ----------
-    spacing_m : float
-        Of the new samples, east and north.
-    phase : (float, float)
-        Shift of the new grid's north-western sample east and south of the old one's, in new
-        spacings, 0 to below 1.
+    ``phase`` shifts the new grid's north-western sample east and south of the old one's, in new
+    spacings, 0 to below 1.
     """
     if not (0.0 < spacing_m < np.inf and all(0.0 <= shift < 1.0 for shift in phase)):
         raise InputError(

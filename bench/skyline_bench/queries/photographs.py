@@ -4,17 +4,185 @@ They are the queries of demos and benchmarks. The terrain is looked up in depth 
 by its slope, veiled by haze and put under a sky; nothing of the pose is left in the picture.
 """
 
+from dataclasses import dataclass
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Float32Array, Float64Array
 from skyline.camera import HEADINGS, rotation
+from skyline.errors import InputError
 from skyline.render.depth import DepthRenderer
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
+from skyline_bench.queries.occluders import Occluder
 from skyline_bench.queries.pinhole import Camera
-from skyline_bench.queries.scenery import Scenery, ground_rgb, put_in_front, sky_rgb
 from skyline_bench.queries.synthetic import SyntheticQuery
+
+_SUN = np.array([-0.55, 0.62, 0.55]) / np.linalg.norm([-0.55, 0.62, 0.55])
+_MEADOW_RGB = np.array([92.0, 112.0, 62.0])
+_FOREST_RGB = np.array([44.0, 60.0, 40.0])
+_ROCK_RGB = np.array([128.0, 120.0, 110.0])
+_SNOW_RGB = np.array([240.0, 242.0, 248.0])
+_HAZE_RGB = np.array([188.0, 203.0, 220.0])
+_ZENITH_RGB = np.array([84.0, 134.0, 205.0])
+_CLOUD_RGB = np.array([240.0, 241.0, 243.0])
+_OCCLUDER_RGB = {
+    "tree": np.array([38.0, 52.0, 30.0]),
+    "building": np.array([168.0, 150.0, 128.0]),
+    "person": np.array([150.0, 50.0, 45.0]),
+}
+
+_KOSCHMIEDER = 3.912
+"""At the visibility 2 % of a dark thing's contrast are left (Koschmieder 1924)."""
+_ZENITH_TAN = 0.6
+"""Elevation at which the sky has lost the haze's colour."""
+_CLOUD_BAND_TAN = 0.12
+"""Height over the ridge within which clouds gather."""
+_CLOUD_SCALES = ((0.25, 0.5), (0.09, 0.3), (0.03, 0.2))
+"""Sizes of clouds as shares of the image's width, and how much each counts."""
+_TEXTURE_M = (900.0, 160.0, 35.0, 8.0, 2.0)
+_TEXTURE_CELLS = 128
+
+
+@dataclass(frozen=True, slots=True)
+class Scenery:
+    """Weather and season of a drawn photograph."""
+
+    visibility_m: float = 80_000.0  # Distance at which 2 % of the contrast are left
+    snow_line_m: float = np.inf  # Height above which ground that is not too steep is white
+    tree_line_m: float = 1900.0  # Height below which there is forest
+    clouds: float = 0.3  # How much of the sky is covered, 0 to 1; they gather about the ridge
+
+    def __post_init__(self) -> None:
+        if not self.visibility_m > 0.0:
+            raise InputError(
+                f"visibility is {self.visibility_m} m; expected a positive number of metres"
+            )
+        if not 0.0 <= self.clouds <= 1.0:
+            raise InputError(f"clouds are {self.clouds}; expected a share of 0 to 1")
+
+
+def ground_rgb(
+    field: HeightField,
+    place_m: tuple[Float64Array, Float64Array],
+    distance_m: Float64Array,
+    scenery: Scenery,
+    generator: np.random.Generator,
+) -> Float64Array:
+    """Return RGB (M, 3) of ground at map coordinates (easting, northing), each (M,).
+
+    Distances (M,) are from the camera. The generator says where meadows and forests are.
+    """
+    height_m, slope_east, slope_north = _sampled(field, *place_m)
+    normal = np.stack([-slope_east, np.ones_like(slope_east), -slope_north], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    light = 0.4 + 0.75 * np.clip(normal @ _SUN, 0.0, 1.0)
+    rough = _texture(place_m, distance_m, generator)
+    steep = np.hypot(slope_east, slope_north)
+    colour = _mixed(_MEADOW_RGB, _ROCK_RGB, np.clip(2.2 * steep - 0.9 + 0.5 * rough, 0.0, 1.0))
+    forest = np.clip((scenery.tree_line_m - height_m) / 150.0 + 1.2 * rough, 0.0, 1.0)
+    colour = _mixed(colour, _FOREST_RGB, forest)
+    snow = np.clip((height_m - scenery.snow_line_m) / 120.0 + 1.5 * rough, 0.0, 1.0)
+    colour = _mixed(colour, _SNOW_RGB, snow * np.clip(2.6 - 1.6 * steep, 0.0, 1.0))
+    colour = colour * (light * (1.0 + 0.2 * rough))[:, np.newaxis]
+    veil = 1.0 - np.exp(-_KOSCHMIEDER * distance_m / scenery.visibility_m)
+    return _mixed(colour, _HAZE_RGB, veil)
+
+
+def sky_rgb(
+    rays: Float64Array, ridge_row: Float64Array, scenery: Scenery, generator: np.random.Generator
+) -> Float64Array:
+    """Return a sky (H, W, 3) along rays (H, W, 3), with clouds about the ridge's rows (W,)."""
+    height, width = rays.shape[:2]
+    up = rays[..., 1] / np.hypot(rays[..., 0], rays[..., 2])
+    sky = _mixed(_HAZE_RGB * 1.04, _ZENITH_RGB, np.clip(up / _ZENITH_TAN, 0.0, 1.0))
+    if scenery.clouds == 0.0:
+        return sky
+    cloud = np.zeros_like(up)
+    for scale, weight in _CLOUD_SCALES:
+        cloud += weight * _image_noise(generator, (height, width), width * scale)
+    columns = np.arange(width)
+    ridge = np.clip(np.nan_to_num(ridge_row), 0, height - 1).astype(np.intp)
+    over_ridge = up - up[ridge, columns]
+    near = np.exp(-((over_ridge / _CLOUD_BAND_TAN) ** 2))
+    cover = np.clip(2.0 * (cloud + scenery.clouds * (0.4 + 1.2 * near) - 0.5), 0.0, 1.0)
+    return _mixed(sky, _CLOUD_RGB * (0.97 + 0.03 * cloud[..., np.newaxis]), cover)
+
+
+def put_in_front(picture: Float64Array, occluder: Occluder, generator: np.random.Generator) -> None:
+    """Paint something near over a picture (H, W, 3), from its top down."""
+    start, stop = occluder.columns
+    rows = np.arange(len(picture))[:, np.newaxis]
+    covered = np.clip(rows + 0.5 - occluder.row_px, 0.0, 1.0)
+    colour = _OCCLUDER_RGB[occluder.kind] * generator.uniform(0.8, 1.2)
+    # Foliage lets light through; walls and coats do not.
+    rough = 0.35 if occluder.kind == "tree" else 0.05
+    shade = 1.0 + rough * generator.standard_normal((len(picture), stop - start))
+    part = picture[:, start:stop]
+    picture[:, start:stop] = _mixed(part, colour * np.maximum(shade, 0.2)[..., np.newaxis], covered)
+
+
+def _mixed(first: Float64Array, second: Float64Array, share: Float64Array) -> Float64Array:
+    """Return the first colour with a share (...) of the second."""
+    part = share[..., np.newaxis]
+    return np.asarray(first * (1.0 - part) + second * part, dtype=np.float64)
+
+
+def _sampled(
+    field: HeightField, easting_m: Float64Array, northing_m: Float64Array
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return heights and slopes towards east and north, smooth between samples."""
+    row, col = field.to_grid(easting_m, northing_m)
+    top = int(np.clip(np.floor(row.min()) - 1, 0, field.rows - 2))
+    left = int(np.clip(np.floor(col.min()) - 1, 0, field.cols - 2))
+    bottom = int(np.clip(np.ceil(row.max()) + 2, top + 2, field.rows))
+    right = int(np.clip(np.ceil(col.max()) + 2, left + 2, field.cols))
+    part = np.nan_to_num(field.heights_m[top:bottom, left:right].astype(np.float32))
+    south, east = np.gradient(part, field.spacing_north_m, field.spacing_east_m)
+    at = (col - left).astype(np.float32), (row - top).astype(np.float32)
+    heights, slope_east, slope_south = (
+        _looked_up(np.asarray(grid), *at) for grid in (part, east, south)
+    )
+    return heights, slope_east, -slope_south
+
+
+def _looked_up(grid: Float32Array, col: Float32Array, row: Float32Array) -> Float64Array:
+    """Return bilinear values (M,) of a grid, its border continued."""
+    found = ndimage.map_coordinates(grid, [row, col], np.float64, order=1, mode="nearest")
+    return np.asarray(found)
+
+
+def _texture(
+    place_m: tuple[Float64Array, Float64Array],
+    distance_m: Float64Array,
+    generator: np.random.Generator,
+) -> Float64Array:
+    """Return patches about 0 (M,), fixed to the ground, the finest of them near by only."""
+    total = np.zeros_like(distance_m)
+    for scale_m in _TEXTURE_M:
+        cells = generator.uniform(-1.0, 1.0, (_TEXTURE_CELLS, _TEXTURE_CELLS))
+        tiled = np.pad(cells, (0, 1), mode="wrap").astype(np.float32)
+        col, row = (np.mod(part / scale_m, _TEXTURE_CELLS) for part in place_m)
+        fades = np.clip(300.0 * scale_m / np.maximum(distance_m, 1.0), 0.0, 1.0)
+        total += fades * _looked_up(tiled, col.astype(np.float32), row.astype(np.float32)) / 2.0
+    return total
+
+
+def _image_noise(
+    generator: np.random.Generator, shape: tuple[int, int], scale_px: float
+) -> Float64Array:
+    """Return smooth noise (H, W) of deviation about 1, wider than high."""
+    cells = [
+        max(round(size / part), 2)
+        for size, part in zip(shape, (scale_px / 2.0, scale_px), strict=True)
+    ]
+    coarse = generator.standard_normal((cells[0] + 3, cells[1] + 3)).astype(np.float32)
+    smooth = cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
+    return np.asarray(smooth, dtype=np.float64)
+
 
 _BLUR_PX = 0.6
 _NOISE = 3.0

@@ -58,20 +58,12 @@ class Camera:
     ) -> tuple[Float64Array, IntArray]:
         """Project a skyline all the way round into the image.
 
-        Parameters
-        ----------
-        azimuth_deg : (N,) float64
-            Grid azimuths, ascending over one turn.
-        elevation_tan : (N,) float64
-            Tangent of the elevation angle, up over *horizontal* distance; NaN where not known.
+        Grid azimuths (N,) ascend over one turn. Tangents (N,) of the elevation angle are up over
+        *horizontal* distance, NaN where not known.
 
-        Returns
-        -------
-        row_px : (W,) float64
-            Topmost row of the curve at each column's centre; it may lie outside the image, and
-            is NaN where nothing is known. Straight between the curve's samples.
-        sample : (W,) intp
-            The curve's sample just left of that point; -1 where the row is NaN.
+        Return the topmost row (W,) of the curve at each column's centre, straight between the
+        curve's samples: it may lie outside the image, and is NaN where nothing is known. And the
+        curve's sample (W,) just left of that point, -1 where the row is NaN.
         """
         turned = np.mod(azimuth_deg - self.heading_deg + 180.0, 360.0) - 180.0
         first = int(np.argmin(turned))

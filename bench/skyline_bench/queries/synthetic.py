@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from skyline.arrays import Float64Array
@@ -21,7 +22,7 @@ from skyline.matching.query import QueryRays
 from skyline.photo.query import QuerySkyline
 from skyline.render.panorama import PanoramaRenderer
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
 from skyline_bench.queries.occluders import Occluder, random_occluders, random_runs
 from skyline_bench.queries.pinhole import Camera
 
@@ -33,56 +34,31 @@ _POSE, _ERRORS, _MASKS, _OCCLUDERS = range(4)
 
 @dataclass(frozen=True, slots=True)
 class QueryConfig:
-    """What queries are like. A pair is a range to draw from evenly.
+    """What queries are like. A pair is a range to draw from evenly."""
 
-    Attributes
-    ----------
-    fov_deg : (float, float)
-        True horizontal field of view.
-    fov_error : float
-        The field of view given is wrong by up to this share; 0 where it is known.
-    max_tilt_deg : float
-        Pitch and roll are within this, at most 20.
-    is_aligned : bool
-        Whether cameras look to grid north, east, south or west, as stored views do.
-    noise_deg : (float, float)
-        Standard deviation of the skyline's error, an angle at the image's centre.
-    smooth_share : float
-        Share of that error's variance that varies smoothly along the skyline, as where an
-        extraction follows a snow line; the rest is drawn anew in each column.
-    smooth_deg : float
-        How smoothly: distance at which its correlation has dropped to 1/e.
-    masked_share : float
-        Share of the columns without a skyline, in ``masked_runs`` runs.
-    occluded_share : (float, float)
-        Share of the columns with something near in front, which rises above the skyline.
-    occluders_masked : float
-        Share of such things that the extraction has noticed and masked; the tops of the
-        others are left in as skyline.
-    eye_height_m : float
-        Eye above ground.
-    width_px, height_px : int
-        Image size; tall by default, so that what rises steeply near by stays in the image.
-    azimuths : int
-        To a turn, of the exact horizon that the skyline is taken from.
-    curvature : Curvature
-    """
-
-    fov_deg: tuple[float, float] = (60.0, 60.0)
+    fov_deg: tuple[float, float] = (60.0, 60.0)  # True horizontal field of view
+    # The field of view given is wrong by up to this share; 0 where it is known.
     fov_error: float = 0.05
-    max_tilt_deg: float = 5.0
+    max_tilt_deg: float = 5.0  # Pitch and roll are within this, at most 20
+    # Whether cameras look to grid north, east, south or west, as stored views do.
     is_aligned: bool = False
+    # Standard deviation of the skyline's error, an angle at the image's centre.
     noise_deg: tuple[float, float] = (0.1, 0.1)
+    # Share of that error's variance that varies smoothly along the skyline, as where an extraction
+    # follows a snow line; the rest is drawn anew in each column.
     smooth_share: float = 0.5
-    smooth_deg: float = 1.0
-    masked_share: float = 0.1
+    smooth_deg: float = 1.0  # How smoothly: where its correlation has dropped to 1/e
+    masked_share: float = 0.1  # Share of the columns without a skyline, in ``masked_runs`` runs
     masked_runs: int = 2
+    # Share of the columns with something near in front, which rises above the skyline.
     occluded_share: tuple[float, float] = (0.0, 0.0)
+    # Share of such things that the extraction has noticed and masked; the tops of the others are
+    # left in as skyline.
     occluders_masked: float = 0.5
-    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M  # Above ground
     width_px: int = 640
-    height_px: int = 960
-    azimuths: int = 10_240
+    height_px: int = 960  # Tall, so that what rises steeply near by stays in the image
+    azimuths: int = 10_240  # To a turn, of the exact horizon that the skyline is taken from
     curvature: Curvature = field(default_factory=Curvature)
 
     @property
@@ -117,61 +93,40 @@ class QueryConfig:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """Where a query was taken and how the camera was held; angles as in `matching.query.level`.
+    """Where a query was taken and how the camera was held; angles as in `matching.query.level`."""
 
-    Attributes
-    ----------
-    easting_m, northing_m, eye_elevation_m : float
-        In the frame and above the datum of the query's elevation model.
-    heading_deg : float
-        Grid azimuth of the optical axis, in [0, 360).
-    pitch_deg, roll_deg, fov_deg : float
-    """
-
+    # In the frame and above the datum of the query's elevation model.
     easting_m: float
     northing_m: float
     eye_elevation_m: float
-    heading_deg: float
+    heading_deg: float  # Grid azimuth of the optical axis, in [0, 360)
     pitch_deg: float
     roll_deg: float
     fov_deg: float
 
+    def off_m(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+        """Return how far places are from this one, metres."""
+        east_m, north_m = np.asarray(easting_m), np.asarray(northing_m)
+        return np.asarray(np.hypot(east_m - self.easting_m, north_m - self.northing_m))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticQuery:
-    """One query and the truth about it.
+    """One query and the truth about it."""
 
-    Attributes
-    ----------
-    skyline : QuerySkyline
-        What a matcher is given.
-    given_fov_deg : float
-        The field of view it is given with.
-    fov_slack : float
-        Standard deviation of the true field of view about that one, as a share.
-    truth : Truth
-    row_px : (W,) float64
-        The true skyline, without errors, masks and occluders; NaN where it is not in the image.
-    distance_m : float
-        Median horizontal distance of that skyline; NaN where none is in the image.
-    occluders : tuple of Occluder
-    """
-
-    skyline: QuerySkyline
-    given_fov_deg: float
-    fov_slack: float
+    skyline: QuerySkyline  # What a matcher is given
+    given_fov_deg: float  # The field of view it is given with
+    fov_slack: float  # Standard deviation of the true one about that, as a share
     truth: Truth
+    # (W,); the true skyline, without errors, masks and occluders; NaN where not in the image.
     row_px: Float64Array
-    distance_m: float
+    distance_m: float  # Median horizontal distance of that skyline; NaN where none is in the image
     occluders: tuple[Occluder, ...]
 
     def rays(self) -> QueryRays:
         """Return the query as a matcher's rays, with what is known of its field of view.
 
-        Raises
-        ------
-        InputError
-            No column has a skyline.
+        It raises `InputError` where no column has a skyline.
         """
         u, v = self.skyline.image_plane()
         weight = self.skyline.confidence[self.skyline.trusted]
@@ -188,21 +143,9 @@ def make_queries(
 ) -> tuple[SyntheticQuery, ...]:
     """Make queries at places drawn evenly from an area, looking anywhere.
 
-    Parameters
-    ----------
-    terrain : HeightField
-        What the photos show, which need not be what a store was rendered from.
-    bounds_m : (float, float, float, float)
-        West, south, east, north of the area; places off the surface are drawn again.
-    count : int
-        At least 1.
-    seed : int
-    config : QueryConfig, optional
-
-    Raises
-    ------
-    InputError
-        A count below 1, a negative seed, or an area without any surface.
+    The terrain is what the photos show, which need not be what a store was rendered from. The area
+    is west, south, east and north; places off the surface are drawn again. A count below 1, a
+    negative seed or an area without any surface raises `InputError`.
     """
     if count < 1:
         raise InputError(f"the number of queries is {count}; expected at least 1")
@@ -227,10 +170,7 @@ def make_queries_together(
 
 
 def _queries(
-    terrain: HeightField,
-    bounds_m: Rectangle,
-    entropies: list[list[list[int]]],
-    config: QueryConfig,
+    terrain: HeightField, bounds_m: Rectangle, entropies: list[list[list[int]]], config: QueryConfig
 ) -> Iterator[tuple[SyntheticQuery, ...]]:
     """Yield the queries of each place, which is drawn with the first of them."""
     held = [[_hold(terrain, bounds_m, each, config) for each in some] for some in entropies]
@@ -238,10 +178,10 @@ def _queries(
     eyes = stand_on(terrain, easting_m, northing_m, config.eye_height_m)
     with PanoramaRenderer(terrain, config.azimuths, config.curvature, 0.0) as renderer:
         rendered = renderer.render(eyes)
-    for index in range(len(held)):
+    for index, (some, drawn) in enumerate(zip(held, entropies, strict=True)):
         yield tuple(
-            _photographed(rendered, index, camera, _truth(eyes, index, camera), entropy, config)
-            for (_, camera), entropy in zip(held[index], entropies[index], strict=True)
+            _photographed(rendered, index, camera, entropy, config)
+            for (_, camera), entropy in zip(some, drawn, strict=True)
         )
 
 
@@ -272,30 +212,22 @@ def _hold(
     )
 
 
-def _truth(eyes: Viewpoints, index: int, camera: Camera) -> Truth:
-    return Truth(
-        float(eyes.easting_m[index]),
-        float(eyes.northing_m[index]),
-        float(eyes.eye_elevation_m[index]),
+def _photographed(
+    horizons: Horizons, index: int, camera: Camera, entropy: list[int], config: QueryConfig
+) -> SyntheticQuery:
+    """Return what an extraction finds in a photo of one of the horizons."""
+    masks, errors, things = (
+        np.random.default_rng([*entropy, part]) for part in (_MASKS, _ERRORS, _OCCLUDERS)
+    )
+    truth = Truth(
+        float(horizons.easting_m[index]),
+        float(horizons.northing_m[index]),
+        float(horizons.eye_elevation_m[index]),
         camera.heading_deg,
         camera.pitch_deg,
         camera.roll_deg,
         camera.fov_deg,
     )
-
-
-def _photographed(
-    horizons: Horizons,
-    index: int,
-    camera: Camera,
-    truth: Truth,
-    entropy: list[int],
-    config: QueryConfig,
-) -> SyntheticQuery:
-    """Return what an extraction finds in a photo of one of the horizons."""
-    masks = np.random.default_rng([*entropy, _MASKS])
-    errors = np.random.default_rng([*entropy, _ERRORS])
-    things = np.random.default_rng([*entropy, _OCCLUDERS])
     azimuth_deg = np.degrees(bin_azimuths_rad(horizons.bins))
     elevation_tan = horizons.elevation_tan[index].astype(np.float64)
     row_px, sample = camera.skyline(azimuth_deg, elevation_tan)
@@ -311,14 +243,9 @@ def _photographed(
     for run in random_runs(masks, camera.width_px, config.masked_share, config.masked_runs):
         found[slice(*run)] = np.nan
     given = camera.fov_deg * (1.0 + errors.uniform(-config.fov_error, config.fov_error))
+    sure = np.isfinite(found).astype(np.float64)
     return SyntheticQuery(
-        QuerySkyline(
-            found,
-            np.isfinite(found).astype(np.float64),
-            camera.width_px,
-            camera.height_px,
-            given,
-        ),
+        QuerySkyline(found, sure, camera.width_px, camera.height_px, given),
         given,
         config.fov_slack,
         truth,

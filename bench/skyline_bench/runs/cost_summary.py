@@ -8,8 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from skyline_bench.measuring.record import Row
-from skyline_bench.trials.distance_groups import ALL
-from skyline_bench.trials.matchers import PAPER, WHAT
+from skyline_bench.trials.trials import ALL, PAPER, WHAT
 
 UNIFORM = "uniform"
 COSTS = ("renderings", "bytes")
@@ -21,14 +20,11 @@ _LEAST_M = 1e-3
 def reached_rows(rows: Iterable[Row]) -> list[Row]:
     """Return what it takes adaptive stores to be as accurate as the finest uniform one.
 
-    Returns
-    -------
-    list of dict
-        A row for each goal (that store with the same matcher, and with the paper's), planner and
-        cost. ``store`` is the cheapest measured store whose mean error is no worse than the
-        goal's, ``needed`` its cost and ``share`` that cost over the goal's; None where none is as
-        good. ``interpolated`` is the cost at which a line between that store and the next cheaper
-        one, on logarithmic axes, comes to the goal's error; None without such a pair.
+    There is a row for each goal (that store with the same matcher, and with the paper's), planner
+    and cost. ``store`` is the cheapest measured store whose mean error is no worse than the goal's,
+    ``needed`` its cost and ``share`` that cost over the goal's; None where none is as good.
+    ``interpolated`` is the cost at which a line between that store and the next cheaper one, on
+    logarithmic axes, comes to the goal's error; None without such a pair.
     """
     stores = [row for row in rows if row["group"] == ALL]
     planners = list(dict.fromkeys(one["planner"] for one in stores if one["planner"] != UNIFORM))
@@ -46,11 +42,8 @@ def reached_rows(rows: Iterable[Row]) -> list[Row]:
 def equal_rows(rows: Iterable[Row]) -> list[Row]:
     """Return each adaptive store's errors beside those of uniform ones of as many renderings.
 
-    Returns
-    -------
-    list of dict
-        ``uniform_mean_m`` is interpolated between the uniform stores on logarithmic axes, and
-        ``gain`` is it over the store's own mean error; None outside their range.
+    ``uniform_mean_m`` is interpolated between the uniform stores on logarithmic axes, and ``gain``
+    is it over the store's own mean error; None outside their range.
     """
     stores = [row for row in rows if row["group"] == ALL]
     told: list[Row] = []

@@ -14,16 +14,19 @@ from types import MappingProxyType
 import numpy as np
 
 from skyline.errors import InputError
+from skyline.geodesy import Bounds
 from skyline.paper.planning.budget import spaced_for
 from skyline.paper.planning.candidates import lay_out
 from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline.config import PlaceConfig, RenderConfig
 from skyline.pipeline.jobs import Progress
+from skyline.pipeline.layout import Layout
 from skyline.pipeline.match import Matcher
 from skyline.planning.uniform import map_bounds
 from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.timing import unseen
 from skyline_bench.measuring.workers import Crew, crew
 from skyline_bench.queries.other_dems import perturbed, resampled
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
@@ -32,17 +35,23 @@ from skyline_bench.stores.reference import (
     ReferenceStore,
     check_spacing,
     given_store,
-    place_store,
+    laid_out_store,
     planned_places,
     planned_store,
-    uniform_store,
 )
-from skyline_bench.trials.distance_groups import DistanceGroup, distance_groups
 from skyline_bench.trials.kept import Kept, file_digest
-from skyline_bench.trials.matchers import PAPER, WHAT, open_matcher, searched_by
-from skyline_bench.trials.trials import Trial, run_trials, summarize
+from skyline_bench.trials.trials import (
+    PAPER,
+    WHAT,
+    DistanceGroup,
+    Trial,
+    distance_groups,
+    open_matcher,
+    run_trials,
+    searched_by,
+    summarize,
+)
 
-BoundsDeg = tuple[float, float, float, float]
 Grid = tuple[str, float | None]
 """What a store holds, and its spacing in metres; None for places as they are planned by default."""
 
@@ -78,7 +87,7 @@ class MatchingConfig:
     """What is compared."""
 
     # West, south, east, north of the area; by default 5 x 10 km in the DEM's middle.
-    bounds_deg: BoundsDeg | None = None
+    bounds_deg: Bounds | None = None
     # Of the uniform stores of renderings, built where a matcher searches such.
     spacings_m: tuple[float, ...] = (1024.0, 512.0, 256.0, 128.0)
     # Of the uniform stores of places, likewise; None for places as they are planned by default.
@@ -87,7 +96,7 @@ class MatchingConfig:
     # places at their eyes, likewise.
     plans: tuple[PlanConfig, ...] = ()
     stores: tuple[Path, ...] = ()  # Stores that are there already, measured after the others
-    # Names of `skyline_bench.trials.matchers.WHAT`; each is run on the stores it can search.
+    # Names of `skyline_bench.trials.trials.WHAT`; each is run on the stores it can search.
     matchers: tuple[str, ...] = tuple(WHAT)
     kinds: tuple[str, ...] = tuple(KINDS)  # Names of `KINDS`
     queries: int = 300  # Of each kind
@@ -109,13 +118,11 @@ class MatchingConfig:
         for name in ("spacings_m", "place_spacings_m", "plans", "matchers", "kinds"):
             # Asked for twice is asked for once: two processes must not build the same store.
             object.__setattr__(self, name, tuple(dict.fromkeys(getattr(self, name))))
-        for what, names, known in (
-            ("matcher", self.matchers, WHAT),
-            ("kind of queries", self.kinds, KINDS),
-        ):
+        known = {"matcher": (self.matchers, WHAT), "kind of queries": (self.kinds, KINDS)}
+        for what, (names, these) in known.items():
             for name in names:
-                if name not in known:
-                    raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
+                if name not in these:
+                    raise InputError(f"{what} is {name!r}; expected one of {', '.join(these)}")
         if not (self.grids() or self.plans or self.stores):
             raise InputError("there is no store to match; give a spacing or a store")
 
@@ -156,17 +163,14 @@ class MatchingConfig:
 def middle_deg(
     terrain: HeightField,
     size_m: tuple[float, float] = DEFAULT_AREA_M,
-    bounds_deg: BoundsDeg | None = None,
-) -> BoundsDeg:
+    bounds_deg: Bounds | None = None,
+) -> Bounds:
     """Return the middle of bounds, by default of the DEM: so far east and north at most."""
     west, south, east, north = map_bounds(terrain, bounds_deg)
-    half_east = min(size_m[0], east - west) / 2.0
-    half_north = min(size_m[1], north - south) / 2.0
-    middle_east, middle_north = (west + east) / 2.0, (south + north) / 2.0
-    lon, lat = terrain.frame.to_lonlat(
-        [middle_east - half_east, middle_east + half_east, middle_east, middle_east],
-        [middle_north, middle_north, middle_north - half_north, middle_north + half_north],
-    )
+    half_east, half_north = min(size_m[0], east - west) / 2.0, min(size_m[1], north - south) / 2.0
+    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
+    ends = [[-half_east, half_east, 0.0, 0.0], [0.0, 0.0, -half_north, half_north]]
+    lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + ends))
     return float(lon[0]), float(lat[2]), float(lon[1]), float(lat[3])
 
 
@@ -176,7 +180,7 @@ class _Bench:
 
     terrain: HeightField
     config: MatchingConfig
-    bounds_deg: BoundsDeg
+    bounds_deg: Bounds
     queries: Mapping[str, Sequence[SyntheticQuery]]
     miss_m: float
     folder: Path
@@ -188,7 +192,7 @@ _Job = tuple[ReferenceStore, str]
 """A store, and a matcher that searches it."""
 
 
-def check(terrain: HeightField, config: MatchingConfig) -> BoundsDeg:
+def check(terrain: HeightField, config: MatchingConfig) -> Bounds:
     """Return the bounds of the area, if everything asked for fits into it."""
     bounds_deg = config.bounds_deg or middle_deg(terrain)
     area = map_bounds(terrain, bounds_deg)
@@ -209,27 +213,17 @@ def check(terrain: HeightField, config: MatchingConfig) -> BoundsDeg:
 
 
 def measure(
-    terrain: HeightField, config: MatchingConfig, folder: Path, progress: Progress | None = None
+    terrain: HeightField, config: MatchingConfig, folder: Path, progress: Progress = unseen
 ) -> tuple[list[Row], tuple[DistanceGroup, ...]]:
     """Match the same queries to every store with every matcher that can search it.
 
-    Parameters
-    ----------
-    terrain : HeightField
-        What the stores are rendered from, and the plain queries.
-    folder : Path
-        Where stores and trials are kept: what is there already is not done again.
-    progress : callable, optional
-        Called with stores and matchers done and to do.
+    The stores and the plain queries are rendered from the terrain. Stores and trials are kept in a
+    folder: what is there already is not done again. Progress is of stores and matchers.
 
-    Returns
-    -------
-    list of dict
-        A row for each store, matcher, kind and group. Position errors are those of the best
-        candidate, whether or not the matcher stands by it; a query without any counts as wrong by
-        half of the area's diagonal. Heading errors are those of the right answers.
-    tuple of DistanceGroup
-        None where they were not asked for.
+    Return a row for each store, matcher, kind and group, and the groups, none where they were not
+    asked for. Position errors are those of the best candidate, whether or not the matcher stands by
+    it; a query without any counts as wrong by half of the area's diagonal. Heading errors are those
+    of the right answers.
     """
     bounds_deg = check(terrain, config)
     west, south, east, north = map_bounds(terrain, bounds_deg)
@@ -254,8 +248,7 @@ def measure(
         found = {}
         for job, trials in run(_match, jobs):
             found[job] = trials
-            if progress:
-                progress(len(stores) + len(found), len(stores) + len(jobs))
+            progress(len(stores) + len(found), len(stores) + len(jobs))
     rows: list[Row] = [
         {
             "store": store.name,
@@ -294,14 +287,13 @@ def _at_work(bench: _Bench) -> Iterator[Crew]:
     yield lambda work, items: ((item, work(bench, item)) for item in items)
 
 
-def _stores(bench: _Bench, run: Crew, progress: Progress | None) -> list[_Planned]:
+def _stores(bench: _Bench, run: Crew, progress: Progress) -> list[_Planned]:
     """Build what is asked for, the planned first, since they take longest; return all in order."""
     asked: list[Grid | PlanConfig] = [*bench.config.grids(), *bench.config.plans]
     built: dict[Grid | PlanConfig, list[_Planned]] = {}
     for one, stores in run(_build, sorted(asked, key=lambda one: isinstance(one, tuple))):
         built[one] = stores
-        if progress:
-            progress(len(built), len(asked))
+        progress(len(built), len(asked))
     given = [(_GIVEN, given_store(bench.terrain, path)) for path in bench.config.stores]
     return [store for one in asked for store in built[one]] + given
 
@@ -311,10 +303,9 @@ def _build(bench: _Bench, asked: Grid | PlanConfig) -> list[_Planned]:
     where = bench.terrain, bench.folder
     if not isinstance(asked, PlanConfig):
         holds, spacing_m = asked
-        if holds == PLACES or spacing_m is None:
-            store = place_store(*where, spacing_m, bench.bounds_deg, PlaceConfig())
-        else:
-            store = uniform_store(*where, spacing_m, bench.bounds_deg, RenderConfig())
+        layout = Layout(spacing_m, bounds_deg=bench.bounds_deg)
+        config = PlaceConfig() if holds == PLACES else RenderConfig()
+        store = laid_out_store(*where, layout, config)
         return [(_DEFAULT if spacing_m is None else UNIFORM, store)]
     planned = planned_store(*where, asked, bench.bounds_deg, RenderConfig())
     stores = [planned]
@@ -349,7 +340,7 @@ def _match(bench: _Bench, job: _Job) -> dict[str, tuple[Trial, ...]]:
 
 
 def _queries(
-    terrain: HeightField, config: MatchingConfig, bounds_deg: BoundsDeg, kind: str
+    terrain: HeightField, config: MatchingConfig, bounds_deg: Bounds, kind: str
 ) -> Sequence[SyntheticQuery]:
     seen, query = terrain, QueryConfig()
     if kind == OTHER_DEM:

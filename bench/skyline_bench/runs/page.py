@@ -22,11 +22,11 @@ from skyline.pipeline.jobs import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem
 from skyline.terrain.viewpoints import stand_on
+from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.served import ServedPage, browser, served_page
 from skyline_bench.queries.photographs import photograph
 from skyline_bench.queries.pinhole import Camera
-from skyline_bench.queries.sample import write_sample_dem
 
 _BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
 _SPACING_M = 120.0

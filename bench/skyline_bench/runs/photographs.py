@@ -3,9 +3,10 @@
 import math
 import time
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,11 +21,15 @@ from skyline import (
     Viewer,
     read_query,
 )
+from skyline.arrays import Float64Array
+from skyline.geodesy import Bounds
 from skyline.pipeline.config import PlaceConfig
+from skyline.pipeline.layout import Layout
 from skyline.planning.uniform import map_bounds
 from skyline.report.records import describe_claim
+from skyline_bench.measuring.record import Row
 from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph
-from skyline_bench.stores.reference import place_store
+from skyline_bench.stores.reference import laid_out_store
 
 RIGHT_M, RIGHT_DEG = 200.0, 10.0
 _RIGHT_ROWS = 0.01
@@ -38,23 +43,17 @@ _ODD_DEG = 0.5
 _M_PER_DEG = 111_320.0
 
 
+Figures = dict[str, Any]
+"""A row of the table, while it is filled."""
+
+
 @dataclass(frozen=True, slots=True)
 class PhotosConfig:
-    """How photographs are measured.
+    """How photographs are measured."""
 
-    Attributes
-    ----------
-    side_m : float
-        Of the square about each photograph that is searched.
-    spacing_m : float, optional
-        Between places; planned without.
-    use_gps : bool
-        Whether the photos' own positions draw the search.
-    """
-
-    side_m: float = 22_000.0
-    spacing_m: float | None = None
-    use_gps: bool = False
+    side_m: float = 22_000.0  # Of the square about each photograph that is searched
+    spacing_m: float | None = None  # Between places; planned without
+    use_gps: bool = False  # Whether the photos' own positions draw the search
 
     def quick(self) -> "PhotosConfig":
         """Return a version of small areas."""
@@ -63,23 +62,13 @@ class PhotosConfig:
 
 @dataclass(slots=True)
 class Measured:
-    """What became of one photograph.
-
-    Attributes
-    ----------
-    photograph : Photograph
-    query : QuerySkyline or None
-        None where no skyline was found.
-    figures : dict
-        The table's row.
-    best : Candidate or None
-    """
+    """What became of one photograph."""
 
     photograph: Photograph
-    query: QuerySkyline | None = None
-    figures: dict[str, object] = field(default_factory=dict)
+    figures: Figures  # The table's row
+    query: QuerySkyline | None = None  # None where no skyline was found
+    row_px: Float64Array | None = None  # (W,); the true skyline, where it is known
     best: Candidate | None = None
-    row_px: object = None
 
 
 Shown = Callable[[Measured, Viewer | None], None]
@@ -91,42 +80,27 @@ def measure(
     config: PhotosConfig,
     folder: Path,
     shown: Shown,
-) -> list[dict[str, object]]:
+) -> list[Figures]:
     """Return one row for each photograph, in order.
 
-    Parameters
-    ----------
-    photographs : sequence of Photograph
-    terrain : HeightField, optional
-        Not needed where nothing is located.
-    config : PhotosConfig
-    folder : Path
-        Where the stores of the areas are kept and found again.
-    shown : callable
-        Called with each that is done, and what renders its surroundings.
-
-    Raises
-    ------
-    InputError
-        A place is not on the elevation model, or there is none.
+    The terrain is not needed where nothing is located. The stores of the areas are kept in a folder
+    and found again. ``shown`` is called with each that is done, and what renders its surroundings.
+    `InputError` is raised where a place is not on the elevation model, or there is none.
     """
-    rows: dict[Photograph, dict[str, object]] = {}
+    rows: dict[Photograph, Figures] = {}
     for one in photographs:
         if one.kind == EXTRACT:
             measured = _extracted(one)
             shown(measured, None)
             rows[one] = measured.figures
     located = [one for one in photographs if one.kind != EXTRACT]
-    if located and terrain is None:
-        raise InputError("photographs are to be located; give the elevation model too")
     for group in _groups(located, config.side_m * _SAME_AREA):
-        assert terrain is not None
+        if terrain is None:
+            raise InputError("photographs are to be located; give the elevation model too")
         place = folder / f"{group[0].name}-area"
         place.mkdir(exist_ok=True)
-        store = place_store(
-            terrain, place, config.spacing_m,
-            _area_deg(terrain, group[0], config.side_m), PlaceConfig(),
-        )  # fmt: skip
+        layout = Layout(config.spacing_m, bounds_deg=_area_deg(terrain, group[0], config.side_m))
+        store = laid_out_store(terrain, place, layout, PlaceConfig())
         with Matcher(store.path, terrain) as matcher, Viewer(matcher) as viewer:
             for one in group:
                 measured = _located(one, matcher, viewer, config)
@@ -135,67 +109,53 @@ def measure(
     return [rows[one] for one in photographs]
 
 
-def summarize(rows: Sequence[Mapping[str, object]]) -> list[dict[str, object]]:
+def summarize(rows: Sequence[Row]) -> list[Figures]:
     """Return one row for each kind of photograph: how many were found, answered and right."""
     table = []
     for kind in KINDS:
         some = [row for row in rows if row["kind"] == kind]
         if not some:
             continue
-        right = [row for row in some if _is_right(row)]
-        answered = [row for row in some if row.get("answered")]
-        line: dict[str, object] = {"kind": kind, "photographs": len(some)}
+        line: Figures = {"kind": kind, "photographs": len(some)}
         if kind != EXTRACT:
+            answered = [row for row in some if row.get("answered")]
+            true = [row["error_m"] <= row["within_m"] for row in answered]
             line |= {
-                "within_200m": len(right) / len(some),
+                "within_200m": sum(row.get("rank") == 1 for row in some) / len(some),
                 "answered": len(answered) / len(some),
                 "answered_200m": sum(row["within_m"] == RIGHT_M for row in answered) / len(some),
-                "answered_right": sum(map(_is_answer_right, answered)) / len(answered)
-                if answered and kind == LOCATE
-                else None,
+                "answered_right": sum(true) / len(true) if true and kind == LOCATE else None,
             }
-        shares = [
-            float(str(row["right_columns"])) for row in some if row.get("right_columns") is not None
-        ]
-        refused = [row for row in some if row.get("trusted") is None]
+        told = [row.get("right_columns") for row in some]
+        shares = [share for share in told if share is not None]
         line |= {
             "right_columns": float(np.mean(shares)) if shares else None,
             "mostly_wrong": sum(share < 0.5 for share in shares) if shares else None,
-            "no_skyline": len(refused),
+            "no_skyline": sum(row.get("trusted") is None for row in some),
         }
         table.append(line)
     return table
 
 
-def _is_right(row: Mapping[str, object]) -> bool:
-    return row.get("rank") == 1
-
-
-def _is_answer_right(row: Mapping[str, object]) -> bool:
-    return float(str(row["error_m"])) <= float(str(row["within_m"]))
-
-
 def _extracted(one: Photograph) -> Measured:
     """Read a photograph, and hold its skyline to the truth where that is known."""
-    measured = Measured(one)
-    figures = measured.figures
-    figures |= {"photo": one.name, "kind": one.kind}
+    figures: Figures = {"photo": one.name, "kind": one.kind}
     started = time.perf_counter()
     try:
         query = read_query(one.photo, one.given_fov_deg)
     except InputError as error:
         refusal = str(error).replace(str(one.photo), one.name)
-        return replace(measured, figures=figures | {"refusal": refusal, "lost": "extraction"})
+        return Measured(one, figures | {"refusal": refusal, "lost": "extraction"})
     figures |= {"seconds": time.perf_counter() - started, "trusted": float(query.trusted.mean())}
     if one.given_eye_height_m is not None:
         query = replace(query, eye_height_m=one.given_eye_height_m)
     true_px = one.true_row_px(query)
     if true_px is not None:
         figures |= right_columns(query, true_px)
-    return replace(measured, query=query, row_px=true_px)
+    return Measured(one, figures, query, true_px)
 
 
-def right_columns(query: QuerySkyline, true_px: np.ndarray) -> dict[str, object]:
+def right_columns(query: QuerySkyline, true_px: Float64Array) -> Figures:
     """Return the share of trusted columns that are right, and of true ones that are found so."""
     known = np.isfinite(true_px)
     both = known & query.trusted
@@ -219,7 +179,7 @@ def _located(one: Photograph, matcher: Matcher, viewer: Viewer, config: PhotosCo
     right = [rank for rank, off in enumerate(errors, start=1) if off <= RIGHT_M]
     claim = describe_claim(query.noted, best)
     measured.figures |= {
-        "seconds": float(str(measured.figures["seconds"])) + result.seconds,
+        "seconds": measured.figures["seconds"] + result.seconds,
         "answered": result.answer is not None,
         "within_m": result.within_m,
         "error_m": errors[0] if errors else None,
@@ -241,7 +201,7 @@ def _located(one: Photograph, matcher: Matcher, viewer: Viewer, config: PhotosCo
 
 def _stages(
     one: Photograph, measured: Measured, result: MatchResult, matcher: Matcher, viewer: Viewer
-) -> dict[str, object]:
+) -> Figures:
     """Return the stage that lost a place: the truth is given to one later stage after the other.
 
     ``confidence``: it was found, and not believed. ``extraction``: with the true skyline it is
@@ -253,9 +213,8 @@ def _stages(
     query = result.query
     if measured.figures["rank"] == 1:
         return {"lost": "confidence"}
-    if result.refusal is not None and not result.candidates:
-        return {"lost": "extraction"}
-    if _found_by_truth(one, query, measured.row_px, matcher):
+    refused = result.refusal is not None and not result.candidates
+    if refused or _found_by_truth(one, query, measured.row_px, matcher):
         return {"lost": "extraction"}
     near = Narrowing(near=(*one.lonlat, _NEAR_KM))
     try:
@@ -282,10 +241,10 @@ def _stages(
 
 
 def _found_by_truth(
-    one: Photograph, query: QuerySkyline, true_px: object, matcher: Matcher
+    one: Photograph, query: QuerySkyline, true_px: Float64Array | None, matcher: Matcher
 ) -> bool:
     """Whether the true skyline, as far as it is known, leads to the place."""
-    if not isinstance(true_px, np.ndarray):
+    if true_px is None:
         return False
     true = replace(query, row_px=true_px, confidence=np.isfinite(true_px).astype(float))
     found = matcher.match(true).candidates
@@ -338,18 +297,13 @@ def _apart_m(one: Photograph, other: Photograph) -> float:
     return _M_PER_DEG * math.hypot(east, north)
 
 
-def _area_deg(
-    terrain: HeightField, first: Photograph, side_m: float
-) -> tuple[float, float, float, float]:
+def _area_deg(terrain: HeightField, first: Photograph, side_m: float) -> Bounds:
     """Return W, S, E, N of an area that holds a place somewhere, but not in its middle."""
     generator = np.random.default_rng(zlib.crc32(first.name.encode()))
     lon, lat = first.lonlat
-    east_deg = _M_PER_DEG * math.cos(math.radians(lat))
-    middle = np.array([lon, lat]) + (
-        generator.uniform(-_OFF_CENTRE, _OFF_CENTRE, 2) * side_m / [east_deg, _M_PER_DEG]
-    )
-    half = side_m / 2.0 / np.array([east_deg, _M_PER_DEG])
-    west, south = (float(value) for value in middle - half)
-    east, north = (float(value) for value in middle + half)
+    m_per_deg = np.array([_M_PER_DEG * math.cos(math.radians(lat)), _M_PER_DEG])
+    off = generator.uniform(-_OFF_CENTRE, _OFF_CENTRE, 2) * side_m / m_per_deg
+    middle, half = np.array([lon, lat]) + off, side_m / 2.0 / m_per_deg
+    west, south, east, north = (float(value) for value in (*(middle - half), *(middle + half)))
     map_bounds(terrain, (west, south, east, north))
     return west, south, east, north

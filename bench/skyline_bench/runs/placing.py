@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from skyline.arrays import BoolArray, Float64Array
+from skyline.geodesy import Bounds
 from skyline.pipeline.jobs import Progress
 from skyline.places import BINS, Places
 from skyline.planning.loss import lost_shares, window_losses
@@ -19,9 +20,11 @@ from skyline.render.panorama import PanoramaRenderer
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
+from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.timing import unseen
 from skyline_bench.queries.synthetic import SyntheticQuery, make_queries
-from skyline_bench.runs.matching import BoundsDeg, middle_deg
-from skyline_bench.runs.scale import GROUPS, Found, Row, ScaleConfig, outcomes, summary
+from skyline_bench.runs.matching import middle_deg
+from skyline_bench.runs.scale import GROUPS, ScaleConfig, outcomes, summary
 
 _FOUND_WITHIN_M = 1000.0
 """What the planner calls found."""
@@ -31,36 +34,22 @@ _STEP_DEG = 10.0
 
 @dataclass(frozen=True, slots=True)
 class PlacingConfig:
-    """What is measured.
+    """What is measured."""
 
-    Attributes
-    ----------
-    spacings_m : tuple of float
-        Of uniform grids.
-    losses : tuple of float
-        Of planned places.
-    bounds_deg : (float, float, float, float), optional
-    queries : int
-    seed : int
-    """
-
-    spacings_m: tuple[float, ...] = (320.0, 160.0, 80.0)
-    losses: tuple[float, ...] = (0.35, 0.27, 0.2)
-    bounds_deg: BoundsDeg | None = None
+    spacings_m: tuple[float, ...] = (320.0, 160.0, 80.0)  # Of uniform grids
+    losses: tuple[float, ...] = (0.35, 0.27, 0.2)  # Of planned places
+    bounds_deg: Bounds | None = None
     queries: int = 150
     seed: int = 0
 
     def layouts(self) -> list[ScaleConfig]:
         """Return what is built and searched, one layout after the other."""
-        common = ScaleConfig(
-            bounds_deg=self.bounds_deg,
-            areas_km2=(),
-            near_km=(),
-            queries=self.queries,
+        whole = ScaleConfig(
+            bounds_deg=self.bounds_deg, areas_km2=(), near_km=(), queries=self.queries,
             seed=self.seed,
-        )
-        uniform = [replace(common, spacing_m=spacing) for spacing in self.spacings_m]
-        return uniform + [replace(common, loss=loss) for loss in self.losses]
+        )  # fmt: skip
+        uniform = [replace(whole, spacing_m=spacing) for spacing in self.spacings_m]
+        return uniform + [replace(whole, loss=loss) for loss in self.losses]
 
     def quick(self, terrain: HeightField) -> "PlacingConfig":
         """Return a version of a minute: five queries, one layout of each kind, 5 x 10 km."""
@@ -74,16 +63,12 @@ class PlacingConfig:
 
 
 def measure(
-    terrain: HeightField, config: PlacingConfig, folder: Path, progress: Progress | None = None
+    terrain: HeightField, config: PlacingConfig, folder: Path, progress: Progress = unseen
 ) -> list[Row]:
     """Build each layout's store and search it; one row for each layout and group of queries.
 
-    Stores and outcomes are kept in ``folder``: what is there is not done again.
-
-    Raises
-    ------
-    InputError
-        Bounds outside the DEM, a spacing or a loss that does not fit them.
+    Stores and outcomes are kept in ``folder``: what is there is not done again. Bounds outside the
+    DEM, and a spacing or a loss that does not fit them, raise `InputError`.
     """
     area = map_bounds(terrain, config.bounds_deg)
     rows = list[Row]()
@@ -93,23 +78,19 @@ def measure(
             places = Places.concatenate(list(store.places().blocks()))
         queries = make_queries(terrain, area, layout.queries, layout.seed, layout.query)
         expected = _expected(terrain, places, queries)
-        lost = np.array([not _found(one) for one in found])
+        error_m = np.array([one.outcome.error_m for one in found], dtype=np.float64)
+        lost = ~(error_m <= _FOUND_WITHIN_M)
         shared = {
             "layout": cost["store"],
-            "places": cost["places"],
-            "km2": cost["km2"],
-            "bytes": cost["bytes"],
-            "build_cpu_s": cost["build_cpu_s"],
+            **{name: cost[name] for name in ("places", "km2", "bytes", "build_cpu_s")},
             "claimed_loss": claimed_loss(places),
         }
         for group, (low, high) in GROUPS.items():
             mine = np.array([low <= one.distance_m < high for one in found])
             if mine.any():
                 some = [one.outcome for one, chosen in zip(found, mine, strict=True) if chosen]
-                rows.append(
-                    {**shared, "group": group, **summary(some)}
-                    | model_quality(expected[mine], lost[mine])
-                )
+                quality = model_quality(expected[mine], lost[mine])
+                rows.append({**shared, "group": group, **summary(some), **quality})
     return rows
 
 
@@ -138,32 +119,24 @@ def model_quality(expected: Float64Array, lost: BoolArray) -> Row:
     }
 
 
-def _found(one: Found) -> bool:
-    return one.outcome.error_m is not None and one.outcome.error_m <= _FOUND_WITHIN_M
-
-
 def _expected(
     terrain: HeightField, places: Places, queries: tuple[SyntheticQuery, ...]
 ) -> Float64Array:
     """Return how likely queries are lost, by the spacing where they were taken."""
     truths = [query.truth for query in queries]
-    eyes = Viewpoints(
-        *(
-            np.array([getattr(truth, name) for truth in truths])
-            for name in ("easting_m", "northing_m", "eye_elevation_m")
-        )
-    )
+    easting_m, northing_m, up_m, heading_deg = np.array(
+        [(one.easting_m, one.northing_m, one.eye_elevation_m, one.heading_deg) for one in truths]
+    ).T.copy()
     there = cKDTree(np.stack([places.easting_m, places.northing_m], axis=1))
-    _, nearest = there.query(np.stack([eyes.easting_m, eyes.northing_m], axis=1))
+    _, nearest = there.query(np.stack([easting_m, northing_m], axis=1))
     with PanoramaRenderer(terrain, BINS) as renderer:
-        distance_m = renderer.render(eyes).distance_m
-    start_deg = np.array([truth.heading_deg for truth in truths]) - _WINDOW_DEG / 2.0
+        distance_m = renderer.render(Viewpoints(easting_m, northing_m, up_m)).distance_m
+    start_deg = heading_deg - _WINDOW_DEG / 2.0
     window = np.rint(start_deg / _STEP_DEG).astype(np.int64) % round(360.0 / _STEP_DEG)
+    spacing_m = 2.0 * places.tolerance_m[np.asarray(nearest)].astype(np.float64)
     return np.array(
         [
-            window_losses(distance_m[[one]], np.array([2.0 * places.tolerance_m[place]]))[
-                0, 0, window[one]
-            ]
-            for one, place in enumerate(np.asarray(nearest))
+            window_losses(distance_m[[one]], spacing_m[[one]])[0, 0, window[one]]
+            for one in range(len(queries))
         ]
     )

@@ -60,26 +60,19 @@ def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:
     there = rendered[order]
     true_px = true_errors_px(stored[np.repeat(np.arange(len(stored)), moves)], there)
     shape = (len(stored), moves)
-    moved = displacements_m(
-        stored,
-        there.easting_m.reshape(shape),
-        there.northing_m.reshape(shape),
-        there.eye_elevation_m.reshape(shape),
-    )
+    eyes_m = (there.easting_m, there.northing_m, there.eye_elevation_m)
+    moved = displacements_m(stored, *(part.reshape(shape) for part in eyes_m))
     return QualityPairs(stored, moved, true_px.reshape(shape))
 
 
 def prediction_quality(field: HeightField, setup: QualitySetup) -> list[Row]:
     """Measure every predictor on one terrain.
 
-    Returns
-    -------
-    list of dict
-        ``precision`` and ``recall`` of "alike within the threshold", with 95 % intervals over
-        viewpoints (precision is NaN where nothing was predicted alike); Spearman's
-        ``rank_correlation`` of predicted and true errors; ``answered``, the share of displacements
-        the predictor had a finite error for; ``ms_per_area``, processor time for a view and 100
-        displacements.
+    Return ``precision`` and ``recall`` of "alike within the threshold", with 95 % intervals over
+    viewpoints (precision is NaN where nothing was predicted alike); Spearman's
+    ``rank_correlation`` of predicted and true errors; ``answered``, the share of displacements the
+    predictor had a finite error for; ``ms_per_area``, processor time for a view and 100
+    displacements.
     """
     pairs = quality_pairs(field, setup)
     _log.info("alike within the threshold: %.3f", (pairs.true_px <= setup.threshold_px).mean())

@@ -7,20 +7,22 @@ from pathlib import Path
 import numpy as np
 
 from skyline.errors import InputError
+from skyline.geodesy import Bounds
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.pipeline.config import PlaceConfig
 from skyline.pipeline.jobs import Progress
+from skyline.pipeline.layout import Layout
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import FULL
 from skyline.pipeline.results import JointResult
 from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.timing import unseen
 from skyline_bench.queries.synthetic import SyntheticQuery, make_queries_together
-from skyline_bench.runs.matching import BoundsDeg, middle_deg
-from skyline_bench.stores.reference import place_store
-from skyline_bench.trials.matchers import open_matcher
-from skyline_bench.trials.trials import Trial, accuracy, errors, run_trials
+from skyline_bench.runs.matching import middle_deg
+from skyline_bench.stores.reference import laid_out_store
+from skyline_bench.trials.trials import Trial, accuracy, errors, open_matcher, run_trials
 
 Photos = tuple[SyntheticQuery, ...]
 
@@ -30,7 +32,7 @@ class SamePlaceConfig:
     """What is measured."""
 
     # West, south, east, north; by default 5 x 10 km in the DEM's middle.
-    bounds_deg: BoundsDeg | None = None
+    bounds_deg: Bounds | None = None
     spacing_m: float = 80.0  # Of the store of places
     places: int = 30  # Where photos are taken
     photos: int = 3  # Of each place, looking anywhere
@@ -71,28 +73,25 @@ class _Measured:
 
 
 def measure(
-    terrain: HeightField, config: SamePlaceConfig, folder: Path, progress: Progress | None = None
+    terrain: HeightField, config: SamePlaceConfig, folder: Path, progress: Progress = unseen
 ) -> list[Row]:
     """Match photos of one place alone, together, and with one of another place among them.
 
-    Returns
-    -------
-    list of dict
-        A row for all places and one for each third that is hardest: where the fewest photos are
-        found alone, and where skylines are nearest, which does not ask what was found. A place is
-        found within 200 m. ``radius_holds`` is the share of the places found whose error is within
-        the radius that 68 % should be within, ``own_named_wrong`` that of the places where a photo
-        is said not to agree, ``stranger_named`` that where the photo of another place is.
+    Return a row for all places and one for each third that is hardest: where the fewest photos are
+    found alone, and where skylines are nearest, which does not ask what was found. A place is found
+    within 200 m. ``radius_holds`` is the share of the places found whose error is within the radius
+    that 68 % should be within, ``own_named_wrong`` that of the places where a photo is said not to
+    agree, ``stranger_named`` that where the photo of another place is.
     """
     bounds_deg = config.bounds_deg or middle_deg(terrain)
-    store = place_store(terrain, folder, config.spacing_m, bounds_deg, PlaceConfig())
+    layout = Layout(config.spacing_m, bounds_deg=bounds_deg)
+    store = laid_out_store(terrain, folder, layout, PlaceConfig())
     area = map_bounds(terrain, bounds_deg)
     made = make_queries_together(terrain, area, config.places, config.photos, config.seed)
     measured = []
     with open_matcher(FULL, store.path, terrain) as matcher:
         for index, photos in enumerate(made):
-            if progress:
-                progress(index, len(made))
+            progress(index, len(made))
             measured.append(_measured(matcher, photos, made[(index + 1) % len(made)][-1]))
     return [{"group": name, **_row(some)} for name, some in _groups(measured).items()]
 
@@ -123,27 +122,22 @@ def _groups(measured: Sequence[_Measured]) -> Mapping[str, Sequence[_Measured]]:
 
 def _row(measured: Sequence[_Measured]) -> Row:
     alone = [trial for one in measured for trial in one.alone]
-    error_m = np.array([one.error_m for one in measured])
-    one_by_one = accuracy(
-        np.array([trial.error_m for trial in alone]), [trial.answered_within_m for trial in alone]
-    )
+    alone_m, error_m = [trial.error_m for trial in alone], [one.error_m for one in measured]
+    mixed_m = [one.mixed_error_m for one in measured]
+    one_by_one = accuracy(alone_m, [trial.answered_within_m for trial in alone])
     together = accuracy(error_m, [one.together.within_m for one in measured])
-    mixed = accuracy(
-        np.array([one.mixed_error_m for one in measured]), [one.mixed.within_m for one in measured]
-    )
+    mixed = accuracy(mixed_m, [one.mixed.within_m for one in measured])
     best = [next(iter(one.together.places), None) for one in measured]
     names = ("within_200m", "median_m", "answered", "precision")
     return {
         "places": len(measured),
         "photos": len(alone) // len(measured),
         **{f"alone_{name}": one_by_one[name] for name in names},
-        "alone_radius_holds": _radius_holds(
-            [trial.error_m for trial in alone], [trial.radius_m for trial in alone]
-        ),
+        "alone_radius_holds": _radius_holds(alone_m, [trial.radius_m for trial in alone]),
         "alone_seconds": float(np.median([trial.seconds for trial in alone])),
         **{name: together[name] for name in names},
         "radius_holds": _radius_holds(
-            error_m.tolist(), [None if place is None else place.radius_m for place in best]
+            error_m, [place.radius_m if place else None for place in best]
         ),
         "own_named_wrong": float(np.mean([not all(one.together.agrees) for one in measured])),
         "seconds": float(np.median([one.together.seconds for one in measured])),
@@ -154,9 +148,6 @@ def _row(measured: Sequence[_Measured]) -> Row:
 
 def _radius_holds(error_m: Sequence[float], radius_m: Sequence[float | None]) -> float | None:
     """Return the share of right places whose error is within their radius."""
-    within = [
-        error <= radius
-        for error, radius in zip(error_m, radius_m, strict=True)
-        if radius is not None and error <= RIGHT_WITHIN_M
-    ]
-    return float(np.mean(within)) if within else None
+    off_m, told_m = np.array(error_m), np.array(radius_m, dtype=np.float64)
+    right = ~np.isnan(told_m) & (off_m <= RIGHT_WITHIN_M)
+    return float((off_m <= told_m)[right].mean()) if right.any() else None

@@ -15,29 +15,31 @@ from pathlib import Path
 import numpy as np
 
 from skyline.errors import InputError
-from skyline.geodesy import Frame, Rectangle
+from skyline.geodesy import Bounds, Frame, Rectangle
 from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.pipeline.config import PlaceConfig
 from skyline.pipeline.jobs import Progress
-from skyline.pipeline.layout import DEFAULT_LOSS
+from skyline.pipeline.layout import DEFAULT_LOSS, Layout
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.scene import RenderedScene
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring.memory import own_bytes, peak_bytes, reset_peak
+from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.timing import own_bytes, peak_bytes, reset_peak, unseen
 from skyline_bench.queries.synthetic import QueryConfig, Truth, make_queries
-from skyline_bench.runs.matching import BoundsDeg, middle_deg
-from skyline_bench.stores.area import mapped_area_m
-from skyline_bench.stores.reference import ReferenceStore, check_spacing, given_store, place_store
+from skyline_bench.runs.matching import middle_deg
+from skyline_bench.stores.reference import (
+    check_spacing,
+    given_store,
+    laid_out_store,
+    mapped_area_m,
+)
 from skyline_bench.trials.kept import Kept
-from skyline_bench.trials.matchers import MATCHING
 from skyline_bench.trials.traced import STAGES, Outcome, Traced
-from skyline_bench.trials.trials import accuracy
+from skyline_bench.trials.trials import MATCHING, accuracy
 
 _log = logging.getLogger(__name__)
-
-Row = dict[str, object]
 
 GROUPS = {
     "all": (-math.inf, math.inf),
@@ -62,7 +64,7 @@ class ScaleConfig:
     spacing_m: float | None = None
     loss: float = DEFAULT_LOSS  # What they are planned for
     # West, south, east, north of what is built; by default all of the DEM.
-    bounds_deg: BoundsDeg | None = None
+    bounds_deg: Bounds | None = None
     store: Path | None = None  # A store of places that is there already, instead
     # Squares that are searched; all of the store is searched as well.
     areas_km2: tuple[float, ...] = (50.0, 1000.0, 10_000.0)
@@ -141,7 +143,7 @@ class Found:
 
 
 def measure(
-    terrain: HeightField, config: ScaleConfig, folder: Path, progress: Progress | None = None
+    terrain: HeightField, config: ScaleConfig, folder: Path, progress: Progress = unseen
 ) -> tuple[Row, list[Row]]:
     """Build or open a store of places, match queries in squares of it, and sum up."""
     cost, searches, found = outcomes(terrain, config, folder, progress)
@@ -157,30 +159,31 @@ def measure(
 
 
 def outcomes(
-    terrain: HeightField, config: ScaleConfig, folder: Path, progress: Progress | None = None
+    terrain: HeightField, config: ScaleConfig, folder: Path, progress: Progress = unseen
 ) -> tuple[Row, list[Search], list[Found]]:
     """Build or open a store of places, and match queries in squares of it.
 
     The store that is built and the results are kept in ``folder``: what is there is not done again.
-
-    Returns
-    -------
-    (dict, list of Search, list of Found)
-        What the store cost, what was searched, and what became of each query in each search.
+    Return what the store cost, what was searched, and what became of each query in each search.
     """
     if config.store is not None:
         store = given_store(terrain, config.store)
     else:
         check_spacing(terrain, config.spacing_m, config.bounds_deg)
-        where = config.spacing_m, config.bounds_deg, PlaceConfig()
-        store = place_store(terrain, folder, *where, progress, config.loss)
+        layout = Layout(config.spacing_m, bounds_deg=config.bounds_deg, loss=config.loss)
+        store = laid_out_store(terrain, folder, layout, PlaceConfig(), progress)
     reset_peak()
     started = time.perf_counter()
     with Matcher(store.path, terrain, config=MATCHING) as matcher:
         open_s = time.perf_counter() - started
         area = mapped_area_m(matcher.header, terrain) or map_bounds(terrain, None)
+        settings = dict(matcher.header.config)
     searches = _searches(config, area)
-    kept = _kept(terrain, config, store, folder / "scale")
+    # The same queries in the same store.
+    depends = terrain.digest, settings, store.rows, config.seed, asdict(config.query)
+    kept: Kept[Found] = Kept(
+        folder / "scale", depends, lambda outcome, **held: Found(**held, outcome=Outcome(**outcome))
+    )
     wanted = {
         f"{query} {search.name}": (query, search)
         for query in range(config.queries)
@@ -195,15 +198,14 @@ def outcomes(
         traced = Traced(places, terrain.height_at, scene, terrain.frame)
         traced.match(queries[0])  # The first compiles shaders.
         for key in missing:
-            if progress:
-                progress(len(kept.found), len(wanted))
+            progress(len(kept.found), len(wanted))
             number, search = wanted[key]
             query = queries[number]
             narrowed = search.about(query.truth, area, terrain.frame, [config.seed, number])
             distance_m, outcome = np.nan_to_num(query.distance_m), traced.match(query, narrowed)
             kept.keep(key, Found(number, search.name, float(distance_m), outcome))
         scene.release()
-    cost: Row = {
+    cost = {
         "store": store.name,
         "places": store.rows,
         "km2": searches[-1].km2,
@@ -229,23 +231,12 @@ def _searches(config: ScaleConfig, area: Rectangle) -> list[Search]:
         Search(f"{km2:g} km2", km2, side_m=_KILOMETRE_M * math.sqrt(km2))
         for km2 in config.areas_km2
     ]
-    fitting = sorted(
-        (one for one in searches if one.km2 < extent_km2), key=lambda one: (one.km2, one.name)
-    )
-    larger = [one.name for one in searches if one not in fitting]
+    fitting = [one for one in searches if one.km2 < extent_km2]
+    larger = [one.name for one in searches if one.km2 >= extent_km2]
     if larger:
         _log.warning("left out, since the store covers %.0f km2: %s", extent_km2, ", ".join(larger))
+    fitting.sort(key=lambda one: (one.km2, one.name))
     return [*fitting, Search(WHOLE, extent_km2)]
-
-
-def _kept(
-    terrain: HeightField, config: ScaleConfig, store: ReferenceStore, path: Path
-) -> Kept[Found]:
-    """Return what is kept of the same queries in the same store."""
-    with open_store(store.path) as opened:
-        settings = dict(opened.header.config)
-    depends = terrain.digest, settings, store.rows, config.seed, asdict(config.query)
-    return Kept(path, depends, lambda outcome, **held: Found(**held, outcome=Outcome(**outcome)))
 
 
 def summary(outcomes: Sequence[Outcome]) -> Row:

@@ -10,8 +10,8 @@ import os
 import resource
 import time
 from collections.abc import Callable
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,8 @@ from skyline.pipeline.match import Matcher
 from skyline.pipeline.shards import build_sharded
 from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.measuring.memory import peak_bytes
+from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.timing import peak_bytes
 from skyline_bench.queries.synthetic import make_queries
 from skyline_bench.trials.kept import file_digest
 from skyline_bench.trials.trials import errors
@@ -36,13 +37,6 @@ QUERIES = 6
 ROUNDS = 3
 """Of two workers against one."""
 
-Row = dict[str, Any]
-
-
-def _children_cpu_s() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
 
 def _build(
     terrain: HeightField,
@@ -52,7 +46,7 @@ def _build(
     told: Callable[[int], None] = lambda _: None,
 ) -> Row:
     """Build with workers of this machine, and tell how many renderings there are; what it took."""
-    cpu_s, load = _children_cpu_s(), os.getloadavg()[0]
+    before, load = resource.getrusage(resource.RUSAGE_CHILDREN), os.getloadavg()[0]
     tiles: list[tuple[float, int]] = []
 
     def progress(done: int, _total: int) -> None:
@@ -64,6 +58,7 @@ def _build(
         ready = time.perf_counter()
         rows = build_sharded(terrain, path, plan, RenderConfig(), runner, progress).rows
         ended = time.perf_counter()
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     last, all_ = tiles[-1]
     # In the second half every worker has long been at work.
     half, held = next(tile for tile in tiles if 2 * tile[1] >= all_)
@@ -75,7 +70,7 @@ def _build(
         "build_s": last - ready,
         "merge_s": ended - last,
         "renderings_a_second": (all_ - held) / (last - half),
-        "workers_cpu_s": _children_cpu_s() - cpu_s,
+        "workers_cpu_s": sum(after[:2]) - sum(before[:2]),  # User and system time
         "bytes": path.stat().st_size,
         "digest": file_digest(path)[:16],
         "load_average": load,
@@ -92,7 +87,7 @@ def measure_workers(terrain: HeightField, folder: Path, quick: bool) -> list[Row
             os.environ["LP_NUM_THREADS"] = str(threads)
             path = folder / f"{turn}_{workers}_{threads}.h5"
             row = _build(terrain, path, plan, workers)
-            rows.append({"case": "workers", "renderer_threads": threads, "round": turn} | row)
+            rows.append({"case": "workers", "renderer_threads": threads, "round": turn, **row})
             del os.environ["LP_NUM_THREADS"]
 
     def speeds(workers: int, threads: int) -> NDArray[np.float64]:
@@ -113,29 +108,33 @@ def measure_killed(terrain: HeightField, folder: Path, quick: bool) -> list[Row]
     plan = Layout(_spacing_m(quick), 5000.0, PART)
     unbroken = _build(terrain, folder / "unbroken.h5", plan, 2)
     half = unbroken["renderings"] // 2
-    killed: list[int] = []
+    killed: list[BaseProcess] = []
 
     def kill(done: int) -> None:
         if done >= half and not killed:
-            worker = multiprocessing.active_children()[0]
-            killed.append(worker.pid or 0)
-            worker.kill()
+            killed.append(multiprocessing.active_children()[0])
+            killed[0].kill()
 
     row = _build(terrain, folder / "killed.h5", plan, 2, kill)
     same = row["digest"] == unbroken["digest"]
-    rows = [{"case": "killed, unbroken"} | unbroken]
-    rows.append({"case": "killed", "killed": len(killed), "same_bytes": same} | row)
-    return rows
+    return [
+        {"case": "killed, unbroken", **unbroken},
+        {"case": "killed", "killed": len(killed), "same_bytes": same, **row},
+    ]
 
 
 def measure_area(terrain: HeightField, folder: Path, quick: bool) -> list[Row]:
     """3,000 km2 at 500 m, four headings: built, merged, matched."""
     west, south, east, north = map_bounds(terrain, YOSEMITE)
     plan, path = Layout(_spacing_m(quick), 10_000.0, YOSEMITE), folder / "area.h5"
-    row: Row = {"case": "area", "area_km2": (east - west) * (north - south) / 1e6}
-    row |= _build(terrain, path, plan, 2)
-    row["worker_peak_bytes"] = 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    row["bytes_a_rendering"] = path.stat().st_size / row["renderings"]
+    built = _build(terrain, path, plan, 2)
+    row = {
+        "case": "area",
+        "area_km2": (east - west) * (north - south) / 1e6,
+        **built,
+        "worker_peak_bytes": 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss,
+        "bytes_a_rendering": path.stat().st_size / built["renderings"],
+    }
     queries = make_queries(terrain, (west, south, east, north), QUERIES, seed=7)
     started = time.perf_counter()
     matcher = Matcher(path, terrain, "correlation")
@@ -145,7 +144,7 @@ def measure_area(terrain: HeightField, folder: Path, quick: bool) -> list[Row]:
         errors(result.candidates[0], query.truth)[0]
         for result, query in zip(found, queries, strict=True)
     ]
-    matched: Row = {
+    matched = {
         "case": "area, matched",
         "matcher": "correlation",
         "queries": len(queries),

@@ -17,6 +17,7 @@ from PIL import Image
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError
 from skyline.photo.read import extract_photo
+from skyline.photo.sky_model import topmost_border
 from skyline.pipeline.jobs import Progress
 from skyline_bench.measuring.record import Row
 
@@ -30,14 +31,11 @@ _JPEG_QUALITY = 92
 def measure(folder: Path, quick: bool, progress: Progress) -> list[Row]:
     """Measure both halves of a folder, or two photographs of each, one core.
 
-    Returns
-    -------
-    list of dict
-        ``within``: share of the trusted columns that lie within 1 % of the image's height;
-        ``trusted``: share of the columns whose mask has an edge, refused photographs' too, that
-        are trusted; ``mostly_wrong``: photographs with most of their trusted columns farther off;
-        ``seconds`` and ``seconds_12mp``: processor time a photograph, from the file to the
-        skyline, as it is, and the first three enlarged to 12 megapixels.
+    ``within`` is the share of the trusted columns that lie within 1 % of the image's height, and
+    ``trusted`` that of the columns whose mask has an edge, refused photographs' too, that are
+    trusted. ``mostly_wrong`` are photographs with most of their trusted columns farther off.
+    ``seconds`` and ``seconds_12mp`` are processor time a photograph, from the file to the skyline,
+    as it is, and the first three enlarged to 12 megapixels.
     """
     cv2.setNumThreads(1)
     names = sorted(
@@ -111,6 +109,4 @@ def _counted(folder: Path, name: str) -> tuple[float, ...]:
 
 def mask_rows(mask: UInt8Array) -> Float64Array:
     """Return the upper edge of a mask's white in each column, (W,); NaN where there is none."""
-    white = mask > 127
-    first = white.argmax(axis=0)
-    return np.where(white.any(axis=0) & (first > 0), first - 0.5, np.nan)
+    return topmost_border((mask <= 127).astype(np.float64), 0.5)[0]

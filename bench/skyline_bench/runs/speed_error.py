@@ -27,10 +27,10 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 from skyline_bench.measuring.record import Row
-from skyline_bench.measuring.timing import in_turns, over_cores
+from skyline_bench.measuring.timing import in_turns, over_cores, unseen
 from skyline_bench.peers.embree import STARTS, Bisection, EmbreePeer, is_installed
 from skyline_bench.truth import oracle
-from skyline_bench.truth.comparison import compare
+from skyline_bench.truth.agreement import compare
 
 _Render = Callable[[Viewpoints], Views]
 
@@ -113,7 +113,7 @@ def central_viewpoints(terrain: HeightField, count: int, spacing_m: float) -> Vi
 
 
 def measure(
-    terrain: HeightField, config: SpeedErrorConfig, progress: Progress | None = None
+    terrain: HeightField, config: SpeedErrorConfig, progress: Progress = unseen
 ) -> list[Row]:
     """Return one row a contender: what a benchmark always says, and what explains it."""
     batch = central_viewpoints(terrain, config.viewpoints, config.spacing_m)
@@ -122,8 +122,7 @@ def measure(
     steps = count(1)
 
     def tick() -> None:
-        if progress:
-            progress(next(steps), len(contenders) * (3 + 2 * config.repeats))
+        progress(next(steps), len(contenders) * (3 + 2 * config.repeats))
 
     with ExitStack() as held:
         contenders = list(_contenders(terrain, batch, compared, config, held))
@@ -134,12 +133,10 @@ def measure(
                 truths[contender.width] = _oracle(terrain, config, contender.width)(compared)
             errors.append(compare(contender.render(compared), truths[contender.width]))
             tick()
-        batches = in_turns(
-            [partial(c.render, c.viewpoints) for c in contenders], config.repeats, tick
-        )
-        alone = in_turns(
-            [partial(c.render, compared[:1]) for c in contenders], config.repeats, tick
-        )
+        batch_work = [partial(one.render, one.viewpoints) for one in contenders]
+        one_work = [partial(one.render, compared[:1]) for one in contenders]
+        batches = in_turns(batch_work, config.repeats, tick)
+        alone = in_turns(one_work, config.repeats, tick)
     return [
         {
             "path": one.path,

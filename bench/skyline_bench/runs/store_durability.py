@@ -15,9 +15,10 @@ from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.views import Views
 from skyline_bench.measuring.record import Row
-from skyline_bench.stores.damage import flip_test, fuzz_test
 from skyline_bench.stores.durability import (
     Say,
+    flip_test,
+    fuzz_test,
     kill_test,
     numbered_build,
     numbered_header,

@@ -178,21 +178,14 @@ def _bilinear(file: _File, field: HeightField) -> HeightField:
     return replace(field, heights_m=heights)
 
 
-def _around(file: _File, row: int, col: int) -> tuple[Float64Array, Float64Array]:
-    """Return the places of a fine lattice that reaches one sample from a summit."""
-    south, east = np.meshgrid(_LATTICE, _LATTICE, indexing="ij")
-    return file.place(row + south.reshape(-1), col + east.reshape(-1))
-
-
-def _surface_around(surface: HeightField, file: _File, row: int, col: int) -> _Places:
+def _surface_around(surface: HeightField, easting: Float64Array, northing: Float64Array) -> _Places:
     """Return places of the surface around a summit, its samples among them, and their heights."""
-    easting, northing = _around(file, row, col)
-    (first_row, last_row), (first_col, last_col) = surface.to_grid(
-        [easting.min(), easting.max()], [northing.max(), northing.min()]
-    )
+    sides = surface.to_grid([easting.min(), easting.max()], [northing.max(), northing.min()])
     rows, cols = np.meshgrid(
-        np.arange(max(np.ceil(first_row), 0.0), min(np.floor(last_row) + 1.0, surface.rows)),
-        np.arange(max(np.ceil(first_col), 0.0), min(np.floor(last_col) + 1.0, surface.cols)),
+        *(
+            np.arange(max(np.ceil(first), 0.0), min(np.floor(last) + 1.0, count))
+            for (first, last), count in zip(sides, (surface.rows, surface.cols), strict=True)
+        ),
         indexing="ij",
     )
     nodes = surface.to_map(rows.reshape(-1), cols.reshape(-1))
@@ -206,11 +199,13 @@ def _summit_errors(
     """Return how far summits are too high or low, also as seen, in metres at their distance."""
     summit, eyes = sights
     error_m, seen_m = [], []
+    # Of a fine lattice that reaches one sample from a summit.
+    south, east = (side.ravel() for side in np.meshgrid(_LATTICE, _LATTICE, indexing="ij"))
     for index, (r, c) in enumerate(zip(row.tolist(), col.tolist(), strict=True)):
-        around, mine = _surface_around(surface, file, r, c), eyes[:, summit == index]
-        easting, northing = _around(file, r, c)
+        lattice, mine = file.place(r + south, c + east), eyes[:, summit == index]
+        around = _surface_around(surface, *lattice)
         error_m.append(np.nanmax(around[2]) - file.heights_m[r, c])
-        true = easting, northing, file.height_m(easting, northing)
+        true = *lattice, file.height_m(*lattice)
         east_m, north_m = np.array(file.place([r], [c])) - mine[:2]
         off = _greatest_tan(around, mine) - _greatest_tan(true, mine)
         seen_m += np.abs(off * np.hypot(east_m, north_m)).tolist()

@@ -20,13 +20,10 @@ SEEDS = 10
 def measure(seeds: int = SEEDS) -> list[dict[str, Any]]:
     """Run the strategies on the three rows, each with seeds 0, 1, ...
 
-    Returns
-    -------
-    list of dict
-        One for each row and strategy: ``row``, ``strategy``, means over seeds of ``A``, ``B``,
-        ``mean_area`` (of the views rendered), ``seconds`` (processor time) and ``coverage``
-        (reached), standard deviations ``A_std``, ``B_std``, ``mean_area_std``, ``seconds_std``,
-        and ``bound``, ``asked * 10000 / mean_area``.
+    Return for each row and strategy: ``row``, ``strategy``, means over seeds of ``A``, ``B``,
+    ``mean_area`` (of the views rendered), ``seconds`` (processor time) and ``coverage`` (reached),
+    standard deviations ``A_std``, ``B_std``, ``mean_area_std``, ``seconds_std``, and ``bound``,
+    ``asked * 10000 / mean_area``.
     """
     if seeds < 1:
         raise InputError(f"seeds is {seeds}; expected at least 1")

@@ -1,4 +1,4 @@
-"""What can befall a store that is being built: kills, and readers beside its writer."""
+"""What can befall a store: kills and readers while it is built, flipped bits and mutations."""
 
 import mmap
 import os
@@ -11,6 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,10 +32,11 @@ from skyline.store import (
     open_store,
 )
 from skyline.store.header import PLACES
+from skyline.store.integrity import examine
 from skyline.views import Views
-from skyline_bench.measuring.workers import fork, outcome_of
+from skyline_bench.measuring.workers import ended, fork, outcome_of
 
-Say = Callable[[int], None]
+Say = Callable[[int], object]
 """Called with the number of rows that are committed."""
 
 _LONGER = 1.5
@@ -42,8 +44,6 @@ _LONGER = 1.5
 
 Build = Callable[[Path, Say], None]
 """Builds a store at a path, or goes on with the one that is there."""
-
-Rows = Views | Places
 
 
 def numbered_header(width: int = 64, rows: str = "compact") -> StoreHeader:
@@ -61,13 +61,6 @@ def numbered_header(width: int = 64, rows: str = "compact") -> StoreHeader:
     return replace(header, holds=PLACES, width=0) if rows == "places" else header
 
 
-def numbered_rows(header: StoreHeader, start: int, stop: int) -> Rows:
-    """Return rows that say which they are, as they are read back from a store."""
-    if header.holds == PLACES:
-        return numbered_places(start, stop)
-    return numbered_views(header, start, stop)[0]
-
-
 def append_numbered(writer: StoreWriter, stop: int) -> None:
     """Append numbered rows after those that a store holds."""
     start = len(writer)
@@ -77,11 +70,22 @@ def append_numbered(writer: StoreWriter, stop: int) -> None:
         writer.append(*numbered_views(writer.header, start, stop))
 
 
-def read_numbered(store: Store, rows: slice) -> Rows:
-    """Read rows of a store of either kind."""
+def reads_as_numbered(store: Store, rows: slice) -> bool:
+    """Whether rows of a store of either kind are the numbered ones."""
+    span = np.arange(len(store))[rows]
+    if not span.size:
+        return True
+    start, stop = int(span[0]), int(span[-1]) + 1
+    got: Any
+    wanted: Any
     if store.header.holds == PLACES:
-        return store.places().take(np.arange(len(store))[rows])
-    return store.views(rows)
+        got, wanted = store.places().take(span), numbered_places(start, stop)
+    else:
+        got, wanted = store.views(rows), numbered_views(store.header, start, stop)[0]
+    return all(
+        np.array_equal(getattr(got, f.name), getattr(wanted, f.name), equal_nan=True)
+        for f in fields(wanted)
+    )
 
 
 def numbered_places(start: int, stop: int) -> Places:
@@ -147,13 +151,9 @@ def same_rows(path: Path, whole: Path) -> bool:
 def kill_test(build: Build, folder: Path, kills: int) -> dict[str, object]:
     """Kill a build at random instants, resume it, kill it again, until enough are dead.
 
-    Returns
-    -------
-    dict
-        ``kills``; ``opened``: stores that opened afterwards, those killed before there was one
-        among them; ``lost``: kills after which rows were missing or changed; ``builds`` that were
-        finished between kills, and ``equal`` of them to the unbroken one, to the byte once
-        compacted.
+    Return ``kills``; ``opened``, stores that opened afterwards, those killed before there was one
+    among them; ``lost``, kills after which rows were missing or changed; ``builds`` that were
+    finished between kills, and ``equal`` of them to the unbroken one, to the byte once compacted.
     """
     generator = np.random.default_rng(0)
     whole = folder / "whole.h5"
@@ -161,22 +161,22 @@ def kill_test(build: Build, folder: Path, kills: int) -> dict[str, object]:
     for _ in range(3):
         whole.unlink(missing_ok=True)
         started = time.perf_counter()
-        _finish(*_start(build, whole))
+        _finish(_start(build, whole))
         lasts_s = min(lasts_s, time.perf_counter() - started)
     started = time.perf_counter()
-    _finish(*_start(build, whole))  # Nothing is left to do.
+    _finish(_start(build, whole))  # Nothing is left to do.
     starts_s = time.perf_counter() - started
     total = _committed(whole)
     compacted = _compacted(whole)
     tally = Counter(kills=0, opened=0, lost=0, builds=0, equal=0)
     path, said = folder / "killed.h5", 0
     while tally["kills"] < kills:
-        child, pipe = _start(build, path)
+        child = _start(build, path)
         # Some runs end before they are killed, so that resumed builds are seen to end as well.
         left_s = starts_s + lasts_s * (1.0 - said / total)
         time.sleep(generator.uniform(0.0, _LONGER * left_s))
-        os.kill(child, signal.SIGKILL)
-        code, committed = _finish(child, pipe)
+        os.kill(child[0], signal.SIGKILL)
+        code, committed = _finish(child)
         said = max(said, committed)
         if code == 0:
             tally["builds"] += 1
@@ -191,7 +191,7 @@ def kill_test(build: Build, folder: Path, kills: int) -> dict[str, object]:
             tally["lost"] += rows < said or (path.exists() and not same_rows(path, whole))
         except SkylineError:
             pass
-    _finish(*_start(build, path))
+    _finish(_start(build, path))
     tally["builds"] += 1
     tally["equal"] += _compacted(path) == compacted
     return {**tally, "unbroken_s": lasts_s}
@@ -213,27 +213,12 @@ def _compacted(path: Path) -> bytes:
 
 
 def _start(build: Build, path: Path) -> tuple[int, int]:
-    reading, writing = os.pipe()
-
-    def say(committed: int) -> None:
-        os.write(writing, struct.pack("<q", committed))
-
-    def child() -> None:
-        os.close(reading)
-        build(path, say)
-
-    pid = fork(child)
-    os.close(writing)
-    return pid, reading
+    return fork(lambda say: build(path, lambda committed: say(struct.pack("<q", committed))))
 
 
-def _finish(child: int, pipe: int) -> tuple[int, int]:
+def _finish(child: tuple[int, int]) -> tuple[int, int]:
     """Wait for a build; return its exit code and the last number of rows it said."""
-    said = b""
-    while piece := os.read(pipe, 1 << 16):
-        said += piece
-    os.close(pipe)
-    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    code, said = ended(*child)
     return code, struct.unpack("<q", said[-8:])[0] if said else 0
 
 
@@ -267,18 +252,15 @@ def readers_test(
                 errors += not committed <= len(store) <= appended
                 first = int(generator.integers(0, max(len(store) - 200, 1)))
                 rows = slice(first, first + 200) if opened % 2 else slice(-200, None)
-                span = range(*rows.indices(len(store)))
-                if span:
-                    wanted = numbered_rows(header, span.start, span.stop)
-                    errors += not _same_rows(read_numbered(store, rows), wanted)
+                errors += not reads_as_numbered(store, rows)
             opened += 1
         return f"{opened} {errors}"
 
-    writer = fork(write)
+    writer = fork(lambda _: write())
     with ThreadPoolExecutor(readers) as pool:
         patience_s = int(seconds) + 60
         said = list(pool.map(lambda n: outcome_of(partial(read, n), patience_s), range(readers)))
-    code = os.waitstatus_to_exitcode(os.waitpid(writer, 0)[1])
+    code, _ = ended(*writer)
     counts = [tuple(map(int, answer.split())) for answer in said if answer[:1].isdigit()]
     return {
         "readers": readers,
@@ -291,8 +273,93 @@ def readers_test(
     }
 
 
-def _same_rows(got: Rows, wanted: Rows) -> bool:
-    return all(
-        np.array_equal(getattr(got, f.name), getattr(wanted, f.name), equal_nan=True)
-        for f in fields(wanted)
-    )
+def flip_test(whole: Path, folder: Path, flips: int) -> dict[str, object]:
+    """Flip one random bit of a store at a time; look whether it changes data and is found.
+
+    Of the ``flips``, ``harmless`` ones change nothing that a reader gets; ``harmful`` ones do, or
+    keep it from reading. ``found`` of these are by `skyline store check`; ``silent`` of these get
+    past readers; ``crashes`` are those and hangs of readers and of the check.
+    """
+    generator = np.random.default_rng(0)
+    data, tally = bytearray(whole.read_bytes()), Counter[str]()
+    path = folder / "flipped.h5"
+    for _ in range(flips):
+        place, bit = int(generator.integers(len(data))), 1 << int(generator.integers(8))
+        data[place] ^= bit
+        path.write_bytes(data)
+        data[place] ^= bit
+        read = outcome_of(partial(_read_as, path, whole))
+        checked = outcome_of(lambda: "whole" if examine(path).whole else "damaged")
+        harmful = read != "same"
+        tally["harmful"] += harmful
+        tally["found"] += harmful and checked == "damaged"
+        tally["silent"] += read == "changed"
+        tally["crashes"] += not (read in _ANSWERS and checked in ("whole", "damaged"))
+    counts = {name: tally[name] for name in ("harmful", "found", "silent", "crashes")}
+    return {"flips": flips, "harmless": flips - tally["harmful"], **counts}
+
+
+_ANSWERS = ("same", "changed", "refused")
+
+
+def _read_as(path: Path, whole: Path) -> str:
+    """Read a store and return whether it gives what another does."""
+    try:
+        with open_store(path) as store, open_store(whole) as reference:
+            if store.header.holds == PLACES:
+                store.places().take(np.arange(len(store)))
+            else:
+                store.views()
+                store.keypoint_columns()
+            same = len(store) == len(reference)
+        return "same" if same and same_rows(path, whole) else "changed"
+    except SkylineError as error:
+        return "refused" if "\n" not in str(error) else "more than one line"
+
+
+def fuzz_test(whole: Path, folder: Path, cases: int) -> dict[str, object]:
+    """Read mutated copies of a store; each must be read or be refused in one line.
+
+    Of the ``cases`` are told: ``read``, ``refused``, ``raised`` (a traceback), ``hang``, ``crash``.
+    """
+    generator = np.random.default_rng(0)
+    data, tally = whole.read_bytes(), Counter[str]()
+    path = folder / "mutated.h5"
+    for _ in range(cases):
+        path.write_bytes(mutated(data, generator))
+        answer = outcome_of(partial(_read_as, path, whole), patience_s=30)
+        tally["read" if answer in ("same", "changed") else answer] += 1
+    names = ("read", "refused", "raised", "hang", "crash")
+    return {"cases": cases, **{name: tally[name] for name in names}}
+
+
+def mutated(data: bytes, generator: np.random.Generator) -> bytes:
+    """Return bytes with one kind of random damage, more often than not near their beginning."""
+    changed = bytearray(data)
+
+    def place() -> int:
+        near = min(len(changed), 16_384) if generator.random() < 0.6 else len(changed)
+        return int(generator.integers(near))
+
+    first, length = place(), int(2.0 ** generator.uniform(0.0, 12.0))
+    last = min(first + length, len(changed))
+    match int(generator.integers(8)):
+        case 0:
+            for _ in range(int(generator.integers(1, 30))):
+                changed[place()] ^= 1 << int(generator.integers(8))
+        case 1:
+            changed[first:last] = bytes(last - first)
+        case 2:
+            changed[first:last] = b"\xff" * (last - first)
+        case 3:
+            changed[first:last] = generator.bytes(last - first)
+        case 4:
+            other = int(generator.integers(len(changed) - (last - first) + 1))
+            changed[first:last] = changed[other : other + last - first]
+        case 5:
+            changed[first:first] = generator.bytes(length)
+        case 6:
+            del changed[first:last]
+        case _:
+            del changed[place() :]
+    return bytes(changed)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,17 +15,18 @@ from scipy.spatial import cKDTree
 from skyline.arrays import Float32Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
-from skyline.geodesy import Bounds
+from skyline.geodesy import Bounds, Rectangle
 from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline.build import BuildResult, build_store, render_missing
-from skyline.pipeline.config import PlaceConfig, RenderConfig, store_header
-from skyline.pipeline.layout import DEFAULT_LOSS, Layout
+from skyline.pipeline.config import BuildConfig, PlaceConfig, RenderConfig, store_header
+from skyline.pipeline.jobs import Progress
+from skyline.pipeline.layout import Layout
 from skyline.pipeline.planned import build_planned
 from skyline.pipeline.rows import place_rows
 from skyline.places import BINS
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.panorama import PanoramaRenderer
-from skyline.store import open_store
+from skyline.store import StoreHeader, open_store
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -75,31 +76,17 @@ def check_spacing(terrain: HeightField, spacing_m: float | None, bounds_deg: Bou
         )
 
 
-def uniform_store(
+def laid_out_store(
     terrain: HeightField,
     folder: Path,
-    spacing_m: float,
-    bounds_deg: Bounds | None,
-    config: RenderConfig,
+    layout: Layout,
+    config: BuildConfig,
+    progress: Progress | None = None,
 ) -> ReferenceStore:
-    """Return a uniform store of renderings in a folder, built as far as it is not there yet."""
-    name, layout = f"uniform-{spacing_m:g}", Layout(spacing_m, bounds_deg=bounds_deg)
-    path = folder / f"{name}.h5"
-    return _built(name, path, lambda: build_store(terrain, path, layout, config))
-
-
-def place_store(
-    terrain: HeightField,
-    folder: Path,
-    spacing_m: float | None,
-    bounds_deg: Bounds | None,
-    config: PlaceConfig,
-    progress: Callable[[int, int], None] | None = None,
-    loss: float = DEFAULT_LOSS,
-) -> ReferenceStore:
-    """Return a store of places in a folder, planned without a spacing; as `uniform_store`."""
-    name = f"planned-{loss:g}" if spacing_m is None else f"places-{spacing_m:g}"
-    layout = Layout(spacing_m, bounds_deg=bounds_deg, loss=loss)
+    """Return a store of a layout in a folder, built as far as it is not there yet."""
+    kind = "places" if isinstance(config, PlaceConfig) else "uniform"
+    spacing_m = layout.spacing_m
+    name = f"planned-{layout.loss:g}" if spacing_m is None else f"{kind}-{spacing_m:g}"
     path = folder / f"{name}.h5"
     return _built(name, path, lambda: build_store(terrain, path, layout, config, progress))
 
@@ -131,7 +118,7 @@ def planned_store(
 
 
 def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) -> ReferenceStore:
-    """Return a store of places at the locations of a planned store; as `uniform_store`.
+    """Return a store of places at the locations of a planned store; as `laid_out_store`.
 
     A place stands for half the distance to the nearest other. Its cost is the planning's as well.
     """
@@ -205,3 +192,21 @@ def _reference(name: str, path: Path) -> ReferenceStore:
             path.stat().st_size,
             *(noted.get(key, math.nan) for key in _SECONDS),
         )
+
+
+def mapped_area_m(header: StoreHeader, terrain: HeightField) -> Rectangle | None:
+    """Return the part of a terrain that a store was built for; None where it does not say.
+
+    Bounds that are no box on the terrain count as unsaid, with a warning.
+    """
+    if "bounds_deg" not in header.config:
+        return None
+    bounds_deg = header.config["bounds_deg"]
+    if bounds_deg is None:
+        return map_bounds(terrain, None)
+    try:
+        west, south, east, north = (float(degrees) for degrees in cast(list[float], bounds_deg))
+        return map_bounds(terrain, (west, south, east, north))
+    except (TypeError, ValueError) as error:
+        _log.warning("the store's own bounds_deg, %r, are of no use: %s", bounds_deg, error)
+        return None

@@ -9,10 +9,46 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from skyline.arrays import BoolArray, Float32Array
+from skyline.arrays import BoolArray, Float32Array, UInt8Array
+
+SKY, GROUND, COVER, UNKNOWN = 0, 1, 2, 255
+"""Labels of pixels; a cover is whatever stands in front: a tree, a person, a window's frame."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingPhoto:
+    """A photograph and what is true of it."""
+
+    image: UInt8Array  # (H, W, 3)
+    label: UInt8Array  # (H, W)
+    row_px: Float32Array  # (W,); the skyline, in rows; NaN where none is to be seen
+
+
+@dataclass(slots=True, eq=False)
+class Drawing:
+    """A picture that is painted over, its labels and its skyline."""
+
+    rng: np.random.Generator
+    picture: Float32Array  # (H, W, 3)
+    label: UInt8Array  # (H, W)
+    row: Float32Array  # (W,); the skyline, NaN where none is to be seen
+    haze: Float32Array  # The colour that haze gives
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width."""
+        height, width = self.label.shape
+        return height, width
+
+    def paint(self, opacity: ArrayLike, rgb: ArrayLike, mark: int) -> None:
+        """Paint a colour (H, W, 3), and label what it hides."""
+        share = np.asarray(opacity, dtype=np.float32)
+        self.picture += share[..., np.newaxis] * (np.asarray(rgb, np.float32) - self.picture)
+        self.label[share > 0.5] = mark
+
 
 CELLS = 1024
 CELL_M = 40.0
@@ -65,11 +101,7 @@ def _noises(seed: int) -> tuple[Float32Array, ...]:
 
 def draw_heights(rng: np.random.Generator, family: int) -> Float32Array:
     """Return a periodic height field of a family, metres: rolling hills to sharp ridges."""
-    return _heights(rng, _noises(family))
-
-
-def _heights(rng: np.random.Generator, noises: tuple[Float32Array, ...]) -> Float32Array:
-    rolling, creased, rough = noises[:3]
+    rolling, creased, rough = _noises(family)[:3]
     sharp = rng.uniform(0.0, 1.0)
     height = (1.0 - sharp) * rolling + sharp * creased + rng.uniform(0.0, 0.1) * rough
     return np.asarray(height * rng.uniform(250.0, 900.0), dtype=np.float32)
@@ -91,11 +123,10 @@ def draw_landscape(
     width: int,
     height: int,
     haze_rgb: NDArray[np.float32],
-    family: int | None = None,
+    family: int,
 ) -> Landscape:
-    """Draw what lies below the skyline."""
-    noises = _noises(int(rng.integers(1 << 40)) if family is None else family)
-    field, texture, fine = _heights(rng, noises), noises[3], noises[4]
+    """Draw what lies below the skyline, in relief that a family of photographs shares."""
+    field, (texture, fine) = draw_heights(rng, family), _noises(family)[3:]
     fov = np.radians(rng.uniform(22.0, 85.0))
     azimuth = rng.uniform(0, 2 * np.pi) + np.linspace(-fov / 2, fov / 2, width, dtype=np.float32)
     distance = np.geomspace(

@@ -1,20 +1,39 @@
-"""Training photographs: landscapes with what stands in front and what the camera made of them."""
+"""Training photographs: landscapes with what stands in front and what the camera made of them.
+
+Some are views of made terrain, as demos and tests draw them: their sky is the query maker's,
+smooth, with clouds that gather about the ridge.
+"""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
 from scipy import ndimage
 
 from skyline.arrays import Float32Array, UInt8Array
+from skyline.geodesy import Frame
 from skyline.pipeline.jobs import Progress
+from skyline.render.depth import DepthRenderer
+from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.drawn_photos import CONDITIONS, draw_recipe
-from skyline_bench.training.covers import dark, put_in_front
-from skyline_bench.training.landscapes import draw_landscape, draw_sky, fractal
-from skyline_bench.training.photo import GROUND, SKY, UNKNOWN, Drawing, TrainingPhoto
-from skyline_bench.training.views import draw_view
+from skyline_bench.queries.photographs import Scenery, draw_photo
+from skyline_bench.queries.synthetic import QueryConfig, make_queries
+from skyline_bench.training.landscapes import (
+    CELL_M,
+    COVER,
+    GROUND,
+    SKY,
+    UNKNOWN,
+    Drawing,
+    TrainingPhoto,
+    draw_heights,
+    draw_landscape,
+    draw_sky,
+    fractal,
+)
 
 _SIZE_PX = (400, 304)
 _PLAIN_EVERY, _VIEW_EVERY = 8, 8
@@ -233,3 +252,209 @@ def _written(rng: np.random.Generator, image: UInt8Array) -> None:
         cv2.putText(over, words, spot, cv2.FONT_HERSHEY_SIMPLEX, size, ink, thick, cv2.LINE_AA)
     share = rng.uniform(0.08, 0.3) if kind == "rows" else rng.uniform(0.5, 1.0)
     image[:] = cv2.addWeighted(over, share, image, 1.0 - share, 0.0)
+
+
+def put_in_front(drawing: Drawing) -> None:
+    """Put things in front of the ridge."""
+    rng = drawing.rng
+    for chance, most, put in (
+        (0.28, 9, _conifer),
+        (0.12, 1, _foliage),
+        (0.12, 4, _figure),
+        (0.1, 4, _lines),
+        (0.07, 1, _houses),
+        (0.08, 1, _window),
+    ):
+        if rng.random() < chance:
+            for _ in range(rng.integers(1, most) if most > 1 else 1):
+                put(drawing)
+
+
+def dark(rng: np.random.Generator, high: float = 75.0) -> Float32Array:
+    """Return a dark colour."""
+    grey = rng.uniform(3.0, high)
+    return np.asarray(np.clip(grey + rng.normal(0, 8, 3), 0, 255), dtype=np.float32)
+
+
+def _grain(rng: np.random.Generator, shape: tuple[int, ...], share: float) -> Float32Array:
+    return np.asarray(1.0 + share * fractal(rng, (shape[0], shape[1]), 0.5), np.float32)[
+        ..., np.newaxis
+    ]
+
+
+def _conifer(drawing: Drawing) -> None:
+    rng, (height, width) = drawing.rng, drawing.size
+    centre = (
+        rng.uniform(0, 1) if rng.random() < 0.5 else abs(rng.choice([0, 1]) - rng.exponential(0.1))
+    )
+    top, half = rng.uniform(-0.1, 0.7) * height, np.exp(rng.uniform(-4.2, -2.2)) * width
+    tall = half * rng.uniform(3.0, 8.0)
+    rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
+    reach = half * np.clip((rows - top) / tall, 0, 1) ** rng.uniform(0.6, 1.0) + (rows > top)
+    whorls = 0.4 * np.sin((rows - top) / tall * rng.uniform(25, 80))
+    ragged = 1.0 + whorls + 0.45 * fractal(rng, (height, width), rng.uniform(0.3, 0.8))
+    opacity = np.clip(reach * ragged - np.abs(columns - centre * width), 0, 1) * (rows > top)
+    colour = dark(rng) * _grain(rng, (height, width), 0.3) * np.array([0.95, 1.1, 0.85])
+    drawing.paint(opacity, colour, COVER)
+
+
+def _foliage(drawing: Drawing) -> None:
+    """Leaves or twigs that hang in from a side."""
+    rng, (height, width) = drawing.rng, drawing.size
+    column, row = rng.choice([0.0, 1.0, rng.random()]) * width, rng.uniform(-0.1, 1.1) * height
+    across = (np.arange(width) - column) / (rng.uniform(0.08, 0.3) * width)
+    down = (np.arange(height)[:, np.newaxis] - row) / (rng.uniform(0.08, 0.35) * height)
+    density = (
+        1.0 - np.hypot(across, down) + 0.6 * fractal(rng, (height, width), rng.uniform(0.5, 1.3))
+    )
+    opacity = np.clip(density / 0.15, 0, 1).astype(np.float32)
+    colour = dark(rng, 110.0) * _grain(rng, (height, width), 0.4) * np.array([1.0, 1.15, 0.7])
+    drawing.paint(opacity, colour, COVER)
+
+
+def _figure(drawing: Drawing) -> None:
+    """A person, seen from behind: head, shoulders, legs or hem."""
+    rng, (height, width) = drawing.rng, drawing.size
+    size = np.exp(rng.uniform(-4.5, -2.2)) * height
+    at = int(rng.uniform(0.03, 0.97) * (width - 1))
+    ridge = drawing.row[at] if np.isfinite(drawing.row[at]) else 0.4 * height
+    top = ridge + rng.uniform(-7.0, 2.0) * size
+    mask = np.zeros((height, width), np.uint8)
+    centre = (at, int(top + size))
+    cv2.ellipse(mask, centre, (max(1, int(0.7 * size)), max(1, int(size))), 0, 0, 360, 255, -1)
+    broad = rng.uniform(1.3, 2.2) * size
+    foot = top + rng.uniform(6.0, 16.0) * size
+    right = [(0.5, 1.8), (1.0, 2.6), (1.1, 6.0), (0.8, 99.0)]
+    body = [*right, *((-x, y) for x, y in reversed(right))]
+    points = [(at + x * broad, min(top + y * size, foot)) for x, y in body]
+    cv2.fillPoly(mask, [np.array(points, np.int32)], 255)
+    if rng.random() < 0.3:
+        hand = (int(at + rng.uniform(-5, 5) * size), int(top + rng.uniform(-2, 4) * size))
+        cv2.line(mask, (at, int(top + 2.6 * size)), hand, 255, max(1, int(0.6 * size)))
+    opacity = cv2.blur(mask, (2, 2)).astype(np.float32) / 255.0
+    colour = rng.uniform(5, 235, 3) * rng.uniform(0.1, 1.0) * _grain(rng, (height, width), 0.12)
+    drawing.paint(opacity, colour, COVER)
+
+
+def _lines(drawing: Drawing) -> None:
+    """A pole, or a wire that sags."""
+    rng, (height, width) = drawing.rng, drawing.size
+    mask = np.zeros((height, width), np.uint8)
+    if rng.random() < 0.5:
+        at, top = int(rng.uniform(0, width)), int(rng.uniform(-0.1, 0.6) * height)
+        lean = int(rng.normal(0, 0.02) * width)
+        cv2.line(mask, (at, top), (at + lean, height), 255, int(rng.integers(1, 9)), cv2.LINE_AA)
+        for arm in range(rng.integers(0, 3)):
+            half = int(rng.uniform(0.01, 0.05) * width)
+            cv2.line(mask, (at - half, top + 8 + 9 * arm), (at + half, top + 8 + 9 * arm), 255, 2)
+    else:
+        x = np.linspace(-1, 1, 40)
+        sag = (rng.uniform(0.0, 0.6) + 0.06 * x**2 + rng.uniform(-0.3, 0.3) * x) * height
+        points = np.stack([(x + 1) / 2 * width, sag], axis=1).astype(np.int32)
+        cv2.polylines(mask, [points], False, int(rng.integers(120, 256)), 1, cv2.LINE_AA)
+    drawing.paint(mask.astype(np.float32) / 255.0, dark(rng, 140.0), COVER)
+
+
+def _houses(drawing: Drawing) -> None:
+    rng, (height, width) = drawing.rng, drawing.size
+    for _ in range(rng.integers(1, 6)):
+        wide, tall = (rng.uniform(0.04, 0.3, 2) * (width, height)).astype(int)
+        left, top = int(rng.uniform(-0.1, 1.0) * width), int(rng.uniform(0.2, 0.85) * height)
+        mask = np.zeros((height, width), np.uint8)
+        roof = int(rng.choice([0.0, 0.5]) * tall)
+        right, ridge = left + wide, (left + wide // 2, top - roof)
+        corners = [(left, top), ridge, (right, top), (right, height), (left, height)]
+        cv2.fillPoly(mask, [np.array(corners, np.int32)], 255)
+        colour = np.full((height, width, 3), rng.uniform(30, 230, 3), np.float32)
+        step = max(6, wide // int(rng.integers(3, 8)))
+        panes = rng.uniform(10, 250, 3)
+        for y in range(top + step, min(height, top + max(tall, step)), 2 * step):
+            for x in range(left + step // 2, left + wide - step // 2, step):
+                cv2.rectangle(colour, (x, y), (x + step // 2, y + step), panes.tolist(), -1)
+        drawing.paint(mask.astype(np.float32) / 255.0, colour, COVER)
+
+
+def _window(drawing: Drawing) -> None:
+    """Look out of a car, a door or a tent: dark all round an opening."""
+    rng, (height, width) = drawing.rng, drawing.size
+    mask = np.full((height, width), 255, np.uint8)
+    reach = rng.uniform(-0.12, 0.25, 4)
+    left, top, right, bottom = reach * (width, height, width, height)
+    right, bottom = width - right, height - bottom
+    jitter = rng.uniform(-0.08, 0.08, (4, 2)) * (width, height)
+    corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
+    cv2.fillPoly(mask, [(corners + jitter).astype(np.int32)], 0)
+    round_px = 2 * int(rng.uniform(0.0, 0.06) * width) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (round_px, round_px))
+    mask = np.asarray(255 - cv2.morphologyEx(255 - mask, cv2.MORPH_OPEN, disc), dtype=np.uint8)
+    if rng.random() < 0.5:
+        centre = (int(rng.uniform(0, 1) * width), int(rng.uniform(0.5, 1.0) * height))
+        axes = (int(rng.uniform(0.05, 0.2) * width), int(rng.uniform(0.05, 0.2) * height))
+        cv2.ellipse(mask, centre, axes, rng.uniform(-20, 20), 0, 360, 255, -1)
+    opacity = cv2.blur(mask, (3, 3)).astype(np.float32) / 255.0
+    shade = 1.0 + 0.5 * fractal(rng, (height, width), 2.0)[..., np.newaxis]
+    colour = np.clip(dark(rng, 60.0) * np.maximum(shade, 0.0), 0, 255)
+    drawing.paint(opacity, colour, COVER)
+
+
+_CELLS = 400
+_FRAME = Frame.from_crs("EPSG:32632")
+_WEST_M, _NORTH_M = 600_000.0, 5_180_000.0
+_RENDERED_PX = 1024
+"""Columns of the depth images of a heading, of 90 degrees."""
+_POSES = 4
+"""Poses of which the one that shows most skyline is drawn: most others show a slope alone."""
+_PLACES_SHARE = 0.3
+"""Share of the terrain, at its middle, in which eyes stand."""
+
+
+def draw_view(seed: tuple[int, ...], terrain_seed: int, size_px: tuple[int, int]) -> TrainingPhoto:
+    """Draw one photograph from a random place of made terrain, in random weather."""
+    rng = np.random.default_rng([13, *seed])
+    terrain = _terrain(terrain_seed)
+    bottom, top = terrain.height_range_m
+    scenery = Scenery(
+        visibility_m=float(np.exp(rng.uniform(np.log(8e3), np.log(300e3)))),
+        snow_line_m=float(rng.choice([np.inf, rng.uniform(bottom, top)])),
+        tree_line_m=float(rng.uniform(bottom - 0.3 * (top - bottom), top + 0.5 * (top - bottom))),
+        clouds=float(rng.uniform(0.0, 1.0)),
+    )
+    width, height = size_px
+    config = QueryConfig(
+        fov_deg=(30.0, 90.0),
+        occluded_share=(0.0, 0.3),
+        width_px=width,
+        height_px=height,
+        eye_height_m=float(np.exp(rng.uniform(np.log(2.0), np.log(300.0)))),
+        azimuths=16 * width,
+    )
+    west, south, east, north = terrain.bounds_m
+    margin = 0.5 * (1.0 - _PLACES_SHARE)
+    aside, along = margin * (east - west), margin * (north - south)
+    area = west + aside, south + along, east - aside, north - along
+    queries = make_queries(terrain, area, _POSES, int(rng.integers(1 << 31)), config)
+    query = max(queries, key=lambda one: np.count_nonzero(np.isfinite(one.row_px)))
+    with DepthRenderer(terrain, _RENDERED_PX) as renderer:
+        image = draw_photo(renderer, query, int(rng.integers(1 << 31)), scenery)
+    # Rows of queries count pixel centres.
+    row = query.row_px + 0.5
+    row = np.where((row > 1.0) & (row < height - 1.0), row, np.nan)
+    rows = np.arange(height)[:, np.newaxis] + 0.5
+    label = np.where(rows < row, SKY, GROUND).astype(np.uint8)
+    label[:, np.isnan(row)] = UNKNOWN
+    for occluder in query.occluders:
+        columns = slice(*occluder.columns)
+        hidden = rows > occluder.row_px + 0.5
+        label[:, columns][hidden] = COVER
+        row[columns][occluder.row_px < row[columns] - 0.5] = np.nan
+    return TrainingPhoto(image, label, np.asarray(row, dtype=np.float32))
+
+
+@lru_cache(maxsize=1)
+def _terrain(seed: int) -> HeightField:
+    """Return terrain of a random spacing, kept for the photographs after."""
+    rng = np.random.default_rng([17, seed])
+    heights = draw_heights(rng, seed)[:_CELLS, :_CELLS]
+    spacing_m = float(np.exp(rng.uniform(np.log(20.0), np.log(90.0))))
+    heights = heights * np.float32(spacing_m / CELL_M)
+    return HeightField(heights, _WEST_M, _NORTH_M, spacing_m, spacing_m, _FRAME)

@@ -22,7 +22,7 @@ MEASURED_CODE: Mapping[ModuleType, Sequence[str]] = {
     ),
     skyline_bench: (
         "queries/synthetic.py", "queries/occluders.py", "queries/pinhole.py",
-        "trials/matchers.py", "trials/traced.py", "trials/trials.py",
+        "trials/traced.py", "trials/trials.py",
     ),
 }  # fmt: skip
 """By package: code that an answer depends on; shaders beside it."""
@@ -31,16 +31,9 @@ MEASURED_CODE: Mapping[ModuleType, Sequence[str]] = {
 class Kept(Generic[T]):
     """Results kept in a file, a line each as they come; those of an earlier run are read.
 
-    A line that a kill cut short is left out.
-
-    Parameters
-    ----------
-    path : Path
-        Begins the file's name; what is not there is made.
-    depends : object
-        All that results depend on but their keys, as JSON: others are kept in another file.
-    read : callable
-        Makes a result, a dataclass, of its fields.
+    A line that a kill cut short is left out. ``path`` begins the file's name; what is not there is
+    made. ``depends`` is all that results depend on but their keys, as JSON: others are kept in
+    another file. ``read`` makes a result, a dataclass, of its fields.
     """
 
     def __init__(self, path: Path, depends: object, read: Callable[..., T]) -> None:

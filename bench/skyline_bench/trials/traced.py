@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,8 +19,7 @@ from skyline.pipeline.refusals import sure_within_m, too_little
 from skyline.places import PlaceSource
 from skyline.terrain.heightfield import Ground
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
-from skyline_bench.trials.matchers import MATCHING
-from skyline_bench.trials.trials import errors
+from skyline_bench.trials.trials import MATCHING, errors
 
 STAGES = ("screened", "fitted", "retrieved", "refined")
 """Places most alike; of these, those whose pose was fitted well; the short list; candidates."""
@@ -62,7 +60,8 @@ class Traced:
         """Match a query, and say how far it came."""
         if too_little(query.skyline, MATCHING):
             return Outcome()
-        rays, noted = query.rays(), self._retriever.forget()
+        rays, noted = query.rays(), self._retriever
+        noted.aim = noted.alike = noted.fitted = noted.retrieved = None
         wall, cpu = time.perf_counter(), time.process_time()
         try:
             candidates = self._matcher.rank(rays, _TOP, narrowed).candidates(self._frame)
@@ -91,8 +90,7 @@ class Traced:
         if noted.alike is None or noted.aim is None:
             return False
         places = noted.places.take(noted.alike.row)
-        east_m, north_m = places.easting_m - truth.easting_m, places.northing_m - truth.northing_m
-        near = places[np.hypot(east_m, north_m) <= self.spacing_m]
+        near = places[truth.off_m(places.easting_m, places.northing_m) <= self.spacing_m]
         heading_deg, _ = noted.aim.best_turns(near.phase)
         return self._is_there(near.easting_m, near.northing_m, heading_deg, truth)
 
@@ -105,10 +103,8 @@ class Traced:
         self, easting_m: ArrayLike, northing_m: ArrayLike, heading_deg: ArrayLike, truth: Truth
     ) -> bool:
         """Whether one of some poses (N,) is within one spacing and looks the right way."""
-        east_m = np.asarray(easting_m) - truth.easting_m
-        north_m = np.asarray(northing_m) - truth.northing_m
         turn = (np.asarray(heading_deg) - truth.heading_deg + 180.0) % 360.0 - 180.0
-        near = np.hypot(east_m, north_m) <= self.spacing_m
+        near = truth.off_m(easting_m, northing_m) <= self.spacing_m
         return bool((near & (np.abs(turn) <= _TURN_DEG)).any())
 
 
@@ -119,11 +115,6 @@ class _Noting(Retriever):
     alike: Alike | None = None
     fitted: Hypotheses | None = None
     retrieved: Hypotheses | None = None
-
-    def forget(self) -> Self:
-        """Forget the last search."""
-        self.aim = self.alike = self.fitted = self.retrieved = None
-        return self
 
     def shortlist(
         self,

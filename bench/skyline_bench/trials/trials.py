@@ -1,19 +1,53 @@
-"""Trials: one matcher's answers to synthetic queries, how wrong they are, and their summary."""
+"""Trials: matchers run on synthetic queries, how wrong their answers are, and their summary."""
 
 import math
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.matching.confidence import RIGHT_WITHIN_M
+from skyline.matching.match_config import MatchConfig
 from skyline.matching.ranking import Candidate
 from skyline.pipeline.match import Matcher
+from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.pipeline.results import MatchResult
-from skyline_bench.queries.synthetic import SyntheticQuery, Truth
+from skyline.store.header import RENDERINGS
+from skyline.terrain.heightfield import HeightField
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth
+
+PAPER, CORRELATION, RETRIEVED = "paper", "correlation", "retrieved"
+MATCHING = MatchConfig(fov_slack=QueryConfig().fov_slack)
+"""The field of view of synthetic queries is known to 5 %."""
+
+WHAT: Mapping[str, str] = MappingProxyType(
+    {
+        PAPER: "the paper's: keypoints, Chamfer, RANSAC",
+        CORRELATION: "skylines slid along renderings",
+        RETRIEVED: "ours, among places, not refined",
+        FULL: "ours, among places, refined by rendering",
+    }
+)
+"""Matchers by name, and what they are."""
+
+
+def searched_by(name: str) -> str:
+    """Return what a store must hold for a matcher to search it: places or renderings."""
+    return MATCHERS[FULL if name == RETRIEVED else name].searches
+
+
+def open_matcher(name: str, store: Path, terrain: HeightField) -> Matcher:
+    """Open a store for a matcher; raises as `Matcher`."""
+    if searched_by(name) == RENDERINGS:
+        return Matcher(store, terrain, name, MATCHING)
+    return Matcher(store, terrain, FULL, replace(MATCHING, refine=name == FULL))
+
 
 _RESAMPLES = 2000
 _INTERVAL = (2.5, 97.5)
@@ -69,14 +103,15 @@ def trial_of(
 
 def errors(candidate: Candidate, truth: Truth) -> tuple[float, float]:
     """Return a candidate's distance from the truth, metres, and its turn from it, 0 to 180 deg."""
-    east_m, north_m = candidate.easting_m - truth.easting_m, candidate.northing_m - truth.northing_m
     turn = (candidate.grid_heading_deg - truth.heading_deg + 180.0) % 360.0 - 180.0
-    return float(np.hypot(east_m, north_m)), abs(turn)
+    return float(truth.off_m(candidate.easting_m, candidate.northing_m)), abs(turn)
 
 
-def accuracy(error_m: Float64Array, within_m: Sequence[float | None]) -> dict[str, object]:
+def accuracy(
+    errors_m: Sequence[float] | Float64Array, within_m: Sequence[float | None]
+) -> dict[str, object]:
     """Return how often errors (N,) are small, and how often what is answered (N,) is true."""
-    said_m = np.array(within_m, dtype=np.float64)
+    error_m, said_m = np.asarray(errors_m), np.array(within_m, dtype=np.float64)
     answered = np.isfinite(said_m)
     return {
         "n": len(error_m),
@@ -112,3 +147,44 @@ def summarize(trials: Sequence[Trial], seed: int) -> dict[str, object]:
         "heading_median_deg": float(np.median(turn_deg)) if right.any() else None,
         "query_ms": 1e3 * float(np.median([trial.seconds for trial in trials])),
     }
+
+
+CLOSE, MEDIUM, FAR, ALL = "close", "medium", "far", "all"
+_NAMES = (CLOSE, MEDIUM, FAR)
+
+
+@dataclass(frozen=True, slots=True)
+class DistanceGroup:
+    """Queries whose skylines are about as far off."""
+
+    name: str  # ``close``, ``medium``, ``far`` or ``all``
+    queries: tuple[int, ...]  # Their numbers, increasing
+    # Least and greatest median distance of their skylines; NaN where none is known.
+    from_m: float
+    to_m: float
+
+
+def distance_groups(distance_m: ArrayLike) -> tuple[DistanceGroup, ...]:
+    """Split queries (N) at the terciles of their skylines' distance; all of them come last.
+
+    Groups differ by at most one query. A query without any skyline in its image, of distance NaN,
+    is among the close: what fills its image stands right before it.
+    """
+    distance = np.asarray(distance_m, dtype=np.float64)
+    if len(distance) < len(_NAMES):
+        raise InputError(
+            f"the number of queries is {len(distance)}; expected at least {len(_NAMES)}, one for "
+            "each group of distances"
+        )
+    order = np.argsort(np.where(np.isnan(distance), -np.inf, distance), kind="stable")
+    parts = np.array_split(order, len(_NAMES))
+    return tuple(
+        _group(name, np.sort(members), distance)
+        for name, members in zip((*_NAMES, ALL), (*parts, order), strict=True)
+    )
+
+
+def _group(name: str, members: NDArray[np.intp], distance: NDArray[np.float64]) -> DistanceGroup:
+    known = distance[members][~np.isnan(distance[members])]
+    low, high = (float(known.min()), float(known.max())) if known.size else (np.nan, np.nan)
+    return DistanceGroup(name, tuple(members.tolist()), low, high)

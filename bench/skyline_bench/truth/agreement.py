@@ -21,6 +21,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
+from skyline_bench.measuring.record import Row
 from skyline_bench.truth import oracle
 
 EPSILON = 2.0**-24
@@ -198,20 +199,11 @@ def undecided_columns(scene: Scene, bound_px: Float64Array) -> tuple[BoolArray, 
 
     Where a ray passes a sample is known to `_ASIDE` of its depth. Whether it passes left or right
     of one on the border of the map or of a hole is open within that; and whether the skyline is
-    on such a border or inside is open where both have v within the bound of each other.
+    on such a border or inside is open where both have v within the bound (N, W) of each other.
 
-    Parameters
-    ----------
-    bound_px : (N, W) float64
-        Bound on the error of v.
-
-    Returns
-    -------
-    undecided : (N, W) bool
-    spread_px : (N, W) float64
-        How far apart the skylines to both sides of a column may be: next to nothing but where the
-        ray passes such a sample, or runs almost along the edge that it sees as the skyline.
-        Infinite where only one side meets data.
+    Return which columns (N, W) these are, and how far apart the skylines to both sides of a column
+    may be, (N, W) px: next to nothing but where the ray passes such a sample, or runs almost along
+    the edge that it sees as the skyline; infinite where only one side meets data.
     """
     u, pixel = columns_u(scene.width), pixel_size(scene.width)
     exact, left, right = (
@@ -261,3 +253,28 @@ DEPTH = RenderPath("depth", DepthRenderer, quantized_agreement)
 
 HORIZON = RenderPath("horizon", HorizonRenderer, exact_agreement)
 """The horizon rasterizer, exact but for 32-bit floats."""
+
+
+PIXEL_TAN = pixel_size(DEFAULT_WIDTH)
+"""The px of every comparison, 2 / 640 in v, so that errors of different widths compare."""
+
+
+def compare(views: Views, truth: Views) -> Row:
+    """Compare views with the oracle's of the same viewpoints and width.
+
+    Return ``rms_px`` and ``max_px`` over the ``columns`` that neither side flags, None without any.
+    ``flagged_share`` of all columns is left out because either side flags them; ``missing`` are
+    unflagged columns of the truth where the other has no value, whatever its flags say.
+    """
+    clear = truth.flags == 0
+    missing = clear & np.isnan(views.elevation_tan)
+    flagged = ~clear | (views.flags != 0)
+    compared = ~flagged & ~missing
+    error_px = (views.elevation_tan.astype(np.float64) - truth.elevation_tan)[compared] / PIXEL_TAN
+    return {
+        "rms_px": float(np.sqrt(np.mean(error_px**2))) if error_px.size else None,
+        "max_px": float(np.abs(error_px).max()) if error_px.size else None,
+        "columns": int(error_px.size),
+        "flagged_share": float(flagged.mean()) if flagged.size else 0.0,
+        "missing": int(missing.sum()),
+    }

@@ -52,21 +52,9 @@ def skyline(
     width: int = DEFAULT_WIDTH,
     curvature: Curvature | None = None,
 ) -> Views:
-    """Compute exact skylines in all four headings.
+    """Compute exact skylines in all four headings, ``width`` columns W a view; see `skyline_at`.
 
-    Parameters
-    ----------
-    viewpoints : Viewpoints
-        N eyes, at or above the surface.
-    width : int
-        Columns W per view.
-    curvature : Curvature, optional
-        Defaults to the Earth's with k = 0.13.
-
-    Returns
-    -------
-    Views
-        4 N views; the four headings of a viewpoint follow one another.
+    The curvature is by default the Earth's with k = 0.13.
     """
     u = columns_u(check_width(width))
     return skyline_at(field, viewpoints, u, curvature or Curvature())
@@ -77,17 +65,8 @@ def skyline_at(
 ) -> Views:
     """Compute exact skylines in all four headings, in columns at any abscissas.
 
-    Parameters
-    ----------
-    viewpoints : Viewpoints
-        N eyes, at or above the surface.
-    u : (W,) float64
-        Abscissas of the columns, increasing, of magnitude at most 1.
-
-    Returns
-    -------
-    Views
-        4 N views; the four headings of a viewpoint follow one another.
+    The eyes (N) are at or above the surface. Abscissas ``u`` (W,) increase and are of magnitude at
+    most 1. Of the 4 N views, the four headings of a viewpoint follow one another.
     """
     kinds = (np.float64, np.float64, np.uint8)
     return Views(
@@ -113,13 +92,7 @@ class Rivals:
 def rivals(
     field: HeightField, viewpoints: Viewpoints, u: Float64Array, curvature: Curvature
 ) -> Rivals:
-    """Compute by how much flags are decided, in columns at any abscissas.
-
-    Parameters
-    ----------
-    u : (W,) float64
-        Abscissas of the columns, increasing, of magnitude at most 1.
-    """
+    """Compute by how much flags are decided, in columns at any abscissas; see `skyline_at`."""
     kinds = (np.float64, np.float64, np.bool_)
     return Rivals(*_seen(field, viewpoints, u, curvature, _Scene.rivals, kinds))
 

@@ -163,12 +163,8 @@ class SimulatedModel:
 def envelope(points: Float32Array, u: Float32Array) -> Seen:
     """Return the upper envelope of curves in space as views see it.
 
-    Parameters
-    ----------
-    points : (N, P, 3) float32
-        Right, up, forward of each view's curve; NaN breaks a curve.
-    u : (Q,) float32
-        Abscissas of the columns, evenly spaced.
+    Points (N, P, 3) are right, up and forward of each view's curve; NaN breaks a curve. Abscissas
+    ``u`` (Q,) of the columns are evenly spaced.
     """
     views, columns = len(points), len(u)
     v = np.full(views * columns, -np.inf, dtype=np.float32)
@@ -224,16 +220,9 @@ def reprojection_errors(
     So the error is the length of that vector times the difference of the inverses, and without a
     warp times 1 / (z - tz).
 
-    Parameters
-    ----------
-    u, v, depth : (Q,) float32
-        The view's skyline, NaN where there is none; depth in candidates.
-
-    Returns
-    -------
-    (K, K) float32
-        Rows southward (away from the mountain), columns eastward; ``inf`` where no warp reaches
-        or fewer than three points stay in front and in frame.
+    The view's skyline is ``u``, ``v`` and ``depth`` (Q,), NaN where there is none; depth in
+    candidates. Return (K, K), rows southward (away from the mountain) and columns eastward; ``inf``
+    where no warp reaches or fewer than three points stay in front and in frame.
     """
     there = np.isfinite(v)
     u, v, depth = u[there], v[there], depth[there]
@@ -272,13 +261,7 @@ def reprojection_errors(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """What a strategy did on a simulation.
-
-    Attributes
-    ----------
-    viewpoints : (A,) int64
-        In the order rendered, corners first.
-    """
+    """What a strategy did on a simulation; viewpoints in the order rendered, corners first."""
 
     coverage: Coverage
     progress: NDArray[np.float64]  # Coverage after the corners and after each rendering
