@@ -20,9 +20,9 @@ from rich.table import Table
 from skyline.photo.read import write_overlay
 from skyline.pipeline.build import build_places, build_uniform
 from skyline.pipeline.config import RenderConfig
+from skyline.pipeline.labelled_panorama import save_panorama
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import FULL, MATCHERS
-from skyline.pipeline.panorama import save_panorama
 from skyline.pipeline.renderings import save_depth_pictures
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.results import MatchResult

@@ -23,9 +23,9 @@ from .photo.read import Photo, read_photo, read_query
 from .photo.trace import read_trace, write_trace
 from .pipeline.build import BuildResult, build_places, build_uniform, render_to_store
 from .pipeline.config import PlaceConfig, RenderConfig
-from .pipeline.local_horizons import horizon
+from .pipeline.horizon_at import horizon
+from .pipeline.labelled_panorama import PanoramaConfig, save_panorama
 from .pipeline.match import Matcher
-from .pipeline.panorama import PanoramaConfig, save_panorama
 from .pipeline.renderings import render_views
 from .pipeline.reports import report_matches
 from .pipeline.results import JointResult, MatchResult
@@ -37,7 +37,7 @@ from .report.exports import export_matches
 from .report.located import write_located
 from .report.matched import Matched
 from .report.peaks import Peaks, read_peaks
-from .report.tiles import ReliefTiles
+from .report.relief_tiles import ReliefTiles
 from .solar.local_horizons import LocalHorizons, sky_view_factor
 from .store import Locations, PlaceMap, RowCoding, Store, StoreHeader, open_store
 from .terrain.dem import DemOptions, read_dem

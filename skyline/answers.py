@@ -29,7 +29,7 @@ from skyline.report.records import (
     describe_candidates,
     describe_claim,
 )
-from skyline.report.results import Results, open_results, row_of
+from skyline.report.results_file import Results, open_results, row_of
 
 T = TypeVar("T")
 

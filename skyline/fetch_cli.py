@@ -7,9 +7,9 @@ import typer
 from typer import Option
 
 from skyline.console import parse_bounds, progress_bar
+from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.fetch.overpass import fetch_peaks
 from skyline.fetch.remote import HttpOptions
-from skyline.fetch.tiles import SOURCES, fetch_dem
 
 _HTTP = HttpOptions()
 

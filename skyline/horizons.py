@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 
 
 def check_bins(bins: int) -> int:

@@ -30,7 +30,7 @@ from skyline.store.header import PLACES, SCHEMA_VERSION
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.products import model_of
-from skyline.terrain.scene import (
+from skyline.terrain.scene_bounds import (
     BLOCK_CELLS,
     COARSER_STEPS,
     coarser_step,

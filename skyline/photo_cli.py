@@ -36,7 +36,7 @@ from skyline.pipeline.queries import Query, listed
 from skyline.pipeline.results import MatchResult
 from skyline.report.exports import EXPORTS, check_export
 from skyline.report.peaks import read_peaks
-from skyline.report.results import RESULTS
+from skyline.report.results_file import RESULTS
 from skyline.terrain.tiles import absolute_name
 
 _DEFAULTS = MatchConfig()

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.horizons import Horizons
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 
 _Item = TypeVar("_Item", bound=np.generic)
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, FloatArray
 from skyline.camera import columns_u, elevation_deg, rotation
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 
 FLAG_TRUNCATED = 1
 """The skyline lies on the border of the data."""

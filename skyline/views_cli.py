@@ -22,12 +22,12 @@ from skyline.console import (
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizons_of
-from skyline.pipeline.panorama import PanoramaConfig, save_panorama_of
+from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG, horizons_of
+from skyline.pipeline.labelled_panorama import PanoramaConfig, save_panorama_of
 from skyline.report.peaks import read_peaks
 from skyline.solar.horizon_files import SUFFIXES, horizon_csv, write_horizons
 from skyline.solar.local_horizons import LocalHorizons
-from skyline.terrain.blocks import Blocks
+from skyline.terrain.blocks import TerrainBlocks
 from skyline.terrain.dem import DemOptions, read_blocks, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import read_surface
@@ -151,7 +151,7 @@ def panorama(
     with patience(f"drawing {output}"):
         if surface:
             terrain = read_dem(dem, options)
-            blocks, over = Blocks.of(terrain), read_surface(surface, terrain)
+            blocks, over = TerrainBlocks.of(terrain), read_surface(surface, terrain)
         else:
             blocks, over = read_blocks(dem, options), None
         gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)

@@ -4,7 +4,7 @@ import numpy as np
 
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.profiles import Panoramas
-from skyline.matching.query import QueryRays
+from skyline.matching.query_rays import QueryRays
 
 BINS = 1440
 

@@ -24,7 +24,7 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.pose import Poses
-from skyline.matching.query import QueryRays
+from skyline.matching.query_rays import QueryRays
 
 RIGHT_WITHIN_M = 200.0
 """An answer this near is right."""

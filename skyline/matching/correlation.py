@@ -30,7 +30,7 @@ from scipy import fft
 from skyline.arrays import Float64Array
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
-from skyline.matching.query import Attitudes, QueryCurves, QueryRays
+from skyline.matching.query_rays import Attitudes, QueryCurves, QueryRays
 from skyline.matching.ranker import Ranker, Source
 from skyline.matching.ranking import Fits, Ranking, select
 from skyline.matching.screening import Alike

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Float64Array
-from skyline.matching.query import REFERENCE_FOV_DEG, QueryRays, level_axes
+from skyline.matching.query_rays import REFERENCE_FOV_DEG, QueryRays, level_axes
 from skyline.places import Places
 from skyline.terrain.edge import DataEdge
 

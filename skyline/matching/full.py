@@ -16,7 +16,7 @@ from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.match_config import FullConfig, RefineConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Poses, Refinement, Scene, refine
-from skyline.matching.query import QueryRays
+from skyline.matching.query_rays import QueryRays
 from skyline.matching.ranker import Ranker, Source
 from skyline.matching.ranking import JointRanking, Ranking
 from skyline.matching.retrieval import Retriever

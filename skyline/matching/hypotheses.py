@@ -6,7 +6,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,7 +28,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 
 _X_AT_ONE_OVER_E = 2.1461932206205825
 """Where (1 + x) exp(-x) is 1 / e."""

@@ -25,10 +25,10 @@ from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.match_config import RefineConfig
 from skyline.matching.profiles import Panoramas
 from skyline.matching.progress import tell
-from skyline.matching.query import QueryRays, thinned
+from skyline.matching.query_rays import QueryRays, thinned
 from skyline.matching.retrieval import ground_slope
 from skyline.matching.solver import EYE_HEIGHT, HEADING, Curves, Fit, Solver
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views

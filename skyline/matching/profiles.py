@@ -12,7 +12,7 @@ from skyline.camera import DEFAULT_WIDTH, pixel_size
 from skyline.errors import InputError
 from skyline.features import NO_KEYPOINT
 from skyline.horizons import check_bins
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 from skyline.views import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
 
 DEFAULT_BINS = 2048

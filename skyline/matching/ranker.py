@@ -8,7 +8,7 @@ from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Scene
 from skyline.matching.profiles import Profiles
-from skyline.matching.query import QueryRays
+from skyline.matching.query_rays import QueryRays
 from skyline.matching.ranking import JointRanking, Ranking
 from skyline.matching.screening import Alike
 from skyline.places import PlaceSource

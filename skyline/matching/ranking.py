@@ -10,7 +10,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.profiles import Profiles
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

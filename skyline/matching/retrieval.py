@@ -20,10 +20,10 @@ from skyline.matching.curve_fit import CurveFit, FitConfig
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.progress import tell
-from skyline.matching.query import REFERENCE_FOV_DEG, QueryRays, in_runs
+from skyline.matching.query_rays import REFERENCE_FOV_DEG, QueryRays, in_runs
 from skyline.matching.screening import Alike, Screen, sample_of, screen_places
 from skyline.places import Places, PlaceSource
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground
 

@@ -31,9 +31,9 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray, UInt8Array
 from skyline.matching.progress import tell
-from skyline.matching.query import Attitudes, QueryCurves, QueryRays
+from skyline.matching.query_rays import Attitudes, QueryCurves, QueryRays
 from skyline.places import PHASE_BINS, RISE_TO_TURN, Places, PlaceSource, decode_phases
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 
 Within = Callable[[Places], BoolArray]
 """Which of a block's places (N,) are searched."""

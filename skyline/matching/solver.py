@@ -25,8 +25,8 @@ from skyline.matching.claim import Claim, EyeHeight
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.noise import HeightErrors, Judged, Noise, judge
 from skyline.matching.profiles import Panoramas
-from skyline.matching.query import QueryRays, level_with_changes
-from skyline.rows import Rows
+from skyline.matching.query_rays import QueryRays, level_with_changes
+from skyline.row_arrays import Rows
 from skyline.terrain.edge import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, DISTORTION = range(8)

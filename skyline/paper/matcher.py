@@ -19,7 +19,7 @@ from skyline.arrays import BoolArray, Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
-from skyline.matching.query import Attitudes, QueryCurves, QueryRays
+from skyline.matching.query_rays import Attitudes, QueryCurves, QueryRays
 from skyline.matching.ranker import Ranker, Source
 from skyline.matching.ranking import Fits, Ranking, select
 from skyline.matching.screening import Alike

@@ -8,7 +8,7 @@ import numpy as np
 from skyline.arrays import Float32Array, Float64Array, IntArray
 from skyline.features import NO_KEYPOINT, local_patches, polyline_vertices
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
-from skyline.matching.query import QueryCurves
+from skyline.matching.query_rays import QueryCurves
 
 _TOLERANCE_PX = 1.0
 """Of the query's polyline; best that of the store's."""

@@ -18,7 +18,7 @@ from skyline.pipeline.config import (
 )
 from skyline.pipeline.jobs import Progress
 from skyline.pipeline.layout import DEFAULT_LOSS, Layout
-from skyline.pipeline.rows import RowRenderer, Work, rows_of, view_rows
+from skyline.pipeline.row_renderers import RowRenderer, Work, rows_of, view_rows
 from skyline.planning.adaptive import Blocks
 from skyline.planning.uniform import map_bounds
 from skyline.store import StoreHeader, StoreWriter, create_store, open_for_append, open_store

@@ -15,7 +15,7 @@ from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.narrowing import Narrowed, Narrowing
 from skyline.matching.progress import telling
-from skyline.matching.query import QueryRays
+from skyline.matching.query_rays import QueryRays
 from skyline.matching.ranking import Candidate
 from skyline.matching.screening import Alike
 from skyline.photo.exif import Lens

@@ -13,7 +13,7 @@ from skyline.files import is_file
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.profiles import Profiles
 from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
-from skyline.pipeline.scene import RenderedScene
+from skyline.pipeline.rendered_scene import RenderedScene
 from skyline.places import PlaceSource
 from skyline.render.thread import RenderThread
 from skyline.store import Store, StoreHeader

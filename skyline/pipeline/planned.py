@@ -15,7 +15,7 @@ from skyline.paper.planning.truth import true_errors_px
 from skyline.paper.planning.verify import Verification, verify_coverage
 from skyline.pipeline.build import BuildResult
 from skyline.pipeline.config import RenderConfig, make_renderer, store_header
-from skyline.pipeline.rows import append_views
+from skyline.pipeline.row_renderers import append_views
 from skyline.planning.uniform import map_bounds
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import (

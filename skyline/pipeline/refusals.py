@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from skyline.matching.confidence import DISTANCES_M
 from skyline.matching.match_config import MatchConfig
-from skyline.matching.query import QueryRays
+from skyline.matching.query_rays import QueryRays
 from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
 

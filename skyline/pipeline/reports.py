@@ -7,8 +7,8 @@ from skyline import report
 from skyline.photo.read import read_picture
 from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher
+from skyline.pipeline.rendered_scene import RenderedScene
 from skyline.pipeline.results import MatchResult
-from skyline.pipeline.scene import RenderedScene
 from skyline.report.matched import Matched, Surroundings
 from skyline.report.peaks import Peaks
 from skyline.store.header import package_version

@@ -60,7 +60,7 @@ class MatchResult:
         return f"MatchResult({_in_short(self)}; candidates: {len(self.candidates)})"
 
     def _repr_html_(self) -> str:
-        from skyline.report.matches import result_html  # noqa: PLC0415  (slow to load)
+        from skyline.report.match_report import result_html  # noqa: PLC0415  (slow to load)
 
         return result_html(_in_short(self), self.query, self.candidates)
 

@@ -31,7 +31,7 @@ from skyline.pipeline.build import (
 from skyline.pipeline.config import BuildConfig, RenderConfig
 from skyline.pipeline.jobs import Progress, Runner, collect, run_here
 from skyline.pipeline.layout import Layout
-from skyline.pipeline.rows import RowRenderer, rows_of
+from skyline.pipeline.row_renderers import RowRenderer, rows_of
 from skyline.planning.adaptive import Blocks
 from skyline.planning.uniform import map_bounds
 from skyline.store import merge_stores, open_for_append

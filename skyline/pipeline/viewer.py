@@ -14,10 +14,10 @@ from skyline.matching.ranking import Candidate, Ranking
 from skyline.photo.query import QuerySkyline
 from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher
-from skyline.pipeline.scene import RenderedScene
+from skyline.pipeline.rendered_scene import RenderedScene
 from skyline.report.matched import Surroundings
 from skyline.report.peaks import Peaks, visible_peaks
-from skyline.report.projection import Panorama, PosedPicture
+from skyline.report.posed_picture import Panorama, PosedPicture
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
 
 _WIDTH = 1024

@@ -19,7 +19,7 @@ from skyline.geodesy import Rectangle
 from skyline.horizons import Horizons
 from skyline.places import Places
 from skyline.planning.loss import lost_shares
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
 

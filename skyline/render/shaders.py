@@ -27,7 +27,7 @@ _STAGE = re.compile(r"^(?P<stage>\w+_shader)\n=+\n", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class ShaderSource:
     """GLSL text, and the names of the files that its ``#line`` directives number."""
 
     text: str
@@ -75,7 +75,7 @@ def compile_compute(
         raise ContextError(_explain(str(error), {"compute_shader": source})) from error
 
 
-def _explain(log: str, stages: Mapping[str, Source]) -> str:
+def _explain(log: str, stages: Mapping[str, ShaderSource]) -> str:
     """Return one line: the driver's message with file names for numbers."""
     names = " + ".join(source.files[0] for source in stages.values())
     found = _STAGE.search(log)
@@ -97,7 +97,7 @@ def _one_line(log: str) -> str:
     return "; ".join(line.strip() for line in log.splitlines() if line.strip())
 
 
-def load_shader(name: str, defines: Mapping[str, str] | None = None) -> Source:
+def load_shader(name: str, defines: Mapping[str, str] | None = None) -> ShaderSource:
     """Return a shader file with what it includes put in place; raises `MissingFileError`."""
     text, files = _find(name).read_text(encoding="utf-8"), [name]
 
@@ -113,7 +113,7 @@ def load_shader(name: str, defines: Mapping[str, str] | None = None) -> Source:
         end = version.end()
         macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
         text = f"{text[:end]}{macros}#line {text.count(chr(10), 0, end) + 1} 0\n{text[end:]}"
-    return Source(text, tuple(files))
+    return ShaderSource(text, tuple(files))
 
 
 def _find(name: str) -> Path:

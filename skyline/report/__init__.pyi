@@ -1,8 +1,8 @@
 from .html import Page, Picture, Section, Table, Text
 from .landscape import Landscape
+from .match_report import write_match_report
 from .matched import Matched, Surroundings
-from .matches import write_match_report
-from .panorama import PanoramaView, draw_panorama, encode_panorama, picture_azimuths_deg
+from .panorama_picture import PanoramaView, draw_panorama, encode_panorama, picture_azimuths_deg
 from .peaks import Peaks, read_peaks
 from .pictures import save_depth_images
 from .plan_maps import save_coverage_map, save_place_map

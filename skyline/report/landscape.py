@@ -14,7 +14,7 @@ import numpy as np
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.geodesy import Curvature
 from skyline.report.peaks import HIDDEN_DEG, UNDERFOOT_SAMPLES
-from skyline.terrain.blocks import Blocks
+from skyline.terrain.blocks import TerrainBlocks
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 
@@ -52,7 +52,7 @@ class Landscape:
     @classmethod
     def of(
         cls,
-        blocks: Blocks,
+        blocks: TerrainBlocks,
         place_m: tuple[float, float],
         eye_height_m: float,
         azimuth_deg: Float64Array,
@@ -139,7 +139,7 @@ class Landscape:
 class _Look:
     """Follows columns outwards; see `Landscape`."""
 
-    def __init__(self, blocks: Blocks, eye: Viewpoints, azimuth_deg: Float64Array) -> None:
+    def __init__(self, blocks: TerrainBlocks, eye: Viewpoints, azimuth_deg: Float64Array) -> None:
         self._blocks, self._curvature = blocks, Curvature()
         self._place = float(eye.easting_m[0]), float(eye.northing_m[0])
         self._eye_m = float(eye.eye_elevation_m[0])
@@ -253,7 +253,7 @@ class _Look:
         return unhidden, until_m.reshape(2, turn).max(axis=0)[:columns]
 
 
-def _steps_m(blocks: Blocks, place: tuple[float, float], pixel_rad: float) -> Float64Array:
+def _steps_m(blocks: TerrainBlocks, place: tuple[float, float], pixel_rad: float) -> Float64Array:
     """Return distances from underfoot to the farthest corner of the terrain."""
     reach_m = float(np.hypot(*blocks.around_m(*place)).max()) + blocks.radius_m
     step_m = _SAMPLES_A_STEP * blocks.spacing_m

@@ -18,7 +18,7 @@ from skyline.photo.query import QuerySkyline
 from skyline.report.labels import Placed, extent_px, place_labels
 from skyline.report.peaks import Sighting
 from skyline.report.pictures import encode_figure
-from skyline.report.projection import Panorama, PosedPicture
+from skyline.report.posed_picture import Panorama, PosedPicture
 
 FOUND_COLOUR, RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
 

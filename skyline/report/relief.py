@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.geodesy import Frame, degrees_in_words
-from skyline.report.tiles import DARKEST, TINTS
+from skyline.report.relief_tiles import DARKEST, TINTS
 from skyline.terrain.heightfield import HeightField
 
 _MOST_SAMPLES = 900

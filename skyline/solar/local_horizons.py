@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from skyline.arrays import Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.extras import library
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 
 _STEP = timedelta(minutes=1)
 _TO_SECONDS = 0.1

@@ -20,7 +20,7 @@ BLOCK = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Blocks:
+class TerrainBlocks:
     """R x C blocks of a height field; neighbours share the samples of their edge."""
 
     frame: Frame

@@ -13,7 +13,7 @@ from pyproj import CRS
 from skyline.arrays import BoolArray, Float32Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame, is_metric, parse_crs
-from skyline.terrain.blocks import Blocks
+from skyline.terrain.blocks import TerrainBlocks
 from skyline.terrain.cleaning import STEEPEST, fill_voids, remove_spikes, strips, void_undeclared
 from skyline.terrain.from_arrays import read_array
 from skyline.terrain.heightfield import HeightField, Provenance
@@ -135,20 +135,20 @@ def read_dem(
 
 def read_blocks(
     paths: str | Path | Sequence[str | Path], options: DemOptions = DemOptions()
-) -> Blocks:
+) -> TerrainBlocks:
     """Read a DEM as blocks of the field of `read_dem`; one that is warped is so where it is wanted.
 
     All samples are those of `read_dem`, to the bit. Parameters and errors are its too.
     """
     tile, heights = read_tiles(paths, _parse_crs(options.crs))
     if _is_kept(tile, options):
-        return Blocks.of(_height_field(tile, heights, options))
+        return TerrainBlocks.of(_height_field(tile, heights, options))
     warp, frame, provenance = _warp(tile, heights, options)
 
     def field(wanted: BoolArray) -> HeightField:
         return _field(*warp.blocks_m(wanted), frame, provenance)
 
-    return Blocks(frame, warp.target, warp.highest_m(), field)
+    return TerrainBlocks(frame, warp.target, warp.highest_m(), field)
 
 
 def dem_of_dataset(dataset: Any, options: DemOptions) -> HeightField:

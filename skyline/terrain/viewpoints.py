@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError, MissingFileError, OffMapError
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 from skyline.terrain.heightfield import HeightField
 
 DEFAULT_EYE_HEIGHT_M = 2.0

@@ -19,7 +19,7 @@ from skyline import InputError, SkylineError, read_trace
 from skyline.web.asked import narrowing_of, pose_of, query_of, strokes_of
 from skyline.web.engine import Engine
 from skyline.web.live import LiveChannel
-from skyline.web.matches import Match, candidate_json
+from skyline.web.match_jobs import Match, candidate_json
 from skyline.web.photos import PagePhoto
 from skyline.web.saving import KINDS, saved
 from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, Session, Sessions, shown_name

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 
 from skyline import InputError
-from skyline.web.matches import Match
+from skyline.web.match_jobs import Match
 from skyline.web.photos import Opened, PagePhoto
 
 MAX_UPLOAD_BYTES = 100_000_000

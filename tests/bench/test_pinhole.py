@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from skyline.errors import InputError
-from skyline.matching.query import level
+from skyline.matching.query_rays import level
 from skyline.photo.query import QuerySkyline
 from skyline_bench.queries.pinhole import Camera
 

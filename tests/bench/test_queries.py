@@ -7,7 +7,7 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.errors import InputError
-from skyline.matching.query import level
+from skyline.matching.query_rays import level
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_bench.truth import oracle

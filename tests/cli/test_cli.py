@@ -15,7 +15,7 @@ from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
 from skyline import build_cli, build_uniform, read_dem, stand_on
 from skyline.cli import COMMANDS, loaded
-from skyline.pipeline import rows as store_rows
+from skyline.pipeline import row_renderers
 from skyline.pipeline.build import build_store
 from skyline.store import open_store
 from skyline_bench.truth import oracle
@@ -224,7 +224,7 @@ def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(run, dem, tmp
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(store_rows, "PLACES_AT_A_TIME", 512)
+        patch.setattr(row_renderers, "PLACES_AT_A_TIME", 512)
         patch.setattr(
             build_cli,
             "build_store",

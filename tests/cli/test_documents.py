@@ -42,7 +42,7 @@ from scenes import fractal
 
 import skyline
 from skyline import cli, read_dem, stand_on
-from skyline.fetch.tiles import SOURCES
+from skyline.fetch.dem_tiles import SOURCES
 from skyline.pipeline.layout import DEFAULT_LOSS
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store

@@ -26,7 +26,7 @@ from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.pipeline.batch import _opened
 from skyline.pipeline.config import curvature_of
-from skyline.pipeline.scene import RenderedScene
+from skyline.pipeline.rendered_scene import RenderedScene
 from skyline.store import open_store
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 from skyline_bench.stores.reference import mapped_area_m

@@ -11,10 +11,10 @@ from scipy.ndimage import maximum_filter
 from skyline import PanoramaConfig, Peaks, horizon, read_dem, save_panorama
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.pipeline.panorama import panorama_view
+from skyline.pipeline.labelled_panorama import panorama_view
 from skyline.report.landscape import Landscape
-from skyline.report.panorama import SUMMIT, draw_panorama
-from skyline.terrain.blocks import Blocks
+from skyline.report.panorama_picture import SUMMIT, draw_panorama
+from skyline.terrain.blocks import TerrainBlocks
 from skyline.terrain.dem import read_blocks
 
 AZIMUTH_DEG = 10.0 + np.arange(2000) * 0.05
@@ -30,7 +30,7 @@ def two_walls():
         ),
         701, 10.0,
     )  # fmt: skip
-    return Landscape.of(Blocks.of(field), (0.0, 0.0), 2.0, AZIMUTH_DEG)
+    return Landscape.of(TerrainBlocks.of(field), (0.0, 0.0), 2.0, AZIMUTH_DEG)
 
 
 def test_the_nearer_wall_hides_the_plain_and_the_farther_one_stands_over_it(two_walls):
@@ -67,7 +67,7 @@ def test_the_skyline_is_the_exact_horizon_within_half_a_step(mountains, share):
     field, _ = mountains
     place = tuple(float(at) for at in field.to_map(300.0 * share[0], 300.0 * share[1]))
     exact = horizon(field, *field.frame.to_lonlat(*place), 20.0, 0.1)
-    seen = Landscape.of(Blocks.of(field), place, 20.0, exact.azimuth_deg[0])
+    seen = Landscape.of(TerrainBlocks.of(field), place, 20.0, exact.azimuth_deg[0])
     distance_m, resolved = exact.distance_m[0], exact.distance_m[0] > 0.35 * field.spacing_m
     short_deg = exact.elevation_deg[0] - seen.skyline_deg
     # What stands highest is found to where it crosses an edge, unless it is hidden at both steps
@@ -87,7 +87,7 @@ def test_terrain_that_is_hidden_is_not_made_and_changes_nothing(tmp_path):
     whole, blocks = read_dem(path), read_blocks(path)
     place = tuple(float(at) for at in whole.to_map(200.0, 150.0))
     azimuth_deg = np.arange(0.0, 360.0, 0.1)
-    expected = Landscape.of(Blocks.of(whole), place, 30.0, azimuth_deg)
+    expected = Landscape.of(TerrainBlocks.of(whole), place, 30.0, azimuth_deg)
     seen = Landscape.of(blocks, place, 30.0, azimuth_deg)
     made = np.isfinite(seen.terrain.heights_m).sum()
     assert 0.05 < made / np.isfinite(whole.heights_m).sum() < 0.9
@@ -95,7 +95,7 @@ def test_terrain_that_is_hidden_is_not_made_and_changes_nothing(tmp_path):
     np.testing.assert_array_equal(seen.is_ridge, expected.is_ridge)
     np.testing.assert_allclose(seen.elevation_deg, expected.elevation_deg, atol=1e-5)
     # As does looking at all of it, to the last corner.
-    everywhere = replace(Blocks.of(whole), highest_m=np.full_like(blocks.highest_m, np.inf))
+    everywhere = replace(TerrainBlocks.of(whole), highest_m=np.full_like(blocks.highest_m, np.inf))
     plain = Landscape.of(everywhere, place, 30.0, azimuth_deg)
     np.testing.assert_array_equal(plain.begins, expected.begins)
     np.testing.assert_array_equal(plain.elevation_deg, expected.elevation_deg)
@@ -116,7 +116,7 @@ def view_from(field, row, col, peaks, **config):
     """Return what is seen 500 m above a sample."""
     lon, lat = (float(at) for at in field.frame.to_lonlat(*field.to_map(row, col)))
     config = PanoramaConfig(eye_height_m=500.0, **config)
-    return panorama_view(Blocks.of(field), (lon, lat), peaks, config)
+    return panorama_view(TerrainBlocks.of(field), (lon, lat), peaks, config)
 
 
 PLACES = [(0.5, 0.5), (0.3, 0.6), (0.7, 0.2), (0.55, 0.8), (0.2, 0.35)]
@@ -203,11 +203,13 @@ def test_a_surface_is_a_line_over_the_skyline(mountains, tmp_path):
     lonlat = tuple(float(at) for at in field.frame.to_lonlat(*field.to_map(150.0, 150.0)))
     trees = replace(field, heights_m=field.heights_m + np.float32(25.0))
     config = PanoramaConfig(90.0, 120.0, 100.0)
-    view = panorama_view(Blocks.of(field), lonlat, None, config, trees)
+    view = panorama_view(TerrainBlocks.of(field), lonlat, None, config, trees)
     landscape = view.landscape
     # Of the line between tenths of a degree, notches of the skyline are cut off.
     assert np.percentile(view.surface_deg - landscape.skyline_deg, [1, 50]).min() > 0.0
-    over = Landscape.of(Blocks.of(trees), field.to_map(150.0, 150.0), 75.0, landscape.azimuth_deg)
+    over = Landscape.of(
+        TerrainBlocks.of(trees), field.to_map(150.0, 150.0), 75.0, landscape.azimuth_deg
+    )
     assert np.abs(view.surface_deg - over.skyline_deg).mean() < 0.01
     line = draw_panorama(view).axes[0].lines[0]
     np.testing.assert_array_equal(line.get_ydata(), view.surface_deg)

@@ -9,7 +9,7 @@ from scenes import fractal, write_dem
 
 from skyline import RenderConfig, build_uniform, read_dem, stand_on
 from skyline.errors import InputError, StoreMismatchError
-from skyline.pipeline import rows
+from skyline.pipeline import row_renderers
 from skyline.pipeline.build import build_places
 from skyline.pipeline.cluster import remote_runner
 from skyline.pipeline.config import PlaceConfig
@@ -54,7 +54,7 @@ def test_places_are_what_was_rendered(terrain, built):
 
 def test_an_interrupted_build_goes_on(terrain, built, tmp_path, monkeypatch):
     path = tmp_path / "s.h5"
-    monkeypatch.setattr(rows, "PLACES_AT_A_TIME", 500)
+    monkeypatch.setattr(row_renderers, "PLACES_AT_A_TIME", 500)
 
     def stop(done, _total):
         if done >= 1000:

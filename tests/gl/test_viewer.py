@@ -23,7 +23,7 @@ from skyline.camera import HEADINGS
 from skyline.photo.projection import Projection
 from skyline.pipeline.config import curvature_of
 from skyline.render.horizon import HorizonRenderer
-from skyline.report.projection import Panorama, PosedPicture
+from skyline.report.posed_picture import Panorama, PosedPicture
 from skyline.terrain.viewpoints import stand_on
 
 EASTING_M, NORTHING_M = 601_800.0, 5_178_000.0

@@ -11,8 +11,8 @@ from scenes import fractal
 
 from skyline import read_dem
 from skyline.errors import FetchError, InputError
+from skyline.fetch.dem_tiles import MAX_TILES, SOURCES, TileSource, fetch_dem
 from skyline.fetch.remote import HttpOptions
-from skyline.fetch.tiles import MAX_TILES, SOURCES, TileSource, fetch_dem
 
 SAMPLES = 600
 BOUNDS = (9.8, 46.6, 10.1, 46.8)
@@ -231,7 +231,7 @@ def test_too_much_is_refused_before_anything_is_asked(tmp_path):
 
 
 def test_too_many_bytes_are_refused_before_they_are_read(template, told, monkeypatch, tmp_path):
-    monkeypatch.setattr("skyline.fetch.tiles.MAX_BYTES", 10_000)
+    monkeypatch.setattr("skyline.fetch.dem_tiles.MAX_BYTES", 10_000)
     with pytest.raises(InputError, match=r"need 2 tiles and 0\.0 GB"):
         fetch(template, tmp_path)
     assert not list(tmp_path.iterdir())

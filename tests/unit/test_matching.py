@@ -11,7 +11,7 @@ from skyline.errors import InputError
 from skyline.features import polyline_keypoints
 from skyline.matching.correlation import CorrelationMatcher
 from skyline.matching.profiles import Profiles
-from skyline.matching.query import Attitudes, QueryCurves, QueryRays, level
+from skyline.matching.query_rays import Attitudes, QueryCurves, QueryRays, level
 from skyline.paper.alignment import align_curves
 from skyline.paper.chamfer import chamfer_px
 from skyline.paper.matcher import PaperMatcher

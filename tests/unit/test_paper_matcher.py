@@ -7,7 +7,7 @@ from query_scenes import equally_trusted
 from skyline.errors import InputError
 from skyline.features import NO_KEYPOINT, polyline_vertices
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
-from skyline.matching.query import Attitudes, QueryCurves
+from skyline.matching.query_rays import Attitudes, QueryCurves
 from skyline.paper.alignment import _normal_equations
 from skyline.paper.matcher import PaperMatcher
 from skyline.paper.patches import QueryCurve

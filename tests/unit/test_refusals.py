@@ -5,7 +5,7 @@ import pytest
 from scenes import candidate_at
 
 from skyline.matching.match_config import MatchConfig
-from skyline.matching.query import QueryRays
+from skyline.matching.query_rays import QueryRays
 from skyline.photo.query import QuerySkyline
 from skyline.pipeline.refusals import at_bound, lens_in_doubt, sure_within_m
 

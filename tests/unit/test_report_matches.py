@@ -15,7 +15,7 @@ from skyline.planning.uniform import uniform_grid
 from skyline.report import Matched, Peaks, Surroundings, write_match_report
 from skyline.report.overlay import Overlay
 from skyline.report.peaks import Sighting
-from skyline.report.projection import Panorama, PosedPicture, median_gap_deg
+from skyline.report.posed_picture import Panorama, PosedPicture, median_gap_deg
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 

@@ -7,7 +7,7 @@ from scenes import field_from, field_of, fractal
 from skyline.camera import pixel_size
 from skyline.geodesy import Curvature
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.scene import (
+from skyline.terrain.scene_bounds import (
     BLOCK_CELLS,
     COARSER_STEPS,
     coarser_deviation_m,

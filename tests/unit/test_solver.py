@@ -11,7 +11,7 @@ from skyline.geodesy import Curvature
 from skyline.matching.claim import EyeHeight
 from skyline.matching.noise import Noise
 from skyline.matching.profiles import Panoramas
-from skyline.matching.query import QueryRays, level, level_with_changes, thinned
+from skyline.matching.query_rays import QueryRays, level, level_with_changes, thinned
 from skyline.matching.solver import Curves, Solver, SolverConfig
 from skyline.photo.projection import distorted
 from skyline.terrain.edge import DataEdge

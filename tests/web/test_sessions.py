@@ -4,7 +4,7 @@ import pytest
 
 from skyline import InputError, Narrowing, QuerySkyline
 from skyline.web import sessions as module
-from skyline.web.matches import Match
+from skyline.web.match_jobs import Match
 from skyline.web.sessions import Sessions, shown_name
 
 

@@ -18,7 +18,7 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Rectangle
 from skyline.horizons import Horizons, bin_azimuths_rad, check_bins
-from skyline.matching.query import QueryRays
+from skyline.matching.query_rays import QueryRays
 from skyline.photo.query import QuerySkyline
 from skyline.render.panorama import PanoramaRenderer
 from skyline.terrain.heightfield import HeightField

@@ -30,7 +30,7 @@ from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.retrieval import Retriever
 from skyline.pipeline.build import build_places
 from skyline.pipeline.jobs import Progress
-from skyline.pipeline.scene import RenderedScene
+from skyline.pipeline.rendered_scene import RenderedScene
 from skyline.store import open_store
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField

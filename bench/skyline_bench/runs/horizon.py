@@ -15,7 +15,7 @@ import numpy as np
 from skyline.arrays import Float64Array
 from skyline.camera import columns_u, elevation_deg
 from skyline.geodesy import Curvature
-from skyline.pipeline.local_horizons import DEFAULT_STEP_DEG, horizons_of
+from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG, horizons_of
 from skyline.render.panorama import PanoramaRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on

@@ -21,7 +21,7 @@ from skyline.pipeline.config import PlaceConfig
 from skyline.pipeline.jobs import Progress
 from skyline.pipeline.layout import DEFAULT_LOSS, Layout
 from skyline.pipeline.match import Matcher
-from skyline.pipeline.scene import RenderedScene
+from skyline.pipeline.rendered_scene import RenderedScene
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField

@@ -22,7 +22,7 @@ from skyline.pipeline.config import BuildConfig, PlaceConfig, RenderConfig, stor
 from skyline.pipeline.jobs import Progress
 from skyline.pipeline.layout import Layout
 from skyline.pipeline.planned import build_planned
-from skyline.pipeline.rows import place_rows
+from skyline.pipeline.row_renderers import place_rows
 from skyline.places import BINS
 from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.panorama import PanoramaRenderer

@@ -12,7 +12,7 @@ from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Scene
-from skyline.matching.query import QueryRays
+from skyline.matching.query_rays import QueryRays
 from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike, Screen, sample_of
 from skyline.pipeline.refusals import sure_within_m, too_little

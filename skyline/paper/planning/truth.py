@@ -15,7 +15,7 @@ from skyline.paper.planning.reprojection import (
     least_squares,
     median_depth_m,
 )
-from skyline.rows import Rows
+from skyline.row_arrays import Rows
 from skyline.views import Views
 
 MAX_CHANGE = 0.25

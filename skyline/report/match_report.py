@@ -17,7 +17,7 @@ from skyline.report.matched import Matched, Surroundings
 from skyline.report.overlay import Overlay
 from skyline.report.peaks import HIDDEN_DEG, Sighting, visible_peaks
 from skyline.report.pictures import encode_figure
-from skyline.report.projection import Panorama, median_gap_deg
+from skyline.report.posed_picture import Panorama, median_gap_deg
 from skyline.report.records import beyond_in_words, claim_said, confidence_within
 from skyline.report.shapes import Ellipse
 

@@ -10,9 +10,9 @@ from skyline import report
 from skyline.errors import InputError
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
-from skyline.pipeline.local_horizons import horizons_of
+from skyline.pipeline.horizon_at import horizons_of
 from skyline.report.peaks import Peaks, visible_peaks
-from skyline.terrain.blocks import Blocks
+from skyline.terrain.blocks import TerrainBlocks
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
@@ -90,11 +90,11 @@ def save_panorama(
     """
     over = None if surface is None else read_surface(surface, terrain)
     config = config or PanoramaConfig()
-    return save_panorama_of(Blocks.of(terrain), (lon, lat), path, peaks, config, over)
+    return save_panorama_of(TerrainBlocks.of(terrain), (lon, lat), path, peaks, config, over)
 
 
 def save_panorama_of(
-    blocks: Blocks,
+    blocks: TerrainBlocks,
     lonlat: tuple[float, float],
     path: str | Path,
     peaks: Peaks | None,
@@ -114,7 +114,7 @@ def save_panorama_of(
 
 
 def panorama_view(
-    blocks: Blocks,
+    blocks: TerrainBlocks,
     lonlat: tuple[float, float],
     peaks: Peaks | None,
     config: PanoramaConfig,

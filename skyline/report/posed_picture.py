@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.matching.query import level, project
+from skyline.matching.query_rays import level, project
 from skyline.matching.ranking import Candidate
 from skyline.photo.projection import Projection, distorted
 from skyline.photo.query import QuerySkyline
