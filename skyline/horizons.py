@@ -52,9 +52,6 @@ class Horizons(Rows):
     flags: NDArray[np.uint8]
     """(N, B) uint8. The bits of `skyline.views`: truncated, hole, no data."""
 
-    def __len__(self) -> int:
-        return len(self.easting_m)
-
     @property
     def bins(self) -> int:
         """Number of azimuth bins B."""

@@ -7,7 +7,7 @@ from typing import Any
 from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
 from skyline.pipeline.tables import to_geodataframe
-from skyline.report.records import beyond_in_words, claim_said, confidence_within
+from skyline.report.records import beyond_in_words, claim_in_words, confidence_within
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class MatchResult:
     def claim(self) -> str:
         """Where the photo says that it was taken, against the best candidate; empty without."""
         best = next(iter(self.candidates), None)
-        return claim_said(self.query.noted, best, self.answer is not None)
+        return claim_in_words(self.query.noted, best, self.answer is not None)
 
     @property
     def beyond(self) -> str | None:

@@ -60,9 +60,6 @@ class Blocks(Rows):
     row: Int64Array
     """``col``, ``row``: (N,) int64. Which multiples their western and southern sides are at."""
 
-    def __len__(self) -> int:
-        return len(self.col)
-
     @property
     def easting_m(self) -> Float64Array:
         """Of the south-western corners, (N,)."""

@@ -18,7 +18,7 @@ from skyline.report.overlay import Overlay
 from skyline.report.peaks import HIDDEN_DEG, Sighting, visible_peaks
 from skyline.report.pictures import encode_figure
 from skyline.report.posed_picture import Panorama, median_gap_deg
-from skyline.report.records import beyond_in_words, claim_said, confidence_within
+from skyline.report.records import beyond_in_words, claim_in_words, confidence_within
 from skyline.report.shapes import Ellipse
 
 _MAP_DPI = 150.0
@@ -109,7 +109,7 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
     ]
     if matched.candidates:
         parts.append(_candidate_table(matched.candidates))
-    claim = claim_said(matched.query.noted, best, matched.is_answered, with_place=False)
+    claim = claim_in_words(matched.query.noted, best, matched.is_answered, with_place=False)
     beyond = beyond_in_words(None if best is None else best.beyond_share)
     parts += [Text(said) for said in (claim, beyond) if said]
     done = " ".join(matched.done)

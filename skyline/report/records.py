@@ -141,47 +141,33 @@ def describe_claim(noted: NotedPlace, best: Candidate | None) -> ExifRecord | No
     )
 
 
-def claim_said(
+def claim_in_words(
     noted: NotedPlace, best: Candidate | None, is_answer: bool, with_place: bool = True
 ) -> str:
-    """Return what a photo notes against the best candidate, in words; empty where it is nothing."""
+    """Return what a photo notes against the best candidate, in sentences, or "" for nothing.
+
+    ``is_answer`` says whether that candidate is the answer, ``with_place`` whether the photo's own
+    longitude and latitude are said.
+    """
     claim = describe_claim(noted, best)
     if claim is None:
         return ""
-    heading_deg = None if best is None else best.heading_deg
-    return claim_in_words(claim, heading_deg, is_answer, with_place)
-
-
-def claim_in_words(
-    claim: ExifRecord, best_heading_deg: float | None, is_answer: bool, with_place: bool = True
-) -> str:
-    """Return a claim as sentences.
-
-    Parameters
-    ----------
-    best_heading_deg : float, optional
-        Of the best candidate.
-    is_answer : bool
-        Whether that is the answer.
-    with_place : bool
-        Whether the photo's own longitude and latitude are said.
-    """
-    said, best = [], "the answer" if is_answer else "candidate 1"
+    said, it = [], "the answer" if is_answer else "candidate 1"
     if claim["lat"] is not None:
         where = f"lat {claim['lat']:.5f} lon {claim['lon']:.5f}" if with_place else "a place"
         sure = "" if claim["accuracy_m"] is None else f" (good to {claim['accuracy_m']:.0f} m)"
-        off = "" if claim["distance_m"] is None else f", {_metres(claim['distance_m'])} from {best}"
+        off = "" if claim["distance_m"] is None else f", {_metres(claim['distance_m'])} from {it}"
         said.append(f"The photo says {where}{off}{sure}.")
     if claim["heading_deg"] is not None:
         north = ", from magnetic north" if claim["heading_is_magnetic"] else ""
-        own = "" if best_heading_deg is None else f", {best} {best_heading_deg:.0f}"
+        own = "" if best is None else f", {it} {best.heading_deg:.0f}"
         said.append(f"Its compass says {claim['heading_deg']:.0f} degrees{north}{own}.")
     far_m = max(_DISAGREES_M, _DISAGREES_ACCURACIES * (claim["accuracy_m"] or 0.0))
     wrong = ["position"] if (claim["distance_m"] or 0.0) > far_m else []
     if abs(claim["heading_off_deg"] or 0.0) > _DISAGREES_DEG:
         wrong.append("compass")
     if wrong:
-        said.append(f"The photo's {' and '.join(wrong)} and {best} disagree: one of them is wrong.")
+        said.append(f"The photo's {' and '.join(wrong)} and {it} disagree: one of them is wrong.")
     return " ".join(said)
 
 

@@ -60,9 +60,6 @@ class LocalHorizons(Rows):
         """Whether a surface model was given."""
         return not bool(np.isnan(self.surface_deg).all())
 
-    def __len__(self) -> int:
-        return len(self.lon)
-
     def sky_view_factor(self, tilt_deg: float = 0.0, facing_deg: float = 180.0) -> Float64Array:
         """Return the sky view factors (N,) of a surface; see `sky_view_factor`."""
         return sky_view_factor(self.azimuth_deg[0], self.elevation_deg, tilt_deg, facing_deg)

@@ -37,9 +37,6 @@ class Viewpoints(Rows):
     northing_m: Float64Array
     eye_elevation_m: Float64Array
 
-    def __len__(self) -> int:
-        return len(self.easting_m)
-
 
 def stand_on(
     field: HeightField,

@@ -89,16 +89,16 @@ def test_what_is_said():
     record = describe_claim(noted, BEST)
     assert record["distance_m"] == pytest.approx(240.0, abs=0.5)
     assert record["heading_off_deg"] == pytest.approx(19.0)
-    said = claim_in_words(record, 131.0, True)
+    said = claim_in_words(noted, BEST, True)
     assert "lon 9.80000, 240 m from the answer (good to 5 m). Its" in said
     assert "compass says 112 degrees, from magnetic north, the answer 131." in said
     assert "disagree" not in said
-    assert "46.7" not in claim_in_words(record, 131.0, True, with_place=False)
+    assert "46.7" not in claim_in_words(noted, BEST, True, with_place=False)
 
 
 def test_disagreement_is_said():
     noted = NotedPlace((-70.0, 46.7), None, 359.0)
-    said = claim_in_words(describe_claim(noted, BEST), 131.0, False)
+    said = claim_in_words(noted, BEST, False)
     assert "position and compass and candidate 1 disagree" in said
     assert "5,821 km from candidate 1" in said
 
@@ -128,4 +128,7 @@ def test_what_notes_nothing_claims_nothing():
     assert describe_claim(NotedPlace(), BEST) is None
     alone = describe_claim(NotedPlace((9.8, 46.7)), None)
     assert alone["distance_m"] is None
-    assert claim_in_words(alone, None, False) == "The photo says lat 46.70000 lon 9.80000."
+    assert (
+        claim_in_words(NotedPlace((9.8, 46.7)), None, False)
+        == "The photo says lat 46.70000 lon 9.80000."
+    )
