@@ -8,6 +8,7 @@ from commands import assert_refused
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("refined_once")
 def test_areas_are_built_and_searched(run_bench, dem, tmp_path):
     record, plot = tmp_path / "record.json", tmp_path / "plot.png"
     done = run_bench(

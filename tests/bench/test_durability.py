@@ -32,11 +32,11 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> Said:
         for name in ("kills", "readers"):
             (folder / name).mkdir()
         print(json.dumps({{
-            "kills of places": kill_test(numbered_build(8000, places_header), folder / "kills", 10),
+            "kills of places": kill_test(numbered_build(8000, places_header), folder / "kills", 6),
             "readers of places": readers_test(folder / "readers", 3, 1.5, "places"),
             "flips of places": flip_test(places, folder, 20),
             "mutated places": fuzz_test(places, folder, 50),
-            "kills": kill_test(numbered_build(500, header), folder, 10),
+            "kills": kill_test(numbered_build(500, header), folder, 6),
             "readers": readers_test(folder, 3, 1.5),
             "flips": flip_test(whole, folder, 20),
             "flips of exact rows": flip_test(exact, folder, 20),
@@ -53,7 +53,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> Said:
 @pytest.mark.parametrize("name", ["kills", "kills of places"])
 def test_killed_builds_resume(said: Said, name: str) -> None:
     kills = said[name]
-    assert (kills["kills"], kills["opened"], kills["lost"]) == (10, 10, 0)
+    assert (kills["kills"], kills["opened"], kills["lost"]) == (6, 6, 0)
     assert kills["builds"] == kills["equal"] >= 1
 
 

@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tomllib
 from contextlib import chdir, redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -43,6 +44,8 @@ from scenes import fractal
 import skyline
 from skyline import cli, read_dem, stand_on
 from skyline.fetch.dem_tiles import SOURCES
+from skyline.matching.full import FullMatcher
+from skyline.matching.match_config import FullConfig
 from skyline.pipeline.layout import DEFAULT_LOSS
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
@@ -166,6 +169,20 @@ def shown(part):
         for line in block.commands()
         if part in line
     )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def refined_quickly():
+    """Refine no query thoroughly: pages are to run, and what matching finds is tested elsewhere."""
+    init = FullMatcher.__init__
+
+    def quick(matcher, retriever, scene=None, config=None):
+        config = config or FullConfig()
+        init(matcher, retriever, scene, replace(config, refine=config.quick))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(FullMatcher, "__init__", quick)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from skyline import (
 )
 from skyline.errors import InputError, StoreError, StoreMismatchError
 from skyline.matching.full import FullMatcher
-from skyline.matching.match_config import FullConfig
+from skyline.matching.match_config import FullConfig, RefineConfig
 from skyline.matching.retrieval import Retriever
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
@@ -35,6 +35,7 @@ MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
 SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.03, 0.03), smooth_share=0.0)
 BOLD = MatchConfig(min_confidence=0.0)
 PLACES_M = 40.0
+LESS_THOROUGH = RefineConfig(particles=48, rounds=5, keep_least=16, restarts=2, finalists=8)
 
 
 def write_hills(path, seed):
@@ -124,7 +125,8 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
         retrieved = [retriever.shortlist(one, FullConfig().shortlist) for one in rays]
 
     def refined(sure_margin):
-        matcher = FullMatcher(retriever, scene, FullConfig(sure_margin=sure_margin))
+        config = FullConfig(sure_margin=sure_margin, refine=LESS_THOROUGH)
+        matcher = FullMatcher(retriever, scene, config)
         return [matcher.refine(*one) for one in zip(retrieved, rays, strict=True)]
 
     always = refined(0.0)
