@@ -31,7 +31,7 @@ from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.measuring.geotiff import write_sample_dem
-from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 
 BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)

@@ -13,7 +13,7 @@ from skyline import build_places, build_uniform, console, read_dem, stand_on
 from skyline.pipeline.cluster import local_cluster
 from skyline.render.context import acquire_context
 from skyline.render.depth import DepthRenderer
-from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 
 # How long an example takes says how busy the machine is, not what is wrong.

@@ -21,19 +21,16 @@ correlation. The score is 1 - ncc, in [0, 2].
 """
 
 from dataclasses import dataclass, field
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
 from skyline.arrays import Float64Array
-from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query_rays import Attitudes, QueryCurves, QueryRays
-from skyline.matching.ranker import Ranker, Source
-from skyline.matching.ranking import Fits, Ranking, select
-from skyline.matching.screening import Alike
+from skyline.matching.ranker import ProfileRanker
+from skyline.matching.ranking import Fits
 
 _CHUNK = 8
 """Locations at a time; keeps the transforms' arrays in the cache."""
@@ -45,32 +42,17 @@ _Transforms = tuple[NDArray[np.complex128] | None, NDArray[np.complex128], NDArr
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CorrelationMatcher(Ranker):
-    """The plain baseline: the greatest normalized correlation wins."""
+class CorrelationMatcher(ProfileRanker):
+    """The plain baseline: the greatest normalized correlation wins.
+
+    Nothing is computed before a query: the transforms of profiles are few beside those that a query
+    needs, and would take several times the profiles' memory.
+    """
 
     profiles: Profiles
     """Of the store it matches to."""
     attitudes: Attitudes = field(default_factory=Attitudes)
     """Assumed pitches and rolls."""
-
-    @classmethod
-    def open(cls, source: Source) -> Self:
-        """See `Ranker.open`.
-
-        Nothing is computed yet: the transforms of profiles are few beside those that a query
-        needs, and would take several times the profiles' memory.
-        """
-        return cls(source.profiles())
-
-    def rank(
-        self,
-        query: QueryRays,
-        top: int,
-        narrowed: Narrowed | None = None,
-        screened: Alike | None = None,
-    ) -> Ranking:
-        """Return the best poses, best first; see `Ranker.rank`."""
-        return select(self.profiles, self.fit(query), query.fov_deg, top)
 
     def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score is 1 - ncc."""

@@ -1,5 +1,6 @@
 """What a matcher is: it is opened on a store, and ranks the store's places."""
 
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import ClassVar, Protocol, Self
 
@@ -9,7 +10,7 @@ from skyline.matching.narrowing import Narrowed
 from skyline.matching.pose import Scene
 from skyline.matching.profiles import Profiles
 from skyline.matching.query_rays import QueryRays
-from skyline.matching.ranking import JointRanking, Ranking
+from skyline.matching.ranking import Fits, JointRanking, Ranking, select
 from skyline.matching.screening import Alike
 from skyline.places import PlaceSource
 from skyline.store.header import RENDERINGS
@@ -88,3 +89,31 @@ class Ranker(Protocol):
     def screened(self, query: QueryRays, narrowed: Narrowed | None, part: slice) -> Alike | None:
         """Return the places of a part of the store worth ranking; None if all are to be ranked."""
         return None
+
+
+class ProfileRanker(Ranker):
+    """A matcher of renderings, which fits one pose at every location."""
+
+    profiles: Profiles
+
+    def __init__(self, profiles: Profiles) -> None:
+        self.profiles = profiles
+
+    @classmethod
+    def open(cls, source: Source) -> Self:
+        """See `Ranker.open`."""
+        return cls(source.profiles())
+
+    @abstractmethod
+    def fit(self, query: QueryRays) -> Fits:
+        """Return the best pose at every location; the score is infinite where nothing fits."""
+
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        narrowed: Narrowed | None = None,
+        screened: Alike | None = None,
+    ) -> Ranking:
+        """Return the best poses, best first; see `Ranker.rank`."""
+        return select(self.profiles, self.fit(query), query.fov_deg, top)

@@ -17,12 +17,10 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.matching.narrowing import Narrowed
 from skyline.matching.profiles import TANGENT_PER_PX, Profiles
 from skyline.matching.query_rays import Attitudes, QueryCurves, QueryRays
-from skyline.matching.ranker import Ranker, Source
-from skyline.matching.ranking import Fits, Ranking, select
-from skyline.matching.screening import Alike
+from skyline.matching.ranker import ProfileRanker
+from skyline.matching.ranking import Fits
 from skyline.paper.alignment import align_curves
 from skyline.paper.chamfer import mean_squared_px2, nearest_patches
 from skyline.paper.patches import MIN_OVERLAP, QueryCurve, StoredCurves, patch_offsets
@@ -41,7 +39,7 @@ _VOTE_TURNS = 1.0 / 64.0
 _REACH_TURNS = 1.0 / 32.0
 
 
-class PaperMatcher(Ranker):
+class PaperMatcher(ProfileRanker):
     """The paper's matcher over whole 360 degree profiles; `Ranker` says what it answers."""
 
     def __init__(
@@ -65,25 +63,10 @@ class PaperMatcher(Ranker):
             raise InputError(
                 f"poses on the shortlist are {shortlist_poses}; expected at least 1, or None"
             )
-        self.profiles = profiles
+        super().__init__(profiles)
         self._attitudes = attitudes or Attitudes()
         self._poses = shortlist_poses
         self._shortlist = None if shortlist_poses is None else Shortlist(profiles)
-
-    @classmethod
-    def open(cls, source: Source) -> "PaperMatcher":
-        """See `Ranker.open`."""
-        return cls(source.profiles())
-
-    def rank(
-        self,
-        query: QueryRays,
-        top: int,
-        narrowed: Narrowed | None = None,
-        screened: Alike | None = None,
-    ) -> Ranking:
-        """Return the best poses, best first; see `Ranker.rank`."""
-        return select(self.profiles, self.fit(query), query.fov_deg, top)
 
     def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score in px, infinite where nothing fits.

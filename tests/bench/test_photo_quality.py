@@ -13,7 +13,7 @@ from skyline.photo.extract import extract_skyline
 from skyline_bench.queries.drawn_photos import CONDITIONS, draw_recipe
 from skyline_bench.runs.sky_masks import mask_rows, measure
 from skyline_bench.training.landscapes import GROUND, SKY
-from skyline_bench.training.photographs import draw_training_photo, draw_view
+from skyline_bench.training.training_photos import draw_training_photo, draw_view
 
 
 def silent(done, total):

@@ -10,7 +10,7 @@ from scenes import field_of, fractal
 from skyline.errors import InputError
 from skyline.photo.read import extract_photo
 from skyline.render.depth import DepthRenderer
-from skyline_bench.queries.photographs import Scenery, draw_photo
+from skyline_bench.queries.made_photos import Scenery, draw_photo
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 
 pytestmark = pytest.mark.usefixtures("no_gl_error")

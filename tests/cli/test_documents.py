@@ -50,7 +50,7 @@ from skyline.pipeline.layout import DEFAULT_LOSS
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
 from skyline_bench import cli as bench
-from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 
 README, *DOCS = DOCUMENTS

@@ -8,7 +8,7 @@ from PIL import Image
 
 from skyline import read_dem, stand_on
 from skyline.render.depth import DepthRenderer
-from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 
 

@@ -10,7 +10,7 @@ from scenes import field_of
 
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import stand_on
-from skyline_bench.truth.agreement import HORIZON, Scene, oracle_truth
+from skyline_bench.truth.agreement import HORIZON, SkylineScene, oracle_truth
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def scene_of(recipe):
     easting, northing = field.to_map(np.minimum(row, recipe.rows - 1), col)
     standing = ~np.isnan(field.height_at(easting, northing))
     viewpoints = stand_on(field, easting[standing][:2], northing[standing][:2], recipe.eye_height_m)
-    return Scene(field, viewpoints, recipe.width, recipe.curvature)
+    return SkylineScene(field, viewpoints, recipe.width, recipe.curvature)
 
 
 @pytest.mark.slow

@@ -16,7 +16,13 @@ from skyline.camera import pixel_size
 from skyline.geodesy import Curvature, Frame
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
-from skyline_bench.truth.agreement import Agreement, RenderPath, Scene, Truth, oracle_truth
+from skyline_bench.truth.agreement import (
+    Agreement,
+    RenderPath,
+    SkylineScene,
+    SkylineTruth,
+    oracle_truth,
+)
 
 FLAT = Curvature(enabled=False)
 FRAME = Frame.local(9.8, 46.8)
@@ -44,9 +50,9 @@ class SceneCase:
 
     name: str
     breaks: str  # What could break, one sentence
-    scene: Callable[[], Scene]  # Makes the scene
+    scene: Callable[[], SkylineScene]  # Makes the scene
     # Gives the skylines of a scene; without it the oracle does.
-    closed_form: Callable[[Scene], ClosedForm] | None = None
+    closed_form: Callable[[SkylineScene], ClosedForm] | None = None
     paths: tuple[str, ...] = ("horizon", "depth")  # Names of the paths that promise something here
 
     def agreement(self, path: RenderPath, quick: bool) -> Agreement:
@@ -54,7 +60,7 @@ class SceneCase:
         scene, truth = _posed(self, quick)
         return path.agreement(scene, path.render(scene), truth)
 
-    def truth(self, scene: Scene) -> Truth:
+    def truth(self, scene: SkylineScene) -> SkylineTruth:
         """Return the truth: flags and depth are the oracle's in any case."""
         truth = oracle_truth(scene)
         if self.closed_form is None:
@@ -62,13 +68,13 @@ class SceneCase:
         form = self.closed_form(scene)
         missing = np.isnan(truth.views.elevation_tan)
         tan = np.where(missing, np.nan, form.elevation_tan)
-        return Truth(
+        return SkylineTruth(
             replace(truth.views, elevation_tan=tan), form.slack_tan / pixel_size(scene.width)
         )
 
 
 @lru_cache(maxsize=1)
-def _posed(case: SceneCase, quick: bool) -> tuple[Scene, Truth]:
+def _posed(case: SceneCase, quick: bool) -> tuple[SkylineScene, SkylineTruth]:
     """Return a case's scene and truth; kept, since several paths look at one case in turn."""
     scene = case.scene()
     if quick:

@@ -18,7 +18,7 @@ from skyline.terrain.dem import read_dem
 from skyline.terrain.viewpoints import at_elevation
 from skyline_bench.cases.closed_forms import ClosedForm, SceneCase
 from skyline_bench.measuring.geotiff import write_geotiff
-from skyline_bench.truth.agreement import Scene
+from skyline_bench.truth.agreement import SkylineScene
 
 _GEOD = Geod(ellps="WGS84")
 _TO_EARTH_CENTRED = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
@@ -45,14 +45,14 @@ class _Country:
     lon_deg: float
     lat_deg: float
 
-    def scene(self) -> Scene:
+    def scene(self) -> SkylineScene:
         """Write the country as DEM tiles in degrees, read them back and stand in it."""
         with tempfile.TemporaryDirectory() as folder:
             field = read_dem(self._write_tiles(Path(folder)))
         eye = field.frame.from_lonlat(self.lon_deg, self.lat_deg)
-        return Scene(field, at_elevation(field, *eye, _EYE_M), 320)
+        return SkylineScene(field, at_elevation(field, *eye, _EYE_M), 320)
 
-    def skyline(self, scene: Scene) -> ClosedForm:
+    def skyline(self, scene: SkylineScene) -> ClosedForm:
         """Return the skylines along geodesics."""
         eyes = scene.viewpoints
         convergence = float(scene.field.frame.convergence_deg(eyes.easting_m, eyes.northing_m)[0])
@@ -63,7 +63,7 @@ class _Country:
         tan = np.stack(rows) * np.hypot(1.0, columns_u(scene.width))
         return ClosedForm(tan, _slack_tan(scene.field.spacing_m))
 
-    def _skyline(self, azimuth_deg: Float64Array, scene: Scene) -> Float64Array:
+    def _skyline(self, azimuth_deg: Float64Array, scene: SkylineScene) -> Float64Array:
         """Return the tangent of the skyline's elevation angle at true azimuths."""
         azimuth, distance = np.broadcast_arrays(azimuth_deg[:, np.newaxis], _PROFILE_M)
         lon, lat, _ = _GEOD.fwd(

@@ -23,7 +23,7 @@ from skyline_bench.cases.closed_forms import (
     spots,
 )
 from skyline_bench.truth import oracle
-from skyline_bench.truth.agreement import Scene
+from skyline_bench.truth.agreement import SkylineScene
 
 MAX_DEPTH_WIDTH = 641
 """A depth image of W x W pixels takes long above this."""
@@ -34,15 +34,15 @@ _SHARE = np.arange(1.0, 10.0) * 7.0 / 64.0
 _LOW_AND_HIGH_M = np.tile([0.0, 2.0, 50.0], 3)
 
 
-def _eye_at_offset(row_share: float, col_share: float) -> Scene:
+def _eye_at_offset(row_share: float, col_share: float) -> SkylineScene:
     """Stand so many shares of a cell south and east of samples."""
     field = rough_field()
     row, col = spots(field, len(_SHARE))
     row, col = row + row_share * _SHARE, col + col_share * _SHARE
-    return Scene(field, eyes_at(field, row, col, _LOW_AND_HIGH_M))
+    return SkylineScene(field, eyes_at(field, row, col, _LOW_AND_HIGH_M))
 
 
-def _eye_near_edges() -> Scene:
+def _eye_near_edges() -> SkylineScene:
     """Eyes at 4 m to 0.06 mm from an edge, a diagonal or a sample, no higher than the ground."""
     field = rough_field()
     away = 2.0 ** -np.array([3.0, 5.0, 7.0, 8.0, 9.0, 10.0, 12.0, 15.0, 19.0])
@@ -50,20 +50,22 @@ def _eye_near_edges() -> Scene:
     zero = np.zeros_like(away)
     row += np.concatenate([away, 0.375 + away, away])
     col += np.concatenate([0.375 + zero, 0.375 + zero, 0.5 * away])
-    return Scene(field, eyes_at(field, row, col, 0.0))
+    return SkylineScene(field, eyes_at(field, row, col, 0.0))
 
 
-def _columns_along_diagonals(spacing_east_m: float, spacing_north_m: float, width: int) -> Scene:
+def _columns_along_diagonals(
+    spacing_east_m: float, spacing_north_m: float, width: int
+) -> SkylineScene:
     field = field_of(rough_heights(64, 96, seed=5), spacing_east_m, spacing_north_m)
     row, col = spots(field, 6)
     share = np.array([0.0, 0.0, 0.25, 0.25, 0.5, 0.75])
-    return Scene(field, eyes_at(field, row + share, col + share, 40.0), width)
+    return SkylineScene(field, eyes_at(field, row + share, col + share, 40.0), width)
 
 
 def _of_width(width: int) -> SceneCase:
-    def scene() -> Scene:
+    def scene() -> SkylineScene:
         field = rough_field()
-        return Scene(field, eyes_anywhere(field, 1, 2.0), width)
+        return SkylineScene(field, eyes_anywhere(field, 1, 2.0), width)
 
     return SceneCase(
         f"W = {width}",
@@ -98,7 +100,7 @@ GRID_CASES = (
     SceneCase(
         "eye height 0",
         "the ground underfoot rises or falls from the eye itself: 0 / 0",
-        lambda: Scene(field := rough_field(), eyes_anywhere(field, 8, 0.0)),
+        lambda: SkylineScene(field := rough_field(), eyes_anywhere(field, 8, 0.0)),
     ),
     SceneCase(
         "columns along grid lines",
@@ -118,7 +120,7 @@ GRID_CASES = (
     SceneCase(
         "samples 20 times as far apart north as east",
         "one strip of cells is crossed by a ray through twenty cells",
-        lambda: Scene(
+        lambda: SkylineScene(
             field := field_of(rough_heights(40, 400, 200.0, seed=6), 10.0, 200.0),
             eyes_anywhere(field, 3, 2.0),
         ),
@@ -130,15 +132,15 @@ GRID_CASES = (
 # --- steep, near and high -------------------------------------------------------------------
 
 
-def _pyramid() -> Scene:
+def _pyramid() -> SkylineScene:
     """Return the summit of |east| + |north| pyramid: flat faces that fold along grid lines."""
     steps = np.abs(np.arange(-64.0, 65.0))
     heights = 4000.0 - 16.0 * (steps[:, np.newaxis] + steps)
     field = field_of(heights)
-    return Scene(field, eyes_at(field, [64.0] * 3, [64.0] * 3, [0.5, 2.0, 100.0]), 641, FLAT)
+    return SkylineScene(field, eyes_at(field, [64.0] * 3, [64.0] * 3, [0.5, 2.0, 100.0]), 641, FLAT)
 
 
-def _pyramid_skyline(scene: Scene) -> ClosedForm:
+def _pyramid_skyline(scene: SkylineScene) -> ClosedForm:
     # y(z) = -h - slope z (1 + |u|), so v is greatest where the data ends, 64 cells ahead.
     u = np.abs(columns_u(scene.width))
     eyes = scene.viewpoints
@@ -151,15 +153,15 @@ def _pyramid_skyline(scene: Scene) -> ClosedForm:
 _PIT_CELLS, _PIT_SPACING_M = 1, 16.0
 
 
-def _pit(depth_m: float) -> Scene:
+def _pit(depth_m: float) -> SkylineScene:
     """Return a square pit with one-cell walls, one cell from its middle to the foot."""
     steps = np.abs(np.arange(-40, 41))
     floor = np.maximum(steps[:, np.newaxis], steps) <= _PIT_CELLS
     field = field_of(np.where(floor, 0.0, depth_m), _PIT_SPACING_M)
-    return Scene(field, eyes_at(field, [40.0], [40.0], 2.0), 640, FLAT)
+    return SkylineScene(field, eyes_at(field, [40.0], [40.0], 2.0), 640, FLAT)
 
 
-def _pit_skyline(scene: Scene) -> ClosedForm:
+def _pit_skyline(scene: SkylineScene) -> ClosedForm:
     # The rim is a square 2 cells out, but in the corners to the north-east and south-west the
     # split cuts across it, from (1, 2) to (2, 1): a line at east + north = 3 cells.
     north = np.where(
@@ -172,16 +174,16 @@ def _pit_skyline(scene: Scene) -> ClosedForm:
     return ClosedForm(rise / depth)
 
 
-def _below_a_crest(slope: float) -> Scene:
+def _below_a_crest(slope: float) -> SkylineScene:
     """Stand with the eye on a slope to the north, 1 mm (2^-10 m) below the crest."""
     spacing = 4.0
     profile = -slope * spacing * np.abs(np.arange(41.0) - 16.0)
     field = field_of(np.broadcast_to(profile[:, np.newaxis], (41, 41)), spacing)
     off = 2.0**-10 / spacing
-    return Scene(field, eyes_at(field, [16.0 + off] * 2, [20.25, 20.0], 0.0), 640, FLAT)
+    return SkylineScene(field, eyes_at(field, [16.0 + off] * 2, [20.25, 20.0], 0.0), 640, FLAT)
 
 
-def _slope_skyline(scene: Scene) -> ClosedForm:
+def _slope_skyline(scene: SkylineScene) -> ClosedForm:
     """Return the eye's own slope: uphill to the crest a millimetre away, downhill for ever."""
     field = scene.field
     slope = float(field.heights_m[16, 0] - field.heights_m[17, 0]) / field.spacing_north_m
@@ -189,34 +191,36 @@ def _slope_skyline(scene: Scene) -> ClosedForm:
     return ClosedForm(np.tile(np.stack(tan), (len(scene.viewpoints), 1)))
 
 
-def _at_a_wall() -> Scene:
+def _at_a_wall() -> SkylineScene:
     """Stand 1 mm (2^-10 m) before the foot of a 60 m wall in one cell of half a metre."""
     heights = np.zeros((64, 64))
     heights[:20] = 60.0
     field = field_of(heights, 0.5)
     off = 2.0**-10 / 0.5
-    return Scene(field, eyes_at(field, [20.0 + off] * 3, [30.25] * 3, [0.0, 0.125, 2.0]), 640, FLAT)
+    return SkylineScene(
+        field, eyes_at(field, [20.0 + off] * 3, [30.25] * 3, [0.0, 0.125, 2.0]), 640, FLAT
+    )
 
 
-def _cliff() -> Scene:
+def _cliff() -> SkylineScene:
     heights = rough_heights(96, 96, 200.0, seed=8)
     heights[:40] += 3000.0
     field = field_of(heights)
     # At the foot, halfway up the face, on the brink, and back in the plain.
     row = np.array([40.25, 39.5, 38.96875, 78.0])
-    return Scene(field, eyes_at(field, row, [50.125, 49.25, 48.5, 47.0], 2.0))
+    return SkylineScene(field, eyes_at(field, row, [50.125, 49.25, 48.5, 47.0], 2.0))
 
 
-def _spike() -> Scene:
+def _spike() -> SkylineScene:
     heights = np.full((80, 80), 300.0)
     heights[40, 40] = 400.0
     field = field_of(heights)
     # On its tip, on its flank, a cell away and half the map away, with the tip between columns.
     row, col = [40.0, 40.25, 41.0, 70.3125], [40.0, 40.125, 40.0, 60.5625]
-    return Scene(field, eyes_at(field, row, col, [2.0, 0.0, 2.0, 2.0]), 640)
+    return SkylineScene(field, eyes_at(field, row, col, [2.0, 0.0, 2.0, 2.0]), 640)
 
 
-def _near_and_far() -> Scene:
+def _near_and_far() -> SkylineScene:
     """One view with an edge at 0.1 m and a summit at 250 km."""
     spacing = 250.0
     heights = np.full((1030, 41), -400.0)
@@ -225,12 +229,12 @@ def _near_and_far() -> Scene:
     heights[10:14] = 9000.0
     field = field_of(heights, spacing)
     row = 1010.0 + 0.1 / spacing
-    return Scene(field, eyes_at(field, [row] * 2, [20.0, 20.0], [0.0, 0.005]), 641)
+    return SkylineScene(field, eyes_at(field, [row] * 2, [20.0, 20.0], [0.0, 0.005]), 641)
 
 
-def _long() -> Scene:
+def _long() -> SkylineScene:
     field = field_of(rough_heights(10_001, 6, 100.0, seed=9), 8.0)
-    return Scene(field, eyes_at(field, [9998.7, 5000.0], [2.3, 3.0], 60.0), 16)
+    return SkylineScene(field, eyes_at(field, [9998.7, 5000.0], [2.3, 3.0], 60.0), 16)
 
 
 STEEP_CASES = (
@@ -292,14 +296,14 @@ MARS_RADIUS_M = 3_389_500.0
 _PLAIN_SPACING_M, _PLAIN_HALF = 100.0, 128
 
 
-def _plain(*eye_heights_m: float) -> Scene:
+def _plain(*eye_heights_m: float) -> SkylineScene:
     """Stand in the middle of a plain of 25.6 km."""
     field = field_of(np.zeros((2 * _PLAIN_HALF + 1,) * 2), _PLAIN_SPACING_M)
     middle = [float(_PLAIN_HALF)] * len(eye_heights_m)
-    return Scene(field, eyes_at(field, middle, middle, eye_heights_m))
+    return SkylineScene(field, eyes_at(field, middle, middle, eye_heights_m))
 
 
-def _plain_skyline(scene: Scene) -> ClosedForm:
+def _plain_skyline(scene: SkylineScene) -> ClosedForm:
     """Return the dip of the horizon, or of the data's end where that is nearer."""
     eye_height = np.repeat(scene.viewpoints.eye_elevation_m, len(HEADINGS))[:, np.newaxis]
     drop = scene.curvature.drop_per_m2 * (1.0 + columns_u(scene.width) ** 2)
@@ -314,13 +318,13 @@ def _plain_skyline(scene: Scene) -> ClosedForm:
     return ClosedForm(-eye_height / depth - drop * depth, float((hang + off) / depth.min()))
 
 
-def _constant(eye_height_m: float) -> Scene:
+def _constant(eye_height_m: float) -> SkylineScene:
     field = field_of(np.full((37, 53), 1234.5), 16.0)
     row, col = [18.0, 9.25, 3.0], [26.0, 17.5, 49.125]
-    return Scene(field, eyes_at(field, row, col, eye_height_m), curvature=FLAT)
+    return SkylineScene(field, eyes_at(field, row, col, eye_height_m), curvature=FLAT)
 
 
-def _constant_skyline(scene: Scene) -> ClosedForm:
+def _constant_skyline(scene: SkylineScene) -> ClosedForm:
     """Return v = -h / z with z where each column leaves the map."""
     west, south, east, north = scene.field.bounds_m
     eyes = scene.viewpoints
@@ -365,9 +369,9 @@ PLAIN_CASES = (
 # --- planets --------------------------------------------------------------------------------
 
 
-def _planet(curvature: Curvature) -> Scene:
+def _planet(curvature: Curvature) -> SkylineScene:
     field = field_of(rough_heights(400, 400, 1500.0, seed=11), 128.0)
-    return Scene(field, eyes_anywhere(field, 2, 10.0), curvature=curvature)
+    return SkylineScene(field, eyes_anywhere(field, 2, 10.0), curvature=curvature)
 
 
 PLANET_CASES = tuple(
@@ -397,20 +401,20 @@ def _holed_heights() -> Float64Array:
     return heights
 
 
-def _beside_voids() -> Scene:
+def _beside_voids() -> SkylineScene:
     field = field_of(_holed_heights())
     # On rims, at corners of voids, inside half cells, between the two voids, south of the spikes.
     row = [29.0, 40.0, 29.25, 40.25, 60.0, 60.75, 72.5, 74.5, 22.375]
     col = [55.0, 49.0, 59.75, 60.5, 41.0, 39.25, 30.5, 18.0, 20.5]
-    return Scene(field, eyes_at(field, row, col, 1.0))
+    return SkylineScene(field, eyes_at(field, row, col, 1.0))
 
 
-def _void_ahead() -> Scene:
+def _void_ahead() -> SkylineScene:
     """Stand on the southern rim of a void that fills the north, and north-east of one."""
     heights = rough_heights(64, 64, seed=13)
     heights[:31] = np.nan
     field = field_of(heights)
-    return Scene(field, eyes_at(field, [31.0, 31.0, 63.0], [20.0, 40.375, 20.5], 5.0))
+    return SkylineScene(field, eyes_at(field, [31.0, 31.0, 63.0], [20.0, 40.375, 20.5], 5.0))
 
 
 HOLE_CASES = (
@@ -429,11 +433,11 @@ HOLE_CASES = (
 # --- tiny grids -----------------------------------------------------------------------------
 
 
-def _tiny(rows: int, cols: int) -> Scene:
+def _tiny(rows: int, cols: int) -> SkylineScene:
     field = field_of(rough_heights(max(rows, 2), max(cols, 2), 20.0, seed=14)[:rows, :cols])
     row = np.array([0.25, 0.0, 0.625]) * (rows - 1)
     col = np.array([0.75, 0.0, 0.125]) * (cols - 1)
-    return Scene(field, eyes_at(field, row, col, [2.0, 0.0, 0.5]), 65)
+    return SkylineScene(field, eyes_at(field, row, col, [2.0, 0.0, 0.5]), 65)
 
 
 TINY_CASES = tuple(
@@ -450,14 +454,14 @@ TINY_CASES = tuple(
 # --- large coordinates ----------------------------------------------------------------------
 
 
-def _far_from_origin() -> Scene:
+def _far_from_origin() -> SkylineScene:
     """Stand in a field of half-metre samples at an easting and a northing of 10,000 km."""
     heights = rough_heights(96, 96, 12.0, seed=15) + 7000.0
     field = field_of(heights, 0.5, west_m=1e7, north_m=1e7)
-    return Scene(field, eyes_anywhere(field, 4, [0.0, 0.25, 1.75, 20.0]))
+    return SkylineScene(field, eyes_anywhere(field, 4, [0.0, 0.25, 1.75, 20.0]))
 
 
-def _same_at_origin(scene: Scene) -> ClosedForm:
+def _same_at_origin(scene: SkylineScene) -> ClosedForm:
     """Return the oracle's skylines of the same place, moved to the origin."""
     moved = replace(scene.field, west_m=0.0, north_m=0.0)
     eyes = scene.viewpoints
@@ -477,7 +481,7 @@ LARGE_CASES = (
     SceneCase(
         "heights over 8 km above the datum",
         "32-bit heights less a 32-bit eye: half a millimetre lost",
-        lambda: Scene(
+        lambda: SkylineScene(
             field := field_of(rough_field(16).heights_m.astype(np.float64) / 64.0 + 8800.0, 2.0),
             eyes_anywhere(field, 4, [0.0, 0.0, 0.1, 2.0]),
         ),

@@ -24,7 +24,7 @@ from skyline_bench.cases.closed_forms import (
 from skyline_bench.cases.frames import FRAME_CASES
 from skyline_bench.cases.scenes import GRID_CASES, STEEP_CASES, WIDE_CASES
 from skyline_bench.measuring.record import Row
-from skyline_bench.truth.agreement import Agreement, RenderPath, Scene, Truth
+from skyline_bench.truth.agreement import Agreement, RenderPath, SkylineScene, SkylineTruth
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class SameCase:
 def _repeated(parts: Sequence[int], path: RenderPath, quick: bool) -> Agreement:
     """Compare a batch with the same cut into parts; a column with other bytes is wrong by inf."""
     field = rough_field(17)
-    scene = Scene(field, eyes_anywhere(field, 40, np.tile([0.0, 2.0], 20)), 160)
+    scene = SkylineScene(field, eyes_anywhere(field, 40, np.tile([0.0, 2.0], 20)), 160)
     cuts = [0, *parts[: 2 if quick else None], len(scene.viewpoints)]
     with path.factory(scene.field, scene.width, scene.curvature) as renderer:
         once = renderer.render(scene.viewpoints)
@@ -77,7 +77,9 @@ _WAYS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1)])
 """Steps along rows and columns of north, east, south and west."""
 
 
-def _turned(stood: Callable[[], Scene], turn: Turn, path: RenderPath, quick: bool) -> Agreement:
+def _turned(
+    stood: Callable[[], SkylineScene], turn: Turn, path: RenderPath, quick: bool
+) -> Agreement:
     """Compare terrain and its turned copy: each rendering may be off by the path's bound.
 
     A half turn and a transposition keep the cells' diagonals; a quarter turn and a mirror do
@@ -86,11 +88,11 @@ def _turned(stood: Callable[[], Scene], turn: Turn, path: RenderPath, quick: boo
     scene = stood().first(2) if quick else stood()
     turned = turned_scene(scene, turn)
     expected = turned_views(path.render(scene), turn)
-    agreement = path.agreement(turned, path.render(turned), Truth(expected))
+    agreement = path.agreement(turned, path.render(turned), SkylineTruth(expected))
     return replace(agreement, bound_px=2.0 * agreement.bound_px)
 
 
-def turned_scene(scene: Scene, turn: Turn) -> Scene:
+def turned_scene(scene: SkylineScene, turn: Turn) -> SkylineScene:
     """Turn a field and the eyes on it; its north-west sample stays where one was."""
     field, eyes = scene.field, scene.viewpoints
     spacings_m, heights = (field.spacing_east_m, field.spacing_north_m), field.heights_m
@@ -120,20 +122,20 @@ def turned_views(views: Views, turn: Turn) -> Views:
     )
 
 
-def _split_terrain() -> Scene:
+def _split_terrain() -> SkylineScene:
     """Stand on terrain whose cells are bent along their diagonals, with holes."""
     heights = rough_heights(80, 112, seed=18)
     heights[20:26, 30:50] = np.nan
     field = field_of(heights, 32.0, 24.0)
-    return Scene(field, _dyadic_eyes(field))
+    return SkylineScene(field, _dyadic_eyes(field))
 
 
-def _flat_celled() -> Scene:
+def _flat_celled() -> SkylineScene:
     """Stand on terrain of flat cells: height = a(row) + b(col)."""
     a, b = rough_heights(2, 160, 600.0, seed=19)
     # Whole metres add up exactly in 32 bits, so no cell is bent by rounding.
     field = field_of(np.round(a[:80, np.newaxis]) + np.round(b[:112]), 32.0, 24.0)
-    return Scene(field, _dyadic_eyes(field))
+    return SkylineScene(field, _dyadic_eyes(field))
 
 
 def _dyadic_eyes(field: HeightField) -> Viewpoints:

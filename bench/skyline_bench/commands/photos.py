@@ -13,12 +13,12 @@ from skyline.console import progress_bar
 from skyline.pipeline.jobs import Progress
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands import options
-from skyline_bench.figures.photographs import PhotographsPage, save_match
+from skyline_bench.figures.photo_pages import PhotographsPage, save_match
 from skyline_bench.measuring.record import write_record
 from skyline_bench.queries.manifest import EXTRACT, KINDS, Photograph, read_manifest
 from skyline_bench.runs import sky_masks as masks
 from skyline_bench.runs.photographs import Measured, PhotosConfig, Shown, measure, summarize
-from skyline_bench.training.photographs import draw_training_photos
+from skyline_bench.training.training_photos import draw_training_photos
 
 _PHOTOS = PhotosConfig()
 _PHOTO_COLUMNS = """photo kind trusted right_columns=right error_m rank

@@ -25,7 +25,7 @@ from skyline.terrain.viewpoints import stand_on
 from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.served import ServedPage, browser, served_page
-from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 
 _BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)

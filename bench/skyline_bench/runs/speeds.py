@@ -30,7 +30,7 @@ from skyline_bench.cases.closed_forms import fractal
 from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import in_turns, peak_bytes
-from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.runs.speed_error import central_viewpoints
 from skyline_bench.truth import oracle

@@ -57,7 +57,7 @@ _NEAREST_M, _FARTHEST_M = 40.0, 38_000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Landscape:
+class DrawnLandscape:
     """Ground before any sky, (H, W)."""
 
     rgb: Float32Array  # (H, W, 3)
@@ -124,7 +124,7 @@ def draw_landscape(
     height: int,
     haze_rgb: NDArray[np.float32],
     family: int,
-) -> Landscape:
+) -> DrawnLandscape:
     """Draw what lies below the skyline, in relief that a family of photographs shares."""
     field, (texture, fine) = draw_heights(rng, family), _noises(family)[3:]
     fov = np.radians(rng.uniform(22.0, 85.0))
@@ -188,7 +188,7 @@ def draw_landscape(
     # What is farthest keeps a trace of itself, or there would be no skyline.
     left = np.maximum(left, rng.choice([0.04, 0.08, 0.15]))[:, :, np.newaxis]
     rgb = left * rgb + (1.0 - left) * haze_rgb
-    return Landscape(np.asarray(rgb, dtype=np.float32), is_ground, row_px)
+    return DrawnLandscape(np.asarray(rgb, dtype=np.float32), is_ground, row_px)
 
 
 def _tint(rng: np.random.Generator, rgb: tuple[float, float, float], spread: float) -> Float32Array:

@@ -35,7 +35,7 @@ _NEAR_PX = 0.008
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class SkylineScene:
     """What is rendered: eyes on a surface, W columns a view, the planet below."""
 
     field: HeightField
@@ -43,13 +43,13 @@ class Scene:
     width: int = DEFAULT_WIDTH
     curvature: Curvature = dataclasses.field(default_factory=Curvature)
 
-    def first(self, count: int) -> "Scene":
+    def first(self, count: int) -> "SkylineScene":
         """Return the scene with its first viewpoints only."""
         return replace(self, viewpoints=self.viewpoints[:count])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
+class SkylineTruth:
     """What the skylines of a scene should be."""
 
     views: Views  # float64
@@ -58,9 +58,9 @@ class Truth:
     slack_px: float = 0.0
 
 
-def oracle_truth(scene: Scene) -> Truth:
+def oracle_truth(scene: SkylineScene) -> SkylineTruth:
     """Return the oracle's skylines of a scene."""
-    return Truth(oracle.skyline(scene.field, scene.viewpoints, scene.width, scene.curvature))
+    return SkylineTruth(oracle.skyline(scene.field, scene.viewpoints, scene.width, scene.curvature))
 
 
 Renderers = Callable[[HeightField, int, Curvature | None], AbstractContextManager[Any]]
@@ -89,16 +89,16 @@ class RenderPath:
     name: str
     factory: Renderers
     # Compares rendered views of a scene with the truth.
-    agreement: Callable[[Scene, Views, Truth], Agreement]
+    agreement: Callable[[SkylineScene, Views, SkylineTruth], Agreement]
 
-    def render(self, scene: Scene) -> Views:
+    def render(self, scene: SkylineScene) -> Views:
         """Render a scene with a renderer of its own."""
         with self.factory(scene.field, scene.width, scene.curvature) as renderer:
             views: Views = renderer.render(scene.viewpoints)
             return views
 
 
-def exact_agreement(scene: Scene, views: Views, truth: Truth) -> Agreement:
+def exact_agreement(scene: SkylineScene, views: Views, truth: SkylineTruth) -> Agreement:
     """Compare skylines computed exactly but for 32-bit arithmetic: the horizon path's promise.
 
     Flags must be the oracle's too, except where those floats cannot decide them
@@ -118,7 +118,7 @@ def exact_agreement(scene: Scene, views: Views, truth: Truth) -> Agreement:
     return Agreement(error, bound, agree)
 
 
-def quantized_agreement(scene: Scene, views: Views, truth: Truth) -> Agreement:
+def quantized_agreement(scene: SkylineScene, views: Views, truth: SkylineTruth) -> Agreement:
     """Compare skylines read from depth images: the depth path's promise.
 
     Nothing is promised outside the image, and behind a hole, where a sliver of the surface
@@ -148,7 +148,7 @@ def _steepness(views: Views) -> Float64Array:
     return np.asarray(np.maximum(steps[:, 1:], steps[:, :-1]), dtype=np.float64)
 
 
-def float32_bound_px(scene: Scene, views: Views, truth: Views) -> Float64Array:
+def float32_bound_px(scene: SkylineScene, views: Views, truth: Views) -> Float64Array:
     """Return what 32-bit arithmetic may cost in each column, (N, W), in px.
 
     A crossing's ordinate is v = y / z with y = (1 - f) h0 + f h1 - drop, heights from the eye,
@@ -194,7 +194,9 @@ def greatest_step_m(field: HeightField) -> float:
     return max(float(np.nanmax(np.abs(np.append(step, 0.0)))) for step in (*steps, diagonals))
 
 
-def undecided_columns(scene: Scene, bound_px: Float64Array) -> tuple[BoolArray, Float64Array]:
+def undecided_columns(
+    scene: SkylineScene, bound_px: Float64Array
+) -> tuple[BoolArray, Float64Array]:
     """Find the columns whose flags 32-bit floats cannot decide.
 
     Where a ray passes a sample is known to `_ASIDE` of its depth. Whether it passes left or right
@@ -221,7 +223,7 @@ def undecided_columns(scene: Scene, bound_px: Float64Array) -> tuple[BoolArray, 
     return passes_rim | (lead_px <= 2.0 * bound_px), np.asarray(spread_px, dtype=np.float64)
 
 
-def _columns_past_rims(scene: Scene) -> BoolArray:
+def _columns_past_rims(scene: SkylineScene) -> BoolArray:
     """Return (N, W): whether a column's ray passes a sample where the surface ends."""
     field, eyes, u = scene.field, scene.viewpoints, columns_u(scene.width)
     rims = Triangles.of(field.heights_m).rims()

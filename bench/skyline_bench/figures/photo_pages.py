@@ -15,7 +15,7 @@ from skyline.report.html import Page, Part, Picture, Section, Table
 from skyline.report.overlay import Overlay
 from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import shown
-from skyline_bench.queries.photographs import photograph
+from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 from skyline_bench.runs.photographs import Measured
 

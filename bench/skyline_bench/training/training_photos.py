@@ -19,7 +19,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.drawn_photos import CONDITIONS, draw_recipe
-from skyline_bench.queries.photographs import Scenery, draw_photo
+from skyline_bench.queries.made_photos import Scenery, draw_photo
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_bench.training.landscapes import (
     CELL_M,
