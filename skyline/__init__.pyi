@@ -28,8 +28,7 @@ from .pipeline.labelled_panorama import PanoramaConfig, save_panorama
 from .pipeline.match import Matcher
 from .pipeline.renderings import render_views
 from .pipeline.reports import report_matches
-from .pipeline.results import JointResult, MatchResult
-from .pipeline.tables import to_geodataframe
+from .pipeline.results import JointResult, MatchResult, to_geodataframe
 from .pipeline.viewer import SeenPeak, Sight, Viewer
 from .places import Places
 from .render.thread import RenderThread
