@@ -92,7 +92,13 @@ class Ranker(Protocol):
 
 
 class ProfileRanker(Ranker):
-    """A matcher of renderings, which fits one pose at every location."""
+    """A matcher of renderings, which fits one pose at every location.
+
+    `Profiles.y` (L, B) has the tangents of elevation angles at grid azimuths 360 b / B degrees, NaN
+    where nothing is known. `QueryCurves.of` gives a query's likewise, with bin B / 2 straight
+    ahead. So a query whose bin i lies over bin i + s of a profile looks along 180 + 360 s / B
+    degrees.
+    """
 
     profiles: Profiles
 
@@ -106,7 +112,10 @@ class ProfileRanker(Ranker):
 
     @abstractmethod
     def fit(self, query: QueryRays) -> Fits:
-        """Return the best pose at every location; the score is infinite where nothing fits."""
+        """Return the best pose at every location.
+
+        Lower scores are better. A location with an infinite score is left out.
+        """
 
     def rank(
         self,

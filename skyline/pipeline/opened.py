@@ -104,7 +104,7 @@ def terrain_at_hand(header: StoreHeader, otherwise: str) -> HeightField | None:
     """
     if not header.dem_files:
         _log.warning(
-            "%s: the store was built from heights that came from no file; give them as `dem`",
+            "%s: the store was built from heights that came from no file; give the DEM (--dem)",
             otherwise,
         )
         return None
