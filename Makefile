@@ -6,9 +6,9 @@ IN_VENV := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
 # The longest first.
 TESTS := tests/cli tests/gl tests/bench tests/unit tests/web
-# Tests use a core for the most part, and wait now and then: three folders run at once on two cores,
+# Tests use a core for the most part, and wait now and then: four folders run at once on two cores,
 # and each says at its end what it found.
-AT_ONCE := --jobs=3 --output-sync --keep-going --no-print-directory
+AT_ONCE := --jobs=4 --output-sync --keep-going --no-print-directory
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test test-all $(TESTS) check docs bench clean

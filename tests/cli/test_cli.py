@@ -276,6 +276,7 @@ def test_a_group_without_a_command_prints_its_help_alone(run, group):
     assert "error:" not in done.err
 
 
+@pytest.mark.slow
 def test_examples_run(dem, store, photo, viewpoints_csv, tmp_path):
     bin_folder = Path(sys.executable).parent
     environment = {"PATH": f"{bin_folder}:/usr/bin:/bin"}

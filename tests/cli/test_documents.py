@@ -368,6 +368,7 @@ def test_the_api_pages_show_every_public_name_once():
     assert sorted(named) == sorted(skyline.__all__)
 
 
+@pytest.mark.slow
 def test_a_broken_link_or_anchor_stops_the_site_and_nothing_else_does(tmp_path):
     for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "mkdocs.yml", "Makefile"):
         shutil.copy(ROOT / name, tmp_path)

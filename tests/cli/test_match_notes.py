@@ -73,7 +73,7 @@ def test_a_photo_s_own_claim_is_shown(run, store, dem, photo, tmp_path):
     assert "exif" not in json.loads(run("match", store, photo, "--fov-deg", "60", "--json").out)
 
 
-@pytest.mark.parametrize("workers", [(), ("--workers", "1")])
+@pytest.mark.parametrize("workers", [(), pytest.param(("--workers", "1"), marks=pytest.mark.slow)])
 def test_a_wrong_claim_does_not_hide_the_right_place(run, store, dem, photo, tmp_path, workers):
     right, beside = (601_800.0, 5_178_000.0), (601_000.0, 5_179_000.0)
     claims = [
