@@ -67,7 +67,12 @@ def test_damaged_files_are_answered_or_refused(run_bench, tmp_path):
         (("summits", "DEM", "--quick"), 1, "summits_off"),
         (("large-dem", "--samples", 300, "--viewpoints", 4), 1, "seconds"),
         (("retrieval-scale", "STORE", "DEM", "--places", 700, "--queries", 3), 2, "screen_s"),
-        (("strangers", "STORE", "DEM", "--strange", "DEM", "--queries", 2), 1, "query_ms"),
+        pytest.param(
+            ("strangers", "STORE", "DEM", "--strange", "DEM", "--queries", 2),
+            1,
+            "query_ms",
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )

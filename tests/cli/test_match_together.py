@@ -28,6 +28,7 @@ def photos_of_one_place(dem, photo, tmp_path_factory):
     return [photo, *(folder / name for name in looks)]
 
 
+@pytest.mark.slow
 def test_photos_of_one_place_are_matched_together(run, store, photos_of_one_place, tmp_path):
     first, second, stranger = photos_of_one_place
     points, broken = tmp_path / "points.geojson", tmp_path / "broken.jpg"
