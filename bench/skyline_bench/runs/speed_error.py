@@ -56,14 +56,22 @@ class SpeedErrorConfig:
     slow_viewpoints: int = 2
     # How many of the batch, drawn with ``seed``, are compared with the oracle.
     compared_viewpoints: int = 24
-    repeats: int = 5  # Timed rounds
+    # And of those for the depth path, which takes seconds for one.
+    slow_compared_viewpoints: int = 8
+    repeats: int = 3  # Timed rounds
     seed: int = 0
     curvature: Curvature = field(default_factory=Curvature)
 
     def __post_init__(self) -> None:
         for width in (self.width, *self.depth_widths):
             check_width(width)
-        for name in ("viewpoints", "slow_viewpoints", "compared_viewpoints", "repeats"):
+        for name in (
+            "viewpoints",
+            "slow_viewpoints",
+            "compared_viewpoints",
+            "slow_compared_viewpoints",
+            "repeats",
+        ):
             if getattr(self, name) < 1:
                 raise InputError(f"{name} is {getattr(self, name)}; expected 1 or more")
         if not (np.isfinite(self.spacing_m) and self.spacing_m > 0.0):
@@ -81,6 +89,7 @@ class SpeedErrorConfig:
             viewpoints=min(self.viewpoints, 64),
             slow_viewpoints=2,
             compared_viewpoints=4,
+            slow_compared_viewpoints=2,
             repeats=2,
         )
 
@@ -93,6 +102,7 @@ class _Contender:
     width: int
     setting: str
     viewpoints: Viewpoints
+    compared: Viewpoints
     render: _Render
     first_s: float  # From nothing to the first viewpoint's answer
     details: Row = field(default_factory=dict)
@@ -126,12 +136,13 @@ def measure(
 
     with ExitStack() as held:
         contenders = list(_contenders(terrain, batch, compared, config, held))
-        truths: dict[int, Views] = {}
+        truths: dict[tuple[int, int], Views] = {}
         errors = []
-        for contender in contenders:
-            if contender.width not in truths:
-                truths[contender.width] = _oracle(terrain, config, contender.width)(compared)
-            errors.append(compare(contender.render(compared), truths[contender.width]))
+        for one in contenders:
+            key = one.width, len(one.compared)
+            if key not in truths:
+                truths[key] = _oracle(terrain, config, one.width)(one.compared)
+            errors.append(compare(one.render(one.compared), truths[key]))
             tick()
         batch_work = [partial(one.render, one.viewpoints) for one in contenders]
         one_work = [partial(one.render, compared[:1]) for one in contenders]
@@ -150,7 +161,7 @@ def measure(
             "ms_alone": 1e3 * alone_time.seconds,
             "first_s": one.first_s,
             "timed_viewpoints": len(one.viewpoints),
-            "compared_viewpoints": len(compared),
+            "compared_viewpoints": len(one.compared),
             **one.details,
         }
         for one, error, batch_time, alone_time in zip(
@@ -162,12 +173,13 @@ def measure(
 def _contenders(
     terrain: HeightField,
     batch: Viewpoints,
-    few: Viewpoints,
+    compared: Viewpoints,
     config: SpeedErrorConfig,
     held: ExitStack,
 ) -> Iterator[_Contender]:
     """Yield everything that is compared; what holds resources is entered into ``held``."""
-    few, width, curvature = few[: config.slow_viewpoints], config.width, config.curvature
+    few, width, curvature = compared[: config.slow_viewpoints], config.width, config.curvature
+    some = compared[: config.slow_compared_viewpoints]
 
     def first(make: Callable[[], AbstractContextManager[Any]]) -> tuple[_Render, float]:
         started = time.perf_counter()
@@ -177,11 +189,11 @@ def _contenders(
 
     for columns in config.depth_widths:
         made = first(partial(DepthRenderer, terrain, columns, curvature))
-        yield _Contender("depth", columns, f"W = {columns}", few, *made)
+        yield _Contender("depth", columns, f"W = {columns}", few, some, *made)
     for tolerance_px in config.tolerances_px:
         made = first(partial(HorizonRenderer, terrain, width, curvature, tolerance_px))
         setting, details = f"{tolerance_px:g} px", {"tolerance_px": tolerance_px}
-        yield _Contender("horizon", width, setting, batch, *made, details)
+        yield _Contender("horizon", width, setting, batch, compared, *made, details)
     if is_installed():
         started = time.perf_counter()
         peer = EmbreePeer(terrain, width, curvature)
@@ -191,13 +203,14 @@ def _contenders(
             setting = f"{bisection.start} {bisection.depth}"
             render = partial(peer.render, bisection=bisection)
             how = {"start": bisection.start, "bisections": bisection.depth}
-            yield _Contender("embree", width, setting, batch, render, first_s, how)
+            yield _Contender("embree", width, setting, batch, compared, render, first_s, how)
     else:
         _log.warning("Embree is left out; to have it measured: pip install 'skyline-bench[peers]'")
     started = time.perf_counter()
     exact = _oracle(terrain, config, width)
     exact(few[:1])
-    yield _Contender("oracle", width, "exact", few, exact, time.perf_counter() - started)
+    first_s = time.perf_counter() - started
+    yield _Contender("oracle", width, "exact", few, some, exact, first_s)
 
 
 def _oracle(terrain: HeightField, config: SpeedErrorConfig, width: int) -> _Render:
