@@ -8,8 +8,8 @@ from skyline_bench.commands import matching, photos, skylines, stores
 
 COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Skylines": {
-        skylines.speed_error: "10 minutes",
-        skylines.stability: "5 minutes",
+        skylines.speed_error: "8 minutes",
+        skylines.stability: "a minute",
         skylines.place_speed: "a minute",
         skylines.horizon: "3 minutes",
         skylines.summits: "a minute",
@@ -20,11 +20,11 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Builds, stores and files": {
         stores.sharded_build: "an hour",
         stores.store_durability: "an hour",
-        stores.input_fuzz: "2 minutes",
+        stores.input_fuzz: "a minute",
     },
     "Search": {
         matching.matching: "hours",
-        matching.uniform_adaptive: "hours",
+        matching.uniform_adaptive: "an hour",
         matching.scale: "hours",
         matching.placing: "an hour",
         matching.retrieval_scale: "5 minutes",

@@ -105,7 +105,7 @@ def uniform_adaptive(
     ] = Spacing().candidate_m,
     matcher: Matcher = None,
     kind: Annotated[str, Option(help=f"Of queries, of {', '.join(KINDS)}.")] = PLAIN,
-    queries: Annotated[int, Option(help="Queries, at least 3.")] = 300,
+    queries: Annotated[int, Option(help="Queries, at least 3.")] = 100,
     workers: Annotated[
         int, Option(metavar="N", help="Processes at work.", show_default="one a core")
     ] = core_count(),
@@ -121,8 +121,7 @@ def uniform_adaptive(
     Errors are metres between where a query was taken and the best candidate; their means by how
     far the query's skyline is. The paper's matcher and correlation compare the renderings that
     were planned; ours searches whole places at their viewpoints, each of which counts as four. A
-    query without any candidate counts as wrong by half of the
-    area's diagonal.
+    query without any candidate counts as wrong by half of the area's diagonal.
     """
     grids = tuple(spacing or _MATCHING.spacings_m)
     apart = replace(Spacing(), candidate_m=candidate_spacing)
