@@ -24,7 +24,7 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     },
     "Search": {
         matching.matching: "hours",
-        matching.uniform_adaptive: "an hour",
+        matching.uniform_adaptive: "25 minutes",
         matching.scale: "hours",
         matching.placing: "an hour",
         matching.retrieval_scale: "5 minutes",
