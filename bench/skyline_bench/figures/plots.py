@@ -242,7 +242,7 @@ def save_speed_error(rows: Sequence[Row], machine: Row, path: Path) -> None:
             if row["path"] == "oracle":
                 label = "oracle (error 0)"
                 axis.axvline(row["ms_per_viewpoint"], color="black", linestyle=":", label=label)
-        axis.set(xscale="log", yscale="log", xlim=(min(times_ms) / 2.5, max(times_ms) * 4.0))
+        axis.set(xscale="log", yscale="log", xlim=(min(times_ms) / 4.0, max(times_ms) * 4.0))
         axis.set_xlabel("ms per viewpoint (four views), all cores")
         axis.set_ylabel(f"{name} against the oracle (px of W = 640)")
         axis.margins(y=0.1)
