@@ -10,7 +10,6 @@ from skyline.web.photos import is_guess
 
 _MAX_STROKES = 2000
 _MAX_POINTS = 20_000
-_SLIDER_STEP_DEG = 0.5
 _RANGES = {
     "lon": (-180.0, 180.0), "lat": (-90.0, 90.0), "km": (0.01, 20_000.0),
     "deg": (-360.0, 720.0), "slack": (0.1, 180.0), "low": (-500.0, 9000.0),
@@ -64,18 +63,10 @@ def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:
 
 
 def query_of(asked: Mapping[str, Any], query: QuerySkyline) -> QuerySkyline:
-    """Return a skyline with the field of view that is asked for; null is not known.
-
-    What the page's slider makes of the file's own field of view is the file's own, and as uncertain
-    as that.
-    """
+    """Return a skyline with the field of view that is asked for; null is not known."""
     if asked.get("fov") is None:
         return query if is_guess(query) else replace(query, fov_deg=None, lens=None)
-    fov_deg = number(asked, "fov")
-    own_deg = None if is_guess(query) else query.fov_deg
-    if own_deg is not None and abs(fov_deg - own_deg) <= _SLIDER_STEP_DEG / 2.0:
-        return query
-    return query.with_fov(fov_deg)
+    return query.with_fov(number(asked, "fov"))
 
 
 def pose_of(asked: Any, viewer: Viewer) -> Candidate:
