@@ -66,10 +66,16 @@ def browser_starts():
     return shutil.which("chromium") is not None and shutil.which("chromedriver") is not None
 
 
+def exiftool_starts():
+    """Whether there is a program by which tests read what was written into photos."""
+    return shutil.which("exiftool") is not None
+
+
 NEEDS = {
     "python3-venv": venv_works,
     "chromium": browser_starts,
     "chromium-driver": browser_starts,
+    "libimage-exiftool-perl": exiftool_starts,
     "libegl1": egl_loads,
     "libgl1-mesa-dri": egl_has_driver,
     "libosmesa6": osmesa_loads,

@@ -16,7 +16,8 @@ from .matching.ranking import Candidate
 from .matching.retrieval import RetrievalConfig
 from .matching.screening import Alike
 from .photo.correction import Correction, Stroke, StrokeKind
-from .photo.exif import Lens, NotedPlace
+from .photo.exif import NotedPlace
+from .photo.lens import Lens
 from .photo.projection import Projection
 from .photo.query import QuerySkyline
 from .photo.read import Photo, read_photo, read_query

@@ -1,6 +1,5 @@
 """How a photo's columns and rows become rays: through a lens, or along a panorama."""
 
-import re
 from enum import StrEnum
 
 import numpy as np
@@ -13,8 +12,6 @@ MAX_FOV_DEG = 179.0
 MAX_PANORAMA_DEG = 360.0
 _NEWTON_STEPS = 30
 _MET = 1e-9
-
-_GPANO = re.compile(r"GPano:(\w+)\s*(?:=\s*[\"']|>)\s*([\w.]+)")
 
 
 class Projection(StrEnum):
@@ -123,18 +120,3 @@ def distorted(
     met = np.abs(r + distortion * r**3 - aim) < _MET
     shrink = np.where(met, 1.0 / (1.0 + distortion * r**2), np.nan)
     return across * shrink, above * shrink
-
-
-def panorama_of_xmp(xmp: str) -> tuple[Projection, float] | None:
-    """Return the projection and the width in degrees, up to 360, that a file's XMP notes.
-
-    From the tags ProjectionType, CroppedAreaImageWidthPixels and FullPanoWidthPixels of the
-    namespace http://ns.google.com/photos/1.0/panorama/; None where they are not there.
-    """
-    tags = dict(_GPANO.findall(xmp))
-    try:
-        share = float(tags["CroppedAreaImageWidthPixels"]) / float(tags["FullPanoWidthPixels"])
-        projection = Projection(tags.get("ProjectionType", Projection.EQUIRECTANGULAR))
-    except (KeyError, ValueError, ZeroDivisionError):
-        return None
-    return (projection, 360.0 * share) if 0.0 < share <= 1.0 else None

@@ -18,21 +18,15 @@ from threading import Lock
 import cv2
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
-from PIL.ExifTags import IFD, Base
+from PIL.ExifTags import IFD
 
 from skyline.arrays import UInt8Array
 from skyline.errors import InputError, MissingFileError
 from skyline.files import write_whole
-from skyline.photo.exif import (
-    MAX_PINHOLE_ASPECT,
-    Lens,
-    NotedPlace,
-    lens_of,
-    place_from_exif,
-    swept_lens_of,
-)
+from skyline.photo.exif import NotedPlace, place_from_exif
 from skyline.photo.extract import extract_skyline
-from skyline.photo.projection import Projection, panorama_of_xmp
+from skyline.photo.lens import MAX_PINHOLE_ASPECT, Lens, lens_of, panorama_of_xmp, swept_lens_of
+from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline, check_of_image
 from skyline.photo.sky_model import (
     SkySession,
@@ -59,7 +53,6 @@ _FORMATS = (
 )  # fmt: skip
 """What Pillow may decode, as far as it can: others run programs, or are no pictures."""
 _HEIC_BRANDS = (b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1")
-_TURNED_ORIENTATIONS = (5, 6, 7, 8)
 _SKYLINE_RGB = (255, 0, 60)
 
 
@@ -78,7 +71,7 @@ class Photo:
     place : NotedPlace
         Where it was taken and which way, as far as EXIF has it.
     lens : Lens, optional
-        Whence the field of view is, where EXIF has been asked.
+        How good the field of view is, where it is what the file notes.
     """
 
     rgb: UInt8Array
@@ -179,12 +172,13 @@ def read_photo(
         It cannot be decoded, or is a sliver.
     """
     check_fov(fov_deg, projection)
-    photo = _decoded(Path(path))
-    # What the lens was says nothing of a panorama, nor where a person knows better.
-    is_as_noted = projection in (None, photo.projection)
+    with opened_image(Path(path)) as image:
+        photo = _photo(Path(path), image)
+    # A lens says nothing of a panorama, nor a panorama of a lens.
+    is_as_noted = projection is None or projection.is_panorama == photo.projection.is_panorama
     lens = photo.lens if fov_deg is None and is_as_noted else None
-    if fov_deg is None and (lens is not None or photo.lens is None):
-        fov_deg = photo.fov_deg
+    if lens is not None:
+        fov_deg = lens.fov_deg
     height, width = photo.rgb.shape[:2]
     if min(height, width) < 2:
         raise InputError(f"{path} has {width} x {height} px; expected a photo or a sky mask")
@@ -236,8 +230,9 @@ def write_overlay(photo: UInt8Array, query: QuerySkyline, path: str | Path) -> N
     write_whole(Path(path), picture.getvalue())
 
 
-def _decoded(path: Path) -> Photo:
-    """Read an image file; raises as `read_photo` for what cannot be decoded."""
+@contextmanager
+def opened_image(path: Path) -> Iterator[Image.Image]:
+    """Open an image file; raises as `read_photo` for what cannot be decoded while it is open."""
     if not path.exists():
         raise MissingFileError(f"{path} does not exist; expected a photo, a sky mask or a trace")
     if not path.is_file():
@@ -252,7 +247,7 @@ def _decoded(path: Path) -> Photo:
             Image.init()
             formats = [name for name in _FORMATS if name in Image.OPEN]
             with Image.open(path, formats=formats) as image:
-                return _photo(path, image)
+                yield image
     except UnidentifiedImageError as error:
         said = "not an image that can be read; expected JPEG, PNG, TIFF, WebP or a CSV trace"
         if _is_heic(path):
@@ -271,26 +266,33 @@ def _decoded(path: Path) -> Photo:
 
 
 def _photo(path: Path, image: Image.Image) -> Photo:
-    exif = image.getexif()
-    projection, fov_deg, lens = _camera(image, exif)
+    width, height = image.size
     _require_bounded(path, image)
+    upright = ImageOps.exif_transpose(image)
+    # Some decoders turn the pixels, some even their size before, and each leaves other tags: what
+    # is upright says whether the file's own size is.
+    if (upright.width < upright.height) != (width < height):
+        width, height = height, width
+    exif = image.getexif()
+    projection, lens = _camera(image, exif, (width, height))
     place = place_from_exif(exif.get_ifd(IFD.GPSInfo))
-    return Photo(_to_rgb(ImageOps.exif_transpose(image)), fov_deg, projection, place, lens)
+    return Photo(_to_rgb(upright), lens.fov_deg, projection, place, lens)
 
 
-def _camera(image: Image.Image, exif: Image.Exif) -> tuple[Projection, float | None, Lens | None]:
-    """Return what a file notes of its projection and its field of view."""
+def _camera(
+    image: Image.Image, exif: Image.Exif, size_px: tuple[int, int]
+) -> tuple[Projection, Lens]:
+    """Return what a file, so wide and so high upright, notes of its projection and its lens."""
     xmp = image.info.get("xmp", image.info.get("XML:com.adobe.xmp", ""))
-    panorama = panorama_of_xmp(xmp.decode(errors="replace") if isinstance(xmp, bytes) else str(xmp))
+    text = xmp.decode(errors="replace") if isinstance(xmp, bytes) else str(xmp)
+    panorama = panorama_of_xmp(text, size_px)
     if panorama is not None:
-        return *panorama, None
-    turned = exif.get(Base.Orientation) in _TURNED_ORIENTATIONS
+        return panorama
     tags = {**exif, **exif.get_ifd(IFD.Exif)}
-    swept = swept_lens_of(tags, image.size[::-1] if turned else image.size)
+    swept = swept_lens_of(tags, size_px)
     if swept is not None:
-        return Projection.CYLINDRICAL, swept.fov_deg, swept
-    lens = lens_of(tags, image.size, turned)
-    return Projection.PERSPECTIVE, lens.fov_deg, lens
+        return Projection.CYLINDRICAL, swept
+    return Projection.PERSPECTIVE, lens_of(tags, size_px)
 
 
 @contextmanager

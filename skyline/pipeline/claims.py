@@ -11,7 +11,8 @@ _GPS_SD_M, _LEAST_GPS_SD_M = 30.0, 15.0
 _LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES = 15.0, 3.0
 """Heights are two to three times as uncertain as places, and the model's datum may be another."""
 _COMPASS_SD_DEG, _MAGNETIC_SD_DEG = 20.0, 30.0
-"""The declination, which nothing here knows, is up to 20 degrees where people live."""
+"""The declination, which nothing here knows, is up to 20 degrees where people live. A compass that
+does not say which north it points to may point to the magnetic one."""
 
 
 def claim_of(noted: NotedPlace, frame: Frame) -> Claim | None:
@@ -25,7 +26,7 @@ def claim_of(noted: NotedPlace, frame: Frame) -> Claim | None:
     if heading_deg is not None:
         heading_deg -= float(frame.convergence_deg(east, north))
     sd_m = max(_LEAST_GPS_SD_M, noted.accuracy_m or _GPS_SD_M)
-    compass_sd_deg = _MAGNETIC_SD_DEG if noted.is_magnetic else _COMPASS_SD_DEG
+    compass_sd_deg = _COMPASS_SD_DEG if noted.is_magnetic is False else _MAGNETIC_SD_DEG
     elevation_m, elevation_sd_m = None, _LEAST_ALTITUDE_SD_M
     if noted.accuracy_m is not None:
         # Who says how good a position is has satellites in view, and corrects for the geoid.

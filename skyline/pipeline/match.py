@@ -18,7 +18,7 @@ from skyline.matching.progress import telling
 from skyline.matching.query_rays import QueryRays
 from skyline.matching.ranking import Candidate
 from skyline.matching.screening import Alike
-from skyline.photo.exif import Lens
+from skyline.photo.lens import Lens
 from skyline.photo.projection import MAX_PANORAMA_DEG
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query

@@ -11,7 +11,7 @@ from pathlib import Path
 from skyline.errors import InputError, MissingFileError
 from skyline.matching.narrowing import Narrowing
 from skyline.matching.screening import Alike
-from skyline.photo.exif import Lens
+from skyline.photo.lens import Lens
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import check_fov, read_query

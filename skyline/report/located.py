@@ -1,30 +1,55 @@
-"""A copy of a photo with the place and the direction written into its EXIF (2.32, 4.6.6).
+"""A copy of a photo whose EXIF says the place and the direction that were found (2.32, 4.6.6).
 
-A JPEG keeps its pixels bit for bit: only the segment that holds EXIF is another. What else can be
-read is written as a JPEG of the upright photo.
+A JPEG keeps its pixels bit for bit. Its EXIF keeps everything but the GPS directory where it was:
+makers' notes hold offsets into it, and previews stand in it. Any other photo is written as a JPEG
+of the upright picture. XMP loses what it says of where the camera stood and how it was held.
 """
 
 import io
-from collections.abc import Iterator
+import re
+import struct
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from PIL import Image
 from PIL.ExifTags import GPS, IFD, Base
-from PIL.TiffImagePlugin import IFDRational
+from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
 
 from skyline.errors import InputError
 from skyline.files import write_with_folders
 from skyline.matching.ranking import Candidate
-from skyline.photo.read import read_photo
+from skyline.photo.read import opened_image, read_photo
 
-_EXIF = b"Exif\x00\x00"
+_EXIF, _XMP = b"Exif\x00\x00", b"http://ns.adobe.com/xap/1.0/\x00"
 _APP0, _APP1, _SCAN = 0xE0, 0xE1, 0xDA
 _LONGEST = 0xFFFF - 2
 """Bytes that a segment holds beside its length."""
+_NO_EXIF = b"II*\x00\x08\x00\x00\x00" + bytes(6)
+"""A TIFF whose only directory is empty."""
+_SHORT, _LONG = 3, 4
+_OF_THE_PHOTO = {
+    Base.ImageDescription, Base.Make, Base.Model, Base.Software, Base.DateTime, Base.Artist,
+    Base.Copyright, Base.ExifOffset,
+}  # fmt: skip
+"""What a TIFF's directory says beside how its own pixels are stored."""
+_POSE = (
+    rb"(?!xmlns:)[\w-]+:(?:(?i:gps)\w*|(?:Gimbal|Flight)\w+Degree|(?:Absolute|Relative)Altitude)"
+    rb"|GPano:(?:Pose|InitialView)\w+"
+)
+"""XMP's names of place and attitude: EXIF's GPS tags, and those of drones and of panoramas."""
+_XMP_POSE = re.compile(
+    rb"\s(?:%b)\s*=\s*(?:\"[^\"]*\"|'[^']*')"
+    rb"|<(?P<name>%b)(?:\s[^>]*?)?(?:/>|>.*?</(?P=name)\s*>)" % (_POSE, _POSE),
+    re.DOTALL,
+)
+"""An attribute or an element of such a name."""
 
 
 def write_located(source: str | Path, path: str | Path, candidate: Candidate) -> None:
     """Write a copy of a photo that says where and in which direction it was taken.
+
+    What else the photo says of its place (another radius, the time of a fix, where it was heading)
+    is of another pose, and is left out.
 
     Parameters
     ----------
@@ -40,23 +65,24 @@ def write_located(source: str | Path, path: str | Path, candidate: Candidate) ->
     InputError
         It cannot be read, its EXIF has no room for more, or the copy cannot be written.
     """
-    rgb = read_photo(source).rgb
-    data = Path(source).read_bytes()
-    with Image.open(io.BytesIO(data)) as image:
-        exif, is_jpeg = image.getexif(), image.format in {"JPEG", "MPO"}
-        exif.get_ifd(IFD.Exif)
-        exif.get_ifd(IFD.GPSInfo).update(_gps(candidate))
+    source = Path(source)
+    rgb, jpeg = read_photo(source).rgb, source.read_bytes()
+    with opened_image(source) as image:
+        is_jpeg = image.format in {"JPEG", "MPO"}
+        if not is_jpeg:
+            image.load()  # A PNG may have its EXIF behind its pixels.
+        exif = image.info.get("exif") or _exif_of_tags(image.getexif())
     if not is_jpeg:
         held = io.BytesIO()
-        exif[Base.Orientation] = 1
         Image.fromarray(rgb).save(held, format="JPEG", quality=95)
-        data = held.getvalue()
-    write_with_folders(Path(path), _with_exif(data, exif.tobytes()))
+        jpeg = held.getvalue()
+    exif = _with_gps(exif.removeprefix(_EXIF), _gps(candidate), made_upright=not is_jpeg)
+    write_with_folders(Path(path), _with_exif(jpeg, _EXIF + exif))
 
 
 def _gps(candidate: Candidate) -> dict[int, object]:
-    below = candidate.eye_elevation_m < 0.0
-    return {
+    below, turn = candidate.eye_elevation_m < 0.0, 360_000
+    gps: dict[int, object] = {
         GPS.GPSVersionID: b"\x02\x03\x00\x00",
         GPS.GPSLatitudeRef: "S" if candidate.lat < 0.0 else "N",
         GPS.GPSLatitude: _sexagesimal(candidate.lat),
@@ -65,9 +91,12 @@ def _gps(candidate: Candidate) -> dict[int, object]:
         GPS.GPSAltitudeRef: b"\x01" if below else b"\x00",
         GPS.GPSAltitude: IFDRational(round(100.0 * abs(candidate.eye_elevation_m)), 100),
         GPS.GPSImgDirectionRef: "T",
-        GPS.GPSImgDirection: IFDRational(round(1000.0 * candidate.heading_deg), 1000),
+        GPS.GPSImgDirection: IFDRational(round(1000.0 * candidate.heading_deg) % turn, 1000),
         GPS.GPSMapDatum: "WGS-84",
     }
+    if candidate.radius_m is not None:
+        gps[GPS.GPSHPositioningError] = IFDRational(round(100.0 * candidate.radius_m), 100)
+    return gps
 
 
 def _sexagesimal(degrees: float) -> tuple[IFDRational, ...]:
@@ -78,33 +107,80 @@ def _sexagesimal(degrees: float) -> tuple[IFDRational, ...]:
     return IFDRational(whole, 1), IFDRational(minutes, 1), IFDRational(seconds, 10_000)
 
 
+def _exif_of_tags(tags: Image.Exif) -> bytes:
+    """Return the EXIF of a file that holds none as such: a TIFF's own tags are its EXIF."""
+    tags.get_ifd(IFD.Exif)
+    for tag in set(tags) - _OF_THE_PHOTO:
+        del tags[tag]
+    return tags.tobytes()
+
+
+def _with_gps(exif: bytes, gps: Mapping[int, object], *, made_upright: bool) -> bytes:
+    """Return EXIF with this GPS directory and a main directory that points to it, both at its end.
+
+    Where the picture was ``made_upright``, its orientation says so, and its preview, which was not,
+    is left out. EXIF without a main directory is taken for none.
+    """
+    order = ">" if exif.startswith(b"MM") else "<"
+    try:
+        (at,) = struct.unpack_from(f"{order}I", exif, 4)
+        (count,) = struct.unpack_from(f"{order}H", exif, at)
+        entries = {
+            struct.unpack_from(f"{order}H", exif, first)[0]: exif[first : first + 12]
+            for first in range(at + 2, at + 2 + 12 * count, 12)
+        }
+        (preview_at,) = struct.unpack_from(f"{order}I", exif, at + 2 + 12 * count)
+        directory = ImageFileDirectory_v2(exif[:8], group=IFD.GPSInfo)
+    except (struct.error, SyntaxError):
+        return _with_gps(_NO_EXIF, gps, made_upright=made_upright)
+    if made_upright:
+        preview_at = 0
+        entries[Base.Orientation] = struct.pack(f"{order}HHIHxx", Base.Orientation, _SHORT, 1, 1)
+    exif += bytes(len(exif) % 2)
+    at, count = len(exif), len(entries.keys() | {IFD.GPSInfo})
+    gps_at = at + 2 + 12 * count + 4
+    entries[IFD.GPSInfo] = struct.pack(f"{order}HHII", IFD.GPSInfo, _LONG, 1, gps_at)
+    for tag, value in gps.items():
+        directory[tag] = value
+    return b"".join(
+        [
+            exif[:4],
+            struct.pack(f"{order}I", at),
+            exif[8:],
+            struct.pack(f"{order}H", count),
+            *(entries[tag] for tag in sorted(entries)),
+            struct.pack(f"{order}I", preview_at),
+            directory.tobytes(gps_at),
+        ]
+    )
+
+
 def _with_exif(jpeg: bytes, exif: bytes) -> bytes:
-    """Return a JPEG with this EXIF in the place of its own."""
-    exif = exif if exif.startswith(_EXIF) else _EXIF + exif
+    """Return a JPEG with this EXIF in the place of its own, and XMP without place and attitude."""
+    kept, start = [], 0
+    for marker, body, end in _segments(jpeg):
+        start = end
+        if marker == _APP1 and body.startswith(_EXIF):
+            continue
+        is_xmp = marker == _APP1 and body.startswith(_XMP)
+        kept.append((marker, _XMP_POSE.sub(b"", body) if is_xmp else body))
+    kept.insert(1 if kept and kept[0][0] == _APP0 else 0, (_APP1, exif))
     if len(exif) > _LONGEST:
         raise InputError(
             f"the photo's EXIF would have {len(exif)} bytes; expected at most {_LONGEST}: remove "
             "its preview picture"
         )
-    kept, start = [], 0
-    for marker, segment, end in _segments(jpeg):
-        is_exif = marker == _APP1 and segment[4:].startswith(_EXIF)
-        if not is_exif:
-            kept.append((marker, segment))
-        start = end
-    before = sum(1 for marker, _ in kept[:1] if marker == _APP0)
-    segments = [segment for _, segment in kept]
-    segments.insert(before, bytes([0xFF, _APP1]) + (len(exif) + 2).to_bytes(2, "big") + exif)
+    segments = (struct.pack(">BBH", 0xFF, marker, len(body) + 2) + body for marker, body in kept)
     return jpeg[:2] + b"".join(segments) + jpeg[start:]
 
 
 def _segments(jpeg: bytes) -> Iterator[tuple[int, bytes, int]]:
-    """Yield the marker, the bytes and the end of each segment before the first scan."""
+    """Yield the marker, the body and the end of each segment before the first scan."""
     at = 2
     while at + 4 <= len(jpeg) and jpeg[at] == 0xFF and jpeg[at + 1] != _SCAN:
         if jpeg[at + 1] == 0xFF:
             at += 1  # a fill byte
             continue
         end = at + 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
-        yield jpeg[at + 1], jpeg[at:end], end
+        yield jpeg[at + 1], jpeg[at + 4 : end], end
         at = end

@@ -14,6 +14,7 @@ _WORTH_SAYING = 0.1
 _DISAGREES_M, _DISAGREES_ACCURACIES = 500.0, 5.0
 _DISAGREES_DEG = 45.0
 """Farther off than phones usually are."""
+_NORTH = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
 _WGS84 = Geod(ellps="WGS84")
 
 
@@ -41,7 +42,9 @@ class CandidateRecord(TypedDict):
 class ExifRecord(TypedDict):
     """What a photo's EXIF says, and how far the best candidate is from it.
 
-    ``heading_off_deg`` is how far the best candidate's heading is clockwise of the photo's.
+    ``heading_off_deg`` is how far the best candidate's heading is clockwise of the photo's;
+    ``heading_is_magnetic`` is null where the photo does not say which north it counts from.
+    ``left_aside`` says in words which GPS tags cannot be used, and why.
     """
 
     lon: float | None
@@ -49,9 +52,10 @@ class ExifRecord(TypedDict):
     elevation_m: float | None
     accuracy_m: float | None
     heading_deg: float | None
-    heading_is_magnetic: bool
+    heading_is_magnetic: bool | None
     distance_m: float | None
     heading_off_deg: float | None
+    left_aside: str
 
 
 class LensRecord(TypedDict):
@@ -138,6 +142,7 @@ def describe_claim(noted: NotedPlace, best: Candidate | None) -> ExifRecord | No
         heading_is_magnetic=noted.is_magnetic,
         distance_m=distance_m,
         heading_off_deg=off_deg,
+        left_aside=noted.left_aside,
     )
 
 
@@ -159,7 +164,7 @@ def claim_in_words(
         off = "" if claim["distance_m"] is None else f", {_metres(claim['distance_m'])} from {it}"
         said.append(f"The photo says {where}{off}{sure}.")
     if claim["heading_deg"] is not None:
-        north = ", from magnetic north" if claim["heading_is_magnetic"] else ""
+        north = _NORTH[claim["heading_is_magnetic"]]
         own = "" if best is None else f", {it} {best.heading_deg:.0f}"
         said.append(f"Its compass says {claim['heading_deg']:.0f} degrees{north}{own}.")
     far_m = max(_DISAGREES_M, _DISAGREES_ACCURACIES * (claim["accuracy_m"] or 0.0))
@@ -168,7 +173,7 @@ def claim_in_words(
         wrong.append("compass")
     if wrong:
         said.append(f"The photo's {' and '.join(wrong)} and {it} disagree: one of them is wrong.")
-    return " ".join(said)
+    return " ".join(filter(None, [*said, claim["left_aside"]]))
 
 
 def _metres(distance_m: float) -> str:

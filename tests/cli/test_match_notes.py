@@ -38,9 +38,9 @@ def test_what_a_photo_notes_of_its_lens_is_weighed(run, store, photo, tmp_path):
     assert "cropped" in lenses[1]["said"]
     assert lenses[2]["fov_deg"] is None
     said = run("match", store, plain, cropped, lie, "--no-refine").out
-    assert "field of view: 60.3 degrees; EXIF's 35 mm equivalent" in said
-    assert "field of view: 53.7 degrees, give or take 10; EXIF's 35 mm equivalent, but" in said
-    assert "field of view: not known; EXIF's 35 mm equivalent left aside: 0.21 degrees" in said
+    assert "field of view: 60.3 degrees, give or take 5; EXIF's 35 mm equivalent alone" in said
+    assert "field of view: 53.7 degrees, give or take 12; EXIF's 35 mm equivalent alone, but" in said
+    assert "field of view: not known; EXIF's 35 mm equivalent alone left aside: 0.21" in said
 
 
 def claiming(photo, path, lonlat, heading_deg=None, reference="T"):
@@ -71,6 +71,21 @@ def test_a_photo_s_own_claim_is_shown(run, store, dem, photo, tmp_path):
     assert "m from the answer. Its compass says 112 degrees" in page
     assert f"{exif['lat']:.5f}" not in page
     assert "exif" not in json.loads(run("match", store, photo, "--fov-deg", "60", "--json").out)
+
+
+def test_a_claim_without_a_side_is_left_aside_and_the_reason_said(run, store, photo, tmp_path):
+    """The photo's latitude and longitude would be half a world away without N and E."""
+    told = claiming(photo, tmp_path / "told.jpg", (-10.3, -46.7), 112.0, reference="")
+    with Image.open(told) as image:
+        exif = image.getexif()
+        del exif.get_ifd(IFD.GPSInfo)[GPS.GPSLatitudeRef]
+        image.save(told, quality=95, exif=exif)
+    found = run("match", store, told, "--fov-deg", "60", "--use-gps")
+    assert found.code == 0, found.err
+    assert "position is left aside: the latitude does not say whether it is N or S." in found.out
+    assert "from a north that it does not name" in found.out
+    assert "disagree" not in found.out
+    assert " km " not in found.out
 
 
 @pytest.mark.parametrize("workers", [(), pytest.param(("--workers", "1"), marks=pytest.mark.slow)])

@@ -96,6 +96,19 @@ def test_what_is_said():
     assert "46.7" not in claim_in_words(noted, BEST, True, with_place=False)
 
 
+def test_what_is_left_aside_is_said_with_the_reason():
+    reason = "The photo's GPS position is left aside: the latitude does not say N or S."
+    noted = NotedPlace(heading_deg=112.0, is_magnetic=None, left_aside=reason)
+    said = claim_in_words(noted, BEST, True, with_place=False)
+    assert said.startswith("Its compass says 112 degrees, from a north that it does not name, the")
+    assert said.endswith(reason)
+    record = describe_claim(noted, BEST)
+    assert (record["distance_m"], record["heading_is_magnetic"]) == (None, None)
+    assert record["left_aside"] == reason
+    assert claim_in_words(NotedPlace(left_aside=reason), None, False) == reason
+    assert claim_of(noted, Frame.local(9.8, 46.7)) is None
+
+
 def test_disagreement_is_said():
     noted = NotedPlace((-70.0, 46.7), None, 359.0)
     said = claim_in_words(noted, BEST, False)
@@ -110,6 +123,7 @@ def test_a_claim_in_a_frame_is_as_good_as_the_photo_says():
     assert (plain.sd_m, plain.heading_deg, plain.heading_sd_deg) == (30.0, 10.0, 20.0)
     said = claim_of(NotedPlace((9.8, 46.7), None, 10.0, True, 80.0), frame)
     assert (said.sd_m, said.heading_sd_deg) == (80.0, 30.0)
+    assert claim_of(NotedPlace((9.8, 46.7), None, 10.0, None), frame).heading_sd_deg == 30.0
     # An altitude is worth something where the photo says how good its position is.
     assert claim_of(NotedPlace((9.8, 46.7), 900.0), frame).elevation_m is None
     sure = claim_of(NotedPlace((9.8, 46.7), 900.0, accuracy_m=20.0), frame)

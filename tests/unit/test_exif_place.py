@@ -2,6 +2,7 @@
 
 import pytest
 from PIL.ExifTags import GPS
+from PIL.TiffImagePlugin import IFDRational
 
 from skyline import NotedPlace
 from skyline.photo.exif import place_from_exif
@@ -14,38 +15,132 @@ SOUTH_WEST = {
 }
 
 
+def without(*tags):
+    return {tag: value for tag, value in SOUTH_WEST.items() if tag not in tags}
+
+
 def test_a_place_is_degrees_with_their_side():
-    gps = SOUTH_WEST | {GPS.GPSAltitude: 2500.5, GPS.GPSImgDirection: 360.0}
+    gps = SOUTH_WEST | {
+        GPS.GPSAltitude: 2500.5, GPS.GPSImgDirection: 360.0, GPS.GPSImgDirectionRef: "T",
+    }  # fmt: skip
     assert place_from_exif(gps) == NotedPlace((-70.25, -33.51), 2500.5, 0.0)
 
 
-def test_magnetic_north_and_the_accuracy_are_kept():
-    gps = SOUTH_WEST | {
-        GPS.GPSImgDirection: 112.0, GPS.GPSImgDirectionRef: "M", GPS.GPSHPositioningError: 4.7,
-    }  # fmt: skip
-    noted = place_from_exif(gps)
-    assert (noted.heading_deg, noted.is_magnetic, noted.accuracy_m) == (112.0, True, 4.7)
-    assert not place_from_exif(gps | {GPS.GPSImgDirectionRef: "T"}).is_magnetic
+@pytest.mark.parametrize("south", ["S", "s", "S\0", b"S\0", "South"])
+def test_a_side_is_read_however_it_is_written(south):
+    assert place_from_exif(SOUTH_WEST | {GPS.GPSLatitudeRef: south}).lonlat_deg == (-70.25, -33.51)
+
+
+def test_the_north_that_a_direction_counts_from_is_kept():
+    gps = SOUTH_WEST | {GPS.GPSImgDirection: 112.0, GPS.GPSHPositioningError: 4.7}
+    for reference, is_magnetic in (
+        ("M", True),
+        (b"M", True),
+        ("T", False),
+        ("", None),
+        ("?", None),
+    ):
+        noted = place_from_exif(gps | {GPS.GPSImgDirectionRef: reference})
+        assert (noted.heading_deg, noted.is_magnetic) == (112.0, is_magnetic)
+        assert (noted.accuracy_m, noted.left_aside) == (4.7, "")
+    assert place_from_exif(gps).is_magnetic is None
+    assert place_from_exif(SOUTH_WEST).is_magnetic is False
 
 
 def test_below_the_sea_is_negative():
-    for ref in (1, b"\x01"):
+    for ref in (1, b"\x01", "1"):
         gps = {GPS.GPSAltitude: 400.0, GPS.GPSAltitudeRef: ref}
         assert place_from_exif(gps) == NotedPlace(elevation_m=-400.0)
 
 
+def test_satellites_that_stand_badly_make_a_position_inaccurate():
+    assert place_from_exif(SOUTH_WEST | {GPS.GPSDOP: 99.99}).accuracy_m > 400.0
+    assert place_from_exif(SOUTH_WEST | {GPS.GPSDOP: 1.2}).accuracy_m < 10.0
+    both = {GPS.GPSDOP: 40.0, GPS.GPSHPositioningError: 4.0}
+    assert place_from_exif(SOUTH_WEST | both).accuracy_m == 4.0
+    assert place_from_exif(SOUTH_WEST | {GPS.GPSDOP: IFDRational(0, 0)}).accuracy_m is None
+
+
+def test_a_position_is_carried_to_wgs_84():
+    for name in ("WGS-84", "WGS84", "wgs 84", "", "\0"):
+        assert place_from_exif(SOUTH_WEST | {GPS.GPSMapDatum: name}).lonlat_deg == (-70.25, -33.51)
+    fuji = {
+        GPS.GPSLatitude: (35.0, 21.0, 0.0), GPS.GPSLatitudeRef: "N", GPS.GPSMapDatum: "TOKYO",
+        GPS.GPSLongitude: (138.0, 43.0, 0.0), GPS.GPSLongitudeRef: "E",
+    }  # fmt: skip
+    lon, lat = place_from_exif(fuji).lonlat_deg
+    # The Geospatial Information Authority of Japan: about 12 seconds north, 11 to 12 west.
+    assert 3600.0 * (lat - 35.35) == pytest.approx(11.7, abs=0.5)
+    assert 3600.0 * (lon - 138.0 - 43.0 / 60.0) == pytest.approx(-11.4, abs=0.5)
+
+
+POSITION = "The photo's GPS position is left aside: "
+NO_LATITUDE = "the latitude is not given as degrees, minutes and seconds"
+
+
 @pytest.mark.parametrize(
-    "gps",
+    ("gps", "said"),
     [
-        {},
-        {GPS.GPSLatitude: (33.0, 30.0, 36.0)},
-        SOUTH_WEST | {GPS.GPSLatitude: (133.0, 0.0, 0.0)},
-        SOUTH_WEST | {GPS.GPSLatitude: (33.0, float("nan"), 0.0)},
-        SOUTH_WEST | {GPS.GPSLatitude: "33"},
-        SOUTH_WEST | {GPS.GPSStatus: "V", GPS.GPSAltitude: 10.0},
-        {GPS.GPSImgDirection: 655.0, GPS.GPSAltitude: 99_999.0},
-        {GPS.GPSLatitude: (0.0, 0.0, 0.0), GPS.GPSLongitude: (0.0, 0.0, 0.0)},
+        (without(GPS.GPSLatitudeRef), "the latitude does not say whether it is N or S"),
+        (without(GPS.GPSLongitudeRef), "the longitude does not say whether it is E or W"),
+        (without(GPS.GPSLatitudeRef, GPS.GPSLongitudeRef), "whether it is N or S"),
+        (SOUTH_WEST | {GPS.GPSLatitudeRef: "\0"}, "whether it is N or S"),
+        (SOUTH_WEST | {GPS.GPSLatitudeRef: "W", GPS.GPSLongitudeRef: "S"}, "it is N or S"),
+        # A sign is no reference, and with one it says the side twice.
+        (
+            without(GPS.GPSLatitudeRef) | {GPS.GPSLatitude: (-33.0, 30.0, 36.0)},
+            "is outside 0 to 90",
+        ),
+        (SOUTH_WEST | {GPS.GPSLatitude: (-33.0, 30.0, 36.0)}, "the latitude is outside 0 to 90"),
+        (without(GPS.GPSLongitude), "the longitude is not given as"),
+        (SOUTH_WEST | {GPS.GPSLatitude: (133.0, 0.0, 0.0)}, "the latitude is outside 0 to 90"),
+        (SOUTH_WEST | {GPS.GPSLongitude: (180.0, 0.0, 1.0)}, "the longitude is outside 0 to 180"),
+        (SOUTH_WEST | {GPS.GPSLatitude: (3.0, 1830.6, 0.0)}, "the latitude is outside"),
+        (SOUTH_WEST | {GPS.GPSLatitude: (33.0, float("nan"), 0.0)}, NO_LATITUDE),
+        (SOUTH_WEST | {GPS.GPSLatitude: (IFDRational(0, 0),) * 3}, NO_LATITUDE),
+        (SOUTH_WEST | {GPS.GPSLatitude: (33.0, 30.0)}, NO_LATITUDE),
+        (SOUTH_WEST | {GPS.GPSLatitude: IFDRational(3351, 100)}, NO_LATITUDE),
+        (SOUTH_WEST | {GPS.GPSLatitude: "33"}, NO_LATITUDE),
+        (SOUTH_WEST | {GPS.GPSStatus: "V"}, "the receiver had no fix"),
+        (SOUTH_WEST | {GPS.GPSStatus: b"V\0"}, "the receiver had no fix"),
+        (SOUTH_WEST | {GPS.GPSMapDatum: "Atlantis 1900"}, "its datum 'ATLANTIS 1900' is not known"),
+        (SOUTH_WEST | {GPS.GPSMapDatum: "EPSG:32632"}, "is not known"),
+        (SOUTH_WEST | dict.fromkeys((GPS.GPSLatitude, GPS.GPSLongitude), (0.0,) * 3), "are 0, as"),
     ],
 )
-def test_what_is_no_place_is_none(gps):
-    assert place_from_exif(gps) == NotedPlace()
+def test_a_position_that_is_none_is_left_aside_and_said(gps, said):
+    noted = place_from_exif(gps | {GPS.GPSHPositioningError: 5.0})
+    assert noted == NotedPlace(left_aside=noted.left_aside)
+    assert noted.left_aside.startswith(POSITION)
+    assert said in noted.left_aside
+
+
+@pytest.mark.parametrize(
+    ("gps", "said"),
+    [
+        ({GPS.GPSImgDirection: 655.0}, "GPS direction is left aside: it is not within 0 to 360"),
+        ({GPS.GPSImgDirection: -10.0}, "GPS direction is left aside"),
+        ({GPS.GPSImgDirection: IFDRational(0, 0)}, "GPS direction is left aside"),
+        (
+            {GPS.GPSAltitude: 99_999.0},
+            "GPS altitude is left aside: 99999 m is outside -500 to 9000",
+        ),
+        ({GPS.GPSAltitude: IFDRational(1, 0)}, "GPS altitude is left aside: it is not a number"),
+        (
+            {GPS.GPSAltitude: 10.0, GPS.GPSStatus: "V"},
+            "altitude is left aside: the receiver had no",
+        ),
+        ({GPS.GPSAltitude: 10.0, GPS.GPSAltitudeRef: b"\x02"}, "it counts from the ellipsoid"),
+        ({GPS.GPSAltitude: 10.0, GPS.GPSAltitudeRef: 9}, "whether it is above or below sea level"),
+    ],
+)
+def test_other_tags_that_cannot_be_used_are_said(gps, said):
+    noted = place_from_exif(gps)
+    assert noted == NotedPlace(left_aside=noted.left_aside)
+    assert said in noted.left_aside
+    beside = place_from_exif(SOUTH_WEST | {GPS.GPSImgDirection: 655.0})
+    assert beside.lonlat_deg == (-70.25, -33.51)
+
+
+def test_nothing_is_said_of_what_is_not_noted():
+    assert place_from_exif({}) == place_from_exif({GPS.GPSVersionID: b"\2\3\0\0"}) == NotedPlace()

@@ -5,7 +5,9 @@ import pytest
 from PIL.ExifTags import Base
 from PIL.TiffImagePlugin import IFDRational
 
-from skyline.photo.exif import Lens, lens_of, swept_lens_of
+from skyline.matching.query_rays import QueryRays
+from skyline.photo.lens import Lens, lens_of, panorama_of_xmp, swept_lens_of
+from skyline.photo.projection import Projection
 
 SIZE = {Base.ExifImageWidth: 4000, Base.ExifImageHeight: 3000}
 PLANE = {
@@ -25,21 +27,20 @@ def fov_of(half_width, focal):
 def test_35_mm_equivalents():
     # 3:2 has the film's own shape, so its width is 36 mm.
     tags = {Base.FocalLengthIn35mmFilm: 18}
-    assert lens_of(tags, (6000, 4000), False).fov_deg == pytest.approx(90.0)
-    assert lens_of(tags, (600, 400), False).fov_deg == pytest.approx(90.0)
-    assert lens_of(tags, (6000, 4000), True).fov_deg == pytest.approx(fov_of(12.0, 18.0))
-    assert lens_of(tags, (600, 400), False).sd_deg is None
+    assert lens_of(tags, (6000, 4000)).fov_deg == pytest.approx(90.0)
+    assert lens_of(tags, (600, 400)).fov_deg == pytest.approx(90.0)
+    assert lens_of(tags, (4000, 6000)).fov_deg == pytest.approx(fov_of(12.0, 18.0))
 
 
 @pytest.mark.parametrize("size", [(4000, 3000), (1000, 750), (2048, 1536)])
 def test_the_focal_plane_of_a_whole_frame_however_resized(size):
-    assert lens_of(PLANE, size, False).fov_deg == pytest.approx(90.0, abs=1e-9)
-    assert lens_of(PLANE, size[::-1], False).fov_deg == pytest.approx(fov_of(0.375, 0.5))
+    assert lens_of(PLANE, size).fov_deg == pytest.approx(90.0, abs=1e-9)
+    assert lens_of(PLANE, size[::-1]).fov_deg == pytest.approx(fov_of(0.375, 0.5))
     centimetres = {
         Base.FocalPlaneResolutionUnit: 3,
         Base.FocalPlaneXResolution: IFDRational(4_000_000, 2540),
     }
-    assert lens_of(PLANE | centimetres, size, False).fov_deg == pytest.approx(90.0, abs=1e-3)
+    assert lens_of(PLANE | centimetres, size).fov_deg == pytest.approx(90.0, abs=1e-3)
 
 
 def test_a_panorama_of_a_phone_is_as_wide_as_its_height_says():
@@ -57,15 +58,60 @@ def test_a_panorama_of_a_phone_is_as_wide_as_its_height_says():
     assert swept_lens_of(tags | {Base.CustomRendered: 0}, (8000, 2500)) is None
 
 
-def test_sources_that_agree_are_one():
-    told = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: round(FILM)}, (4000, 3000), False)
+def test_sources_that_agree_are_sharp():
+    told = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: round(FILM)}, (4000, 3000))
     assert told.fov_deg == pytest.approx(90.0, abs=1.5)
     assert told.sd_deg is None
     assert "agrees" in told.said
 
 
+def searched(lens, *, is_panorama=False):
+    """Return the least and the greatest field of view that a match tries."""
+    one = np.zeros(1)
+    rays = QueryRays(one, one, one + 1.0, lens.fov_deg, is_panorama=is_panorama)
+    return rays.about(lens.sd_deg, lens.most_deg or np.inf).fov_bounds_deg
+
+
+# A camera of 35.9 mm whose focal plane counts as if it had 23.7 (Exiv2's issue 3097).
+WRONG_PLANE = {
+    Base.FocalLength: 50.0,
+    Base.FocalPlaneXResolution: IFDRational(66738, 10),
+    Base.FocalPlaneYResolution: IFDRational(672052, 100),
+    Base.FocalPlaneResolutionUnit: 2,
+    Base.ExifImageWidth: 6240,
+    Base.ExifImageHeight: 4160,
+}
+
+
+@pytest.mark.parametrize("size", [(6240, 4160), (1560, 1040), (4160, 6240)])
+def test_a_focal_plane_alone_is_a_hint(size):
+    told = lens_of(WRONG_PLANE, size)
+    true = fov_of(35.9 / 2.0 * size[0] / 6240.0 * (4 if size[0] == 1560 else 1), 50.0)
+    assert told.fov_deg < 0.7 * true
+    assert searched(told)[0] < told.fov_deg < true < searched(told)[1]
+    assert true < told.fov_deg + 2.5 * told.sd_deg
+    assert "focal plane alone" in told.said
+    # The other way about it is searched, too.
+    assert searched(told)[0] < told.fov_deg / 1.5
+
+
+def test_a_35_mm_equivalent_alone_is_wider_than_two_that_agree():
+    told = lens_of({Base.FocalLengthIn35mmFilm: 26}, (4000, 3000))
+    assert "35 mm equivalent alone" in told.said
+    # Of 36 mm of film, and not of its diagonal, it would be as near as a deviation.
+    assert fov_of(18.0, 26.0) - told.fov_deg < told.sd_deg
+    # One photo of a phone was found to be so wide where it noted this.
+    sold = lens_of({Base.FocalLengthIn35mmFilm: 52}, (4032, 2268))
+    assert sold.fov_deg - sold.sd_deg < 36.6 < sold.fov_deg
+
+
+def test_a_focal_plane_says_nothing_of_a_frame_that_is_not_noted():
+    small = {tag: value for tag, value in WRONG_PLANE.items() if tag not in SIZE}
+    assert lens_of(small, (1560, 1040)) == Lens()
+
+
 def test_sources_that_contradict_one_another_widen_what_is_possible():
-    told = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: 1.5 * FILM}, (4000, 3000), False)
+    told = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: 1.5 * FILM}, (4000, 3000))
     narrow = fov_of(0.5, 0.75)
     assert narrow < told.fov_deg < 90.0
     # Each of the two is about a deviation off.
@@ -83,26 +129,30 @@ def test_sources_that_contradict_one_another_widen_what_is_possible():
     ],
 )
 def test_the_less_credible_source_is_dropped(lie, said):
-    told = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: FILM} | lie, (4000, 3000), False)
+    told = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: FILM} | lie, (4000, 3000))
     assert told.fov_deg == pytest.approx(90.0)
-    assert told.sd_deg is None
+    assert told.sd_deg > 5.0
     assert said in told.said
 
 
 def test_a_crop_that_kept_all_columns_was_not_resized():
-    told = lens_of(PLANE, (4000, 2000), False)
+    told = lens_of(PLANE, (4000, 2000))
     assert told.fov_deg == pytest.approx(90.0)
-    assert lens_of(PLANE, (2000, 3000), False).fov_deg == pytest.approx(fov_of(0.25, 0.5))
+    assert lens_of(PLANE, (2000, 3000)).fov_deg == pytest.approx(fov_of(0.25, 0.5))
 
 
 def test_a_crop_that_was_resized_bounds_the_field_of_view():
-    told = lens_of(PLANE, (1600, 800), False)
-    assert told.most_deg == pytest.approx(1.05 * 90.0)
+    told = lens_of(PLANE, (1600, 800))
+    # The focal plane alone is a hint, so a focal length 1.5 times as short is possible.
+    assert told.most_deg == pytest.approx(1.05 * fov_of(1.5, 1.0))
     assert told.fov_deg + 2.0 * told.sd_deg > 90.0 > told.fov_deg
+    agreed = lens_of(PLANE | {Base.FocalLengthIn35mmFilm: FILM}, (1600, 800))
+    assert agreed.most_deg == pytest.approx(1.05 * 90.0)
+    assert agreed.sd_deg < told.sd_deg
     assert "cropped: at most 90.0 degrees" in told.said
     # Taken on end, as far as anybody knows: half of the 3000 columns, or more of them.
-    high = lens_of(PLANE, (750, 1500), False)
-    assert high.most_deg == pytest.approx(1.05 * fov_of(0.25, 0.5))
+    high = lens_of(PLANE, (750, 1500))
+    assert high.most_deg == pytest.approx(1.05 * fov_of(0.25 * 1.5, 0.5))
 
 
 @pytest.mark.parametrize(
@@ -121,5 +171,80 @@ def test_a_crop_that_was_resized_bounds_the_field_of_view():
     ],
 )
 def test_nothing_is_known_where_exif_does_not_say(tags, size):
-    told = lens_of(tags, size, False)
+    told = lens_of(tags, size)
     assert told == Lens(said=told.said)
+
+
+def gpano(**noted):
+    return " ".join(f'GPano:{name}="{value}"' for name, value in noted.items())
+
+
+# A panorama of 120 degrees.
+WHOLE = {
+    "ProjectionType": "cylindrical", "CroppedAreaImageWidthPixels": 9600,
+    "CroppedAreaImageHeightPixels": 2400, "FullPanoWidthPixels": 28800,
+    "PoseHeadingDegrees": 200.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("size", "fov_deg"),
+    [
+        ((9600, 2400), 120.0),
+        # resized
+        ((960, 240), 120.0),
+        ((961, 240), 120.0),
+        ((19_200, 4800), 120.0),
+        # cropped: to all rows, to all columns
+        ((3200, 2400), 40.0),
+        ((9500, 2400), 118.75),
+        ((9600, 1000), 120.0),
+    ],
+)
+def test_what_of_a_panorama_a_file_has(size, fov_deg):
+    projection, lens = panorama_of_xmp(gpano(**WHOLE), size)
+    assert projection is Projection.CYLINDRICAL
+    assert (lens.fov_deg, lens.sd_deg, lens.most_deg) == (pytest.approx(fov_deg), None, None)
+
+
+@pytest.mark.parametrize(
+    ("size", "least_deg", "most_deg"),
+    [
+        # Cropped to a third and shrunk by two: it could be all columns of a strip as well.
+        ((1600, 1200), 20.0, 40.0),
+        ((3200, 1500), 40.0, 64.0),
+        ((4000, 800), 50.0, 120.0),
+        # Enlarged, and cropped.
+        ((12_000, 9000), 20.0, 40.0),
+    ],
+)
+def test_a_panorama_that_was_cropped_bounds_the_field_of_view(size, least_deg, most_deg):
+    _, lens = panorama_of_xmp(gpano(**WHOLE), size)
+    low, high = searched(lens, is_panorama=True)
+    assert low <= least_deg < lens.fov_deg < most_deg < high <= 360.0
+    assert f"cropped since: at most {most_deg:.1f} degrees" in lens.said
+
+
+def test_a_panorama_whose_height_is_not_noted_is_known_by_its_width_alone():
+    noted = {name: value for name, value in WHOLE.items() if "Height" not in name}
+    assert panorama_of_xmp(gpano(**noted), (9600, 2000))[1].fov_deg == 120.0
+    _, lens = panorama_of_xmp(gpano(**noted), (3200, 2400))
+    low, high = searched(lens, is_panorama=True)
+    assert low < 40.0 < lens.fov_deg < 120.0 < high
+    assert "at most 120.0 degrees" in lens.said
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"CroppedAreaImageWidthPixels": 0}, "not how wide"),
+        ({"FullPanoWidthPixels": 100}, "not how wide"),
+        ({"FullPanoWidthPixels": "many"}, "not how wide"),
+        ({"FullPanoWidthPixels": 28_800_000}, "0.12 degrees are no photo's"),
+        ({"ProjectionType": "fisheye"}, "projection is fisheye, which is not known"),
+    ],
+)
+def test_a_panorama_that_makes_no_sense_is_not_taken_for_a_lens(wrong, said):
+    _, lens = panorama_of_xmp(gpano(**WHOLE | wrong), (9600, 2400))
+    assert lens == Lens(said=lens.said)
+    assert said in lens.said

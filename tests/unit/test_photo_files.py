@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from photo_scenes import make_scene
-from PIL import Image
+from PIL import Image, features
 from PIL.ExifTags import IFD, Base
 
 from skyline.errors import InputError, MissingFileError
+from skyline.photo.extract import extract_skyline
 from skyline.photo.read import extract_photo, read_query
 
 
@@ -61,28 +62,57 @@ def test_sky_cut_away_to_transparent_is_white(tmp_path, scene):
     assert close_to(query, scene)
 
 
+TURNED_BACK = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT,
+    3: Image.Transpose.ROTATE_180,
+    4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE,
+    6: Image.Transpose.ROTATE_90,
+    7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_270,
+}
+CONTAINERS = {
+    "jpg": {"quality": 95},
+    "png": {},
+    "webp": {"lossless": True},
+    "avif": {"quality": 100, "subsampling": "4:4:4"},
+    "tif": {},
+    "heic": {"quality": 100, "chroma": 444},
+}
+
+
+@pytest.mark.parametrize("container", CONTAINERS)
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_orientation_is_honoured(tmp_path, scene, orientation):
-    undo = {
-        2: Image.Transpose.FLIP_LEFT_RIGHT,
-        3: Image.Transpose.ROTATE_180,
-        4: Image.Transpose.FLIP_TOP_BOTTOM,
-        5: Image.Transpose.TRANSPOSE,
-        6: Image.Transpose.ROTATE_90,
-        7: Image.Transpose.TRANSVERSE,
-        8: Image.Transpose.ROTATE_270,
-    }
-    image = Image.fromarray(scene.image)
-    if orientation in undo:
-        image = image.transpose(undo[orientation])
+@pytest.mark.parametrize("upright", [(320, 240), (240, 320)])
+def test_a_turned_photo_is_the_same_in_every_container(
+    tmp_path, scene, container, orientation, upright
+):
+    if container == "heic":
+        heif = pytest.importorskip("pillow_heif", reason="pillow-heif (extra heic) is absent")
+        heif.register_heif_opener()
+    if container == "avif" and not features.check("avif"):
+        pytest.skip("this Pillow has no AVIF")
+    picture = Image.fromarray(scene.image).resize(upright)
+    stored = picture.transpose(TURNED_BACK[orientation]) if orientation > 1 else picture
     exif = Image.Exif()
     exif[Base.Orientation] = orientation
-    exif.get_ifd(IFD.Exif)[Base.FocalLengthIn35mmFilm] = 36
-    image.save(tmp_path / "turned.jpg", exif=exif, quality=95)
-    query = read_query(tmp_path / "turned.jpg")
-    assert close_to(query, scene)
-    # The upright photo is 4:3 with a diagonal of 43.27 mm at 36 mm: 34.61 mm wide.
-    assert query.fov_deg == pytest.approx(2 * np.degrees(np.arctan(34.613 / 72)), abs=0.01)
+    noted = exif.get_ifd(IFD.Exif)
+    noted[Base.FocalLengthIn35mmFilm] = 36
+    # The frame that the sensor had is four times as large.
+    noted[Base.ExifImageWidth], noted[Base.ExifImageHeight] = (4 * side for side in stored.size)
+    path = tmp_path / f"turned.{container}"
+    stored.save(path, exif=exif.tobytes(), **CONTAINERS[container])
+    image, query = extract_photo(path)
+    assert image.shape[1::-1] == upright
+    off = np.abs(image.astype(int) - np.asarray(picture))
+    assert off.mean() < (3.0 if container in ("jpg", "avif", "heic") else 1e-9)
+    # 4:3 with a diagonal of 43.27 mm: 34.61 mm by 25.96 mm, before 36 mm.
+    side_mm = 34.613 if upright == (320, 240) else 25.960
+    assert query.fov_deg == pytest.approx(2 * np.degrees(np.arctan(side_mm / 72)), abs=0.01)
+    plain = extract_skyline(np.asarray(picture))
+    both = query.trusted & plain.trusted
+    assert both.mean() > 0.9
+    assert np.median(np.abs(query.row_px - plain.row_px)[both]) < 0.5
 
 
 # Field of view

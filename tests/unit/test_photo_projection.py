@@ -10,7 +10,8 @@ from PIL import Image
 from PIL.ExifTags import IFD, Base
 
 from skyline.errors import InputError
-from skyline.photo.projection import Projection, distorted, panorama_of_xmp, undistorted
+from skyline.photo.lens import panorama_of_xmp
+from skyline.photo.projection import Projection, distorted, undistorted
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import extract_photo, read_query
 from skyline.photo.trace import write_trace
@@ -93,22 +94,16 @@ ELEMENTS = """<GPano:ProjectionType>{}</GPano:ProjectionType>
 
 @pytest.mark.parametrize("form", [ATTRIBUTES, ELEMENTS])
 def test_xmp_notes_what_a_panorama_spans(form):
-    assert panorama_of_xmp(form.format("cylindrical", 4000, 12000)) == (CYLINDER, 120.0)
-    assert panorama_of_xmp(form.format("equirectangular", 4000, 4000)) == (SPHERE, 360.0)
-
-
-@pytest.mark.parametrize(
-    "values",
-    [("fisheye", 1, 2), ("cylindrical", 3, 2), ("cylindrical", 0, 2), ("cylindrical", 1, 0)],
-)
-def test_xmp_that_makes_no_sense_is_left_aside(values):
-    assert panorama_of_xmp(ATTRIBUTES.format(*values)) is None
-    assert panorama_of_xmp("<x:xmpmeta/>") is None
+    for kind, width, turn, fov_deg in ((CYLINDER, 4000, 12000, 120.0), (SPHERE, 4000, 4000, 360.0)):
+        projection, lens = panorama_of_xmp(form.format(kind, width, turn), (width, 1000))
+        assert (projection, lens.fov_deg, lens.sd_deg) == (kind, fov_deg, None)
+    assert panorama_of_xmp("<x:xmpmeta/>", (4000, 3000)) is None
 
 
 def save_panorama(path, noted_width: int) -> None:
     scene = make_scene("clear", 104, 960, 240)
-    xmp = ATTRIBUTES.format("cylindrical", 960, noted_width).encode()
+    noted = ATTRIBUTES + "<GPano:CroppedAreaImageHeightPixels>240<"
+    xmp = noted.format("cylindrical", 960, noted_width).encode()
     Image.fromarray(scene.image).save(path, quality=95, xmp=xmp)
 
 
@@ -118,7 +113,18 @@ def test_panorama_file_says_its_own_span(tmp_path):
     assert (query.projection, query.fov_deg) == (CYLINDER, 120.0)
     # What the person says wins.
     told = read_query(tmp_path / "wide.jpg", 100.0, projection=SPHERE)
-    assert (told.projection, told.fov_deg) == (SPHERE, 100.0)
+    assert (told.projection, told.fov_deg, told.lens) == (SPHERE, 100.0, None)
+    assert read_query(tmp_path / "wide.jpg", projection=SPHERE).fov_deg == 120.0
+    assert read_query(tmp_path / "wide.jpg", projection=Projection.PERSPECTIVE).fov_deg is None
+
+
+@pytest.mark.parametrize("box", [(0, 0, 320, 240), (300, 0, 700, 240), (0, 50, 960, 240)])
+def test_a_panorama_cropped_since_spans_what_is_left(tmp_path, box):
+    save_panorama(tmp_path / "wide.jpg", 960 * 3)
+    with Image.open(tmp_path / "wide.jpg") as image:
+        image.crop(box).save(tmp_path / "part.jpg", quality=95, xmp=image.info["xmp"])
+    query = read_query(tmp_path / "part.jpg")
+    assert query.fov_deg == pytest.approx(120.0 * (box[2] - box[0]) / 960.0)
 
 
 def test_a_phone_s_panorama_is_known_as_one(tmp_path):

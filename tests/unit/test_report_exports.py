@@ -3,6 +3,9 @@
 import io
 import json
 import math
+import shutil
+import struct
+import subprocess
 import xml.etree.ElementTree as Xml
 import zipfile
 from dataclasses import replace
@@ -11,8 +14,8 @@ import geopandas
 import numpy as np
 import pytest
 import rasterio
-from PIL import Image
-from PIL.ExifTags import IFD, Base
+from PIL import Image, features
+from PIL.ExifTags import GPS, IFD, Base
 from pyproj import Geod, Transformer
 from scenes import FRAME, candidate_at
 
@@ -163,10 +166,120 @@ def test_gdal_reads_the_place_in_the_copy_of_a_photo(tmp_path, turned):
     assert noted.heading_deg == pytest.approx(BEST.heading_deg, abs=1e-3)
 
 
-@pytest.mark.parametrize("suffix", [".png", ".webp"])
-def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix):
+GPS_OF_ANOTHER_POSE = {
+    GPS.GPSLatitudeRef: "S", GPS.GPSLatitude: (10.0, 0.0, 0.0), GPS.GPSLongitudeRef: "W",
+    GPS.GPSLongitude: (20.0, 0.0, 0.0), GPS.GPSAltitudeRef: b"\1", GPS.GPSAltitude: 5.0,
+    GPS.GPSTimeStamp: (10.0, 11.0, 12.0), GPS.GPSSatellites: "7", GPS.GPSStatus: "V",
+    GPS.GPSMeasureMode: "3", GPS.GPSDOP: 5.0, GPS.GPSSpeedRef: "K", GPS.GPSSpeed: 3.0,
+    GPS.GPSTrackRef: "T", GPS.GPSTrack: 5.0, GPS.GPSImgDirectionRef: "M",
+    GPS.GPSImgDirection: 77.0, GPS.GPSMapDatum: "TOKYO", GPS.GPSDestLatitudeRef: "N",
+    GPS.GPSDestLatitude: (1.0, 0.0, 0.0), GPS.GPSDestLongitudeRef: "E",
+    GPS.GPSDestLongitude: (2.0, 0.0, 0.0), GPS.GPSDestBearingRef: "M", GPS.GPSDestBearing: 77.0,
+    GPS.GPSDestDistanceRef: "K", GPS.GPSDestDistance: 4.0,
+    GPS.GPSProcessingMethod: b"ASCII\0\0\0GPS", GPS.GPSAreaInformation: b"ASCII\0\0\0Here",
+    GPS.GPSDateStamp: "2024:01:02", GPS.GPSDifferential: 1, GPS.GPSHPositioningError: 3.0,
+    0xC000: "of nobody knows whom",
+}  # fmt: skip
+XMP_OF_ANOTHER_POSE = b"""<x:xmpmeta xmlns:x="adobe:ns:meta/">
+<rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+<rdf:Description rdf:about="" xmlns:exif="http://ns.adobe.com/exif/1.0/"
+ xmlns:xmp="http://ns.adobe.com/xap/1.0/" xmlns:dji="http://www.dji.com/drone-dji/1.0/"
+ xmlns:GPano="http://ns.google.com/photos/1.0/panorama/"
+ exif:GPSLatitude="10,30.5S" exif:GPSLongitude='20,0.0W' xmp:Rating="5" exif:GPSDOP = "5/1"
+ dji:GpsLongtitude="20.0" dji:AbsoluteAltitude="+5.0" dji:GimbalYawDegree="77.0"
+ GPano:FullPanoWidthPixels="300" GPano:PoseHeadingDegrees="77">
+<exif:GPSImgDirection>77/1</exif:GPSImgDirection><exif:GPSAltitude/>
+<xmp:CreatorTool>A "GPSLatitude" logger</xmp:CreatorTool>
+<exif:GPSTimeStamp xml:lang="x-default">2024-01-02T10:11:12Z</exif:GPSTimeStamp>
+<xmp:Label>Kept</xmp:Label></rdf:Description></rdf:RDF></x:xmpmeta>"""
+OWNER = b"Ada of the Alps\0"
+
+
+def canon_note(at, order):
+    """Return a maker's note at an offset of EXIF: its owner's name, by an offset into EXIF."""
+    return struct.pack(f"{order}HHHIII", 1, 9, 2, len(OWNER), at + 18, 0) + OWNER
+
+
+def exif_of_another_pose(orientation=1):
+    """Return EXIF with a maker's note that must stay where it is, and its preview."""
+    exif = Image.Exif()
+    exif[Base.Make], exif[Base.Model] = "Canon", "Canon EOS 6D"
+    exif[Base.Orientation] = orientation
+    exif.get_ifd(IFD.GPSInfo).update(GPS_OF_ANOTHER_POSE)
+    exif.get_ifd(IFD.Exif)[Base.MakerNote] = canon_note(0, "<")
+    tiff = exif.tobytes().removeprefix(b"Exif\0\0")
+    order = ">" if tiff.startswith(b"MM") else "<"
+    at = tiff.index(canon_note(0, "<"))
+    tiff = tiff.replace(canon_note(0, "<"), canon_note(at, order))
+    # Pillow takes bytes for numbers; a maker's note is of no type.
+    tiff = tiff.replace(*(struct.pack(f"{order}HH", Base.MakerNote, kind) for kind in (1, 7)))
+    # The second directory is the preview's.
+    held = io.BytesIO()
+    Image.new("RGB", (16, 12), "red").save(held, "JPEG")
+    preview = held.getvalue()
+    (first,) = struct.unpack_from(f"{order}I", tiff, 4)
+    (count,) = struct.unpack_from(f"{order}H", tiff, first)
+    link, entry = first + 2 + 12 * count, f"{order}HHII"
+    second = struct.pack(f"{order}H", 3) + struct.pack(f"{order}HHIHxx", 259, 3, 1, 6)
+    second += struct.pack(entry, 513, 4, 1, len(tiff) + 42)
+    second += struct.pack(entry, 514, 4, 1, len(preview)) + bytes(4)
+    tiff = tiff[:link] + struct.pack(f"{order}I", len(tiff)) + tiff[link + 4 :] + second + preview
+    return b"Exif\0\0" + tiff, preview
+
+
+def told_by_exiftool(path, *options):
+    """Return what exiftool reads of a file, numbers as such, by the group of its tags."""
+    if shutil.which("exiftool") is None:
+        pytest.skip("libimage-exiftool-perl is not installed (.ci/system_packages.py)")
+    command = ["exiftool", "-j", "-a", "-n", "-G1", *options, path]
+    found = subprocess.run(command, capture_output=True, check=True, text=True)
+    assert "Warning" not in found.stdout
+    return json.loads(found.stdout)[0]
+
+
+@pytest.mark.parametrize("covariance_m2", [np.diag([100.0, 100.0]), None])
+def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path, covariance_m2):
+    source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
+    exif, preview = exif_of_another_pose()
+    Image.fromarray(PHOTO).save(source, exif=exif, xmp=XMP_OF_ANOTHER_POSE)
+    assert told_by_exiftool(source)["Canon:OwnerName"] == "Ada of the Alps"
+    pose = replace(BEST, covariance_m2=covariance_m2)
+    write_located(source, path, pose)
+    write_located(path, path, pose)
+    told = told_by_exiftool(path)
+    gps = {name[4:]: value for name, value in told.items() if name.startswith("GPS:")}
+    assert gps.pop("GPSLatitude") == pytest.approx(pose.lat, abs=1e-7)
+    assert gps.pop("GPSLongitude") == pytest.approx(pose.lon, abs=1e-7)
+    assert gps.pop("GPSImgDirection") == pytest.approx(pose.heading_deg, abs=1e-3)
+    radius_m = gps.pop("GPSHPositioningError", None)
+    assert radius_m == (None if covariance_m2 is None else pytest.approx(pose.radius_m, abs=0.01))
+    assert gps == {
+        "GPSVersionID": "2 3 0 0", "GPSLatitudeRef": "N", "GPSLongitudeRef": "E",
+        "GPSAltitudeRef": 0, "GPSAltitude": 1234.5, "GPSImgDirectionRef": "T",
+        "GPSMapDatum": "WGS-84",
+    }  # fmt: skip
+    assert told["Canon:OwnerName"] == "Ada of the Alps"
+    xmp = {name: value for name, value in told.items() if name.startswith("XMP")}
+    assert xmp == {
+        "XMP-xmp:Rating": 5, "XMP-xmp:Label": "Kept", "XMP-GPano:FullPanoWidthPixels": 300,
+        "XMP-xmp:CreatorTool": 'A "GPSLatitude" logger',
+    }  # fmt: skip
+    assert not any("Pose" in name or "Gps" in name for name in told)
+    kept = subprocess.run(["exiftool", "-b", "-ThumbnailImage", path], stdout=-1, check=True)
+    assert kept.stdout == preview
+    pixels = source.read_bytes()
+    assert path.read_bytes().endswith(pixels[pixels.rindex(b"\xff\xdb") :])
+
+
+@pytest.mark.parametrize("suffix", [".png", ".webp", ".tif", ".avif"])
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix, orientation):
+    if suffix == ".avif" and not features.check("avif"):
+        pytest.skip("this Pillow has no AVIF")
     source, path = tmp_path / f"photo{suffix}", tmp_path / "copy.jpg"
-    Image.fromarray(np.repeat(PHOTO, 2, axis=0)).save(source)
+    exif, _ = exif_of_another_pose(orientation)
+    picture = np.repeat(PHOTO, 2, axis=0)
+    Image.fromarray(picture).save(source, exif=exif, xmp=XMP_OF_ANOTHER_POSE)
     below = candidate_at(0.0, 0.0, eye_elevation_m=-12.0)
     write_located(source, path, below)
     write_located(path, path, below)
@@ -174,4 +287,30 @@ def test_other_photos_become_jpegs_that_say_their_place(tmp_path, suffix):
     assert noted.lonlat_deg == pytest.approx((below.lon, below.lat), abs=1e-7)
     assert noted.elevation_m == -12.0
     with Image.open(path) as image:
-        assert (image.format, image.size) == ("JPEG", (40, 60))
+        assert (image.format, image.size) == ("JPEG", (40, 60) if orientation == 1 else (60, 40))
+        tags = image.getexif()
+        assert (tags[Base.Model], tags[Base.Orientation]) == ("Canon EOS 6D", 1)
+        assert GPS.GPSDestBearing not in tags.get_ifd(IFD.GPSInfo)
+        assert not tags.keys() & {Base.StripOffsets, Base.Compression}
+    # Pillow moves notes in the other two as it writes or reads them.
+    if suffix in (".png", ".webp"):
+        assert told_by_exiftool(path)["Canon:OwnerName"] == "Ada of the Alps"
+
+
+@pytest.mark.parametrize("exif", [b"", b"Exif\0\0", b"Exif\0\0II*\0\xff\xff\0\0", b"Exif\0\0#"])
+def test_a_photo_without_exif_that_can_be_read_says_its_place(tmp_path, exif):
+    source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
+    Image.fromarray(PHOTO).save(source, **({"exif": exif} if exif else {}))
+    write_located(source, path, BEST)
+    assert read_photo(path).place.lonlat_deg == pytest.approx((BEST.lon, BEST.lat), abs=1e-7)
+    told_by_exiftool(path, "-validate")
+
+
+def test_exif_without_room_is_refused_in_one_line(tmp_path):
+    source, path = tmp_path / "photo.jpg", tmp_path / "copy.jpg"
+    exif = Image.Exif()
+    exif.get_ifd(IFD.Exif)[Base.MakerNote] = bytes(65_400)
+    Image.fromarray(PHOTO).save(source, exif=exif)
+    with pytest.raises(InputError, match=r"EXIF would have 6\d+ bytes; expected at most 65533"):
+        write_located(source, path, BEST)
+    assert not path.exists()

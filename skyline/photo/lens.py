@@ -1,0 +1,279 @@
+"""How wide a view the lens of a photo had, as far as its EXIF or its XMP notes that.
+
+A lens is noted in two ways: by the 35 mm equivalent (CIPA DCG-001 compares diagonals), and by the
+focal length with the resolution of the focal plane (EXIF 2.32, 4.6.5). Either is wrong in whole
+series of cameras, so each alone is a hint, and only the two together are a measurement. Both are of
+the frame whose size the camera noted; a panorama notes its own frame in XMP. A file of that shape
+was at most resized since, which changes nothing. One of another shape was cropped, and what was
+kept is at most the frame.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import atan, degrees, exp, hypot, isfinite, log, radians, sin, sqrt
+
+from PIL.ExifTags import Base
+
+from skyline.photo.projection import MAX_PANORAMA_DEG, MIN_FOV_DEG, Projection
+
+_FULL_FRAME_DIAGONAL_MM = hypot(36.0, 24.0)
+_MM_PER_UNIT = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}
+"""FocalPlaneResolutionUnit: inch, centimetre, millimetre, micrometre; inch where absent."""
+_ASPECT_TOLERANCE = 0.02
+MAX_PINHOLE_ASPECT = 2.5
+"""Wider photos are stitched or swept panoramas, or strips; the lens says nothing about those."""
+_MAX_FOV_DEG = 135.0
+"""Of the frame's diagonal lenses that draw straight lines straight see no more."""
+_SENSOR_MM = (2.0, 80.0)
+"""Diagonals of sensors, of phones to medium format."""
+_AGREE = log(1.1)
+"""Focal lengths nearer to each other than this are one: a 35 mm equivalent is rounded."""
+_FILM_ALONE = 0.1
+"""Deviation of the logarithm of a 35 mm equivalent: it is rounded to a millimetre (2 %), compares
+widths in some cameras (5 %), and is of the sensor before stabilization crops it (8 %)."""
+_PLANE_ALONE = 0.5 * log(1.5)
+"""Deviation of the logarithm of what a focal plane says: cameras that note it wrong are off by the
+step between two formats of sensors, 1.5 (Exiv2's issue 3097), or by a reduced picture's."""
+_SWEPT = 6.0
+"""CustomRendered of a panorama, as Apple's phones note it."""
+_SWEPT_HEIGHT, _SWEPT_SD = 0.83, 0.12
+"""Part of the camera's height that a panorama has, between 0.7 and nearly all, and how sure its
+width is."""
+_KEPT_MEAN, _KEPT_SD, _KEPT_MOST = 0.75, 0.5 / sqrt(12.0), 1.05
+"""Of the greatest field of view that a crop can have: between half and all of it, evenly."""
+_GPANO = re.compile(r"GPano:(\w+)\s*(?:=\s*[\"']|>)\s*([\w.]+)")
+"""Tags of the namespace http://ns.google.com/photos/1.0/panorama/, however XMP writes them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """What a file notes of the horizontal field of view of its photo.
+
+    Attributes
+    ----------
+    fov_deg : float or None
+        The likeliest, degrees; None where nothing is known.
+    sd_deg : float or None
+        Its deviation; None where it is as good as one that a person gives.
+    most_deg : float or None
+        The greatest that is possible, where the photo was cropped.
+    said : str
+        Why, in words; empty where the file notes no lens.
+    """
+
+    fov_deg: float | None = None
+    sd_deg: float | None = None
+    most_deg: float | None = None
+    said: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Focal:
+    """A focal length in diagonals of the frame, and the deviation of its logarithm.
+
+    The deviation is None where two sources agree.
+    """
+
+    diagonals: float
+    sd: float | None
+    source: str
+
+
+def lens_of(tags: Mapping[int, object], size_px: tuple[int, int]) -> Lens:
+    """Return what a photo's EXIF, the main and the Exif directories joined, says of its lens.
+
+    ``size_px`` is the width and the height of the file's pixels, upright.
+    """
+    frame = _frame(tags, size_px)
+    focal, dropped = _focal(tags, frame)
+    if focal is None:
+        return Lens(said=dropped)
+    if max(size_px) / min(size_px) > MAX_PINHOLE_ASPECT:
+        return Lens(said=f"{focal.source} left aside: the photo is a panorama or a strip")
+    tangent = _kept(size_px, frame)[0] / 2.0 / (focal.diagonals * hypot(*frame))
+    fov_deg = 2.0 * degrees(atan(tangent))
+    if fov_deg < MIN_FOV_DEG:
+        return Lens(said=f"{focal.source} left aside: {fov_deg:.2g} degrees are no photo's")
+    sd_deg = None if focal.sd is None else degrees(focal.sd * sin(radians(fov_deg)))
+    if _is_whole(size_px, frame) or _is_unscaled(size_px, frame):
+        return Lens(fov_deg, sd_deg, None, "; ".join(filter(None, [focal.source, dropped])))
+    said = f"{focal.source}, but the photo was cropped: at most {fov_deg:.1f} degrees"
+    most_deg = _KEPT_MOST * 2.0 * degrees(atan(tangent * exp(2.0 * (focal.sd or 0.0))))
+    return Lens(
+        _KEPT_MEAN * fov_deg,
+        hypot(_KEPT_SD * fov_deg, sd_deg or 0.0),
+        most_deg,
+        "; ".join(filter(None, [said, dropped])),
+    )
+
+
+def swept_lens_of(tags: Mapping[int, object], size_px: tuple[int, int]) -> Lens | None:
+    """Return what EXIF says of a panorama that a phone swept; None where it does not say so.
+
+    ``size_px`` is the panorama's width and height, upright. Its scale is the camera's, held on end,
+    but phones keep more or less of the height.
+    """
+    if positive(tags.get(Base.CustomRendered)) != _SWEPT:
+        return None
+    equivalent_mm = positive(tags.get(Base.FocalLengthIn35mmFilm))
+    if equivalent_mm is None:
+        return Lens(said="EXIF says that the photo is a panorama, and not how wide")
+    width, height = size_px
+    focal_px = equivalent_mm / 36.0 * height / _SWEPT_HEIGHT
+    fov_deg = min(degrees(width / focal_px), MAX_PANORAMA_DEG)
+    said = f"EXIF says that the photo is a panorama: about {fov_deg:.0f} degrees"
+    return Lens(fov_deg, _SWEPT_SD * fov_deg, MAX_PANORAMA_DEG, said)
+
+
+def panorama_of_xmp(xmp: str, size_px: tuple[int, int]) -> tuple[Projection, Lens] | None:
+    """Return what a file's XMP says of a panorama; None where it does not say that it is one.
+
+    ``size_px`` is the width and the height of the file's pixels, upright. XMP notes the size of the
+    panorama when it was made, and how wide a whole turn would be. A file of that shape has the
+    whole panorama, one of all its rows or all its columns the part that its size says, and any
+    other has between what its pixels span at the panorama's own scale and all that has its shape.
+    """
+    tags = dict(_GPANO.findall(xmp))
+    width, turn, height = (
+        positive(tags.get(name))
+        for name in (
+            "CroppedAreaImageWidthPixels", "FullPanoWidthPixels", "CroppedAreaImageHeightPixels",
+        )
+    )  # fmt: skip
+    if width is None and turn is None and "ProjectionType" not in tags:
+        return None
+    noted = tags.get("ProjectionType", Projection.EQUIRECTANGULAR)
+    if noted not in {one for one in Projection if one.is_panorama}:
+        said = f"XMP says that the photo's projection is {noted}, which is not known here"
+        return Projection.PERSPECTIVE, Lens(said=said)
+    if width is None or turn is None or width > turn:
+        said = "XMP says that the photo is a panorama, and not how wide"
+        return Projection(noted), Lens(said=said)
+    return Projection(noted), _panorama_lens(size_px, width, height, MAX_PANORAMA_DEG / turn)
+
+
+def _panorama_lens(
+    size_px: tuple[int, int], width: float, height: float | None, deg_per_px: float
+) -> Lens:
+    """Return how wide a file's part of a panorama is that was once so wide and so high."""
+    kept_px = width if height is None else _kept(size_px, (width, height))[0]
+    fov_deg = kept_px * deg_per_px
+    if fov_deg < MIN_FOV_DEG:
+        return Lens(said=f"XMP's panorama left aside: {fov_deg:.2g} degrees are no photo's")
+    if height is None:
+        is_known = size_px[0] == width
+    else:
+        frame, rounding = (width, height), 1.0 / size_px[0] + 1.0 / size_px[1]
+        is_known = _is_unscaled(size_px, frame) or _is_whole(size_px, frame, rounding)
+    if is_known:
+        return Lens(fov_deg, said="XMP notes a panorama of this shape and scale")
+    # A crop is shrunk at times, and hardly ever enlarged.
+    least_deg = deg_per_px * min(float(size_px[0]), 0.5 * kept_px)
+    return Lens(
+        max(sqrt(least_deg * fov_deg), MIN_FOV_DEG),
+        (fov_deg - least_deg) / sqrt(12.0),
+        min(_KEPT_MOST * fov_deg, MAX_PANORAMA_DEG),
+        f"XMP notes a panorama, but the photo was cropped since: at most {fov_deg:.1f} degrees",
+    )
+
+
+def _focal(tags: Mapping[int, object], frame: tuple[float, float]) -> tuple[_Focal | None, str]:
+    """Return the focal length to believe, and what was dropped for what reason."""
+    equivalent_mm = positive(tags.get(Base.FocalLengthIn35mmFilm))
+    focal_mm = positive(tags.get(Base.FocalLength))
+    sensor_mm = _sensor_diagonal_mm(tags, frame)
+    by_film = None if equivalent_mm is None else equivalent_mm / _FULL_FRAME_DIAGONAL_MM
+    by_plane = None if focal_mm is None or sensor_mm is None else focal_mm / sensor_mm
+    dropped = []
+    if by_film is not None and not _is_lens(by_film, focal_mm):
+        dropped.append(f"EXIF's 35 mm equivalent of {equivalent_mm:g} mm is no lens's")
+        by_film = None
+    if by_plane is not None and not _is_lens(by_plane, focal_mm):
+        dropped.append("EXIF's focal plane is no camera's")
+        by_plane = None
+    said = "; ".join(dropped)
+    if by_film is not None and by_plane is not None:
+        middle, off = sqrt(by_film * by_plane), abs(log(by_film / by_plane))
+        if off <= _AGREE:
+            return _Focal(middle, None, "EXIF's 35 mm equivalent, and its focal plane agrees"), said
+        source = "EXIF's 35 mm equivalent and its focal plane contradict one another"
+        return _Focal(middle, max(off / 2.0, _FILM_ALONE), source), said
+    if by_film is not None:
+        return _Focal(by_film, _FILM_ALONE, "EXIF's 35 mm equivalent alone"), said
+    if by_plane is not None:
+        return _Focal(by_plane, _PLANE_ALONE, "EXIF's focal plane alone"), said
+    return None, said
+
+
+def _is_lens(diagonals: float, focal_mm: float | None) -> bool:
+    """Whether a focal length, in diagonals of its frame, is one of a lens before a sensor."""
+    if 2.0 * degrees(atan(0.5 / diagonals)) > _MAX_FOV_DEG:
+        return False
+    return focal_mm is None or _SENSOR_MM[0] <= focal_mm / diagonals <= _SENSOR_MM[1]
+
+
+def _sensor_diagonal_mm(tags: Mapping[int, object], frame: tuple[float, float]) -> float | None:
+    """Return the diagonal of what the frame's pixels took of the focal plane.
+
+    None where EXIF does not say how many pixels the frame had: the file's own may be fewer.
+    """
+    unit_mm = _MM_PER_UNIT.get(int(positive(tags.get(Base.FocalPlaneResolutionUnit)) or 2))
+    across = positive(tags.get(Base.FocalPlaneXResolution))
+    is_sized = positive(tags.get(Base.ExifImageWidth)) and positive(tags.get(Base.ExifImageHeight))
+    if unit_mm is None or across is None or not is_sized:
+        return None
+    return hypot(*frame) * unit_mm / across
+
+
+def _frame(tags: Mapping[int, object], size_px: tuple[int, int]) -> tuple[float, float]:
+    """Return the size the camera noted, which resizing leaves and cropping contradicts.
+
+    Photos on end are noted lying or upright. What fits a file best is taken, and of what fits none
+    the wider part.
+    """
+    width = positive(tags.get(Base.ExifImageWidth))
+    height = positive(tags.get(Base.ExifImageHeight))
+    if width is None or height is None:
+        return float(size_px[0]), float(size_px[1])
+    frames = (width, height), (height, width)
+
+    def fit(frame: tuple[float, float]) -> tuple[bool, bool, float]:
+        return _is_whole(size_px, frame), _is_unscaled(size_px, frame), _kept(size_px, frame)[0]
+
+    return max(frames, key=fit)
+
+
+def _kept(size_px: tuple[int, int], frame: tuple[float, float]) -> tuple[float, float]:
+    """Return the greatest part of a frame, in its pixels, that has the shape of a file."""
+    if _is_unscaled(size_px, frame):
+        return float(size_px[0]), float(size_px[1])
+    scale = min(frame[0] / size_px[0], frame[1] / size_px[1])
+    return size_px[0] * scale, size_px[1] * scale
+
+
+def _is_whole(
+    size_px: tuple[int, int], frame: tuple[float, float], tolerance: float = _ASPECT_TOLERANCE
+) -> bool:
+    """Whether a file has the shape of a frame."""
+    return abs(size_px[0] / size_px[1] / (frame[0] / frame[1]) - 1.0) <= tolerance
+
+
+def _is_unscaled(size_px: tuple[int, int], frame: tuple[float, float]) -> bool:
+    """Whether a file has all columns or all rows of the frame, and no more of the other."""
+    return max(size_px[0] - frame[0], size_px[1] - frame[1]) == 0.0
+
+
+def number(value: object) -> float | None:
+    """Return a tag's number where it is one: a rational may be 0/0."""
+    try:
+        as_float = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return as_float if isfinite(as_float) else None
+
+
+def positive(value: object) -> float | None:
+    """Return a tag's number where it is one above 0."""
+    found = number(value)
+    return found if found is not None and found > 0.0 else None
