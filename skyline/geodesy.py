@@ -9,14 +9,17 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pyproj import CRS, Proj, Transformer
-from pyproj.exceptions import CRSError
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError, ProjError
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Complex128Array, Float64Array
 from skyline.errors import InputError
 
 EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13
+
+_STEP_RAD = 1e-6
+"""Of latitude, 6 m: the differences by which a projection is derived."""
 
 
 @dataclass(frozen=True)
@@ -86,9 +89,20 @@ def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
 
 
 def is_metric(crs: CRS) -> bool:
-    """Whether a CRS is projected and in metres, so that it can be a frame."""
-    units = [axis.unit_conversion_factor for axis in crs.axis_info[:2]]
-    return bool(crs.is_projected and np.allclose(units, 1.0, rtol=0.0, atol=1e-9))
+    """Whether a CRS is projected, in metres and neither mirrored nor upside down.
+
+    Only such a CRS can be a frame. Both axes of a polar projection point north, or both south.
+    """
+    axes = crs.axis_info[:2]
+    units = [axis.unit_conversion_factor for axis in axes]
+    directions = {axis.direction for axis in axes}
+    upright = directions in ({"east", "north"}, {"north"}, {"south"})
+    return bool(crs.is_projected and upright and np.allclose(units, 1.0, rtol=0.0, atol=1e-9))
+
+
+def horizontal(crs: CRS) -> CRS:
+    """Return a CRS without its vertical axis, the CRS itself if it has none."""
+    return crs.to_2d() if len(crs.axis_info) > 2 else crs
 
 
 def parse_crs(crs: object) -> CRS:
@@ -102,6 +116,23 @@ def parse_crs(crs: object) -> CRS:
         ) from error
 
 
+def transformer(source: CRS, target: CRS) -> Transformer:
+    """Return the transformation of x and y, in the order that raster files have, between two CRS.
+
+    Raises
+    ------
+    InputError
+        PROJ knows none: the CRS is of another planet, or of a projection that PROJ lacks.
+    """
+    try:
+        return Transformer.from_crs(source, target, always_xy=True)
+    except ProjError as error:
+        raise InputError(
+            f"PROJ cannot transform coordinates of {source.name!r} to {target.name!r} "
+            f"({' '.join(str(error).split())}); give a DEM in another CRS of the Earth"
+        ) from error
+
+
 @dataclass(frozen=True)
 class Frame:
     """A metric map frame: the DEM's own CRS, or a local conformal one centred on the area."""
@@ -110,11 +141,15 @@ class Frame:
 
     @classmethod
     def from_crs(cls, crs: object) -> "Frame":
-        """Make a frame of anything pyproj understands; raises `InputError` unless metric."""
-        parsed = parse_crs(crs)
+        """Make a frame of anything pyproj understands; raises `InputError` unless metric.
+
+        The vertical axis of a compound or three-dimensional CRS is left out.
+        """
+        parsed = horizontal(parse_crs(crs))
         if not is_metric(parsed):
             raise InputError(
-                f"frame {parsed.name!r} is not metric; a projected CRS in metres is needed"
+                f"frame {parsed.name!r} is not metric; expected a projected CRS in metres whose "
+                "axes point east and north"
             )
         return cls(parsed.to_wkt())
 
@@ -131,7 +166,7 @@ class Frame:
     @cached_property
     def crs(self) -> CRS:
         """The frame as a pyproj CRS."""
-        return CRS.from_wkt(self.wkt)
+        return horizontal(CRS.from_wkt(self.wkt))
 
     @property
     def name(self) -> str:
@@ -141,11 +176,12 @@ class Frame:
 
     @cached_property
     def _to_lonlat(self) -> Transformer:
-        return Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True)
+        return transformer(self.crs, CRS.from_epsg(4326))
 
     @cached_property
-    def _projection(self) -> Proj:
-        return Proj(self.crs)
+    def _projection(self) -> Transformer:
+        """From longitude and latitude of the CRS's own datum and prime meridian to the map."""
+        return transformer(self.crs.geodetic_crs, self.crs)
 
     def to_lonlat(
         self, easting_m: ArrayLike, northing_m: ArrayLike
@@ -185,17 +221,48 @@ class Frame:
 
     def convergence_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return grid convergence: true azimuth = grid azimuth + convergence, degrees."""
-        return self._factor("meridian_convergence", easting_m, northing_m)
+        _, to_north = self._steps(easting_m, northing_m)
+        return -np.degrees(np.arctan2(to_north.real, to_north.imag))
 
     def angular_distortion_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return the greatest distortion of an angle at each location; 0 where conformal."""
-        return self._factor("angular_distortion", easting_m, northing_m)
+        to_east, to_north = self._steps(easting_m, northing_m)
+        # Sum and difference of the half axes of Tissot's ellipse (Snyder 1987, 4-12 and 4-13).
+        sums, differences = np.abs(to_east - 1j * to_north), np.abs(to_east + 1j * to_north)
+        return np.degrees(2.0 * np.arcsin(differences / sums))
 
     def scale(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return map metres per metre on the ground at each location, mean over directions."""
-        return np.sqrt(self._factor("areal_scale", easting_m, northing_m))
+        to_east, to_north = self._steps(easting_m, northing_m)
+        return np.sqrt(np.abs((to_east.conj() * to_north).imag))
 
-    def _factor(self, name: str, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
-        lon, lat = self._projection(easting_m, northing_m, inverse=True)
-        factors = self._projection.get_factors(np.asarray(lon), np.asarray(lat))
-        return np.asarray(getattr(factors, name), dtype=np.float64)
+    def _steps(
+        self, easting_m: ArrayLike, northing_m: ArrayLike
+    ) -> tuple[Complex128Array, Complex128Array]:
+        """Return the steps on the map for a metre of ground to the east, and one to the north.
+
+        Each is easting + i northing, in metres. They are differences of the projection itself, so
+        they hold whatever the prime meridian, the units and the order of its axes are.
+        """
+        geodetic = self.crs.geodetic_crs
+        unit_rad = geodetic.axis_info[0].unit_conversion_factor
+        lon, lat = self._projection.transform(easting_m, northing_m, direction="INVERSE")
+        # A step short of a pole, which has no north.
+        lat_rad = np.clip(np.multiply(lat, unit_rad), _STEP_RAD - np.pi / 2, np.pi / 2 - _STEP_RAD)
+        lon_rad = np.multiply(lon, unit_rad)
+        lon_step = _STEP_RAD / np.cos(lat_rad)
+
+        def on_map(lon_rad: Float64Array, lat_rad: Float64Array) -> Complex128Array:
+            x, y = self._projection.transform(lon_rad / unit_rad, lat_rad / unit_rad)
+            return np.asarray(x) + 1j * np.asarray(y)
+
+        with np.errstate(invalid="ignore"):  # off the map
+            eastward = on_map(lon_rad + lon_step, lat_rad) - on_map(lon_rad - lon_step, lat_rad)
+            northward = on_map(lon_rad, lat_rad + _STEP_RAD) - on_map(lon_rad, lat_rad - _STEP_RAD)
+        ellipsoid = geodetic.ellipsoid
+        axes_ratio2 = (ellipsoid.semi_minor_metre / ellipsoid.semi_major_metre) ** 2
+        # The radii of curvature across the meridian and along it.
+        root = 1.0 - (1.0 - axes_ratio2) * np.sin(lat_rad) ** 2
+        across_m = ellipsoid.semi_major_metre / np.sqrt(root)
+        along_m = across_m * axes_ratio2 / root
+        return eastward / (2.0 * _STEP_RAD * across_m), northward / (2.0 * _STEP_RAD * along_m)
