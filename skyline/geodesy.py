@@ -4,12 +4,14 @@ Inside the program a location is (easting, northing) in one metric frame and azi
 grid north. Whatever a person reads is in degrees of WGS 84 and from true north.
 """
 
+import math
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pyproj import CRS, Transformer
+from pyproj import CRS, Geod, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from skyline.arrays import Complex128Array, Float64Array
@@ -18,8 +20,9 @@ from skyline.errors import InputError
 EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13
 
-_STEP_RAD = 1e-6
-"""Of latitude, 6 m: the differences by which a projection is derived."""
+_WGS84 = Geod(ellps="WGS84")
+_STEP_DEG = 1e-4
+"""Of latitude, 11 m: half of the differences by which a projection is derived."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,8 @@ class Curvature:
         return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))
 
 
+_LonLat = tuple[Float64Array, Float64Array]
+
 Rectangle = tuple[float, float, float, float]
 """West, south, east, north in metres of a frame."""
 
@@ -88,16 +93,20 @@ def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
     return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
 
 
-def is_metric(crs: CRS) -> bool:
-    """Whether a CRS is projected, in metres and neither mirrored nor upside down.
+def is_upright(crs: CRS) -> bool:
+    """Whether the map of a CRS is neither mirrored nor upside down.
 
-    Only such a CRS can be a frame. Both axes of a polar projection point north, or both south.
+    Both axes of a polar projection point north, or both south.
     """
-    axes = crs.axis_info[:2]
-    units = [axis.unit_conversion_factor for axis in axes]
-    directions = {axis.direction for axis in axes}
-    upright = directions in ({"east", "north"}, {"north"}, {"south"})
-    return bool(crs.is_projected and upright and np.allclose(units, 1.0, rtol=0.0, atol=1e-9))
+    directions = {axis.direction for axis in crs.axis_info[:2]}
+    return directions in ({"east", "north"}, {"north"}, {"south"})
+
+
+def is_metric(crs: CRS) -> bool:
+    """Whether a CRS is projected, in metres and upright, so that it can be a frame."""
+    units = [axis.unit_conversion_factor for axis in crs.axis_info[:2]]
+    metres = np.allclose(units, 1.0, rtol=0.0, atol=1e-9)
+    return bool(crs.is_projected and metres and is_upright(crs))
 
 
 def horizontal(crs: CRS) -> CRS:
@@ -131,6 +140,40 @@ def transformer(source: CRS, target: CRS) -> Transformer:
             f"PROJ cannot transform coordinates of {source.name!r} to {target.name!r} "
             f"({' '.join(str(error).split())}); give a DEM in another CRS of the Earth"
         ) from error
+
+
+def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
+    """Return longitude and latitude (WGS 84) of a point of a CRS, and in words how well they hold.
+
+    Raises `InputError` where PROJ knows no transformation.
+    """
+    transformation = transformer(crs, CRS.from_epsg(4326))
+    lon, lat = transformation.transform(x, y)
+    with suppress(ProjError):  # where there is only one
+        transformation = transformation.get_last_used_operation()
+    steps = transformation.description.split(" + ")
+    how = " + ".join(step for step in steps if not step.startswith("axis order change"))
+    if "Ballpark" in how:
+        how += "; PROJ knows no better one here, and places may be off by some 100 m"
+    elif transformation.accuracy >= 0.0:
+        how += f"; good to {transformation.accuracy:g} m"
+    return float(lon), float(lat), how
+
+
+def off_area_deg(crs: CRS, lon_deg: float, lat_deg: float) -> float:
+    """Return by how many degrees a place lies outside of the area that a CRS is made for.
+
+    It is 0 inside the box of the area, and for a CRS of which no area is known.
+    """
+    authority = crs.to_authority()
+    area = CRS.from_authority(*authority).area_of_use if authority else None
+    if area is None:
+        return 0.0
+    width = (area.east - area.west) % 360.0 or 360.0
+    past_west = (lon_deg - area.west) % 360.0
+    aside = max(0.0, min(past_west - width, 360.0 - past_west))
+    aside *= math.cos(math.radians(lat_deg))
+    return max(area.south - lat_deg, lat_deg - area.north, aside, 0.0)
 
 
 @dataclass(frozen=True)
@@ -178,11 +221,6 @@ class Frame:
     def _to_lonlat(self) -> Transformer:
         return transformer(self.crs, CRS.from_epsg(4326))
 
-    @cached_property
-    def _projection(self) -> Transformer:
-        """From longitude and latitude of the CRS's own datum and prime meridian to the map."""
-        return transformer(self.crs.geodetic_crs, self.crs)
-
     def to_lonlat(
         self, easting_m: ArrayLike, northing_m: ArrayLike
     ) -> tuple[Float64Array, Float64Array]:
@@ -222,7 +260,7 @@ class Frame:
     def convergence_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return grid convergence: true azimuth = grid azimuth + convergence, degrees."""
         _, to_north = self._steps(easting_m, northing_m)
-        return -np.degrees(np.arctan2(to_north.real, to_north.imag))
+        return np.degrees(np.arctan2(0.0 - to_north.real, to_north.imag))
 
     def angular_distortion_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return the greatest distortion of an angle at each location; 0 where conformal."""
@@ -241,28 +279,25 @@ class Frame:
     ) -> tuple[Complex128Array, Complex128Array]:
         """Return the steps on the map for a metre of ground to the east, and one to the north.
 
-        Each is easting + i northing, in metres. They are differences of the projection itself, so
-        they hold whatever the prime meridian, the units and the order of its axes are.
+        Each is easting + i northing, in metres. They are differences of places on WGS 84, so that
+        they hold for any datum, prime meridian and axes.
         """
-        geodetic = self.crs.geodetic_crs
-        unit_rad = geodetic.axis_info[0].unit_conversion_factor
-        lon, lat = self._projection.transform(easting_m, northing_m, direction="INVERSE")
+        lon, lat = self.to_lonlat(easting_m, northing_m)
         # A step short of a pole, which has no north.
-        lat_rad = np.clip(np.multiply(lat, unit_rad), _STEP_RAD - np.pi / 2, np.pi / 2 - _STEP_RAD)
-        lon_rad = np.multiply(lon, unit_rad)
-        lon_step = _STEP_RAD / np.cos(lat_rad)
+        lat = np.clip(lat, _STEP_DEG - 90.0, 90.0 - _STEP_DEG)
+        lat_rad = np.radians(lat)
+        lon_step = _STEP_DEG / np.cos(lat_rad)
 
-        def on_map(lon_rad: Float64Array, lat_rad: Float64Array) -> Complex128Array:
-            x, y = self._projection.transform(lon_rad / unit_rad, lat_rad / unit_rad)
-            return np.asarray(x) + 1j * np.asarray(y)
+        def between(start: _LonLat, end: _LonLat) -> Complex128Array:
+            east, north = np.subtract(self.from_lonlat(*end), self.from_lonlat(*start))
+            step: Complex128Array = (east + 1j * north) / math.radians(2.0 * _STEP_DEG)
+            return step
 
         with np.errstate(invalid="ignore"):  # off the map
-            eastward = on_map(lon_rad + lon_step, lat_rad) - on_map(lon_rad - lon_step, lat_rad)
-            northward = on_map(lon_rad, lat_rad + _STEP_RAD) - on_map(lon_rad, lat_rad - _STEP_RAD)
-        ellipsoid = geodetic.ellipsoid
-        axes_ratio2 = (ellipsoid.semi_minor_metre / ellipsoid.semi_major_metre) ** 2
+            eastward = between((lon - lon_step, lat), (lon + lon_step, lat))
+            northward = between((lon, lat - _STEP_DEG), (lon, lat + _STEP_DEG))
         # The radii of curvature across the meridian and along it.
-        root = 1.0 - (1.0 - axes_ratio2) * np.sin(lat_rad) ** 2
-        across_m = ellipsoid.semi_major_metre / np.sqrt(root)
-        along_m = across_m * axes_ratio2 / root
-        return eastward / (2.0 * _STEP_RAD * across_m), northward / (2.0 * _STEP_RAD * along_m)
+        root = 1.0 - _WGS84.es * np.sin(lat_rad) ** 2
+        across_m = _WGS84.a / np.sqrt(root)
+        along_m = across_m * (1.0 - _WGS84.es) / root
+        return eastward / across_m, northward / along_m
