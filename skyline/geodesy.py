@@ -23,6 +23,8 @@ DEFAULT_REFRACTION_K = 0.13
 _WGS84 = Geod(ellps="WGS84")
 _STEP_DEG = 1e-4
 """Of latitude, 11 m: half of the differences by which a projection is derived."""
+_NORTHMOST_DEG = 89.99
+"""Of latitude. There is no north at a pole; what holds a kilometre from it is taken for it."""
 
 
 @dataclass(frozen=True)
@@ -283,8 +285,7 @@ class Frame:
         they hold for any datum, prime meridian and axes.
         """
         lon, lat = self.to_lonlat(easting_m, northing_m)
-        # A step short of a pole, which has no north.
-        lat = np.clip(lat, _STEP_DEG - 90.0, 90.0 - _STEP_DEG)
+        lat = np.clip(lat, -_NORTHMOST_DEG, _NORTHMOST_DEG)
         lat_rad = np.radians(lat)
         lon_step = _STEP_DEG / np.cos(lat_rad)
 
