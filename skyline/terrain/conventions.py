@@ -134,12 +134,12 @@ def vertical_of(source: str, crs: CRS, band_unit: str, positive: str = "up") -> 
         metres, unit = axis.unit_conversion_factor, f"{axis.unit_name}, by the CRS's vertical axis"
     else:
         metres, unit = 1.0, "metre, assumed: neither the band nor the CRS names a unit"
-        on_map = crs.axis_info[0]
-        if crs.is_projected and abs(on_map.unit_conversion_factor - 1.0) > _SAME_UNIT:
+        map_unit = crs.axis_info[0] if crs.is_projected else None
+        if map_unit and abs(map_unit.unit_conversion_factor - 1.0) > _SAME_UNIT:
             notes.append(
-                f"the map is in {on_map.unit_name} and no unit of heights is named; heights in "
-                "metres are assumed. If they are not, name the unit in the file (rio edit-info "
-                f"--bidx 1 --units '{on_map.unit_name}')"
+                f"the unit of the map is the {map_unit.unit_name} and none is named for heights; "
+                "metres are assumed. If that is wrong, name the unit in the file (rio edit-info "
+                f"--bidx 1 --units '{map_unit.unit_name}')"
             )
     if positive.strip().casefold() == "down" or (axis and axis.direction == "down"):
         metres = -metres

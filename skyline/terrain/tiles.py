@@ -17,7 +17,7 @@ import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
-from rasterio.enums import WktVersion
+from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.transform import Affine
 from rasterio.windows import Window
@@ -149,12 +149,14 @@ def tile_of(source: str, dataset: Any, default_crs: CRS | None) -> Tile:
         )
     if dataset.dtypes[0].startswith("complex"):
         raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
-    crs = crs_of(source, _wkt_of(dataset), default_crs)
+    crs = crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
     grid, north_up = grid_of(source, dataset.transform, dataset.shape)
     positive = dataset.tags(1).get("positive", "up")
     vertical = vertical_of(source, crs, dataset.units[0] or "", positive)
     pixel = dataset.tags().get("AREA_OR_POINT", "Area, assumed").lower()
     nodata = "none declared" if dataset.nodata is None else f"{dataset.nodata:g}"
+    if MaskFlags.per_dataset in dataset.mask_flag_enums[0]:
+        nodata = "by a mask"
     return tile_in(source, crs, (grid, north_up), vertical, {"pixel_is": pixel, "nodata": nodata})
 
 
@@ -177,20 +179,6 @@ def tile_in(
         )
     conventions = {**conventions_of(on_map), **vertical.conventions, **others}
     return Tile(source, on_map, *turned, vertical, conventions)
-
-
-def _wkt_of(dataset: Any) -> str | None:
-    """Return the CRS of a dataset as WKT."""
-    if dataset.crs is None:
-        return None
-    wkt: str = dataset.crs.to_wkt()
-    exact: str = dataset.crs.to_wkt(version=WktVersion.WKT2_2019)
-    try:
-        # The first, in which frames are kept, has no name for some projections of a sphere.
-        same = CRS.from_wkt(wkt).equals(CRS.from_wkt(exact), ignore_axis_order=True)
-    except CRSError:  # `crs_of` says so.
-        same = True
-    return wkt if same else exact
 
 
 def read_tiles(
@@ -239,7 +227,7 @@ def check_heights(tiles: Sequence[Tile]) -> None:
         )
     if len(datums) > 1:
         listed = " and ".join(f"{datum} ({source})" for datum, source in datums.items())
-        _log.warning("heights of the tiles are of %s; steps between the tiles are kept", listed)
+        _log.warning("tiles have heights of %s; steps between the tiles are kept", listed)
 
 
 def read_dataset(dataset: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]:
