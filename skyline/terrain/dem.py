@@ -50,7 +50,8 @@ class DemOptions:
     Attributes
     ----------
     crs : str or None
-        Coordinate reference system of files that do not say theirs: an EPSG code or WKT.
+        Coordinate reference system of files that name none: an EPSG code or WKT. Its vertical part
+        also counts for files in the same CRS that name none, such as ``EPSG:2263+6360``.
     reproject : bool
         Warp a metric DEM too to the local conformal frame, for one that is not conformal.
     max_void_samples : int
@@ -114,9 +115,10 @@ def read_dem(
 
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS keeps that
-    grid. One in degrees (or feet) is warped once to the transverse Mercator frame centred on it,
-    with every summit as high as it was (`skyline.terrain.warp.Warp`); samples of the box around it
-    that lie outside the DEM are NaN and counted nowhere.
+    grid. One in degrees or feet, or whose axes point south or west, is warped once to the
+    transverse Mercator frame centred on it, with every summit as high as it was
+    (`skyline.terrain.warp.Warp`); samples of the box around it that lie outside the DEM are NaN and
+    counted nowhere. Heights are converted from the unit of the band, or of the CRS's vertical axis.
 
     Parameters
     ----------
@@ -136,8 +138,8 @@ def read_dem(
     MissingFileError
         A path at which there is no file.
     InputError
-        Not a raster, not one band, damaged, no (understood) CRS, a rotated grid, tiles that do
-        not fit together, no height at all.
+        Not a raster, not one band, damaged, no (understood) CRS, a CRS that PROJ cannot transform,
+        a unit that is no length, a rotated grid, tiles that do not fit together, no height at all.
     FetchError
         A server that does not have it, or does not answer.
     """
