@@ -4,19 +4,27 @@ Inside the program a location is (easting, northing) in one metric frame and azi
 grid north. Whatever a person reads is in degrees of WGS 84 and from true north.
 """
 
+import math
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pyproj import CRS, Proj, Transformer
-from pyproj.exceptions import CRSError
+from pyproj import CRS, Geod, Transformer
+from pyproj.exceptions import CRSError, ProjError
 
-from skyline.arrays import Float64Array
+from skyline.arrays import Complex128Array, Float64Array
 from skyline.errors import InputError
 
 EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13
+
+_WGS84 = Geod(ellps="WGS84")
+_STEP_DEG = 1e-4
+"""Of latitude, 11 m: half of the differences by which a projection is derived."""
+_NORTHMOST_DEG = 89.99
+"""Of latitude. There is no north at a pole; what holds a kilometre from it is taken for it."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +65,8 @@ class Curvature:
         return self.drop_per_m2 * np.square(np.asarray(distance_m, dtype=np.float64))
 
 
+_LonLat = tuple[Float64Array, Float64Array]
+
 Rectangle = tuple[float, float, float, float]
 """West, south, east, north in metres of a frame."""
 
@@ -85,10 +95,25 @@ def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
     return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
 
 
+def is_upright(crs: CRS) -> bool:
+    """Whether the map of a CRS is neither mirrored nor upside down.
+
+    Both axes of a polar projection point north, or both south.
+    """
+    directions = {axis.direction for axis in crs.axis_info[:2]}
+    return directions in ({"east", "north"}, {"north"}, {"south"})
+
+
 def is_metric(crs: CRS) -> bool:
-    """Whether a CRS is projected and in metres, so that it can be a frame."""
+    """Whether a CRS is projected, in metres and upright, so that it can be a frame."""
     units = [axis.unit_conversion_factor for axis in crs.axis_info[:2]]
-    return bool(crs.is_projected and np.allclose(units, 1.0, rtol=0.0, atol=1e-9))
+    metres = np.allclose(units, 1.0, rtol=0.0, atol=1e-9)
+    return bool(crs.is_projected and metres and is_upright(crs))
+
+
+def horizontal(crs: CRS) -> CRS:
+    """Return a CRS without its vertical axis, the CRS itself if it has none."""
+    return crs.to_2d() if len(crs.axis_info) > 2 else crs
 
 
 def parse_crs(crs: object) -> CRS:
@@ -102,6 +127,57 @@ def parse_crs(crs: object) -> CRS:
         ) from error
 
 
+def transformer(source: CRS, target: CRS) -> Transformer:
+    """Return the transformation of x and y, in the order that raster files have, between two CRS.
+
+    Raises
+    ------
+    InputError
+        PROJ knows none: the CRS is of another planet, or of a projection that PROJ lacks.
+    """
+    try:
+        return Transformer.from_crs(source, target, always_xy=True)
+    except ProjError as error:
+        raise InputError(
+            f"PROJ cannot transform coordinates of {source.name!r} to {target.name!r} "
+            f"({' '.join(str(error).split())}); give a DEM in another CRS of the Earth"
+        ) from error
+
+
+def to_wgs84(crs: CRS, x: float, y: float) -> tuple[float, float, str]:
+    """Return longitude and latitude (WGS 84) of a point of a CRS, and in words how well they hold.
+
+    Raises `InputError` where PROJ knows no transformation.
+    """
+    transformation = transformer(crs, CRS.from_epsg(4326))
+    lon, lat = transformation.transform(x, y)
+    with suppress(ProjError):  # where there is only one
+        transformation = transformation.get_last_used_operation()
+    steps = transformation.description.split(" + ")
+    how = " + ".join(step for step in steps if not step.startswith("axis order change"))
+    if "Ballpark" in how:
+        how += "; PROJ knows no better one here, and places may be off by some 100 m"
+    elif transformation.accuracy >= 0.0:
+        how += f"; good to {transformation.accuracy:g} m"
+    return float(lon), float(lat), how
+
+
+def off_area_deg(crs: CRS, lon_deg: float, lat_deg: float) -> float:
+    """Return by how many degrees a place lies outside of the area that a CRS is made for.
+
+    It is 0 inside the box of the area, and for a CRS of which no area is known.
+    """
+    authority = crs.to_authority()
+    area = CRS.from_authority(*authority).area_of_use if authority else None
+    if area is None:
+        return 0.0
+    width = (area.east - area.west) % 360.0 or 360.0
+    past_west = (lon_deg - area.west) % 360.0
+    aside = max(0.0, min(past_west - width, 360.0 - past_west))
+    aside *= math.cos(math.radians(lat_deg))
+    return max(area.south - lat_deg, lat_deg - area.north, aside, 0.0)
+
+
 @dataclass(frozen=True)
 class Frame:
     """A metric map frame: the DEM's own CRS, or a local conformal one centred on the area."""
@@ -110,11 +186,15 @@ class Frame:
 
     @classmethod
     def from_crs(cls, crs: object) -> "Frame":
-        """Make a frame of anything pyproj understands; raises `InputError` unless metric."""
-        parsed = parse_crs(crs)
+        """Make a frame of anything pyproj understands; raises `InputError` unless metric.
+
+        The vertical axis of a compound or three-dimensional CRS is left out.
+        """
+        parsed = horizontal(parse_crs(crs))
         if not is_metric(parsed):
             raise InputError(
-                f"frame {parsed.name!r} is not metric; a projected CRS in metres is needed"
+                f"frame {parsed.name!r} is not metric; expected a projected CRS in metres whose "
+                "axes point east and north"
             )
         return cls(parsed.to_wkt())
 
@@ -131,7 +211,7 @@ class Frame:
     @cached_property
     def crs(self) -> CRS:
         """The frame as a pyproj CRS."""
-        return CRS.from_wkt(self.wkt)
+        return horizontal(CRS.from_wkt(self.wkt))
 
     @property
     def name(self) -> str:
@@ -141,11 +221,7 @@ class Frame:
 
     @cached_property
     def _to_lonlat(self) -> Transformer:
-        return Transformer.from_crs(self.crs, "EPSG:4326", always_xy=True)
-
-    @cached_property
-    def _projection(self) -> Proj:
-        return Proj(self.crs)
+        return transformer(self.crs, CRS.from_epsg(4326))
 
     def to_lonlat(
         self, easting_m: ArrayLike, northing_m: ArrayLike
@@ -185,17 +261,44 @@ class Frame:
 
     def convergence_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return grid convergence: true azimuth = grid azimuth + convergence, degrees."""
-        return self._factor("meridian_convergence", easting_m, northing_m)
+        _, to_north = self._steps(easting_m, northing_m)
+        return np.degrees(np.arctan2(0.0 - to_north.real, to_north.imag))
 
     def angular_distortion_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return the greatest distortion of an angle at each location; 0 where conformal."""
-        return self._factor("angular_distortion", easting_m, northing_m)
+        to_east, to_north = self._steps(easting_m, northing_m)
+        # Sum and difference of the half axes of Tissot's ellipse (Snyder 1987, 4-12 and 4-13).
+        sums, differences = np.abs(to_east - 1j * to_north), np.abs(to_east + 1j * to_north)
+        return np.degrees(2.0 * np.arcsin(differences / sums))
 
     def scale(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return map metres per metre on the ground at each location, mean over directions."""
-        return np.sqrt(self._factor("areal_scale", easting_m, northing_m))
+        to_east, to_north = self._steps(easting_m, northing_m)
+        return np.sqrt(np.abs((to_east.conj() * to_north).imag))
 
-    def _factor(self, name: str, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
-        lon, lat = self._projection(easting_m, northing_m, inverse=True)
-        factors = self._projection.get_factors(np.asarray(lon), np.asarray(lat))
-        return np.asarray(getattr(factors, name), dtype=np.float64)
+    def _steps(
+        self, easting_m: ArrayLike, northing_m: ArrayLike
+    ) -> tuple[Complex128Array, Complex128Array]:
+        """Return the steps on the map for a metre of ground to the east, and one to the north.
+
+        Each is easting + i northing, in metres. They are differences of places on WGS 84, so that
+        they hold for any datum, prime meridian and axes.
+        """
+        lon, lat = self.to_lonlat(easting_m, northing_m)
+        lat = np.clip(lat, -_NORTHMOST_DEG, _NORTHMOST_DEG)
+        lat_rad = np.radians(lat)
+        lon_step = _STEP_DEG / np.cos(lat_rad)
+
+        def between(start: _LonLat, end: _LonLat) -> Complex128Array:
+            east, north = np.subtract(self.from_lonlat(*end), self.from_lonlat(*start))
+            step: Complex128Array = (east + 1j * north) / math.radians(2.0 * _STEP_DEG)
+            return step
+
+        with np.errstate(invalid="ignore"):  # off the map
+            eastward = between((lon - lon_step, lat), (lon + lon_step, lat))
+            northward = between((lon, lat - _STEP_DEG), (lon, lat + _STEP_DEG))
+        # The radii of curvature across the meridian and along it.
+        root = 1.0 - _WGS84.es * np.sin(lat_rad) ** 2
+        across_m = _WGS84.a / np.sqrt(root)
+        along_m = across_m * (1.0 - _WGS84.es) / root
+        return eastward / across_m, northward / along_m

@@ -117,6 +117,7 @@ def _describe_terrain(field: HeightField) -> Facts:
         "files": list(made.files),
         "model": model_of(made.files),
         "frame": field.frame.name,
+        **made.conventions,
         "resampling": made.resampling,
         "samples": f"{field.cols} x {field.rows}",
         "spacing_m": [field.spacing_east_m, field.spacing_north_m],

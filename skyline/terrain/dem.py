@@ -12,7 +12,15 @@ from pyproj import CRS
 
 from skyline.arrays import BoolArray, Float32Array
 from skyline.errors import InputError
-from skyline.geodesy import Frame, is_metric, parse_crs
+from skyline.geodesy import (
+    Frame,
+    degrees_in_words,
+    is_metric,
+    is_upright,
+    off_area_deg,
+    parse_crs,
+    to_wgs84,
+)
 from skyline.terrain.blocks import TerrainBlocks
 from skyline.terrain.cleaning import STEEPEST, fill_voids, remove_spikes, strips, void_undeclared
 from skyline.terrain.from_arrays import read_array
@@ -25,6 +33,9 @@ CONFORMAL_DEG = 0.01
 
 TRUE_SCALE = 0.01
 """A metric CRS whose metres are within this fraction of metres on the ground is, likewise."""
+
+FAR_DEG = 10.0
+"""A DEM farther off the area of its CRS than this has coordinates of something else, likely."""
 
 _PROBES = 9
 
@@ -39,7 +50,8 @@ class DemOptions:
     Attributes
     ----------
     crs : str or None
-        Coordinate reference system of files that do not say theirs: an EPSG code or WKT.
+        Coordinate reference system of files that name none: an EPSG code or WKT. Its vertical part
+        also counts for files in the same CRS that name none, such as ``EPSG:2263+6360``.
     reproject : bool
         Warp a metric DEM too to the local conformal frame, for one that is not conformal.
     max_void_samples : int
@@ -103,9 +115,10 @@ def read_dem(
 
     Samples stand at pixel centres, as GDAL places the pixels. Spikes are removed and small voids
     filled on the files' own grid, before anything is resampled. A DEM in a metric CRS keeps that
-    grid. One in degrees (or feet) is warped once to the transverse Mercator frame centred on it,
-    with every summit as high as it was (`skyline.terrain.warp.Warp`); samples of the box around it
-    that lie outside the DEM are NaN and counted nowhere.
+    grid. One in degrees or feet, or whose axes point south or west, is warped once to the
+    transverse Mercator frame centred on it, with every summit as high as it was
+    (`skyline.terrain.warp.Warp`); samples of the box around it that lie outside the DEM are NaN and
+    counted nowhere. Heights are converted from the unit of the band, or of the CRS's vertical axis.
 
     Parameters
     ----------
@@ -125,8 +138,8 @@ def read_dem(
     MissingFileError
         A path at which there is no file.
     InputError
-        Not a raster, not one band, damaged, no (understood) CRS, a rotated grid, tiles that do
-        not fit together, no height at all.
+        Not a raster, not one band, damaged, no (understood) CRS, a CRS that PROJ cannot transform,
+        a unit that is no length, a rotated grid, tiles that do not fit together, no height at all.
     FetchError
         A server that does not have it, or does not answer.
     """
@@ -169,10 +182,10 @@ def _is_kept(tile: Tile, options: DemOptions) -> bool:
 def _height_field(tile: Tile, heights: Float32Array, options: DemOptions) -> HeightField:
     """Clean heights on their tile's own grid, and warp them if they need a metric frame."""
     if _is_kept(tile, options):
-        grid, frame = tile.grid, Frame.from_crs(tile.crs)
+        grid, frame, conventions = tile.grid, Frame.from_crs(tile.crs), _placed(tile)
         _warn_of_distortion(grid, frame)
         counts = clean(heights, tile.source, max(grid.step_east, grid.step_north), options)
-        provenance = Provenance(tile.files, "none", *counts, options.to_json())
+        provenance = Provenance(tile.files, "none", *counts, options.to_json(), conventions)
         return _field(heights, grid, frame, provenance)
     warp, frame, provenance = _warp(tile, heights, options)
     return _field(warp.heights_m(), warp.target, frame, provenance)
@@ -180,7 +193,14 @@ def _height_field(tile: Tile, heights: Float32Array, options: DemOptions) -> Hei
 
 def _warp(tile: Tile, heights: Float32Array, options: DemOptions) -> tuple[Warp, Frame, Provenance]:
     """Clean heights on their tile's own grid, to be warped to the frame centred on it."""
-    crs, grid = tile.crs, tile.grid
+    crs, grid, conventions = tile.crs, tile.grid, _placed(tile)
+    if crs.is_projected and not is_upright(crs):
+        _log.warning(
+            "%s: the axes of %s point %s; the DEM is warped to the local conformal frame",
+            tile.source,
+            crs.name,
+            " and ".join(axis.direction for axis in crs.axis_info),
+        )
     frame = local_frame(grid, crs)
     ground_spacing = ground_spacing_m(grid, crs, frame)
     counts = clean(heights, tile.source, max(ground_spacing), options)
@@ -189,8 +209,33 @@ def _warp(tile: Tile, heights: Float32Array, options: DemOptions) -> tuple[Warp,
         f"cubic, once, all summits kept, from {crs.name} ({ground_spacing[0]:.2f} x "
         f"{ground_spacing[1]:.2f} m at the centre) to {spacing_m:g} m in the local conformal frame"
     )
-    provenance = Provenance(tile.files, resampling, *counts, options.to_json())
+    provenance = Provenance(tile.files, resampling, *counts, options.to_json(), conventions)
     return Warp(heights, grid, crs, frame, spacing_m), frame, provenance
+
+
+def _placed(tile: Tile) -> dict[str, str]:
+    """Return a tile's conventions with the transformation to WGS 84 and its accuracy.
+
+    Raises `InputError` for a place that is none on Earth, and warns of one far off the CRS's area.
+    """
+    crs = tile.crs
+    lon, lat, how = to_wgs84(crs, *tile.grid.centre)
+    if not (abs(lat) <= 90.0 and abs(lon) <= 540.0):
+        x, y = tile.grid.centre
+        raise InputError(
+            f"{tile.source} has its middle at {x:.9g}, {y:.9g}, which is no place in {crs.name}; "
+            "check its georeference and its coordinate reference system"
+        )
+    if off_area_deg(crs, lon, lat) > FAR_DEG:
+        _log.warning(
+            "%s: its middle lies at %s, %s, far off the area for which %s is made; check its "
+            "coordinate reference system, and the signs and the order of its coordinates",
+            tile.source,
+            degrees_in_words(lat, "NS", 2),
+            degrees_in_words((lon + 180.0) % 360.0 - 180.0, "EW", 2),
+            crs.name,
+        )
+    return {**tile.conventions, "to_wgs84": how}
 
 
 def _parse_crs(text: str | None) -> CRS | None:

@@ -15,7 +15,16 @@ from rasterio.transform import Affine
 
 from skyline.arrays import Float32Array
 from skyline.errors import InputError
-from skyline.terrain.tiles import Tile, crs_of, grid_of, heights_of, mosaic_grid
+from skyline.terrain.conventions import vertical_of
+from skyline.terrain.tiles import (
+    Tile,
+    check_heights,
+    crs_of,
+    grid_of,
+    heights_of,
+    mosaic_grid,
+    tile_in,
+)
 
 EVEN = 0.05
 """How far a coordinate may lie off even steps, in samples: float32 degrees do."""
@@ -42,20 +51,23 @@ def read_array(array: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]
     mapping: Mapping[str, Any] = array.coords[name].attrs if name in array.coords else {}
     shape = array.sizes[y], array.sizes[x]
     transform = _transform(source, array, (y, x), mapping.get("GeoTransform"))
-    turned = grid_of(source, transform, shape)
-    tile = Tile(source, crs_of(source, _wkt(source, mapping), default_crs), *turned)
+    attrs = array.attrs
+    crs = crs_of(source, _wkt(source, mapping), default_crs)
+    unit, positive = (str(attrs.get(name, "")) for name in ("units", "positive"))
+    vertical = vertical_of(source, crs, unit, positive)
+    tile = tile_in(source, crs, grid_of(source, transform, shape), vertical, {})
+    check_heights([tile])
     band = np.asarray(array.transpose(y, x, ...).values).reshape(shape)
     if band.dtype.kind not in "iuf":
         raise InputError(f"{source} holds {band.dtype} numbers; expected real heights")
-    mosaic_grid([tile])  # It refuses what is too large, and other kinds of CRS.
+    mosaic_grid([tile])  # It refuses what is too large.
     # What xarray has decoded already it notes in the encoding, not among the attributes.
-    attrs = array.attrs
     voids = np.zeros(shape, dtype=bool)
     for name in ("_FillValue", "missing_value"):
         if name in attrs:
             voids |= band == attrs[name]
     scale, offset = float(attrs.get("scale_factor", 1.0)), float(attrs.get("add_offset", 0.0))
-    heights = heights_of(band, voids, scale, offset, str(attrs.get("units", "")))
+    heights = heights_of(band, voids, scale, offset, vertical.metres)
     return tile, np.ascontiguousarray(heights[tile.north_up])
 
 

@@ -47,6 +47,8 @@ class Provenance:
         Of the void samples, those that the files do not declare (`skyline.terrain.cleaning`).
     options : mapping
         How the files were read: `skyline.terrain.dem.DemOptions.to_json`.
+    conventions : mapping
+        Units, datums, axes and the prime meridian of the files by name, in words.
     """
 
     files: tuple[str, ...] = ()
@@ -56,6 +58,7 @@ class Provenance:
     despiked: int = 0
     undeclared: int = 0
     options: Mapping[str, object] = field(default_factory=dict)
+    conventions: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +166,7 @@ class HeightField:
             ``northing, easting``, in any order, with even coordinates of the samples. Further
             dimensions have one entry. The CRS is that of its grid mapping (CF, as rioxarray
             writes it), else ``options.crs``. ``_FillValue``, ``missing_value``, ``scale_factor``,
-            ``add_offset`` and ``units`` among its attributes are heeded.
+            ``add_offset``, ``units`` and ``positive`` among its attributes are heeded.
 
         Returns
         -------

@@ -6,7 +6,7 @@ import math
 import re
 import warnings
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +17,7 @@ import rasterio
 from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
+from rasterio.enums import MaskFlags
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.transform import Affine
 from rasterio.windows import Window
@@ -24,7 +25,16 @@ from rasterio.windows import Window
 from skyline.arrays import Float32Array
 from skyline.errors import FetchError, InputError, MissingFileError
 from skyline.files import is_file
+from skyline.geodesy import horizontal
 from skyline.terrain.cleaning import strips
+from skyline.terrain.conventions import (
+    ELLIPSOID,
+    GEOID,
+    Vertical,
+    conventions_of,
+    merged,
+    vertical_of,
+)
 
 MAX_UNPACKED_BYTES = 1 << 28
 """The largest file behind a .gz; the largest .hgt, of half an arc-second, has 99 MiB."""
@@ -43,6 +53,8 @@ AGREEMENT_M = 1.0
 
 # Enough to decode a row of tiles; GDAL's own default is a twentieth of the machine's memory.
 _GDAL_CACHE_BYTES = 64 << 20
+_COMPOUND = {"GTIFF_REPORT_COMPD_CS": "YES"}
+"""GDAL leaves the vertical part of a GeoTIFF's CRS out otherwise."""
 _ON_NETWORKS = {
     "GDAL_HTTP_CONNECTTIMEOUT": "30",
     "GDAL_HTTP_LOW_SPEED_LIMIT": "1000",
@@ -57,8 +69,6 @@ _SECRET = re.compile(r"(?<=://)[^/@\s]*@|\?[^\"'\s)]*")
 _NO_ANSWER = re.compile(
     r"HTTP (response|error) code|CURL error|[Ff]ailed to connect|open /vsicurl/"
 )
-_FEET_M = {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us-ft": 1200 / 3937, "ftus": 1200 / 3937}
-
 
 _log = logging.getLogger(__name__)
 
@@ -107,10 +117,14 @@ class Tile:
     source: str
     """What rasterio opens: an absolute path, or a GDAL name such as ``netcdf:/data/t.nc:dem``."""
     crs: CRS
+    """Of the map; its vertical part is in ``vertical``."""
     grid: Grid
     """North-up, whichever way the file runs."""
     north_up: tuple[slice, slice]
     """From an array of the file's rows and columns to one of the grid's, and back."""
+    vertical: Vertical
+    conventions: Mapping[str, str]
+    """By name, in words."""
     files: tuple[str, ...] = ()
     """From which its heights can be read again."""
 
@@ -136,7 +150,35 @@ def tile_of(source: str, dataset: Any, default_crs: CRS | None) -> Tile:
     if dataset.dtypes[0].startswith("complex"):
         raise InputError(f"{source} holds {dataset.dtypes[0]} numbers; expected real heights")
     crs = crs_of(source, None if dataset.crs is None else dataset.crs.to_wkt(), default_crs)
-    return Tile(source, crs, *grid_of(source, dataset.transform, dataset.shape))
+    grid, north_up = grid_of(source, dataset.transform, dataset.shape)
+    positive = dataset.tags(1).get("positive", "up")
+    vertical = vertical_of(source, crs, dataset.units[0] or "", positive)
+    pixel = dataset.tags().get("AREA_OR_POINT", "Area, assumed").lower()
+    nodata = "none declared" if dataset.nodata is None else f"{dataset.nodata:g}"
+    if MaskFlags.per_dataset in dataset.mask_flag_enums[0]:
+        nodata = "by a mask"
+    return tile_in(source, crs, (grid, north_up), vertical, {"pixel_is": pixel, "nodata": nodata})
+
+
+def tile_in(
+    source: str,
+    crs: CRS,
+    turned: tuple[Grid, tuple[slice, slice]],
+    vertical: Vertical,
+    others: Mapping[str, str],
+) -> Tile:
+    """Return the tile of a raster in a CRS with its vertical part, and with other conventions.
+
+    Raises `InputError` for another kind of CRS than degrees or a projection.
+    """
+    on_map = horizontal(crs)
+    if not (crs.is_geographic or crs.is_projected):
+        raise InputError(
+            f"{source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or "
+            "projected coordinate reference system: warp it first with gdalwarp"
+        )
+    conventions = {**conventions_of(on_map), **vertical.conventions, **others}
+    return Tile(source, on_map, *turned, vertical, conventions)
 
 
 def read_tiles(
@@ -150,8 +192,42 @@ def read_tiles(
     tiles = [open_tile(path, default_crs) for path in paths]
     grid, offsets = mosaic_grid(tiles)
     files = tuple(tile.source for tile in tiles)
-    mosaic = replace(tiles[0], source=", ".join(files), grid=grid, files=files)
+    check_heights(tiles)
+    mosaic = replace(
+        tiles[0],
+        source=", ".join(files),
+        grid=grid,
+        conventions=merged([tile.conventions for tile in tiles]),
+        files=files,
+    )
     return mosaic, read_mosaic(tiles, grid, offsets)
+
+
+def check_heights(tiles: Sequence[Tile]) -> None:
+    """Warn once of each thing that was assumed of the heights, and of vertical datums that differ.
+
+    Raises `InputError` where one tile has heights above the geoid and another above the ellipsoid.
+    """
+    sources: dict[str, list[str]] = {}
+    datums: dict[str, str] = {}
+    surfaces: dict[str, str] = {}
+    for tile in tiles:
+        for note in tile.vertical.notes:
+            sources.setdefault(note, []).append(tile.source)
+        datums.setdefault(tile.vertical.datum or "a datum that is not named", tile.source)
+        surfaces.setdefault(tile.vertical.surface, tile.source)
+    for note, named in sources.items():
+        others = f" and {len(named) - 1} more" if len(named) > 1 else ""
+        _log.warning("%s%s: %s", named[0], others, note)
+    if {GEOID, ELLIPSOID} <= surfaces.keys():
+        raise InputError(
+            f"{surfaces[GEOID]} has heights above the geoid and {surfaces[ELLIPSOID]} above the "
+            "ellipsoid, tens of metres apart; tiles must share one vertical datum: convert them "
+            "beforehand (gdalwarp)"
+        )
+    if len(datums) > 1:
+        listed = " and ".join(f"{datum} ({source})" for datum, source in datums.items())
+        _log.warning("tiles have heights of %s; steps between the tiles are kept", listed)
 
 
 def read_dataset(dataset: Any, default_crs: CRS | None) -> tuple[Tile, Float32Array]:
@@ -159,6 +235,7 @@ def read_dataset(dataset: Any, default_crs: CRS | None) -> tuple[Tile, Float32Ar
     source = str(dataset.name)
     tile = tile_of(source, dataset, default_crs)
     grid, _ = mosaic_grid([tile])
+    check_heights([tile])
     heights = np.full((grid.rows, grid.cols), np.inf, dtype=np.float32)
     read_into(dataset, tile, heights)
     # A warped or virtual dataset is not what lies in a file of its name.
@@ -199,7 +276,7 @@ def absolute_name(path: str | Path) -> str:
 @contextmanager
 def opened(source: str) -> Iterator[Any]:
     """Open a raster; what goes wrong while it is open is told as one error."""
-    settings = _ON_NETWORKS | (_NO_NEIGHBOURS if "://" in source else {})
+    settings = _COMPOUND | _ON_NETWORKS | (_NO_NEIGHBOURS if "://" in source else {})
     try:
         with rasterio.Env(GDAL_CACHEMAX=_GDAL_CACHE_BYTES, **settings), ExitStack() as held:
             yield _dataset(source, held)
@@ -248,7 +325,11 @@ def _unpacked(source: str) -> bytes:
 
 
 def crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
-    """Return the CRS a raster says it is in, else the default; `InputError` without either."""
+    """Return the CRS that a raster names, else the default.
+
+    The vertical part of a default with the same map is taken where the raster names none. Raises
+    `InputError` where neither is there, or the raster's is not understood.
+    """
     if wkt is None:
         if default_crs is None:
             raise InputError(
@@ -263,7 +344,12 @@ def crs_of(source: str, wkt: str | None, default_crs: CRS | None) -> CRS:
             f"the coordinate reference system of {source} is not understood ({error}); "
             "set a valid one in the file (gdal_edit.py -a_srs)"
         ) from error
-    if default_crs is not None and not crs.equals(default_crs, ignore_axis_order=True):
+    if default_crs is None:
+        return crs
+    same_map = horizontal(crs).equals(horizontal(default_crs), ignore_axis_order=True)
+    if same_map and len(crs.axis_info) < len(default_crs.axis_info):
+        return default_crs
+    if not crs.equals(default_crs, ignore_axis_order=True):
         _log.warning(
             "%s says it is in %s; --crs %s is for files that do not say, and not used",
             source,
@@ -313,8 +399,8 @@ def read_into(dataset: Any, tile: Tile, place: Float32Array) -> float:
     for rows in strips(place):
         window = Window(0, rows.start, dataset.width, rows.stop - rows.start)
         band = dataset.read(1, window=window, masked=True)
-        scale, offset, unit = dataset.scales[0], dataset.offsets[0], dataset.units[0] or ""
-        fresh = heights_of(band.data, np.ma.getmaskarray(band), scale, offset, unit)
+        scale, offset, metres = dataset.scales[0], dataset.offsets[0], tile.vertical.metres
+        fresh = heights_of(band.data, np.ma.getmaskarray(band), scale, offset, metres)
         old = place[rows]
         known = np.isfinite(old)
         both = known & np.isfinite(fresh)
@@ -325,16 +411,17 @@ def read_into(dataset: Any, tile: Tile, place: Float32Array) -> float:
 
 
 def heights_of(
-    band: NDArray[Any], voids: NDArray[np.bool_], scale: float, offset: float, unit: str
+    band: NDArray[Any], voids: NDArray[np.bool_], scale: float, offset: float, metres: float
 ) -> Float32Array:
-    """Return a copy of a band as heights in metres, NaN where void, -inf where undeclared."""
+    """Return a copy of a band as heights in metres, NaN where void, -inf where undeclared.
+
+    A height is ``(value * scale + offset) * metres``.
+    """
     heights: Float32Array = band.astype(np.float32)
     heights[voids | ~np.isfinite(heights)] = np.nan
     undeclared = np.isin(heights, UNDECLARED_VOIDS)
-    if (scale, offset) != (1.0, 0.0):
-        heights = (heights * scale + offset).astype(np.float32)
-    if unit.strip().lower() in _FEET_M:
-        heights *= np.float32(_FEET_M[unit.strip().lower()])
+    if (scale, offset, metres) != (1.0, 0.0, 1.0):
+        heights = ((heights * scale + offset) * metres).astype(np.float32)
     heights[undeclared] = -np.inf
     return heights
 
@@ -342,16 +429,10 @@ def heights_of(
 def mosaic_grid(tiles: Sequence[Tile]) -> tuple[Grid, list[tuple[int, int]]]:
     """Return the common grid of tiles and the row and column each one's first sample has on it.
 
-    Raises `InputError` for tiles of another kind of CRS than degrees or a projection, of different
-    CRS or spacing, off the first one's grid, or too far apart.
+    Raises `InputError` for tiles of different CRS or spacing, off the first one's grid, or too far
+    apart.
     """
     first = tiles[0]
-    crs = first.crs
-    if not (crs.is_geographic or crs.is_projected):
-        raise InputError(
-            f"{first.source} is in {crs.name!r}, a {crs.type_name}; expected a geographic or "
-            "projected coordinate reference system: warp it first with gdalwarp"
-        )
     offsets = []
     for tile in tiles:
         grid = _nearest_turn(tile, first)

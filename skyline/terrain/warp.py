@@ -12,11 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import CRS, Transformer
-from pyproj.exceptions import ProjError
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
-from skyline.geodesy import Frame
+from skyline.geodesy import Frame, to_wgs84, transformer
 from skyline.terrain.blocks import BLOCK, block_edges
 from skyline.terrain.cleaning import strips
 from skyline.terrain.tiles import MAX_SAMPLES, Grid, full_turn
@@ -41,7 +40,7 @@ _Window = tuple[slice, slice]
 
 def local_frame(grid: Grid, crs: CRS) -> Frame:
     """Return the local conformal frame centred on a grid."""
-    lon, lat = _transformer(crs, CRS.from_epsg(4326)).transform(*grid.centre)
+    lon, lat, _ = to_wgs84(crs, *grid.centre)
     return Frame.local((lon + 180.0) % 360.0 - 180.0, lat)
 
 
@@ -52,7 +51,7 @@ def ground_spacing_m(grid: Grid, crs: CRS, frame: Frame) -> tuple[float, float]:
     """
     x, y = grid.centre
     half_east, half_north = 0.5 * grid.step_east, 0.5 * grid.step_north
-    easting, northing = _transformer(crs, frame.crs).transform(
+    easting, northing = transformer(crs, frame.crs).transform(
         [x - half_east, x + half_east, x, x], [y, y, y - half_north, y + half_north]
     )
     return (
@@ -107,7 +106,7 @@ class Warp:
         self, heights_m: Float32Array, grid: Grid, crs: CRS, frame: Frame, spacing_m: float
     ) -> None:
         self._source_m, self._grid = heights_m, grid
-        self._to_frame = _transformer(crs, frame.crs)
+        self._to_frame = transformer(crs, frame.crs)
         self.target = _target_grid(grid, self._to_frame, spacing_m)
         self._positions, self._smooth = _positions(grid, self.target, crs, frame)
 
@@ -201,17 +200,6 @@ def _windows(wanted: BoolArray) -> Iterator[_Window]:
                 )
 
 
-def _transformer(source: CRS, target: CRS) -> Transformer:
-    try:
-        return Transformer.from_crs(source, target, always_xy=True)
-    except ProjError as error:
-        raise InputError(
-            f"coordinates of {source.name!r} cannot be transformed to {target.name!r} "
-            f"({' '.join(str(error).split())}); give a DEM in a CRS of the Earth, or one that is "
-            "metric and conformal already"
-        ) from error
-
-
 def _target_grid(grid: Grid, to_frame: Transformer, spacing_m: float) -> Grid:
     bounds = grid.west, grid.south, grid.east, grid.north
     west, south, east, north = to_frame.transform_bounds(*bounds, densify_pts=_EDGE_POINTS)
@@ -236,7 +224,7 @@ def _positions(grid: Grid, target: Grid, crs: CRS, frame: Frame) -> tuple[_Posit
     """Return positions in the source, and whether nodes they are interpolated between suffice."""
     from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  (a fifth of a second, seldom needed)
 
-    to_source = _transformer(frame.crs, crs)
+    to_source = transformer(frame.crs, crs)
     turn = full_turn(crs)
 
     def exact(rows: Float64Array, cols: Float64Array) -> tuple[Float64Array, Float64Array]:

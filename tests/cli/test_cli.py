@@ -248,6 +248,13 @@ def test_info_of_a_dem_and_of_a_store(run, dem, store, renderings):
     assert facts["samples"] == "120 x 110"
     assert facts["frame"] == "EPSG:32632"
     assert facts["spacing_m"] == [30.0, 30.0]
+    assert facts["height_unit"].startswith("metre, assumed")
+    shown = run("info", dem).out
+    for name in (
+        "crs", "horizontal_datum", "to_wgs84", "axes", "prime_meridian", "height_unit",
+        "vertical_datum", "pixel_is", "nodata",
+    ):  # fmt: skip
+        assert f"\n{name} " in shown
     facts = json.loads(run("info", renderings, "--json").out)
     assert facts["kind"] == "store"
     assert facts["renderings"] == 4 * 30

@@ -64,6 +64,19 @@ def test_local_frame_is_true_at_its_centre(lon: float, lat: float, azimuth: floa
     assert float(northing) == pytest.approx(1000.0 * math.cos(math.radians(azimuth)), abs=0.01)
 
 
+@pytest.mark.parametrize(("crs", "sign"), [("EPSG:3031", -1.0), ("EPSG:3413", 1.0)])
+def test_factors_hold_at_a_pole(crs: str, sign: float) -> None:
+    frame = Frame.from_crs(crs)
+    easting, northing = np.array([0.0, 3.0, -400.0, 5000.0]), np.array([0.0, 4.0, 300.0, 0.0])
+    assert np.ptp(frame.scale(easting, northing)[:3]) < 1e-6
+    assert frame.angular_distortion_deg(easting, northing).max() < 0.002
+    # All ways from the pole lead south, or north.
+    convergence_deg = frame.convergence_deg(easting, northing)[1:]
+    outward_deg = np.degrees(np.arctan2(easting, northing))[1:] + (180.0 if sign > 0.0 else 0.0)
+    off_deg = (outward_deg + convergence_deg + 180.0) % 360.0 - 180.0
+    np.testing.assert_allclose(off_deg, 0.0, atol=1e-3)
+
+
 def test_local_frame_is_conformal_and_albers_is_not() -> None:
     local, albers = FRAMES["local"][0], FRAMES["albers"][0]
     assert float(local.angular_distortion_deg(50e3, 50e3)) < 1e-5

@@ -1,0 +1,413 @@
+"""Files in every kind of CRS and unit: places, azimuths and heights come out true."""
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rasterio
+import xarray
+from dem_files import UTM, AnyArray, write
+from pyproj import CRS, Geod, Transformer
+from rasterio.transform import from_origin
+from rasterio.warp import Resampling, calculate_default_transform, reproject
+
+from skyline.errors import InputError
+from skyline.geodesy import Frame
+from skyline.terrain.conventions import metres_per
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+
+WGS84 = Geod(ellps="WGS84")
+STEP_DEG = 2e-4
+REACH_DEG = 0.02
+
+PLACES: dict[str, tuple[float, float]] = {
+    "EPSG:4326": (9.9, 46.8),
+    "OGC:CRS84": (9.9, 46.8),
+    "EPSG:4807": (2.9, 45.5),
+    "EPSG:4979": (9.9, 46.8),
+    "EPSG:32632": (9.9, 46.8),
+    "EPSG:27572": (2.9, 45.5),
+    "EPSG:27563": (2.9, 44.2),
+    "EPSG:27391": (6.5, 60.2),
+    "EPSG:31251": (10.6, 47.1),
+    "EPSG:31287": (11.5, 47.2),
+    "EPSG:2065": (14.5, 50.1),
+    "EPSG:5513": (14.5, 50.1),
+    "EPSG:5514": (14.5, 50.1),
+    "EPSG:5515": (14.5, 50.1),
+    "EPSG:2053": (29.3, -29.5),
+    "EPSG:2048": (19.3, -33.5),
+    "EPSG:29379": (17.1, -22.6),
+    "EPSG:21781": (9.9, 46.8),
+    "EPSG:2056": (9.9, 46.8),
+    "EPSG:3375": (102.0, 4.5),
+    "EPSG:29873": (116.5, 6.1),
+    "EPSG:28992": (5.9, 52.1),
+    "EPSG:27700": (-5.0, 56.8),
+    "EPSG:31370": (5.9, 50.4),
+    "EPSG:2193": (170.1, -43.6),
+    "EPSG:3031": (120.0, -75.0),
+    "EPSG:3413": (-40.0, 72.0),
+    "EPSG:32661": (30.0, 82.0),
+    "EPSG:8433": (113.54, 22.19),
+    "EPSG:21149": (110.4, -7.5),
+    "EPSG:3857": (9.9, 46.8),
+    "EPSG:2227": (-119.6, 37.7),
+    "ESRI:102003": (-119.2, 37.7),
+    "EPSG:4326+5773": (9.9, 46.8),
+    "EPSG:9518": (9.9, 46.8),
+    "EPSG:6349": (-119.2, 37.7),
+    "EPSG:32632+5783": (9.9, 46.8),
+    "EPSG:27572+5720": (2.9, 45.5),
+    "+proj=tmerc +lat_0=0 +lon_0=9 +k=1 +x_0=0 +y_0=0 +ellps=bessel +units=m +no_defs "
+    "+towgs84=598.1,73.7,418.2,0.202,0.045,-2.455,6.7": (9.9, 48.2),
+    "+proj=lcc +lat_1=46.8 +lat_0=46.8 +lon_0=0 +k_0=0.99987742 +x_0=600000 +y_0=2200000 "
+    "+a=6378249.2 +b=6356515 +towgs84=-168,-60,320,0,0,0,0 +pm=paris +units=m +no_defs": (
+        2.9,
+        45.5,
+    ),
+}
+
+
+def heights_m(lon: AnyArray, lat: AnyArray, place: tuple[float, float]) -> AnyArray:
+    """A cone, and a lower one to its north-east, on a plane that slopes."""
+    east, north = (lon - place[0]) * math.cos(math.radians(place[1])), lat - place[1]
+    plane = 1000.0 + 5000.0 * east - 3000.0 * north
+    for at, height in (((0.0, 0.0), 800.0), ((0.007, 0.01), 500.0)):
+        plane = plane + np.maximum(height - 8e4 * np.hypot(east - at[0], north - at[1]), 0.0)
+    return plane
+
+
+def warped(path: Path, crs: str, place: tuple[float, float], **profile: Any) -> Path:
+    """A DEM around a place, warped by GDAL."""
+    wide = REACH_DEG / math.cos(math.radians(place[1]))
+    rows, cols = round(2 * REACH_DEG / STEP_DEG), round(2 * wide / STEP_DEG)
+    transform = from_origin(place[0] - wide, place[1] + REACH_DEG, STEP_DEG, STEP_DEG)
+    row, col = np.mgrid[0:rows, 0:cols] + 0.5
+    source = heights_m(transform.c + STEP_DEG * col, transform.f - STEP_DEG * row, place)
+    bounds = rasterio.transform.array_bounds(rows, cols, transform)
+    target, width, height = calculate_default_transform("EPSG:4326", crs, cols, rows, *bounds)
+    made = np.full((height, width), np.nan, np.float32)
+    reproject(
+        source.astype(np.float32), made, src_transform=transform, src_crs="EPSG:4326",
+        dst_transform=target, dst_crs=crs, dst_nodata=np.nan, resampling=Resampling.cubic,
+    )  # fmt: skip
+    return write(path, made, target, crs, GEOTIFF_VERSION="1.1", **profile)
+
+
+def true_azimuth_deg(frame: Frame, east: float, north: float, grid_azimuth_deg: float) -> float:
+    """The azimuth on the ellipsoid of a step on the map, both ways."""
+    step = 500.0 * np.exp(1j * math.radians(90.0 - grid_azimuth_deg))
+    steps = east + 1j * north + np.array([0.0, step, -step])
+    lon, lat = frame.to_lonlat(steps.real, steps.imag)
+    there = WGS84.inv(lon[0], lat[0], lon[1], lat[1])[0]
+    back = WGS84.inv(lon[0], lat[0], lon[2], lat[2])[0] + 180.0
+    return there + ((back - there + 180.0) % 360.0 - 180.0) / 2.0
+
+
+@pytest.mark.parametrize("crs", PLACES)
+def test_a_summit_is_where_gdal_puts_it_and_north_is_true(tmp_path: Path, crs: str) -> None:
+    place = PLACES[crs]
+    field = read_dem(warped(tmp_path / "dem.tif", crs, place))
+    row, col = np.unravel_index(np.nanargmax(field.heights_m), field.heights_m.shape)
+    lon, lat = field.frame.to_lonlat(*field.to_map(row, col))
+    assert WGS84.inv(lon, lat, *place)[2] < 1.5 * field.spacing_m
+    rng = np.random.default_rng(0)
+    aside = rng.uniform(-0.7, 0.7, (2, 400)) * REACH_DEG
+    lon, lat = place[0] + aside[0] / math.cos(math.radians(place[1])), place[1] + aside[1]
+    apart = field.height_at(*field.frame.from_lonlat(lon, lat)) - heights_m(lon, lat, place)
+    assert np.sqrt(np.mean(apart**2)) < 3.0
+    east, north = (float(value) for value in field.frame.from_lonlat(*place))
+    turn = float(field.frame.convergence_deg(east, north))
+    bent = float(field.frame.angular_distortion_deg(east, north))
+    for azimuth in (0.0, 123.0):
+        off = true_azimuth_deg(field.frame, east, north, azimuth) - azimuth - turn
+        assert abs((off + 180.0) % 360.0 - 180.0) < 0.01 + bent
+
+
+def test_a_rotated_pole_is_no_obstacle() -> None:
+    crs = CRS.from_proj4(
+        "+proj=ob_tran +o_proj=longlat +o_lon_p=0 +o_lat_p=39.25 +lon_0=18 +datum=WGS84 +type=crs"
+    )
+    place = (14.5, 50.1)
+    x, y = Transformer.from_crs("EPSG:4326", crs, always_xy=True).transform(*place)
+    at_x, at_y = (value + STEP_DEG * np.arange(-100, 101) for value in (x, y))
+    lon, lat = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(
+        *np.meshgrid(at_x, at_y)
+    )
+    array = xarray.DataArray(heights_m(lon, lat, place), {"y": at_y, "x": at_x}, ("y", "x"))
+    field = HeightField.from_xarray(array, DemOptions(crs=crs.to_wkt()))
+    row, col = np.unravel_index(np.nanargmax(field.heights_m), field.heights_m.shape)
+    summit = field.frame.to_lonlat(*field.to_map(row, col))
+    assert WGS84.inv(*summit, *place)[2] < 1.5 * field.spacing_m
+
+
+@pytest.mark.parametrize("crs", ["EPSG:5513", "EPSG:2053", "EPSG:2065", "EPSG:29379"])
+def test_axes_that_point_south_or_west_are_warped_with_a_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, crs: str
+) -> None:
+    field = read_dem(warped(tmp_path / "dem.tif", crs, PLACES[crs]))
+    assert field.provenance.resampling != "none"
+    assert "south" in caplog.text
+    assert "is warped to the local conformal frame" in caplog.text
+    assert len(caplog.records) == 1
+
+
+US_FOOT_M, FOOT_M = 1200 / 3937, 0.3048
+UNITS = {
+    US_FOOT_M: "US survey foot|Foot_US|ftUS|us-ft|US_survey_foot|US survey feet|ft (US)",
+    FOOT_M: "ft|foot|feet|Feet|FT|Foot_International| foot |feet (NAVD88)",
+    0.3047972654: "Clarke's foot|Foot_Clarke",
+    1.0: "|m|metre|meter|metres|Meters|METERS|[m]|m a.s.l.|masl|metres above sea level|NO|unknown",
+    0.001: "mm|millimetre|Millimeters",
+    0.01: "cm|centimetre|Centimeter",
+    0.1: "dm|decimetre|Decimeters",
+    1000.0: "km|kilometre|Kilometers",
+    1.8288: "fathom|Fathoms|fath",
+    0.9144: "yard|yd",
+}
+
+
+def in_unit(path: Path, unit: str, values: AnyArray, crs: str = UTM, **profile: Any) -> Path:
+    write(path, values, crs=crs, **profile)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.units = [unit]
+    return path
+
+
+@pytest.mark.parametrize(
+    ("unit", "metres"), [(unit, metres) for metres in UNITS for unit in UNITS[metres].split("|")]
+)
+def test_heights_are_in_the_unit_of_the_band(tmp_path: Path, unit: str, metres: float) -> None:
+    values = np.array([[2000.0, 2001.0], [2002.0, 2003.0]], np.float32) / np.float32(metres)
+    path = in_unit(tmp_path / "dem.tif", unit, values)
+    np.testing.assert_allclose(
+        read_dem(path).heights_m, [[2000.0, 2001.0], [2002.0, 2003.0]], rtol=3e-7
+    )
+
+
+NO_LENGTHS = "degree|kelvin|K|m/s|m2|m²|µm|10 cm|hPa|gpm|%|ü|1|furlong|parsec"
+
+
+@pytest.mark.parametrize("unit", NO_LENGTHS.split("|"))
+def test_a_unit_that_is_no_known_length_is_refused_by_its_name(tmp_path: Path, unit: str) -> None:
+    path = in_unit(tmp_path / "dem.tif", unit, np.ones((2, 2), np.float32))
+    with pytest.raises(InputError) as refused:
+        read_dem(path)
+    assert f"are in {unit!r}" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_every_unit_that_epsg_knows_is_known_by_its_name() -> None:
+    assert metres_per("Indian foot (1937)") == 0.30479841
+    assert metres_per("German legal metre") == 1.0000135965
+    assert metres_per("British yard (Benoit 1895 B)") == pytest.approx(0.9143992042898)
+
+
+@pytest.mark.parametrize(
+    ("crs", "metres"),
+    [
+        ("EPSG:32632+5783", 1.0),
+        ("EPSG:32632+6360", US_FOOT_M),
+        ("EPSG:32632+8228", FOOT_M),
+        ("EPSG:32632+5715", -1.0),
+        ("EPSG:32632+6358", -US_FOOT_M),
+    ],
+)
+@pytest.mark.parametrize("version", ["1.0", "1.1"])
+def test_a_band_without_a_unit_has_that_of_the_vertical_axis(
+    tmp_path: Path, crs: str, metres: float, version: str
+) -> None:
+    values = np.array([[1000.0, 1001.0], [1002.0, 1003.0]], np.float32)
+    field = read_dem(write(tmp_path / "dem.tif", values, crs=crs, GEOTIFF_VERSION=version))
+    np.testing.assert_allclose(field.heights_m, values * metres, rtol=2e-7)
+    assert field.frame.name == UTM
+    text = tmp_path / "dem.asc"
+    text.write_text("ncols 2\nnrows 2\nxllcorner 500000\nyllcorner 5e6\ncellsize 10\n1 2 3 4\n")
+    field = read_dem(text, DemOptions(crs=crs))
+    np.testing.assert_allclose(field.heights_m, np.array([[1, 2], [3, 4]]) * metres, rtol=2e-7)
+
+
+def test_units_that_contradict_each_other_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = in_unit(tmp_path / "a.tif", "m", np.full((2, 2), 9, np.int16), "EPSG:32632+6360")
+    np.testing.assert_array_equal(read_dem(path).heights_m, 9.0)
+    assert "heights are in m by the band and in US survey foot by the vertical axis" in caplog.text
+    caplog.clear()
+    read_dem(in_unit(tmp_path / "b.tif", "ft", np.ones((2, 2), np.int16), "EPSG:32632+6360"))
+    assert not caplog.records
+
+
+CALIFORNIA_FEET = from_origin(6_500_000.0, 2_300_000.0, 100.0, 100.0)
+
+
+def test_a_map_in_feet_that_names_no_unit_of_heights(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    values = np.full((60, 60), 1000.0, np.float32)
+    path = write(tmp_path / "dem.tif", values, CALIFORNIA_FEET, "EPSG:2227")
+    assert read_dem(path).height_range_m == (1000.0, 1000.0)
+    assert "is the US survey foot and none is named for heights; metres are assumed" in caplog.text
+    caplog.clear()
+    with_vertical = read_dem(path, DemOptions(crs="EPSG:2227+6360"))
+    assert with_vertical.height_range_m[0] == pytest.approx(1000.0 * US_FOOT_M)
+    assert not caplog.records
+
+
+def test_depths_become_negative_heights(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write(tmp_path / "dem.tif", np.full((2, 2), 30, np.int16))
+    with rasterio.open(path, "r+") as dataset:
+        dataset.update_tags(1, positive="down")
+    np.testing.assert_array_equal(read_dem(path).heights_m, -30.0)
+    assert "values are depths, positive downward" in caplog.text
+    at = {"y": 5e6 - 30.0 * np.arange(3), "x": 5e5 + 30.0 * np.arange(3)}
+    array = xarray.DataArray(np.full((3, 3), 30.0), at, ("y", "x"), attrs={"positive": "down"})
+    field = HeightField.from_xarray(array, DemOptions(crs=UTM))
+    np.testing.assert_array_equal(field.heights_m, -30.0)
+
+
+def test_voids_are_known_before_heights_are_converted(tmp_path: Path) -> None:
+    values = np.full((20, 20), 5000, np.int16)
+    values[5, 5], values[9, 9], values[12, 12] = -9999, -32768, -1
+    path = in_unit(tmp_path / "dem.tif", "US survey foot", values, nodata=-1)
+    with rasterio.open(path, "r+") as dataset:
+        dataset.scales, dataset.offsets = [2.0], [100.0]
+    field = read_dem(path)
+    np.testing.assert_allclose(field.heights_m, 10_100.0 * US_FOOT_M, rtol=1e-6)
+    counts = field.provenance
+    assert (counts.filled, counts.undeclared, counts.despiked) == (3, 2, 0)
+
+
+def test_an_array_has_the_units_of_its_attributes_and_of_its_crs() -> None:
+    at = {"y": 5e6 - 30.0 * np.arange(3), "x": 5e5 + 30.0 * np.arange(3)}
+    array = xarray.DataArray(np.full((3, 3), 1000.0), at, ("y", "x"))
+
+    def read(units: str | None, crs: str) -> float:
+        given = array if units is None else array.assign_attrs(units=units)
+        return HeightField.from_xarray(given, DemOptions(crs=crs)).height_range_m[0]
+
+    assert read("Foot_US", UTM) == pytest.approx(1000.0 * US_FOOT_M)
+    assert read(None, "EPSG:32632+6360") == pytest.approx(1000.0 * US_FOOT_M)
+    with pytest.raises(InputError, match="'kelvin'"):
+        read("kelvin", UTM)
+
+
+def side_by_side(folder: Path, first: tuple[str, str], second: tuple[str, str]) -> list[Path]:
+    """Two tiles that touch, each by its CRS and unit."""
+    paths = []
+    for number, (crs, unit) in enumerate((first, second)):
+        metres = metres_per(unit) or 1.0
+        transform = from_origin(5e5 + 600.0 * number, 5.2e6, 30.0, 30.0)
+        values = np.full((20, 20), 3000.0 / metres, np.float32)
+        paths.append(
+            in_unit(
+                folder / f"{number}.tif", unit, values, crs, transform=transform,
+                GEOTIFF_VERSION="1.1",
+            )
+        )  # fmt: skip
+    return paths
+
+
+def test_tiles_of_different_units_make_one_model(tmp_path: Path) -> None:
+    field = read_dem(side_by_side(tmp_path, (UTM, "ftUS"), (UTM, "m")))
+    assert field.heights_m.shape == (20, 40)
+    np.testing.assert_allclose(field.heights_m, 3000.0, rtol=1e-6)
+    assert field.provenance.conventions["height_unit"] == "ftUS, by the band; m, by the band"
+
+
+def test_tiles_of_different_vertical_datums_are_named_or_refused(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    read_dem(side_by_side(tmp_path, ("EPSG:32632+5783", "m"), ("EPSG:32632+5773", "m")))
+    assert "DHHN92 height" in caplog.text
+    assert "EGM96 height" in caplog.text
+    caplog.clear()
+    read_dem(side_by_side(tmp_path, ("EPSG:32632+5773", "m"), (UTM, "m")))
+    assert "a datum that is not named" in caplog.text
+    above_ellipsoid = CRS.from_epsg(32632).to_3d().to_wkt()
+    with pytest.raises(InputError, match=r"above the geoid and .* above the ellipsoid"):
+        read_dem(side_by_side(tmp_path, ("EPSG:32632+5773", "m"), (above_ellipsoid, "m")))
+
+
+LOCAL = 'LOCAL_CS["mine",UNIT["metre",1]]'
+
+
+@pytest.mark.parametrize(
+    ("crs", "corner", "message"),
+    [
+        (LOCAL, (0.0, 0.0), "expected a geographic or projected"),
+        ("EPSG:4978", (0.0, 0.0), "expected a geographic or projected"),
+        ("EPSG:2985", (3e5, 2e5), "PROJ cannot transform"),
+        ("EPSG:5017", (3e5, 2e5), "PROJ cannot transform"),
+        ("EPSG:4326", (500_000.0, 5_200_000.0), "no place in WGS 84"),
+        ("EPSG:4326", (46.8, 109.9), "no place in WGS 84"),
+        ("IAU_2015:30130", (3e5, 2e5), "PROJ cannot transform"),
+        (UTM, (1e9, 5e6), "no place in WGS 84 / UTM zone 32N"),
+    ],
+)
+def test_places_that_cannot_be_known_are_refused(
+    tmp_path: Path, crs: str, corner: tuple[float, float], message: str
+) -> None:
+    path = write(
+        tmp_path / "a.tif", np.ones((4, 4), np.int16), from_origin(*corner, 1e-3, 1e-3), crs
+    )
+    with pytest.raises(InputError, match=message) as refused:
+        read_dem(path)
+    assert "\n" not in str(refused.value)
+
+
+def with_northings(path: Path) -> Path:
+    """A South African file with negative coordinates, though its CRS counts southward."""
+    x, y = Transformer.from_crs("EPSG:4326", "EPSG:2053", always_xy=True).transform(29.3, -29.5)
+    return write(path, np.ones((9, 9), np.int16), from_origin(x, -y, 30.0, 30.0), "EPSG:2053")
+
+
+def test_coordinates_of_the_wrong_sign_are_suspected(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    read_dem(with_northings(tmp_path / "a.tif"))
+    assert "29.50° N, 29.30° E, far off the area" in caplog.text
+
+
+def test_the_guide_quotes_the_warnings(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    ones = np.ones((9, 9), np.int16)
+    write(tmp_path / "feet.tif", ones, CALIFORNIA_FEET, "EPSG:2227")
+    in_unit(tmp_path / "both.tif", "m", ones, "EPSG:32632+6360")
+    write(tmp_path / "depths.tif", ones, crs="EPSG:32632+5715")
+    write(tmp_path / "krovak.tif", ones, from_origin(1e6, 7e5, 30.0, 30.0), "EPSG:5513")
+    with_northings(tmp_path / "signs.tif")
+    for path in sorted(tmp_path.glob("*.tif")):
+        read_dem(path)
+    for name, crs in (("a.tif", "EPSG:32632+5773"), ("b.tif", "EPSG:32632+5703")):
+        write(tmp_path / name, ones, crs=crs)
+    read_dem([tmp_path / "a.tif", tmp_path / "b.tif"])
+    said = caplog.text.replace(f"{tmp_path}/", "")
+    guide = Path(__file__).parents[2] / "docs" / "guide" / "your-data.md"
+    quoted = re.findall(r"^\| `(.+?)` \|", guide.read_text().split("## What is said")[1], re.M)
+    assert len(quoted) > 6
+    for line in quoted[:6]:
+        assert line in said
+
+
+def test_what_a_file_says_and_leaves_open_is_kept_in_words(tmp_path: Path) -> None:
+    path = write(
+        tmp_path / "dem.tif", np.ones((9, 9), np.int16), from_origin(6e5, 2.1e6, 30.0, 30.0),
+        "EPSG:27572", nodata=-99, tags={"AREA_OR_POINT": "Point"},
+    )  # fmt: skip
+    assert read_dem(path).provenance.conventions == {
+        "crs": "NTF (Paris) / Lambert zone II (EPSG:27572)",
+        "horizontal_datum": "Nouvelle Triangulation Francaise (Paris), ellipsoid Clarke 1880 (IGN)",
+        "axes": "Easting east in metre, Northing north in metre",
+        "prime_meridian": "Paris, 2.33723° E of Greenwich",
+        "height_unit": "metre, assumed: neither the band nor the CRS names a unit",
+        "vertical_datum": "geoid, assumed: none is named",
+        "pixel_is": "point",
+        "nodata": "-99",
+        "to_wgs84": "Inverse of Lambert zone II + NTF (Paris) to NTF (1) + NTF to WGS 84 (1); "
+        "good to 2 m",
+    }
