@@ -2,7 +2,7 @@
 import * as server from "./server.js";
 import { $, alertUser, say, state, tell } from "./state.js";
 import { draw, fit, inPhoto, keepInView, marks, pan, view, zoom } from "./view.js";
-import { turnBy } from "./hand.js";
+import { release, turnBy } from "./hand.js";
 
 const canvas = $("photo");
 const PAINTS = ["sky", "ground", "line", "erase"];
@@ -77,9 +77,8 @@ async function solve() {
 
 const share = () => state.rows.reduce((sum, row) => sum + !Number.isNaN(row), 0) / state.rows.length;
 
-export function showSkyline({ rows, trust }) {
-  state.rows = rows;
-  state.trust = trust;
+export function showSkyline({ rows, trust, version }) {
+  Object.assign(state, { rows, trust, version });
   buttons();
   tell("skyline");
 }
@@ -111,7 +110,7 @@ function dragging(event) {
   const end = () => {
     canvas.removeEventListener("pointermove", move);
     if (paints) finish();
-    else if (tool() === "turn") turnBy(0, 0, false);
+    else if (tool() === "turn") release();
   };
   canvas.addEventListener("pointermove", move);
   canvas.addEventListener("pointerup", end, { once: true });

@@ -2,6 +2,7 @@
 import * as server from "./server.js";
 import { $, degrees, element, on, say, state, tell } from "./state.js";
 import { moveTo, release } from "./hand.js";
+import { standing } from "./known.js";
 
 const L = window.L;
 const REACH_M = 2000, HANDLE_PX = 74, EARTH_M = 6371008.8;
@@ -38,7 +39,7 @@ function ellipse(candidate) {
 
 function showCandidates() {
   spots.clearLayers();
-  const result = state.results.get(state.photo?.id);
+  const result = standing();
   (result?.candidates ?? []).forEach((one, index) => {
     const best = index === 0 && result.answered, chosen = index === state.chosen;
     const sure = one.confidence === null ? "" : `: ${Math.round(100 * one.confidence)} %`;
@@ -107,7 +108,7 @@ function makeCamera() {
 
 // The circle that a search keeps to; null where there is none.
 export const circled = () =>
-  circle && map.hasLayer(circle) ? { lon: circle.getLatLng().lng, lat: circle.getLatLng().lat, km: circle.getRadius() / 1000 } : null;
+  circle && map.hasLayer(circle) ? { lon: circle.getLatLng().lng, lat: circle.getLatLng().lat } : null;
 
 export function showCircle(km, place = null) {
   if (place) {
@@ -175,7 +176,7 @@ export function start() {
   map.on("zoomend viewreset moveend", showCamera);
   new ResizeObserver(() => map.invalidateSize()).observe($("map"));
   on("pose", showCamera);
-  for (const name of ["photo", "result", "chosen"]) on(name, showCandidates);
+  for (const name of ["photo", "result", "chosen", "left", "known", "skyline"]) on(name, showCandidates);
   on("chosen", () => {
     if (state.pose && !map.getBounds().pad(-0.1).contains([state.pose.lat, state.pose.lon])) map.panTo([state.pose.lat, state.pose.lon]);
   });

@@ -5,10 +5,12 @@ export const state = {
   photo: null, // the record that is shown
   rows: null, // Float32Array of the photo's columns: NaN where left out
   trust: null, // Float32Array, 0 to 1
+  version: null, // tells the skyline from others of the same photo
   results: new Map(), // photo id -> result of its match
   chosen: null, // index of the chosen candidate
   pose: null, // {lon, lat, heading, pitch, roll, fov, distortion, eyeHeight}
-  byHand: false, // whether the pose has been moved since it was chosen
+  origin: null, // where the pose comes from: "found" (the candidate that is chosen), "fitted" or "hand"
+  fit: null, // how the last fit ended, while the pose is the fitted one
   sight: null, // the skyline rendered at the pose
 };
 
