@@ -112,7 +112,7 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
     panorama, sightings = (None, []) if best is None else _view_of(best, surroundings)
     overlay = Overlay(matched.query, matched.photo, best, panorama, sightings)
     parts: list[Part] = [
-        Text(_result(matched), is_result=True),
+        Text(_result(matched), _kind(matched), None if best is None else _map_link(best)),
         Picture(
             _keep(folder / f"{number:02d}-overlay.jpg", overlay.jpeg()),
             _overlay_caption(overlay),
@@ -198,6 +198,19 @@ def _result(matched: Matched) -> str:
     if not matched.is_answered:
         return f"Not answered: the best candidate is not sure enough ({place})."
     return f"Taken at {place}{'' if shown.refined else ' (not refined by rendering)'}."
+
+
+def _kind(matched: Matched) -> str:
+    """Return what kind of result is shown; see `Text`."""
+    if matched.candidates and matched.candidates[0].rank != 1:
+        return "pose"
+    return "answer" if matched.candidates and matched.is_answered else "refusal"
+
+
+def _map_link(candidate: Candidate) -> tuple[str, str]:
+    place = f"{candidate.lat:.5f}", f"{candidate.lon:.5f}"
+    address = "https://www.openstreetmap.org/?mlat={0}&mlon={1}#map=14/{0}/{1}".format(*place)
+    return address, "On a map."
 
 
 def _overlay_caption(overlay: Overlay) -> str:

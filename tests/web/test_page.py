@@ -443,6 +443,53 @@ def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem,
     assert page.state("state.photos.length") == 1
 
 
+def test_what_a_person_looks_for_is_in_sight(page, photo, dem, tmp_path):
+    noting = tmp_path / "noting.jpg"
+    frame = read_dem([dem]).frame
+    write_located(photo, noting, candidate_at(602_300.0, 5_178_200.0, 33.0, frame=frame))
+    page.open(noting)
+    page.press("s")
+    assert page.find("[name=tool]:checked").get_attribute("value") == "sky"
+    page.find("#find").send_keys("m")
+    assert page.find("[name=tool]:checked").get_attribute("value") == "move"
+    assert len(page.all(".noted")) == 1
+    page.match()
+    page.settled()
+    best = page.state("state.results.get(state.photo.id).candidates[0]")
+    assert within(page, "#map", page.find(".spot.best"))
+    link = page.find("#answer a").get_attribute("href")
+    place = f"{best['lat']:.5f}", f"{best['lon']:.5f}"
+    assert link == "https://www.openstreetmap.org/?mlat={0}&mlon={1}#map=14/{0}/{1}".format(*place)
+    # The number of a candidate shows through the camera that stands on it.
+    camera = "getComputedStyle(document.querySelector('.camera'))"
+    assert page.script(f"return {camera}.backgroundColor") != "rgb(53, 208, 255)"
+    colours = [
+        page.script("return getComputedStyle(arguments[0]).color", page.find("#answer .yes")),
+        page.script(
+            "const one = document.createElement('span'); one.className = 'no';"
+            "document.getElementById('answer').append(one); return getComputedStyle(one).color"
+        ),
+    ]
+    assert len(set(colours)) == 2
+    for selector in ("#save-photo", "#save-trace", "#load-trace"):
+        assert within(page, "body", page.find(selector))
+    type_into(page, "#hand-lon", "-119.57301")
+    assert page.script("return arguments[0].scrollWidth <= arguments[0].clientWidth",
+                       page.find("#hand-lon"))  # fmt: skip
+    assert page.asked_elsewhere() == []
+
+
+def within(page, outer, inner):
+    """Whether an element lies wholly in another and in the window."""
+    return page.script(
+        "const [one, box] = [arguments[1], arguments[0]].map((it) => it.getBoundingClientRect());"
+        "return one.left >= box.left && one.right <= box.right && one.top >= box.top &&"
+        " one.bottom <= Math.min(box.bottom, innerHeight)",
+        page.find(outer),
+        inner,
+    )
+
+
 _CONFUSED = {
     "deutan": ((0.367, 0.861, -0.228), (0.280, 0.673, 0.047), (-0.012, 0.043, 0.969)),
     "protan": ((0.152, 1.053, -0.205), (0.115, 0.786, 0.099), (-0.004, -0.048, 1.052)),

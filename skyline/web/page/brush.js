@@ -188,7 +188,9 @@ export function start() {
   });
   canvas.addEventListener("keydown", pressed);
   document.addEventListener("keydown", (event) => {
-    if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && event.target === document.body) pressed(event);
+    // The photo's keys are the page's, too; the letters of its tools even where a button has the focus.
+    const isTool = KEYS[event.key.toLowerCase()] && !event.ctrlKey && !event.metaKey;
+    if (event.target === document.body || (isTool && !event.target.matches("#photo, input[type=number]"))) pressed(event);
   });
   $("undo").onclick = undo;
   $("redo").onclick = redo;

@@ -1,6 +1,6 @@
 // The search: begun, followed, cancelled; its candidates listed and chosen.
 import * as server from "./server.js";
-import { $, alertUser, degrees, element, on, say, state, tell } from "./state.js";
+import { $, alertUser, degrees, element, mapLink, on, say, state, tell } from "./state.js";
 import { checked, known, standing } from "./known.js";
 import { leave, toCandidate } from "./hand.js";
 import { choose as choosePhoto } from "./photos.js";
@@ -70,12 +70,12 @@ function said(result) {
   if (state.chosen > 0) {
     const one = result.candidates[state.chosen];
     const sure = one.confidence === null ? "" : `${Math.round(100 * one.confidence)} % sure within 200 m. `;
-    return [element("span", { class: "other" }, `Candidate ${state.chosen + 1}: `), sure, degrees(one.lon, one.lat)];
+    return [element("span", { class: "other" }, `Candidate ${state.chosen + 1}: `), sure, mapLink(one)];
   }
   if (result.answered) {
     const near = result.within === null ? "" : ` within ${result.within} m`;
     const sure = result.chance === null ? "" : `, ${Math.round(100 * result.chance)} % sure`;
-    return [element("span", { class: "yes" }, `Found${near}${sure}. `), degrees(best.lon, best.lat), ...notes];
+    return [element("span", { class: "yes" }, `Found${near}${sure}. `), mapLink(best), ...notes];
   }
   return [element("span", { class: "no" }, "No answer: "), `${result.refusal}. `,
     "Check the yellow skyline and mend it, say what you know, or fit by hand.", ...notes];

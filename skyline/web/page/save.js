@@ -42,7 +42,7 @@ function show() {
 export function start() {
   for (const [kind, suffix, label, about] of KINDS) {
     const button = element("button", { id: `save-${kind}`, title: about, onclick: () => save(kind, suffix, button) }, label);
-    $("saves").append(button);
+    $("load-trace").before(button);
   }
   for (const name of ["photo", "pose"]) on(name, show);
   show();

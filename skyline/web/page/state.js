@@ -46,5 +46,12 @@ export function alertUser(text) {
   while ($("alerts").children.length > 3) $("alerts").firstChild.remove();
 }
 
+// A link that a person may follow: the page itself asks nothing of other machines.
+export function mapLink({ lon, lat }) {
+  const [north, east] = [lat.toFixed(5), lon.toFixed(5)];
+  const href = `https://www.openstreetmap.org/?mlat=${north}&mlon=${east}#map=14/${north}/${east}`;
+  return element("a", { href, target: "_blank", rel: "noreferrer", title: "See it on OpenStreetMap" }, degrees(lon, lat));
+}
+
 export const degrees = (lon, lat, decimals = 5) =>
   `${Math.abs(lat).toFixed(decimals)}° ${lat < 0 ? "S" : "N"}  ${Math.abs(lon).toFixed(decimals)}° ${lon < 0 ? "W" : "E"}`;
