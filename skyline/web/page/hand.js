@@ -28,6 +28,7 @@ export function moveTo(part, stillMoving = false) {
 export function leave() {
   if (!state.pose || state.origin === "hand") return;
   Object.assign(state, { origin: "hand", chosen: null, fit: null });
+  say("");
   $("pose-said").replaceChildren(...said());
   tell("left");
 }
