@@ -1,5 +1,7 @@
 """Small terrains that tests look at."""
 
+from dataclasses import replace
+
 import numpy as np
 import rasterio
 from rasterio.transform import Affine
@@ -18,7 +20,7 @@ WEST_M, NORTH_M, SPACING_M = 600_000.0, 5_180_000.0, 30.0
 def candidate_at(
     easting_m, northing_m, grid_heading_deg=0.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=60.0,
     *, score=0.1, eye_elevation_m=1000.0, confidence=None, covariance_m2=None,
-    confidence_1km=None, frame=FRAME,
+    confidence_1km=None, frame=FRAME, rank=1,
 ) -> Candidate:  # fmt: skip
     """Return the candidate of one pose."""
     pose = easting_m, northing_m, eye_elevation_m, grid_heading_deg, pitch_deg, roll_deg, fov_deg
@@ -28,7 +30,7 @@ def candidate_at(
         None if covariance_m2 is None else np.array([covariance_m2]),
         None if confidence_1km is None else np.array([confidence_1km]),
     )
-    return ranking.candidates(frame)[0]
+    return replace(ranking.candidates(frame)[0], rank=rank)
 
 
 def field_of(heights_m, spacing_m=30.0, spacing_north_m=None, west_m=0.0, north_m=0.0):

@@ -80,6 +80,31 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
     widest_m = found.apart_m().max(initial=0.0)
     margin = poses.margin if widest_m > RIGHT_WITHIN_M else np.zeros(len(poses))
     far_margin = poses.far_margin if widest_m > ROUGHLY_WITHIN_M else margin
+    return _pose_figures(poses, query, margin, far_margin) | {
+        "retrieved_score": np.full(len(poses), retrieved["score"][best]),
+        "retrieved_log_margin": np.full(len(poses), retrieved["log_margin"][best]),
+        "retrieved_log_far_margin": np.full(len(poses), retrieved["log_far_margin"][best]),
+    }
+
+
+def lone_figures(poses: Poses, query: QueryRays, model: Logistic) -> dict[str, Float64Array]:
+    """Return the figures of M poses that no search found, (M,) by name, for a model.
+
+    No pose elsewhere was tried. The figures are those of a search in which nothing else fits: of
+    the greatest margin that counts, after a retrieval like the mean of those that the model was
+    learned from.
+    """
+    most = np.full(len(poses), _MAX_MARGIN)
+    usual = {
+        name: np.full(len(poses), mean) for name, mean in zip(model.names, model.mean, strict=True)
+    }
+    return usual | _pose_figures(poses, query, most, most)
+
+
+def _pose_figures(
+    poses: Poses, query: QueryRays, margin: Float64Array, far_margin: Float64Array
+) -> dict[str, Float64Array]:
+    """Return the figures of M poses with these margins, but for those of their retrieval."""
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
     lens_off = np.abs(query.log_scale(poses.hypotheses.fov_deg)) / query.log_scale_sd
     return {
@@ -94,9 +119,6 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
         "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
         "lens_deviations": np.minimum(lens_off, _MOST_LENS_DEVIATIONS),
         "roll_deg": np.abs(poses.hypotheses.roll_deg),
-        "retrieved_score": np.full(len(poses), retrieved["score"][best]),
-        "retrieved_log_margin": np.full(len(poses), retrieved["log_margin"][best]),
-        "retrieved_log_far_margin": np.full(len(poses), retrieved["log_far_margin"][best]),
     } | _query_figures(query, len(poses))
 
 

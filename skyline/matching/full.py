@@ -64,7 +64,7 @@ class FullMatcher(Ranker):
         """
         if top < 1:
             raise InputError(f"top is {top}; expected at least 1 candidate")
-        found, poses = self._found(query, top, narrowed, screened)
+        found, poses = self._found(query, narrowed, screened)
         if not len(found):
             return Ranking(found)
         if poses is None:
@@ -84,15 +84,14 @@ class FullMatcher(Ranker):
     def _found(
         self,
         query: QueryRays,
-        top: int,
         narrowed: Narrowed | None,
         screened: Alike | None = None,
     ) -> tuple[Hypotheses, Poses | None]:
-        """Return what is retrieved for a query, and that refined where there is a scene."""
-        found = self.retrieve(query, top, narrowed, screened)
+        """Return the poses retrieved for a query, and those refined where there is a scene."""
+        found = self.retrieve(query, narrowed, screened)
         if not len(found):
             return found, None
-        return found, self.refine(self._with_claimed(found, query, narrowed), query, top, narrowed)
+        return found, self.refine(self._with_claimed(found, query, narrowed), query, narrowed)
 
     def rank_together(
         self, asked: Sequence[tuple[QueryRays, Narrowed | None]], top: int
@@ -105,11 +104,11 @@ class FullMatcher(Ranker):
         if self._scene is None:
             return None
         asked = _with_one_claim(asked)
-        found = [self._found(query, 1, known) for query, known in asked]
+        found = [self._found(query, known) for query, known in asked]
         own = [places[:0] if poses is None else poses.hypotheses[:1] for places, poses in found]
-        config = _naming(self._config.refine, top, None)
+        config = self._config.refine
         refinements = [
-            Refinement(query, self._scene, _naming(config, top, known), _claim(known))
+            Refinement(query, self._scene, _of_known_height(config, known), _claim(known))
             for query, known in asked
         ]
         with one_blas_thread():
@@ -142,20 +141,17 @@ class FullMatcher(Ranker):
     def retrieve(
         self,
         query: QueryRays,
-        least: int = 1,
         narrowed: Narrowed | None = None,
         screened: Alike | None = None,
     ) -> Hypotheses:
-        """Return the poses retrieved for a query, more than ``least`` where there are."""
-        count = max(self._config.shortlist, least)
+        """Return the poses retrieved for a query."""
         with one_blas_thread():
-            return self._retriever.shortlist(query, count, narrowed, screened)
+            return self._retriever.shortlist(query, self._config.shortlist, narrowed, screened)
 
     def refine(
         self,
         found: Hypotheses,
         query: QueryRays,
-        least: int = 1,
         narrowed: Narrowed | None = None,
     ) -> Poses | None:
         """Return retrieved poses refined, as far as it takes; None without a scene.
@@ -164,13 +160,13 @@ class FullMatcher(Ranker):
         """
         if self._scene is None:
             return None
-        quick, claim = _naming(self._config.quick, least, narrowed), _claim(narrowed)
+        quick, claim = _of_known_height(self._config.quick, narrowed), _claim(narrowed)
         with one_blas_thread():
             poses = refine(found, query, self._scene, quick, claim)
             if len(poses) and poses.margin[0] > self._config.sure_margin:
                 return poses
             spent = poses.renderings
-            whole = _naming(self._config.refine, least, narrowed)
+            whole = _of_known_height(self._config.refine, narrowed)
             poses = refine(found, query, self._scene, whole, claim)
         return replace(poses, renderings=spent + poses.renderings)
 
@@ -185,7 +181,13 @@ class FullMatcher(Ranker):
         config = _held_at(replace(self._config.refine, restarts=1), float(above_m[0]))
         with one_blas_thread():
             poses = refine(start, query, self._scene, config)
-        return _ranking(poses, slice(1))
+        if not len(poses):
+            return Ranking(poses.hypotheses)
+        models = [self._models[model_name("refined", within_m)] for within_m in DISTANCES_M]
+        near, roughly = (
+            model.probability(confidence.lone_figures(poses, query, model))[:1] for model in models
+        )
+        return _ranking(poses, slice(1), near, np.maximum(near, roughly))
 
     def _with_claimed(
         self, found: Hypotheses, query: QueryRays, narrowed: Narrowed | None
@@ -228,8 +230,15 @@ def _ranking(
     roughly: Float64Array | None = None,
 ) -> Ranking:
     """Return those chosen of poses, and how likely they are right within 200 m and within 1 km."""
-    covariance_m2, beyond_share = poses.covariance_m2[chosen], poses.beyond_share[chosen]
-    return Ranking(poses.hypotheses[chosen], near, covariance_m2, roughly, beyond_share)
+    return Ranking(
+        poses.hypotheses[chosen],
+        near,
+        poses.covariance_m2[chosen],
+        roughly,
+        poses.beyond_share[chosen],
+        poses.residual_deg[chosen],
+        poses.inlier_share[chosen],
+    )
 
 
 def _claim(narrowed: Narrowed | None) -> Claim | None:
@@ -248,9 +257,8 @@ def _with_one_claim(
     ]
 
 
-def _naming(config: RefineConfig, least: int, narrowed: Narrowed | None) -> RefineConfig:
-    """Return a refinement with room for so many places at its end, of eyes as high as is known."""
-    config = replace(config, finalists=max(config.finalists, least))
+def _of_known_height(config: RefineConfig, narrowed: Narrowed | None) -> RefineConfig:
+    """Return a refinement whose eyes stand as high above the ground as the narrowing says."""
     eye_height_m = None if narrowed is None else narrowed.narrowing.eye_height_m
     return config if eye_height_m is None else _held_at(config, eye_height_m)
 

@@ -80,9 +80,10 @@ class Ranker(Protocol):
         return None
 
     def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking | None:
-        """Return the pose that one pose becomes by rendering; None from who does not render.
+        """Return the pose that one pose becomes by rendering; None if this matcher cannot render.
 
-        The eye keeps its height above the ground. The ranking is empty where nothing fits.
+        The eye keeps its height above the ground. The ranking is empty where nothing fits. Its
+        confidence is what a search would give the pose if nothing else fitted.
         """
         return None
 

@@ -37,7 +37,7 @@ class Candidate:
     convergence_deg : float
         Grid convergence at the place: what true azimuths are more than grid azimuths.
     score : float
-        Lower is better; its unit is the matcher's.
+        Lower is better; its unit is the matcher's. NaN of a pose set by hand.
     confidence : float or None
         Probability that the place is right within 200 m, where something has estimated it.
     confidence_1km : float or None
@@ -49,6 +49,14 @@ class Candidate:
     beyond_share : float or None
         Part of the query's skyline in which terrain past the elevation model's edge may stand above
         the model's, where the pose was fitted by rendering.
+    residual_deg : float or None
+        Root mean square of how far the query's skyline and the rendered one are apart in elevation,
+        over the part of the query's that shows terrain, where the pose was fitted by rendering.
+    terrain_share : float or None
+        How much of the query's skyline that part is.
+    rank : int or None
+        Place among the candidates of its search, 1 for the best; None where no search found the
+        pose.
     """
 
     lon: float
@@ -68,6 +76,16 @@ class Candidate:
     refined: bool = False
     covariance_m2: tuple[tuple[float, float], tuple[float, float]] | None = None
     beyond_share: float | None = None
+    residual_deg: float | None = None
+    terrain_share: float | None = None
+    rank: int | None = None
+
+    @property
+    def origin(self) -> str:
+        """Where the pose comes from: "found, rank 1", "fitted" or "set by hand"."""
+        if self.rank is not None:
+            return f"found, rank {self.rank}"
+        return "fitted" if self.refined else "set by hand"
 
     @property
     def radius_m(self) -> float | None:
@@ -86,6 +104,9 @@ class Candidate:
         return (self.heading_deg - self.convergence_deg) % 360.0
 
 
+_MEASURED = ("confidence", "confidence_1km", "beyond_share", "residual_deg", "terrain_share")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Ranking:
     """The M poses a matcher answers a query with, best first."""
@@ -100,8 +121,9 @@ class Ranking:
     """(M,) float64. Probability that each is right within 1 km, where something has estimated
     it."""
     beyond_share: Float64Array | None = None
-    """(M,) float64. Part of the query that terrain past the data's edge may hide; see
-    `Candidate`."""
+    residual_deg: Float64Array | None = None
+    terrain_share: Float64Array | None = None
+    """``beyond_share``, ``residual_deg``, ``terrain_share``: (M,) float64. See `Candidate`."""
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -117,8 +139,9 @@ class Ranking:
             "lat": lat.tolist(),
             "heading_deg": heading_deg.tolist(),
             "convergence_deg": convergence_deg.tolist(),
+            "rank": range(1, len(self) + 1),
         }
-        for name in ("confidence", "confidence_1km", "beyond_share"):
+        for name in _MEASURED:
             if getattr(self, name) is not None:
                 columns[name] = getattr(self, name).tolist()
         if self.covariance_m2 is not None:

@@ -104,12 +104,12 @@ class Correction:
         self._extraction = Extraction.of(photo.rgb)
         if found is None and is_sky_mask(photo.rgb):
             found = skyline_of_mask(photo.rgb)
-        self._row_px, self._confidence = self._began(found)
+        self._found, (self._row_px, self._confidence) = found, self._began(found)
 
     def restarted(self, found: QuerySkyline) -> "Correction":
         """Return the same photo's correction that begins with a skyline, such as a trace."""
         again = copy(self)
-        again._row_px, again._confidence = self._began(found)
+        again._found, (again._row_px, again._confidence) = found, self._began(found)
         return again
 
     def solve(self, strokes: Sequence[Stroke] = ()) -> QuerySkyline:
@@ -139,6 +139,15 @@ class Correction:
                 confidence[touched] = np.maximum(confidence[touched], _PAINTED_CONFIDENCE)
         known = np.isfinite(row_px)
         query = self._extraction.query(row_px, np.where(known, confidence, 0.0))
+        if self._found is not None:
+            # Beside the photo, in borders that a mask or a trace need not have, it stays as it was.
+            beside = np.ones(query.width_px, dtype=bool)
+            beside[left : left + width] = False
+            query = replace(
+                query,
+                row_px=np.where(beside, self._found.row_px, query.row_px),
+                confidence=np.where(beside, self._found.confidence, query.confidence),
+            )
         return self._photo.described(query)
 
     def _began(self, found: QuerySkyline | None) -> tuple[Float64Array, Float64Array]:

@@ -33,11 +33,11 @@ def write_trace(query: QuerySkyline, path: str | Path) -> None:
     if query.projection.is_panorama:
         lines.append(f"# projection={query.projection}")
     if query.fov_deg is not None:
-        lines.append(f"# fov_deg={query.fov_deg:.3f}")
+        lines.append(f"# fov_deg={query.fov_deg!r}")
         if query.lens is not None and query.lens.sd_deg is not None:
-            lines[-1] += f" fov_slack={query.lens.sd_deg / query.fov_deg:.4f}"
+            lines[-1] += f" fov_slack={query.lens.sd_deg / query.fov_deg!r}"
     if query.eye_height_m is not None:
-        lines.append(f"# eye_height_m={query.eye_height_m:g}")
+        lines.append(f"# eye_height_m={query.eye_height_m!r}")
     lines.append(",".join(_COLUMNS))
     trusted = query.trusted
     starts_gap = ~trusted

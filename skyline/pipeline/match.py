@@ -29,6 +29,7 @@ from skyline.pipeline.refusals import (
     DISAGREES,
     at_bound,
     lens_in_doubt,
+    misfit,
     sure_within_m,
     too_little,
     unsure,
@@ -137,7 +138,7 @@ class Matcher:
         fov_deg : float, optional
             Horizontal field of view; by default the query's own.
         top : int
-            How many candidates to return at most.
+            How many candidates to return at most; how many has no influence on what they are.
         narrowing : Narrowing, optional
             What is known of where the photo was taken; for the full matcher alone.
         screened : Alike, optional
@@ -247,8 +248,13 @@ class Matcher:
             for ranking, agrees in zip(joint.rankings, joint.agrees.tolist(), strict=True)
         ]
 
-    def fit(self, query: QuerySkyline, start: Candidate) -> Candidate | None:
-        """Return the pose that a pose nearby becomes by rendering; None where nothing fits.
+    def fit(self, query: QuerySkyline, start: Candidate) -> MatchResult:
+        """Fit a pose nearby by rendering.
+
+        The one candidate of the result holds how far the skylines are apart. It has no confidence,
+        since no other place was tried. The fit has failed, and there is no answer, where a search
+        would not stand by the pose even if nothing else fitted; or where this pose does not fit
+        either, and there is no candidate.
 
         Parameters
         ----------
@@ -263,6 +269,7 @@ class Matcher:
         InputError
             The matcher does not render, or the pose is off the map.
         """
+        started = time.perf_counter()
         pose = Hypotheses.of_pose(
             start.easting_m,
             start.northing_m,
@@ -276,7 +283,12 @@ class Matcher:
         ranking = self._ranker.fit_from(self._rays(query.with_fov(start.fov_deg)), pose)
         if ranking is None:
             raise InputError("this matcher does not render; a fit needs the full one and the DEM")
-        return next(iter(ranking.candidates(self.frame)), None)
+        fitted: tuple[Candidate, ...] = ()
+        refusal: str | None = "nothing near this pose fits"
+        for alone in ranking.candidates(self.frame):
+            refusal = misfit(alone, self._config)
+            fitted = (replace(alone, rank=None, confidence=None, confidence_1km=None),)
+        return MatchResult(query, fitted, time.perf_counter() - started, refusal)
 
     def screen(
         self, query: QuerySkyline, narrowing: Narrowing | None = None, part: slice = slice(None)

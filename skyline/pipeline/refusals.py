@@ -7,6 +7,7 @@ from skyline.matching.match_config import MatchConfig
 from skyline.matching.query_rays import QueryRays
 from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
+from skyline.report.records import apart_in_words
 
 DISAGREES = "the photo does not fit where the others were taken"
 
@@ -38,6 +39,20 @@ def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
     return (
         f"the best place has confidence {best.confidence:.2f}, within 1 km "
         f"{best.confidence_1km:.2f}; {least:.2f} is needed"
+    )
+
+
+def misfit(fitted: Candidate, config: MatchConfig) -> str | None:
+    """Say why a fit has failed, if so: no search would stand by its pose, though it had no rival.
+
+    The confidence of ``fitted`` is what a search would give it if nothing else fitted.
+    """
+    if sure_within_m(fitted, config) is not None:
+        return None
+    return (
+        f"{apart_in_words(fitted)}; even if nothing else fitted, the confidence would be "
+        f"{fitted.confidence:.2f}, within 1 km {fitted.confidence_1km:.2f}, and "
+        f"{config.min_confidence:.2f} is needed"
     )
 
 

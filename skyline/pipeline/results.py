@@ -11,7 +11,7 @@ from skyline.report.records import beyond_in_words, claim_in_words, confidence_w
 
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 _FIELDS = (
-    *(name for name in Candidate.__dataclass_fields__ if name != "covariance_m2"),
+    *(name for name in Candidate.__dataclass_fields__ if name not in {"covariance_m2", "rank"}),
     *_COVARIANCE,
 )
 
@@ -154,9 +154,9 @@ def to_geodataframe(results: Iterable[MatchResult]) -> Any:
     """
     geopandas = library("geopandas", "geo", "a GeoDataFrame")
     rows = [
-        {"query": query, "rank": rank, "is_answer": candidate is result.answer, **_row(candidate)}
+        {"query": query, "is_answer": candidate is result.answer, **_row(candidate)}
         for query, result in enumerate(results)
-        for rank, candidate in enumerate(result.candidates, start=1)
+        for candidate in result.candidates
     ]
     names = ("query", "rank", "is_answer", *_FIELDS)
     columns = {name: [row[name] for row in rows] for name in names}
@@ -169,6 +169,6 @@ def _row(candidate: Candidate) -> dict[str, object]:
     nan = float("nan")
     covariance_m2 = row.pop("covariance_m2") or ((nan, nan), (nan, nan))
     (east, both), (_, north) = covariance_m2
-    for name in ("confidence", "confidence_1km"):
-        row[name] = nan if row[name] is None else row[name]
+    for name, value in row.items():
+        row[name] = nan if value is None else value
     return row | dict(zip(_COVARIANCE, (east, north, both), strict=True))

@@ -1,6 +1,7 @@
 """What a camera at any pose sees: the skyline in its photo, while the pose is still moving."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -131,7 +132,7 @@ class Viewer:
             fov_deg,
             0.0,
         )
-        return Ranking(pose).candidates(self.frame)[0]
+        return replace(Ranking(pose).candidates(self.frame)[0], rank=None, score=math.nan)
 
     def look(self, pose: Candidate, query: QuerySkyline) -> Sight:
         """Return the skyline that a pose sees in the photo that a query is of.

@@ -27,7 +27,7 @@ from skyline.matching.ranking import Candidate
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.report.matched import Matched
-from skyline.report.records import describe_candidate
+from skyline.report.records import describe_candidate, name_of
 from skyline.report.shapes import Ellipse, view_wedge_m
 
 VIEW_REACH_M = 2000.0
@@ -49,7 +49,8 @@ def write_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     """Write the candidates of matches, whose frame is given, as a FeatureCollection.
 
     Per candidate a Point whose properties are those of the public JSON with ``query``, ``rank``
-    and ``shape`` = ``candidate``; a Polygon with ``shape`` = ``view``, the field of view out to
+    (null where no search found the pose), ``origin`` (see `Candidate.origin`) and ``shape`` =
+    ``candidate``; a Polygon with ``shape`` = ``view``, the field of view out to
     2 km; and where its covariance is known one with ``shape`` = ``ellipse95``, ``semi_major_m``
     and ``semi_minor_m``.
 
@@ -58,18 +59,19 @@ def write_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     features = [
         feature
         for one in matches
-        for rank, candidate in enumerate(one.candidates, start=1)
-        for feature in _features(one.name, rank, candidate, frame)
+        for candidate in one.candidates
+        for feature in _features(one.name, candidate, frame)
     ]
     collection = {"type": "FeatureCollection", "features": features}
     write_with_folders(path, json.dumps(collection, indent=1, allow_nan=False) + "\n")
 
 
-def _features(query: str, rank: int, candidate: Candidate, frame: Frame) -> list[Json]:
+def _features(query: str, candidate: Candidate, frame: Frame) -> list[Json]:
     record: Json = {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
         for name, value in describe_candidate(candidate).items()
     }
+    of_pose: Json = {"rank": candidate.rank, "origin": candidate.origin}
     place = [round(candidate.lon, _DECIMALS), round(candidate.lat, _DECIMALS)]
     point: Json = {"type": "Point", "coordinates": place}
     wedge = _polygon(view_wedge_m(candidate, VIEW_REACH_M), frame)
@@ -85,7 +87,7 @@ def _features(query: str, rank: int, candidate: Candidate, frame: Frame) -> list
         {
             "type": "Feature",
             "geometry": geometry,
-            "properties": {"query": query, "rank": rank, "shape": shape, **about},
+            "properties": {"query": query, **of_pose, "shape": shape, **about},
         }
         for shape, geometry, about in shapes
     ]
@@ -104,7 +106,7 @@ def _lonlat_of(places_m: Float64Array, frame: Frame) -> list[list[float]]:
 
 
 def write_cameras(path: Path, matches: Sequence[Matched]) -> None:
-    """Write the candidates of matches as cameras, best first.
+    """Write the candidates of matches as cameras.
 
     A point X (easting, northing, elevation) is seen at the pixel ``matrix @ rotation @ (X -
     position)``, divided by its third component: columns to the right and rows down, the middle of
@@ -138,6 +140,8 @@ def _camera(query: QuerySkyline, candidate: Candidate) -> dict[str, object]:
         "matrix": _matrix(query, candidate.fov_deg),
         "distortion": candidate.distortion,
         "confidence": candidate.confidence,
+        "rank": candidate.rank,
+        "origin": candidate.origin,
     }
 
 
@@ -164,7 +168,7 @@ def _matrix(query: QuerySkyline, fov_deg: float) -> list[list[float]] | None:
 def write_kml(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     """Write matches as KML, or with their photos in it as KMZ where that is the file's suffix.
 
-    Each candidate is a place and a view of 2 km. The best of each query has a PhotoOverlay, whose
+    Each candidate is a place and a view of 2 km. The first of each query has a PhotoOverlay, whose
     picture is the photo's file beside the KML, or the photo in the KMZ.
 
     Raises `InputError` where the file cannot be written.
@@ -194,9 +198,9 @@ def write_kml(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
 
 def _add_match(folder: Xml.Element, matched: Matched, frame: Frame, href: str) -> None:
     name = Path(matched.name).name
-    for rank, candidate in enumerate(matched.candidates, start=1):
+    for candidate in matched.candidates:
         mark = _child(folder, "Placemark")
-        _child(mark, "name", f"{name}: candidate {rank}")
+        _child(mark, "name", f"{name}: {name_of(candidate)}")
         _child(mark, "description", _described(candidate))
         shapes = _child(mark, "MultiGeometry")
         _add_point(shapes, candidate)
@@ -247,28 +251,29 @@ def _add_point(parent: Xml.Element, candidate: Candidate) -> None:
 
 
 def _described(candidate: Candidate) -> str:
-    """Return how a candidate's camera stood and how sure it is, in words."""
+    """Return in words whence a candidate's pose is, how its camera stood and how sure it is."""
     sure = "" if candidate.confidence is None else f"; confidence {candidate.confidence:.2f}"
     return (
-        f"Heading {candidate.heading_deg:.1f}° from true north, pitch {candidate.pitch_deg:.1f}°, "
+        f"{candidate.origin.capitalize()}. Heading {candidate.heading_deg:.1f}° from true north, "
+        f"pitch {candidate.pitch_deg:.1f}°, "
         f"roll {candidate.roll_deg:.1f}°, field of view {candidate.fov_deg:.1f}°, eye "
         f"{candidate.eye_elevation_m:.0f} m above the datum{sure}"
     )
 
 
 def write_gpx(path: Path, matches: Sequence[Matched]) -> None:
-    """Write the candidates of matches as waypoints, best first.
+    """Write the candidates of matches as waypoints.
 
     Raises `InputError` where the file cannot be written.
     """
     root = Xml.Element("gpx", xmlns=_GPX, version="1.1", creator="skyline")
     for matched in matches:
         name = Path(matched.name).name
-        for rank, candidate in enumerate(matched.candidates, start=1):
+        for candidate in matched.candidates:
             place = {"lat": f"{candidate.lat:.7f}", "lon": f"{candidate.lon:.7f}"}
             point = _child(root, "wpt", **place)
             _child(point, "ele", f"{candidate.eye_elevation_m:.1f}")
-            _child(point, "name", f"{name}: candidate {rank}")
+            _child(point, "name", f"{name}: {name_of(candidate)}")
             _child(point, "desc", _described(candidate))
     write_with_folders(path, Xml.tostring(root, encoding="utf-8", xml_declaration=True))
 

@@ -17,10 +17,10 @@ _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?")
 _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 _STYLE = """
 :root { color-scheme: light dark; --page: #fbfbf9; --ink: #1b1e22; --faint: #62686f;
-  --line: #d9dcdf; --card: #ffffff; --mark: #b3123a; }
+  --line: #d9dcdf; --card: #ffffff; --mark: #b3123a; --good: #1f7a3a; }
 @media (prefers-color-scheme: dark) {
   :root { --page: #15181b; --ink: #e6e8ea; --faint: #9aa1a8; --line: #343a40; --card: #1d2125;
-    --mark: #ff6d92; } }
+    --mark: #ff6d92; --good: #6fd08c; } }
 * { box-sizing: border-box; }
 body { margin: 0 auto; max-width: 76rem; padding: 1.5rem 1.25rem 4rem; background: var(--page);
   color: var(--ink); font: 16px/1.5 system-ui, "Segoe UI", "DejaVu Sans", sans-serif; }
@@ -31,6 +31,7 @@ p { margin: 0.5rem 0; max-width: 60rem; }
 .lead, figcaption, caption, footer { color: var(--faint); }
 .result { font-size: 1.05rem; font-weight: 600; border-left: 4px solid var(--mark);
   padding-left: 0.7rem; }
+.answer { --mark: var(--good); } .pose { --mark: var(--faint); } a { color: inherit; }
 .figures { display: grid; grid-template-columns: repeat(2, minmax(0, 1fr)); gap: 1rem;
   align-items: start; margin: 1rem 0; }
 figure { margin: 0; padding: 0.5rem; background: var(--card); border: 1px solid var(--line);
@@ -53,14 +54,23 @@ footer { margin-top: 3rem; font-size: 0.85rem; }
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A paragraph; ``is_result`` sets it off as the thing looked for."""
+    """A paragraph, and after it a link where there is one.
+
+    ``kind`` sets a result off: ``answer``, ``refusal`` or ``pose``.
+    """
 
     text: str
-    is_result: bool = False
+    kind: str = ""
+    link: tuple[str, str] | None = None
+    """The address, and the words that lead there."""
 
     def html(self) -> str:
         """Return the paragraph's HTML."""
-        return f"<p{' class=result' if self.is_result else ''}>{escape(self.text)}</p>"
+        shown = escape(self.text)
+        if self.link is not None:
+            address, words = map(escape, self.link)
+            shown += f' <a href="{address}" rel="noreferrer">{words}</a>'
+        return f'<p class="result {self.kind}">{shown}</p>' if self.kind else f"<p>{shown}</p>"
 
 
 @dataclass(frozen=True, slots=True)

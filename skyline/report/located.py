@@ -93,10 +93,17 @@ def _gps(candidate: Candidate) -> dict[int, object]:
         GPS.GPSImgDirectionRef: "T",
         GPS.GPSImgDirection: IFDRational(round(1000.0 * candidate.heading_deg) % turn, 1000),
         GPS.GPSMapDatum: "WGS-84",
+        GPS.GPSProcessingMethod: b"ASCII\0\0\0" + _method(candidate).encode("ascii"),
     }
     if candidate.radius_m is not None:
         gps[GPS.GPSHPositioningError] = IFDRational(round(100.0 * candidate.radius_m), 100)
     return gps
+
+
+def _method(candidate: Candidate) -> str:
+    """Return how the place was found; EXIF has a word of its own for "by hand"."""
+    is_by_hand = candidate.rank is None and not candidate.refined
+    return "MANUAL" if is_by_hand else f"SKYLINE: {candidate.origin}"
 
 
 def _sexagesimal(degrees: float) -> tuple[IFDRational, ...]:

@@ -50,14 +50,14 @@ def draw_match_map(
     area: Area,
     sightings: Sequence[Sighting] = (),
 ) -> Figure:
-    """Draw candidates, numbered from 1, with their views and 95 % ellipses.
+    """Draw candidates, each with its rank, its view and its 95 % ellipse.
 
     Parameters
     ----------
     candidates : sequence of Candidate
-        Best first.
+        The first is drawn over the others and in another colour.
     sightings : sequence of Sighting
-        Peaks that the best candidate sees.
+        Peaks that the first candidate sees.
     """
     figure = Figure(
         figsize=(_WIDTH_IN, _WIDTH_IN * area.height_m / area.width_m + 0.5), layout="constrained"
@@ -66,8 +66,8 @@ def draw_match_map(
     draw_relief(axis, surroundings.terrain, area)
     shown = _draw_viewpoints(axis, surroundings.viewpoints, area)
     reach_m = _WEDGE_SHARE * max(area.width_m, area.height_m)
-    for rank, candidate in reversed(list(enumerate(candidates, start=1))):
-        _draw_candidate(axis, candidate, rank, reach_m)
+    for index, candidate in reversed(list(enumerate(candidates))):
+        _draw_candidate(axis, candidate, index == 0, reach_m)
     peaks = [peak for peak in sightings if area.holds(peak.easting_m, peak.northing_m)]
     _draw_peaks(axis, peaks[:_MOST_PEAKS], area)
     axis.autoscale(False)
@@ -86,11 +86,10 @@ def _draw_viewpoints(axis: Axes, viewpoints: Viewpoints, area: Area) -> int:
     return int(inside.sum())
 
 
-def _draw_candidate(axis: Axes, candidate: Candidate, rank: int, reach_m: float) -> None:
-    best = rank == 1
-    colour = BEST_COLOUR if best else OTHER_COLOUR
-    order = 4.0 if best else 3.0
-    reach_m *= 1.0 if best else 0.6
+def _draw_candidate(axis: Axes, candidate: Candidate, is_first: bool, reach_m: float) -> None:
+    colour = BEST_COLOUR if is_first else OTHER_COLOUR
+    order = 4.0 if is_first else 3.0
+    reach_m *= 1.0 if is_first else 0.6
     wedge = Polygon(view_wedge_m(candidate, reach_m), closed=True, zorder=order)
     wedge.set(facecolor=(colour, 0.22), edgecolor=(colour, 0.9), linewidth=1.2)
     axis.add_patch(wedge)
@@ -100,11 +99,11 @@ def _draw_candidate(axis: Axes, candidate: Candidate, rank: int, reach_m: float)
         axis.plot(*outline.T, color="white", linewidth=3.0, zorder=order + 0.1)
         axis.plot(*outline.T, color=colour, linewidth=1.4, zorder=order + 0.2)
     axis.annotate(
-        str(rank),
+        "×" if candidate.rank is None else str(candidate.rank),
         (candidate.easting_m, candidate.northing_m),
         ha="center",
         va="center",
-        fontsize=9 if best else 8,
+        fontsize=9 if is_first else 8,
         fontweight="bold",
         color="white",
         zorder=order + 0.5,

@@ -18,7 +18,13 @@ from skyline.report.overlay import Overlay
 from skyline.report.peaks import HIDDEN_DEG, Sighting, visible_peaks
 from skyline.report.pictures import encode_figure
 from skyline.report.posed_picture import Panorama, median_gap_deg
-from skyline.report.records import beyond_in_words, claim_in_words, confidence_within
+from skyline.report.records import (
+    apart_in_words,
+    beyond_in_words,
+    claim_in_words,
+    confidence_within,
+    name_of,
+)
 from skyline.report.shapes import Ellipse
 
 _MAP_DPI = 150.0
@@ -54,8 +60,7 @@ def write_match_report(
         _section(folder, number, matched, surroundings)
         for number, matched in enumerate(matches, start=1)
     ]
-    answered = sum(matched.is_answered and bool(matched.candidates) for matched in matches)
-    lead = f"{answered} of {len(matches)} queries answered. " + _about(surroundings)
+    lead = _answered(matches) + _about(surroundings)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     page = Page("Where these were taken", lead, sections, f"{made_by} {today}".strip())
     write_geojson(folder / "matches.geojson", matches, surroundings.frame)
@@ -80,6 +85,13 @@ def result_html(said: str, query: QuerySkyline, candidates: Sequence[Candidate])
     return f"<div>{Text(said).html()}{drawn}{table}</div>"
 
 
+def _answered(matches: Sequence[Matched]) -> str:
+    """Return how many searches were answered; empty where all poses are a person's."""
+    searched = [one for one in matches if not one.candidates or one.candidates[0].rank]
+    answered = sum(one.is_answered and bool(one.candidates) for one in searched)
+    return f"{answered} of {len(searched)} queries answered. " if searched else ""
+
+
 def _about(surroundings: Surroundings) -> str:
     if surroundings.terrain is None:
         return (
@@ -89,7 +101,7 @@ def _about(surroundings: Surroundings) -> str:
     if surroundings.peaks is None:
         return "No gazetteer was given, so no peak is named (--peaks FILE.csv)."
     return (
-        f"Of {len(surroundings.peaks)} peaks given, those are named that the best candidate sees: "
+        f"Of {len(surroundings.peaks)} peaks given, those are named that the camera sees: "
         "nothing on the line to them stands more than "
         f"{HIDDEN_DEG:g}° above them in the elevation model."
     )
@@ -100,7 +112,7 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
     panorama, sightings = (None, []) if best is None else _view_of(best, surroundings)
     overlay = Overlay(matched.query, matched.photo, best, panorama, sightings)
     parts: list[Part] = [
-        Text(_result(matched), is_result=True),
+        Text(_result(matched), _kind(matched), None if best is None else _map_link(best)),
         Picture(
             _keep(folder / f"{number:02d}-overlay.jpg", overlay.jpeg()),
             _overlay_caption(overlay),
@@ -148,14 +160,15 @@ def _maps(
     surroundings: Surroundings,
     sightings: Sequence[Sighting],
 ) -> list[Picture]:
-    """Draw all candidates, and the best one from nearby where that shows more."""
+    """Draw all candidates, and the first one from nearby where that shows more."""
     whole = overview_area(candidates, surroundings)
-    areas = [("map", whole, "Candidates, the best first; wedges show their fields of view")]
+    areas = [("map", whole, "Candidates by rank; wedges show their fields of view")]
     if candidates:
         near = detail_area(candidates[0], surroundings)
         if near.width_m < _DETAIL_SHARE * whole.width_m:
             ellipse = ", its ellipse 95 % of where it may be" if candidates[0].covariance_m2 else ""
-            areas.append(("detail", near, f"The best candidate from nearby{ellipse}"))
+            name = name_of(candidates[0])
+            areas.append(("detail", near, f"{name[0].upper()}{name[1:]} from nearby{ellipse}"))
     pictures = []
     for name, area, caption in areas:
         figure = draw_match_map(candidates, surroundings, area, sightings)
@@ -167,18 +180,37 @@ def _maps(
 def _result(matched: Matched) -> str:
     if not matched.candidates:
         return "No place fits."
-    best = matched.candidates[0]
-    confidence = confidence_within(best, matched.within_m)
-    sure = "" if confidence is None else f", confidence {100.0 * confidence:.0f} %"
+    shown = matched.candidates[0]
+    confidence = confidence_within(shown, matched.within_m)
+    sure = "" if confidence is None else f", confidence {100.0 * confidence:.0f}\N{NO-BREAK SPACE}%"
     if matched.is_answered and matched.within_m is not None:
         sure += f", right within {matched.within_m:g} m"
     place = (
-        f"latitude {best.lat:.5f}°, longitude {best.lon:.5f}°, looking "
-        f"{best.heading_deg:.1f}° from true north{sure}"
+        f"latitude {shown.lat:.5f}°, longitude {shown.lon:.5f}°, looking "
+        f"{shown.heading_deg:.1f}° from true north{sure}"
     )
+    if shown.rank is None:
+        failed = ", and the fit has failed" if shown.refined and not matched.is_answered else ""
+        apart = apart_in_words(shown)
+        return f"{shown.origin.capitalize()}{failed}: {place}{apart and f'; {apart}'}."
+    if shown.rank > 1:
+        return f"Candidate {shown.rank}, chosen by a person: {place}."
     if not matched.is_answered:
         return f"Not answered: the best candidate is not sure enough ({place})."
-    return f"Taken at {place}{'' if best.refined else ' (not refined by rendering)'}."
+    return f"Taken at {place}{'' if shown.refined else ' (not refined by rendering)'}."
+
+
+def _kind(matched: Matched) -> str:
+    """Return what kind of result is shown; see `Text`."""
+    if matched.candidates and matched.candidates[0].rank != 1:
+        return "pose"
+    return "answer" if matched.candidates and matched.is_answered else "refusal"
+
+
+def _map_link(candidate: Candidate) -> tuple[str, str]:
+    place = f"{candidate.lat:.5f}", f"{candidate.lon:.5f}"
+    address = "https://www.openstreetmap.org/?mlat={0}&mlon={1}#map=14/{0}/{1}".format(*place)
+    return address, "On a map."
 
 
 def _overlay_caption(overlay: Overlay) -> str:
@@ -189,18 +221,21 @@ def _overlay_caption(overlay: Overlay) -> str:
         return f"{caption}; no skyline was rendered to compare it with."
     gap_deg = median_gap_deg(pose, overlay.query, overlay.panorama)
     return (
-        f"{caption}, and the skyline rendered at the best candidate; they are {gap_deg:.2f}° apart "
-        "in the median column, up or down."
+        f"{caption}, and the skyline rendered at {name_of(pose.candidate)}; they are "
+        f"{gap_deg:.2f}° apart in the median column, up or down."
     )
 
 
 def _candidate_table(candidates: Sequence[Candidate]) -> Table:
     rows: list[list[object]] = []
-    for rank, candidate in enumerate(candidates, start=1):
+    for candidate in candidates:
         values = [(getattr(candidate, name), form) for name, form in _COLUMNS.values()]
         ellipse = Ellipse.of(candidate)
         axes_m = ellipse and f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}"
-        shown = (None if value is None else format(value, form) for value, form in values)
-        rows.append([rank, *shown, candidate.refined, axes_m])
+        shown = (
+            format(value, form) if value is not None and np.isfinite(value) else None
+            for value, form in values
+        )
+        rows.append([candidate.rank, *shown, candidate.refined, axes_m])
     columns = ("#", *_COLUMNS, "refined", "95 % ellipse, m")
     return Table(columns, rows, "Candidates; headings from true north, a lower score is better")

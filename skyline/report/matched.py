@@ -28,15 +28,15 @@ class Matched:
     name : str
         What the user calls the query: its file.
     candidates : sequence of Candidate
-        Best first.
+        The pose to show first, then others; each has its own rank.
     is_answered : bool
-        Whether the best candidate is given as the answer.
+        Whether the first of them is the answer.
     photo : (H, W, 3) uint8, optional
         RGB, of the query's size; None for a trace or a mask.
     done : sequence of str
         What was done to find it, a sentence each.
     within_m : float, optional
-        How near the answer is sure to be.
+        How near the answer is sure to be; None without an answer.
     """
 
     name: str

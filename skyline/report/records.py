@@ -123,6 +123,23 @@ def beyond_in_words(share: float | None) -> str | None:
     )
 
 
+def name_of(candidate: Candidate) -> str:
+    """Return a candidate's name among those of its photo, such as "candidate 2"."""
+    if candidate.rank is not None:
+        return f"candidate {candidate.rank}"
+    return "the fitted pose" if candidate.refined else "the pose set by hand"
+
+
+def apart_in_words(candidate: Candidate) -> str:
+    """Return how far the skylines of a fitted pose are apart; empty for a pose that is not."""
+    if candidate.residual_deg is None or candidate.terrain_share is None:
+        return ""
+    return (
+        f"the skylines are {candidate.residual_deg:.2f} degrees apart (rms) over "
+        f"{100.0 * candidate.terrain_share:.0f} % of the skyline"
+    )
+
+
 def describe_claim(noted: NotedPlace, best: Candidate | None) -> ExifRecord | None:
     """Return what a photo notes against the best candidate; None where it notes nothing."""
     if noted == NotedPlace():
@@ -151,13 +168,14 @@ def claim_in_words(
 ) -> str:
     """Return what a photo notes against the best candidate, in sentences, or "" for nothing.
 
-    ``is_answer`` says whether that candidate is the answer, ``with_place`` whether the photo's own
-    longitude and latitude are said.
+    ``is_answer`` is whether that candidate is the answer, ``with_place`` whether the sentences give
+    the photo's own longitude and latitude.
     """
     claim = describe_claim(noted, best)
     if claim is None:
         return ""
-    said, it = [], "the answer" if is_answer else "candidate 1"
+    said: list[str] = []
+    it = "the answer" if is_answer or best is None else name_of(best)
     if claim["lat"] is not None:
         where = f"lat {claim['lat']:.5f} lon {claim['lon']:.5f}" if with_place else "a place"
         sure = "" if claim["accuracy_m"] is None else f" (good to {claim['accuracy_m']:.0f} m)"

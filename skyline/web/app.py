@@ -16,11 +16,11 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
 from skyline import InputError, SkylineError, read_trace
-from skyline.web.asked import narrowing_of, pose_of, query_of, strokes_of
+from skyline.web.asked import chosen_of, pose_of, strokes_of
 from skyline.web.engine import Engine
 from skyline.web.live import LiveChannel
 from skyline.web.match_jobs import Match, candidate_json
-from skyline.web.photos import PagePhoto
+from skyline.web.photos import PagePhoto, version_of
 from skyline.web.saving import KINDS, saved
 from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, Session, Sessions, shown_name
 
@@ -164,7 +164,7 @@ class _Pages:
         if "strokes" in asked:
             strokes = strokes_of(asked["strokes"])
             await self._engine.work("strokes", self._sessions.opened.solve, photo, strokes)
-        return Response(photo.lines(), media_type="application/octet-stream")
+        return _lines(photo)
 
     async def _trace(self, request: Request) -> Response:
         session, photo = self._session(request), self._photo(request)
@@ -174,7 +174,7 @@ class _Pages:
             await self._engine.work("strokes", self._load_trace, photo, path)
         finally:
             path.unlink(missing_ok=True)
-        return Response(photo.lines(), media_type="application/octet-stream")
+        return _lines(photo)
 
     def _load_trace(self, photo: PagePhoto, path: Path) -> None:
         try:
@@ -189,11 +189,10 @@ class _Pages:
     async def _match(self, request: Request) -> Response:
         """Match a photo; the answer comes when the match has ended, however it did."""
         session, photo, asked = self._session(request), self._photo(request), await _json(request)
-        query = photo.known()
         before = session.matches.get(photo.id)
         if before is not None and not before.done:
             raise InputError("this photo is being matched; wait, or cancel that match")
-        match = Match(photo, query_of(asked, query), narrowing_of(asked))
+        match = Match(photo, asked)
         session.matches[photo.id] = match
         photo.state = "matching"
         await self._engine.work("matches", match.run, self._engine)
@@ -214,23 +213,20 @@ class _Pages:
     def _fitted(self, photo: PagePhoto, asked: Mapping[str, Any]) -> dict[str, Any]:
         if self._engine.viewer is None or photo.query is None:
             raise InputError("there is nothing to render with: the store's DEM is not at hand")
-        start = pose_of(asked.get("pose"), self._engine.viewer)
-        found = self._engine.matcher.fit(photo.query, start)
-        if found is None:
-            raise InputError("nothing near this pose fits; bring the two skylines closer by hand")
-        return candidate_json(found, self._engine)
+        query, start = photo.query, pose_of(asked.get("pose"), self._engine.viewer)
+        found = self._engine.matcher.fit(query, start)
+        if not found.candidates:
+            raise InputError(f"{found.refusal}; bring the two skylines closer by hand")
+        with photo.lock:
+            photo.fitted = found if photo.query is query else None
+        return {**candidate_json(found.candidates[0], self._engine), "refusal": found.refusal}
 
     async def _save(self, request: Request) -> Response:
         session, photo, asked = self._session(request), self._photo(request), await _json(request)
         kind = request.path_params["kind"]
         if kind not in KINDS:
             return Response(status_code=404)
-        candidates = () if photo.result is None else photo.result.candidates
-        if asked.get("pose") is not None and self._engine.viewer is not None:
-            candidates = (pose_of(asked["pose"], self._engine.viewer),)
-        elif isinstance(asked.get("rank"), int) and 0 <= asked["rank"] < len(candidates):
-            chosen = asked["rank"]
-            candidates = (candidates[chosen], *candidates[:chosen], *candidates[chosen + 1 :])
+        candidates = () if kind == "trace" else chosen_of(asked, photo, self._engine.viewer)
         what = kind, self._engine, self._sessions.opened, photo, candidates, session.folder
         content = await self._engine.work("files", saved, *what)
         return Response(content, media_type=KINDS[kind][1])
@@ -240,6 +236,11 @@ class _Pages:
 
     def _photo(self, request: Request) -> PagePhoto:
         return self._session(request).photos[request.path_params["photo"]]
+
+
+def _lines(photo: PagePhoto) -> Response:
+    headers = {"ETag": f'"{version_of(photo.known())}"'}
+    return Response(photo.lines(), media_type="application/octet-stream", headers=headers)
 
 
 async def _page(_: Request) -> Response:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from skyline import Candidate, InputError, Narrowing, QuerySkyline, Stroke, StrokeKind, Viewer
-from skyline.web.photos import is_guess
+from skyline.web.photos import PagePhoto
 
 _MAX_STROKES = 2000
 _MAX_POINTS = 20_000
@@ -63,9 +63,14 @@ def narrowing_of(asked: Mapping[str, Any]) -> Narrowing:
 
 
 def query_of(asked: Mapping[str, Any], query: QuerySkyline) -> QuerySkyline:
-    """Return a skyline with the field of view that is asked for; null is not known."""
-    if asked.get("fov") is None:
-        return query if is_guess(query) else replace(query, fov_deg=None, lens=None)
+    """Return a skyline with the field of view that is asked for.
+
+    Null is not known. Where none is asked for, it is what the photo itself says.
+    """
+    if "fov" not in asked:
+        return query
+    if asked["fov"] is None:
+        return replace(query, fov_deg=None, lens=None)
     return query.with_fov(number(asked, "fov"))
 
 
@@ -83,6 +88,29 @@ def pose_of(asked: Any, viewer: Viewer) -> Candidate:
         eye_height_m=number(asked, "eyeHeight"),
     )
     return replace(pose, distortion=number({"distortion": 0.0, **asked}, "distortion"))
+
+
+def chosen_of(
+    asked: Mapping[str, Any], photo: PagePhoto, viewer: Viewer | None
+) -> tuple[Candidate, ...]:
+    """Return the pose that is asked for, then other candidates of the search that found it.
+
+    That is a ``pose`` set by hand, the last fit where ``fitted`` is true, or the candidate with the
+    index ``rank``, 0 without.
+    """
+    if asked.get("pose") is not None and viewer is not None:
+        return (pose_of(asked["pose"], viewer),)
+    if asked.get("fitted"):
+        if photo.fitted is None:
+            raise InputError("the skyline has changed since this fit; fit again")
+        return photo.fitted.candidates
+    if photo.result is not None and photo.found is None:
+        raise InputError("the skyline has changed since this search; find the place again")
+    candidates = () if photo.found is None else photo.found.candidates
+    rank = asked.get("rank") or 0
+    if not isinstance(rank, int) or not 0 <= rank < max(len(candidates), 1):
+        raise InputError(f"rank is {str(rank)[:40]}; expected 0 to {len(candidates) - 1}")
+    return (*candidates[rank : rank + 1], *candidates[:rank], *candidates[rank + 1 :])
 
 
 def _numbers(asked: Mapping[str, Any], part: str, *names: str) -> Any:

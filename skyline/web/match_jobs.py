@@ -1,15 +1,16 @@
 """Matches on the page: each runs in a thread, tells how far it has come, and can be ended."""
 
 import threading
+from collections.abc import Mapping
 from typing import Any
 
-from skyline import Candidate, MatchResult, Narrowing, QuerySkyline, SkylineError
+from skyline import Candidate, MatchResult, SkylineError
+from skyline.web.asked import narrowing_of, query_of
 from skyline.web.engine import Engine
-from skyline.web.photos import PagePhoto
+from skyline.web.photos import PagePhoto, version_of
 
 _STEPS = {"screening": (0.0, 0.25), "fitting": (0.25, 0.5), "refining": (0.5, 1.0)}
 """Where each step of a match begins and ends, as shares of all of it."""
-_TOP = 8
 
 
 class _CancelledError(Exception):
@@ -17,11 +18,15 @@ class _CancelledError(Exception):
 
 
 class Match:
-    """One match of one photo."""
+    """One match of one photo; ``asked`` is what a person knows of where it was taken.
 
-    def __init__(self, photo: PagePhoto, query: QuerySkyline, narrowing: Narrowing) -> None:
+    Raises `InputError` where the photo is not open yet, or what is asked is no question.
+    """
+
+    def __init__(self, photo: PagePhoto, asked: Mapping[str, Any]) -> None:
         self.photo = photo
-        self._query, self._narrowing = query, narrowing
+        self._query, self._narrowing = query_of(asked, photo.known()), narrowing_of(asked)
+        self._question = {"asked": asked, "skyline": version_of(self._query)}
         self._cancelled = threading.Event()
         self.step, self.share = "waiting", 0.0
         self.error: str | None = None
@@ -35,9 +40,7 @@ class Match:
         """Match; the photo has the result, or this the error, when it is done."""
         try:
             self._check()
-            result = engine.matcher.match(
-                self._query, top=_TOP, narrowing=self._narrowing, told=self._told
-            )
+            result = engine.matcher.match(self._query, narrowing=self._narrowing, told=self._told)
         except _CancelledError:
             self.error = "cancelled"
         except SkylineError as error:
@@ -46,7 +49,7 @@ class Match:
             self.error = "there is not enough memory for this match; narrow the search"
         else:
             self.photo.result = result
-            self.photo.told = _outcome(result, engine)
+            self.photo.told = self._question | _outcome(result, engine)
             self.photo.state = "answered" if result.answer else "no answer"
         finally:
             if self.error is not None:
@@ -99,6 +102,8 @@ def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
         "eyeHeight": above_m,
         "confidence": candidate.confidence,
         "refined": candidate.refined,
+        "residual": candidate.residual_deg,
+        "share": candidate.terrain_share,
         "covariance": candidate.covariance_m2,
         "convergence": candidate.convergence_deg,
     }

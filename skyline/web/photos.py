@@ -1,5 +1,6 @@
 """One photo on the page: its file, the skyline under its strokes, and what was found for it."""
 
+import hashlib
 import io
 import secrets
 import threading
@@ -51,20 +52,24 @@ class PagePhoto:
         self.trace: QuerySkyline | None = None
         self.result: MatchResult | None = None
         self.told: dict[str, Any] | None = None
+        self.fitted: MatchResult | None = None
         self.state = "waiting"
         self.lock = threading.Lock()
 
     def record(self) -> dict[str, Any]:
-        """Return what the page's list says of it."""
-        said: dict[str, Any] = {"id": self.id, "name": self.name, "state": self.state}
+        """Return the photo as the page's list shows it."""
+        is_of_other = self.result is not None and self.found is None
+        state = "ready" if is_of_other and self.state != "matching" else self.state
+        said: dict[str, Any] = {"id": self.id, "name": self.name, "state": state}
         query, seen = self.query, self.seen
         if query is not None and seen is not None:
             said |= {
                 "width": query.width_px,
                 "height": query.height_px,
-                "fov": None if is_guess(query) else seen.fov_deg,
+                "fov": None if _is_guess(query) else seen.fov_deg,
                 "projection": str(seen.projection),
                 "lonlat": seen.place.lonlat_deg,
+                "accuracy": seen.place.accuracy_m,
                 "elevation": seen.place.elevation_m,
                 "heading": seen.place.heading_deg,
                 "strokes": [
@@ -81,6 +86,12 @@ class PagePhoto:
         query = self.known()
         both = np.stack([query.row_px, query.confidence])
         return both.astype("<f4").tobytes()
+
+    @property
+    def found(self) -> MatchResult | None:
+        """The result of the search, as long as the skyline is the one that was searched for."""
+        is_of_this = self.told and self.told["skyline"] == version_of(self.known())
+        return self.result if is_of_this else None
 
     def known(self) -> QuerySkyline:
         """Return the skyline; raises `InputError` while the photo is not open yet."""
@@ -132,6 +143,7 @@ class Opened:
             correction = correction.restarted(photo.trace)
         with photo.lock:
             photo.query, photo.strokes = correction.solve(strokes), tuple(strokes)
+            photo.fitted = None
             return photo.query
 
     def jpeg(self, photo: PagePhoto) -> bytes:
@@ -144,7 +156,12 @@ class Opened:
         return held.getvalue()
 
 
-def is_guess(query: QuerySkyline) -> bool:
+def version_of(query: QuerySkyline) -> str:
+    """Return what tells a skyline from others of the same photo."""
+    return hashlib.sha256(query.row_px.tobytes() + query.confidence.tobytes()).hexdigest()[:16]
+
+
+def _is_guess(query: QuerySkyline) -> bool:
     """Whether the field of view is that of a crop, which nobody would give as known."""
     return query.lens is not None and query.lens.most_deg is not None
 

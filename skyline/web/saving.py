@@ -10,6 +10,7 @@ from skyline import (
     Candidate,
     InputError,
     Matched,
+    MatchResult,
     export_matches,
     report_matches,
     write_located,
@@ -47,7 +48,7 @@ def saved(
     Parameters
     ----------
     candidates : sequence of Candidate
-        Best first.
+        The pose that is saved, then other candidates of its search.
     """
     if kind != "trace" and not candidates:
         raise InputError("there is no place to save yet; find one, or place the camera by hand")
@@ -71,16 +72,18 @@ def saved(
 
 
 def _matched(opened: Opened, photo: PagePhoto, candidates: Sequence[Candidate]) -> Matched:
-    result = photo.result
     read, _ = opened.open(photo)
-    by_hand = result is None or candidates[0] not in result.candidates
+    # A verdict is of one pose; others of the same search do not share it.
+    judged = (one for one in (photo.found, photo.fitted) if one and candidates[0] in one.candidates)
+    of = next(judged, MatchResult(photo.known(), tuple(candidates), 0.0, "set by hand"))
+    is_answer = candidates[0] == of.answer
     return Matched(
         photo.name,
         photo.known(),
         candidates,
-        0.0 if result is None else result.seconds,
-        by_hand or (result is not None and result.answer is not None),
+        of.seconds,
+        is_answer,
         read.rgb,
-        ["The pose was set by hand on the page."] if by_hand else ["Found on the page."],
-        None if by_hand or result is None else result.within_m,
+        [f"{candidates[0].origin.capitalize()} on the page."],
+        of.within_m if is_answer else None,
     )

@@ -270,6 +270,17 @@ def test_below_the_least_confidence_there_are_only_candidates(store, terrain, qu
     assert "confidence" in result.refusal
 
 
+def test_how_many_candidates_are_asked_for_changes_none_of_them(store, terrain, queries):
+    with Matcher(store, terrain, config=BOLD) as matcher:
+        for query in queries[:3]:
+            few, usual, many = (matcher.match(query.skyline, top=top) for top in (1, 5, 30))
+            assert many.candidates[:5] == usual.candidates
+            assert usual.candidates[:1] == few.candidates
+            assert [one.rank for one in usual.candidates] == [1, 2, 3, 4, 5][
+                : len(usual.candidates)
+            ]
+
+
 def test_an_unknown_field_of_view_is_searched(store, renderings, terrain, queries):
     skyline = replace(queries[1].skyline, fov_deg=None)
     best = Matcher(store, terrain, config=BOLD).match(skyline).answer

@@ -11,6 +11,7 @@ import pytest
 
 from skyline import (
     InputError,
+    MatchConfig,
     Matcher,
     Narrowing,
     OffMapError,
@@ -58,6 +59,7 @@ def test_a_pose_says_where_the_eye_stands(matcher, dem):
         assert pose.eye_elevation_m == pytest.approx(ground_m + 7.0, abs=1e-2)
         assert pose.grid_heading_deg == pytest.approx(140.0, abs=1e-6)
         assert (pose.pitch_deg, pose.confidence, pose.refined) == (3.0, None, False)
+        assert pose.origin == "set by hand"
         with pytest.raises(OffMapError):
             viewer.pose(9.0, 40.0, 0.0)
 
@@ -135,12 +137,43 @@ def test_a_pose_is_fitted_from_nearby(matcher, query, east_m, north_m, turn_deg)
             northing_m=true.northing_m + north_m,
             heading_deg=true.heading_deg + turn_deg,
         )
-        found = matcher.fit(query, start)
+        found = matcher.fit(query, start).answer
         before, after = (viewer.look(one, query).median_gap_deg for one in (start, found))
     assert math.hypot(found.easting_m - EASTING_M, found.northing_m - NORTHING_M) < 45.0
     assert after < min(0.1, before / 2.0)
-    assert found.refined
+    assert (found.origin, found.confidence) == ("fitted", None)
+    assert found.residual_deg < 0.05
+    assert found.terrain_share > 0.9
+
+
+@pytest.mark.parametrize(("east_m", "north_m", "turn_deg"), [
+    (0.0, 0.0, 90.0), (0.0, 0.0, 180.0), (300.0, -300.0, 120.0), (1000.0, -600.0, 45.0),
+])  # fmt: skip
+def test_a_fit_that_no_search_would_stand_by_has_failed(matcher, query, east_m, north_m, turn_deg):
+    with Viewer(matcher) as viewer:
+        true = true_pose(viewer, matcher.frame)
+        start = replace(
+            true,
+            easting_m=true.easting_m + east_m,
+            northing_m=true.northing_m + north_m,
+            heading_deg=true.heading_deg + turn_deg,
+        )
+        fit = matcher.fit(query, start)
+        (found,) = fit.candidates
+        gap_deg = viewer.look(found, query).gap_deg
+    assert fit.answer is None
     assert found.confidence is None
+    assert found.residual_deg == pytest.approx(np.sqrt(np.nanmean(gap_deg**2)), rel=0.2)
+    said = f"{found.residual_deg:.2f} degrees apart (rms) over {100 * found.terrain_share:.0f} %"
+    assert said in fit.refusal
+    assert "0.80 is needed" in fit.refusal
+
+
+def test_where_a_fit_fails_is_what_a_match_needs_of_confidence(store, query):
+    with Matcher(store, config=MatchConfig(min_confidence=0.0)) as bold, Viewer(bold) as viewer:
+        start = true_pose(viewer, bold.frame)
+        away = replace(start, heading_deg=start.heading_deg + 180.0)
+        assert bold.fit(query, away).refusal is None
 
 
 def test_a_match_tells_how_far_it_is_and_ends_when_told(matcher, query):
@@ -171,7 +204,7 @@ def test_an_eye_stands_as_high_as_is_known(matcher, query):
     high = matcher.match(query, narrowing=Narrowing(eye_height_m=25.0)).candidates[0]
     ground_m = float(matcher.terrain.height_at(high.easting_m, high.northing_m))
     assert high.eye_elevation_m == pytest.approx(ground_m + 25.0, abs=1e-6)
-    fitted = matcher.fit(query, high)
+    fitted = matcher.fit(query, high).answer
     ground_m = float(matcher.terrain.height_at(fitted.easting_m, fitted.northing_m))
     assert fitted.eye_elevation_m == pytest.approx(ground_m + 25.0, abs=1e-6)
     with pytest.raises(InputError, match="expected 0 or more"):

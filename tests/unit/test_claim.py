@@ -81,6 +81,7 @@ def test_a_step_is_drawn_to_the_claim(claim):
 BEST = Candidate(
     lon=9.8, lat=46.7, heading_deg=131.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=60.0,
     easting_m=0.0, northing_m=0.0, eye_elevation_m=0.0, convergence_deg=0.0, score=0.0,
+    rank=1,
 )  # fmt: skip
 
 

@@ -60,6 +60,20 @@ def test_a_place_that_nothing_is_held_against_has_no_margin() -> None:
     assert confidence.refined_figures(poses, found, QUERY)["margin"].tolist() == [0.0]
 
 
+@pytest.mark.parametrize("within_m", confidence.DISTANCES_M)
+def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m) -> None:
+    model = confidence.models()[confidence.model_name("refined", within_m)]
+    residual_deg, one = np.array([0.02, 0.1, 0.5, 1.44]), np.ones(4)
+    poses = Poses(
+        retrieved([0.0] * 4, [0.0] * 4), np.tile(100.0 * np.eye(2), (4, 1, 1)), residual_deg,
+        one, 180.0 * one, 5.0 * one, 0.0 * one, 0.0 * one, 0.0 * one, 7,
+    )  # fmt: skip
+    sure = model.probability(confidence.lone_figures(poses, QUERY, model))
+    assert (np.diff(sure) < 0.0).all()
+    assert sure[0] > 0.9
+    assert (sure[2:] < 0.8).all()
+
+
 def test_every_refined_pose_hears_of_the_best_that_was_retrieved() -> None:
     found = retrieved([0.0, 500.0, 900.0], [2.0, 1.0, 5.0])
     one = np.ones(2)

@@ -16,6 +16,7 @@ from skyline.photo.extract import (
     on_photo,
     shortest_path,
 )
+from skyline.photo.sky_model import skyline_of_mask
 
 WIDTH, HEIGHT = 960, 640
 
@@ -157,6 +158,17 @@ def test_a_sky_mask_is_its_own_skyline():
     mask[300:] = 0
     found = Correction(photo_of(mask)).solve()
     assert np.allclose(found.row_px, 299.5)
+
+
+def test_the_border_of_a_mask_or_a_trace_stays_as_it_is():
+    image = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    image[200 + np.arange(WIDTH) // 20 % 40 <= np.arange(HEIGHT)[:, np.newaxis]] = 0
+    image[:, :60] = 255
+    mask = skyline_of_mask(image)
+    assert mask.trusted[60:].all()
+    same(Correction(photo_of(image)).solve(), mask)
+    trace = replace(mask, row_px=np.full(WIDTH, 77.0), confidence=np.ones(WIDTH))
+    same(Correction(photo_of(image)).restarted(trace).solve(), trace)
 
 
 def test_strokes_beyond_the_photo_do_no_harm(correction):

@@ -1,6 +1,7 @@
 """Query skylines: geometry, fields of view, traces and masks."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from skyline.errors import InputError, MissingFileError
+from skyline.photo.exif import Lens
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query, write_overlay
 from skyline.photo.trace import read_trace, write_trace
@@ -89,6 +91,15 @@ def test_trace_roundtrip_is_exact(tmp_path_factory, rows):
     assert_array_equal(back.row_px, query.row_px)
     assert (back.width_px, back.height_px) == (query.width_px, query.height_px)
     assert path.read_text().startswith(f"# width={len(rows)} height=100\ncolumn_px,row_px\n")
+
+
+def test_a_trace_keeps_what_is_known_of_the_camera_to_the_last_digit(tmp_path):
+    lens = Lens(58.71550708558255, 5.123456789)
+    query = replace(query_of([1.0, 2.0]), fov_deg=lens.fov_deg, lens=lens, eye_height_m=12.3456789)
+    write_trace(query, tmp_path / "trace.csv")
+    back = read_trace(tmp_path / "trace.csv")
+    assert (back.fov_deg, back.eye_height_m) == (query.fov_deg, query.eye_height_m)
+    assert back.lens.sd_deg == pytest.approx(lens.sd_deg, rel=1e-15)
 
 
 def trace_file(folder: Path, points: str, size: str = "# width=100 height=50") -> Path:

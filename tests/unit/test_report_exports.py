@@ -33,7 +33,7 @@ from skyline_bench.queries.pinhole import Camera
 BEST = candidate_at(
     100.0, 200.0, 30.0, 4.0, -3.0, 50.0, eye_elevation_m=1234.5, confidence=0.93
 )  # fmt: skip
-OTHER = candidate_at(900.0, -300.0, 300.0)
+OTHER = candidate_at(900.0, -300.0, 300.0, rank=2)
 NAME = "photos/Horn & <Tal>\x07.jpg"
 PHOTO = np.full((30, 40, 3), 99, np.uint8)
 
@@ -121,6 +121,33 @@ def test_a_camera_sees_a_point_where_the_photo_does(tmp_path):
     panorama = replace(matches()[0].query, projection=Projection.CYLINDRICAL)
     export_matches(path, [replace(matches()[0], query=panorama)], FRAME)
     assert json.loads(path.read_text())["photos"][0]["cameras"][0]["matrix"] is None
+
+
+@pytest.mark.parametrize(("pose", "name", "origin", "method"), [
+    (OTHER, "candidate 2", "found, rank 2", b"SKYLINE: found, rank 2"),
+    (replace(OTHER, rank=None, refined=True), "the fitted pose", "fitted", b"SKYLINE: fitted"),
+    (replace(OTHER, rank=None), "the pose set by hand", "set by hand", b"MANUAL"),
+])  # fmt: skip
+def test_files_say_where_a_pose_comes_from(tmp_path, pose, name, origin, method):
+    matched = [replace(matches()[0], name="Tal.jpg", candidates=(pose,))]
+    for suffix in ("kml", "gpx", "geojson", "json"):
+        export_matches(tmp_path / f"answer.{suffix}", matched, FRAME)
+    mark = Xml.parse(tmp_path / "answer.kml").find(".//{*}Placemark")
+    point = Xml.parse(tmp_path / "answer.gpx").find("{*}wpt")
+    assert mark.findtext("{*}name") == point.findtext("{*}name") == f"Tal.jpg: {name}"
+    for said in (mark.findtext("{*}description"), point.findtext("{*}desc")):
+        assert said.startswith(f"{origin[0].upper()}{origin[1:]}. ")
+        assert "confidence" not in said
+    feature, *_ = json.loads((tmp_path / "answer.geojson").read_text())["features"]
+    (photo,) = json.loads((tmp_path / "answer.json").read_text())["photos"]
+    for about in (feature["properties"], photo["cameras"][0]):
+        assert (about["rank"], about["origin"]) == (pose.rank, origin)
+    source = tmp_path / "photo.jpg"
+    Image.fromarray(PHOTO).save(source)
+    write_located(source, source, pose)
+    with Image.open(source) as image:
+        gps = image.getexif().get_ifd(IFD.GPSInfo)
+    assert gps[GPS.GPSProcessingMethod] == b"ASCII\0\0\0" + method
 
 
 def test_another_suffix_is_refused(tmp_path):

@@ -40,7 +40,7 @@ class Reader(HTMLParser):
 
 def page(text=HOSTILE):
     parts = [
-        Text(text, is_result=True),
+        Text(text, "answer"),
         Picture(PNG, text),
         Picture(JPEG, text, wide=False),
         Table((text, "b"), [(text, 1.5), (None, 22)], text),

@@ -26,7 +26,7 @@ BEST = candidate_at(
     1800.0, 1800.0, 350.0, 12.0, 4.0, 70.0, eye_elevation_m=EYE_M, confidence=0.9,
     covariance_m2=((1e4, 0.0), (0.0, 2e4)),
 )  # fmt: skip
-OTHER = candidate_at(900.0, 1800.0, 80.0, 12.0, 4.0, 70.0, eye_elevation_m=EYE_M)
+OTHER = candidate_at(900.0, 1800.0, 80.0, 12.0, 4.0, 70.0, eye_elevation_m=EYE_M, rank=2)
 WIDTH_PX, HEIGHT_PX = 900, 600
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
@@ -137,7 +137,7 @@ def test_a_report_says_where_and_shows_it(tmp_path):
     lon, lat = FIELD.frame.to_lonlat(1800.0, 1800.0)
     assert f"{float(lat):.5f}" in html
     assert f"{float(lon):.5f}" in html
-    assert "confidence 90 %" in html
+    assert "confidence 90\N{NO-BREAK SPACE}%" in html
     assert "&lt;script&gt;.jpg" in html
     assert "<script" not in html
     assert "<i>" not in html
@@ -165,7 +165,7 @@ def test_a_report_tells_abstention_from_failure(tmp_path):
     html = report(
         tmp_path,
         [
-            Matched("unsure.jpg", QUERY, [OTHER], 0.1, is_answered=False),
+            Matched("unsure.jpg", QUERY, [replace(OTHER, rank=1)], 0.1, is_answered=False),
             Matched("nothing.jpg", QUERY, [], 0.1, is_answered=False),
             Matched("off.jpg", QUERY, [off], 0.1),
         ],
@@ -173,6 +173,35 @@ def test_a_report_tells_abstention_from_failure(tmp_path):
     assert "1 of 3 queries answered" in html
     assert "Not answered: the best candidate is not sure enough" in html
     assert "No place fits." in html
+
+
+@pytest.mark.parametrize(
+    ("changes", "is_answered", "said"),
+    [
+        ({}, True, "Taken at latitude"),
+        ({"rank": 2}, False, "Candidate 2, chosen by a person: latitude"),
+        ({"rank": None, "refined": False, "confidence": None}, False, "Set by hand: latitude"),
+        (
+            {"rank": None, "refined": True, "confidence": None, "residual_deg": 0.123,
+             "terrain_share": 0.94}, True,
+            "true north; the skylines are 0.12 degrees apart (rms) over 94 % of the skyline.",
+        ),
+        (
+            {"rank": None, "refined": True, "confidence": None, "residual_deg": 1.44,
+             "terrain_share": 0.94}, False,
+            "Fitted, and the fit has failed: latitude",
+        ),
+    ],
+)  # fmt: skip
+def test_a_report_says_where_its_pose_comes_from(tmp_path, changes, is_answered, said):
+    shown = replace(BEST, **changes)
+    within_m = 200.0 if is_answered and shown.rank else None
+    matched = Matched("a.jpg", QUERY, [shown], 1.0, is_answered, within_m=within_m)
+    html = report(tmp_path, [matched])
+    assert said in html
+    assert ("right within" in html) == (within_m is not None)
+    assert ("queries answered" in html) == (shown.rank is not None)
+    assert ("Taken at" in html) == (shown.rank == 1)
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium to look at the page with")

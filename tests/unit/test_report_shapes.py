@@ -18,7 +18,7 @@ BEST = candidate_at(
     *PLACE, 275.0, -8.5, 1.0, 78.7, confidence=0.9, frame=UTM,
     covariance_m2=((400.0, 100.0), (100.0, 900.0)),
 )  # fmt: skip
-OTHER = candidate_at(BEST.easting_m + 500.0, BEST.northing_m, 350.0, score=0.4, frame=UTM)
+OTHER = candidate_at(BEST.easting_m + 500.0, BEST.northing_m, 350.0, score=0.4, frame=UTM, rank=2)
 
 
 def signed_area(ring):

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 from pages import SIZES, Page
 from PIL import Image
-from PIL.ExifTags import GPS, IFD
+from PIL.ExifTags import GPS, IFD, Base
 from scenes import candidate_at
 from selenium.webdriver.common.keys import Keys
 
-from skyline import read_dem, read_trace, web, write_located
+from skyline import Matcher, Narrowing, read_dem, read_photo, read_trace, web, write_located
 
 NAMED = "({0}.id || {0}.name || {0}.className || {0}.textContent)".format
 
@@ -102,6 +102,144 @@ def test_a_photo_is_dropped_mended_found_dragged_fitted_and_saved(
     check_files(page, downloads, fitted, len(found))
     assert page.alerts() == []
     assert page.asked_elsewhere() == []
+
+
+def verdict(page):
+    """Return the texts on the page that may say how sure a pose is."""
+    return page.find("#answer").text, page.find("#pose-said").text
+
+
+def type_into(page, selector, text):
+    """Type a number into a field, and leave it."""
+    page.script("arguments[0].scrollIntoView({block: 'center'})", page.find(selector))
+    page.find(selector).clear()
+    page.find(selector).send_keys(text, Keys.ENTER)
+
+
+LEAVING = {
+    "drag": lambda page: page.drag(".camera", 30, 10),
+    "turn": lambda page: page.drag(".turn", 20, 20),
+    "heading": lambda page: type_into(page, "#hand-heading-number", "151.3"),
+    "field of view": lambda page: type_into(page, "#hand-fov-number", "66"),
+    "place": lambda page: type_into(page, "#hand-lat", "46.75"),
+}
+
+
+def test_a_verdict_is_of_the_pose_that_was_judged(page, photo, downloads):
+    page.open(photo)
+    page.match()
+    found = page.find("#answer").text
+    assert "Found within" in found
+    second = page.all("#candidates button")[1]
+    chance = second.text.split("\n")[1]
+    second.click()
+    assert page.find("#answer").text.startswith(f"Candidate 2: {chance} sure within 200 m.")
+    check_origin(page, downloads, "found, rank 2", "Candidate 2, chosen by a person: latitude")
+    for leave in LEAVING.values():
+        page.all("#candidates button")[0].click()
+        assert verdict(page) == (found, "")
+        leave(page)
+        answer, said = verdict(page)
+        assert "left the candidates" in answer
+        assert "no search has judged this pose" in said
+        assert "sure" not in answer + said
+    check_origin(page, downloads, "set by hand", "Set by hand: latitude")
+
+    page.all("#candidates button")[0].click()
+    page.settled()
+    page.click("#fit")
+    page.until(lambda: page.find("#status").text == "Fitted")
+    answer, said = verdict(page)
+    assert "Found" not in answer
+    assert re.match(r"Fitted: the skylines are 0\.\d\d° apart \(rms\) over \d+ % of the", said)
+    check_origin(page, downloads, "fitted", "Fitted: latitude")
+    type_into(page, "#hand-heading-number", "320")
+    page.click("#fit")
+    page.until(lambda: page.find("#status").text == "The fit has failed")
+    answer, said = verdict(page)
+    assert "Found" not in answer
+    assert re.match(r"The fit has failed: the skylines are \d\.\d\d degrees apart \(rms\)", said)
+    check_origin(page, downloads, "fitted", "Fitted, and the fit has failed: latitude")
+
+
+def check_origin(page, downloads, origin, report):
+    """Save files that say where a pose comes from, and how sure it is where that is its own."""
+    rank = int(origin[-1]) if origin.startswith("found") else None
+    names = {"set by hand": "the pose set by hand", "fitted": "the fitted pose"}
+    name = f"photo.jpg: {names.get(origin, f'candidate {rank}')}"
+    features = json.loads(saved(page, downloads, "geojson", ".geojson").read_text())["features"]
+    properties = features[0]["properties"]
+    assert (properties["rank"], properties["origin"]) == (rank, origin)
+    assert (properties["confidence"] is None) == (rank is None)
+    kml = Xml.parse(saved(page, downloads, "kml", ".kml"))
+    assert kml.findtext(".//{*}Placemark/{*}name") == name
+    assert ("confidence" in kml.findtext(".//{*}Placemark/{*}description")) == (rank is not None)
+    assert Xml.parse(saved(page, downloads, "gpx", ".gpx")).findtext("{*}wpt/{*}name") == name
+    said = saved(page, downloads, "report", ".html").read_text()
+    assert report in said
+    assert "right within" not in said
+    with Image.open(saved(page, downloads, "photo", ".jpg")) as picture:
+        method = picture.getexif().get_ifd(IFD.GPSInfo)[GPS.GPSProcessingMethod]
+    by_hand = origin == "set by hand"
+    assert method == b"ASCII\0\0\0" + (b"MANUAL" if by_hand else f"SKYLINE: {origin}".encode())
+
+
+def test_a_verdict_is_of_the_skyline_and_the_knowledge_that_were_searched_with(page, photo):
+    page.open(photo)
+    page.match()
+    found = page.find("#answer").text
+    assert "Found within" in found
+    page.draw("erase", [(10, 100), (40, 100)])
+    assert "Found" not in page.find("#answer").text
+    assert page.all("#candidates button") == page.all(".spot") == []
+    assert page.find("#photos .state").text == "ready"
+    page.click("#undo")
+    page.until(lambda: page.find("#answer").text == found)
+    assert page.find("#photos .state").text == "✓ found"
+    page.script("document.getElementById('known').open = true")
+    for change in ("fov-known", "heading-known", "near-known", "elevation-known"):
+        page.click(f"#{change}")
+        assert "Found" not in page.find("#answer").text
+        page.click(f"#{change}")
+        assert page.find("#answer").text == found
+    type_into(page, "#eye", "2")
+    assert "Found" not in page.find("#answer").text
+    assert page.all("#candidates button") == []
+
+
+def test_the_page_asks_what_the_photo_says_without_rounding(page, photo, dem, store, tmp_path):
+    noting = tmp_path / "noting.jpg"
+    place = candidate_at(602_000.0, 5_177_900.0, 141.377, frame=read_dem([dem]).frame)
+    write_located(photo, noting, place)
+    with Image.open(noting) as image:
+        exif = image.getexif()
+        exif.get_ifd(IFD.Exif)[Base.FocalLengthIn35mmFilm] = 31
+        image.save(noting, exif=exif, quality=92)
+    page.open(noting)
+    said = read_photo(noting)
+    page.script("document.getElementById('known').open = true")
+    for name in ("heading", "near"):
+        page.click(f"#{name}-known")
+    known = page.of("known", "it.known()")
+    assert "fov" not in known
+    assert known["heading"] == {"deg": said.place.heading_deg, "slack": 30}
+    assert (known["near"]["lon"], known["near"]["lat"]) == said.place.lonlat_deg
+    page.match()
+    narrowing = Narrowing(
+        (*said.place.lonlat_deg, known["near"]["km"]), heading_deg=(said.place.heading_deg, 30)
+    )
+    with Matcher(store) as matcher:
+        wanted = matcher.match(noting, narrowing=narrowing).candidates
+    shown = page.state("[...state.results.values()][0].candidates")
+    assert [(one["lon"], one["lat"], one["fov"], one["confidence"]) for one in shown] == [
+        (one.lon, one.lat, one.fov_deg, one.confidence) for one in wanted
+    ]
+    # A slider that a person moves counts as it is shown.
+    page.script("const it = document.getElementById('heading'); it.value = 150; it.oninput()")
+    assert page.of("known", "it.known()")["heading"]["deg"] == 150
+    page.browser.refresh()
+    page.until(lambda: "Found" in page.find("#answer").text)
+    assert page.of("known", "it.known()") == known
 
 
 def fits_on(page):
@@ -303,6 +441,53 @@ def test_many_photos_are_found_in_turn_and_say_where_they_were(page, photo, dem,
     page.click("#photos li:first-child [aria-label^=Remove]")
     page.until(lambda: page.find("#welcome").is_displayed())
     assert page.state("state.photos.length") == 1
+
+
+def test_what_a_person_looks_for_is_in_sight(page, photo, dem, tmp_path):
+    noting = tmp_path / "noting.jpg"
+    frame = read_dem([dem]).frame
+    write_located(photo, noting, candidate_at(602_300.0, 5_178_200.0, 33.0, frame=frame))
+    page.open(noting)
+    page.press("s")
+    assert page.find("[name=tool]:checked").get_attribute("value") == "sky"
+    page.find("#find").send_keys("m")
+    assert page.find("[name=tool]:checked").get_attribute("value") == "move"
+    assert len(page.all(".noted")) == 1
+    page.match()
+    page.settled()
+    best = page.state("state.results.get(state.photo.id).candidates[0]")
+    assert within(page, "#map", page.find(".spot.best"))
+    link = page.find("#answer a").get_attribute("href")
+    place = f"{best['lat']:.5f}", f"{best['lon']:.5f}"
+    assert link == "https://www.openstreetmap.org/?mlat={0}&mlon={1}#map=14/{0}/{1}".format(*place)
+    # The number of a candidate shows through the camera that stands on it.
+    camera = "getComputedStyle(document.querySelector('.camera'))"
+    assert page.script(f"return {camera}.backgroundColor") != "rgb(53, 208, 255)"
+    colours = [
+        page.script("return getComputedStyle(arguments[0]).color", page.find("#answer .yes")),
+        page.script(
+            "const one = document.createElement('span'); one.className = 'no';"
+            "document.getElementById('answer').append(one); return getComputedStyle(one).color"
+        ),
+    ]
+    assert len(set(colours)) == 2
+    for selector in ("#save-photo", "#save-trace", "#load-trace"):
+        assert within(page, "body", page.find(selector))
+    type_into(page, "#hand-lon", "-119.57301")
+    assert page.script("return arguments[0].scrollWidth <= arguments[0].clientWidth",
+                       page.find("#hand-lon"))  # fmt: skip
+    assert page.asked_elsewhere() == []
+
+
+def within(page, outer, inner):
+    """Whether an element lies wholly in another and in the window."""
+    return page.script(
+        "const [one, box] = [arguments[1], arguments[0]].map((it) => it.getBoundingClientRect());"
+        "return one.left >= box.left && one.right <= box.right && one.top >= box.top &&"
+        " one.bottom <= Math.min(box.bottom, innerHeight)",
+        page.find(outer),
+        inner,
+    )
 
 
 _CONFUSED = {

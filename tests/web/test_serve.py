@@ -4,13 +4,17 @@ import json
 import signal
 import socket
 import sys
+from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 import pytest
 from commands import assert_refused
 from pages import POSE, TINY, live, look, ready, serving, told
+from PIL import Image
+from PIL.ExifTags import IFD, Base
 
-from skyline import cli
+from skyline import Matcher, Narrowing, cli, read_query
 from skyline.render.context import release_context
 
 
@@ -75,3 +79,90 @@ def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, ph
         assert (status, "DEM is not at hand" in said["error"]) == (400, True)
         for kind in ("geojson", "kml", "kmz", "gpx", "photo", "report", "trace"):
             assert server.ask("POST", f"{of_photo}/save/{kind}", b"{}")[0] == 200, kind
+
+
+NEAR = {"lon": 10.3301234, "lat": 46.7491234, "km": 1.7}
+KNOWN = {
+    "fov": 58.37, "near": NEAR, "heading": {"deg": 141.37, "slack": 25}, "eyeHeight": 2,
+    "elevation": {"low": -50, "high": 900},
+}  # fmt: skip
+GIVEN = (
+    "--fov-deg", "58.37", "--near", "10.3301234,46.7491234,1.7", "--heading", "141.37,25",
+    "--eye-height", "2", "--elevation=-50,900",
+)  # fmt: skip
+FILM = {Base.FocalLengthIn35mmFilm: 32}
+FRAME = {Base.ExifImageWidth: 960, Base.ExifImageHeight: 640}
+PLANE = {Base.FocalLength: 4.0, Base.FocalPlaneXResolution: 6500.0}
+NARROWED = Narrowing(
+    (10.3301234, 46.7491234, 1.7), heading_deg=(141.37, 25), elevation_m=(-50, 900), eye_height_m=2
+)
+
+
+def noting(photo, path, tags, size=None):
+    """Write a photo, or the part of it of a size, whose EXIF has tags of the camera."""
+    with Image.open(photo) as image:
+        exif = image.getexif()
+        exif.get_ifd(IFD.Exif).update(tags)
+        image.crop((0, 0, *(size or image.size))).save(path, exif=exif)
+    return path
+
+
+def masked(photo, path):
+    """Write the sky of a photo as a mask with a white border."""
+    query = read_query(photo, 60.0)
+    row = np.where(query.trusted, query.row_px, -1.0)
+    sky = np.where(np.arange(query.height_px)[:, np.newaxis] < row, 255, 0).astype(np.uint8)
+    sky[:, :60] = 255
+    Image.fromarray(sky).save(path)
+    return path
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question in the words of the page, of the command and of Python."""
+
+    page: dict
+    command: tuple = ()
+    fov_deg: float | None = None
+    narrowing: Narrowing | None = None
+
+
+ALL_KNOWN = Question(KNOWN, GIVEN, 58.37, NARROWED)
+NUMBERS = {
+    "lon": "lon", "lat": "lat", "heading": "heading_deg", "pitch": "pitch_deg", "fov": "fov_deg",
+    "roll": "roll_deg", "elevation": "eye_elevation_m", "confidence": "confidence",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("made", "question"),
+    [
+        (lambda *to: noting(*to, {}), Question({})),
+        (lambda *to: noting(*to, FILM), Question({})),
+        (lambda *to: noting(*to, FILM | FRAME | PLANE), Question({})),
+        (lambda *to: noting(*to, FILM | FRAME, (800, 640)), Question({})),
+        (lambda *to: noting(*to, FILM), ALL_KNOWN),
+        (masked, Question({"fov": 60.25}, ("--fov-deg", "60.25"), 60.25)),
+    ],
+    ids=["nothing", "lens", "two-lenses", "cropped", "all", "mask"],
+)
+def test_one_question_has_one_answer_wherever_it_is_asked(
+    run, served, store, photo, tmp_path, made, question
+):
+    path = made(photo, tmp_path / "photo.png")
+    command = json.loads(run("match", store, path, *question.command, "--json").out)
+    with Matcher(store) as matcher:
+        python = matcher.match(path, question.fov_deg, narrowing=question.narrowing)
+    session = served.begin()
+    _, uploaded = served.upload(session, path.name, path.read_bytes())
+    asked = dict.fromkeys(("heading", "near", "elevation", "eyeHeight")) | question.page
+    of_photo = f"{session}/photos/{uploaded['id']}"
+    status, page = served.ask("POST", f"{of_photo}/match", json.dumps(asked))
+    assert status == 200
+    found = [[one[name] for name in NUMBERS] for one in page["candidates"]]
+    assert found
+    assert found == [[one[name] for name in NUMBERS.values()] for one in command["candidates"]]
+    assert found == [[getattr(one, name) for name in NUMBERS.values()] for one in python.candidates]
+    assert page["answered"] == (python.answer is not None) == (command["answer"] is not None)
+    assert page["within"] == python.within_m == command["answer_within_m"]
+    assert page["refusal"] == python.refusal == command.get("refusal")

@@ -313,6 +313,33 @@ def test_matches_end_when_the_page_closes(served, photo):
     assert (400, {"error": "cancelled"}) in answers
 
 
+def test_what_was_judged_with_another_skyline_is_not_saved_as_judged(served, photo):
+    _, of_photo = ready(served, photo)
+    strokes = {"strokes": [{"kind": "erase", "points": [[20, 100], [40, 100]], "radius": 2}]}
+
+    def save(what, kind="geojson"):
+        return served.ask("POST", f"{of_photo}/save/{kind}", json.dumps(what))
+
+    assert served.ask("POST", f"{of_photo}/match", TINY)[0] == 200
+    assert served.ask("POST", f"{of_photo}/fit", json.dumps({"pose": POSE}))[0] == 200
+    for what in ({"rank": 0}, {"fitted": True}):
+        assert save(what)[0] == 200
+    assert "rank is 9; expected" in save({"rank": 9})[1]["error"]
+    assert "rank is x; expected" in save({"rank": "x"})[1]["error"]
+    served.ask("POST", f"{of_photo}/skyline", json.dumps(strokes))
+    for what in ({"rank": 0}, {"fitted": True}):
+        status, said = save(what)
+        assert (status, "the skyline has changed since" in said["error"]) == (400, True)
+    status, found = save({"pose": POSE})
+    assert (status, json.loads(found)["features"][0]["properties"]["origin"]) == (
+        200,
+        "set by hand",
+    )
+    assert save({}, "trace")[0] == 200
+    served.ask("POST", f"{of_photo}/skyline", b'{"strokes": []}')
+    assert save({"rank": 0})[0] == 200
+
+
 def test_what_is_removed_leaves_no_file(served, photo):
     _, of_photo = ready(served, photo)
     assert served.ask("DELETE", of_photo)[0] == 200

@@ -264,7 +264,7 @@ def _fitted(
     pose = viewer.pose(*one.lonlat, one.heading_deg, pitch_deg=one.pitch_deg or 0.0,
         roll_deg=one.roll_deg or 0.0, fov_deg=fov_deg, eye_height_m=above_m,
     )  # fmt: skip
-    fitted = matcher.fit(query, pose)
+    fitted = next(iter(matcher.fit(query, pose).candidates), None)
     if fitted is None or _off_m(one, fitted, matcher) > RIGHT_M:
         return None
     return fitted if abs(_turn_deg(one, fitted) or 0.0) <= RIGHT_DEG else None

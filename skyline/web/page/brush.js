@@ -2,7 +2,7 @@
 import * as server from "./server.js";
 import { $, alertUser, say, state, tell } from "./state.js";
 import { draw, fit, inPhoto, keepInView, marks, pan, view, zoom } from "./view.js";
-import { turnBy } from "./hand.js";
+import { release, turnBy } from "./hand.js";
 
 const canvas = $("photo");
 const PAINTS = ["sky", "ground", "line", "erase"];
@@ -77,9 +77,8 @@ async function solve() {
 
 const share = () => state.rows.reduce((sum, row) => sum + !Number.isNaN(row), 0) / state.rows.length;
 
-export function showSkyline({ rows, trust }) {
-  state.rows = rows;
-  state.trust = trust;
+export function showSkyline({ rows, trust, version }) {
+  Object.assign(state, { rows, trust, version });
   buttons();
   tell("skyline");
 }
@@ -111,7 +110,7 @@ function dragging(event) {
   const end = () => {
     canvas.removeEventListener("pointermove", move);
     if (paints) finish();
-    else if (tool() === "turn") turnBy(0, 0, false);
+    else if (tool() === "turn") release();
   };
   canvas.addEventListener("pointermove", move);
   canvas.addEventListener("pointerup", end, { once: true });
@@ -189,7 +188,9 @@ export function start() {
   });
   canvas.addEventListener("keydown", pressed);
   document.addEventListener("keydown", (event) => {
-    if ((event.ctrlKey || event.metaKey) && event.key.toLowerCase() === "z" && event.target === document.body) pressed(event);
+    // The photo's keys are the page's, too; the letters of its tools even where a button has the focus.
+    const isTool = KEYS[event.key.toLowerCase()] && !event.ctrlKey && !event.metaKey;
+    if (event.target === document.body || (isTool && !event.target.matches("#photo, input[type=number]"))) pressed(event);
   });
   $("undo").onclick = undo;
   $("redo").onclick = redo;

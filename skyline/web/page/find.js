@@ -1,8 +1,8 @@
 // The search: begun, followed, cancelled; its candidates listed and chosen.
 import * as server from "./server.js";
-import { $, alertUser, degrees, element, on, say, state, tell } from "./state.js";
-import { checked, known } from "./known.js";
-import { setPose } from "./hand.js";
+import { $, alertUser, degrees, element, mapLink, on, say, state, tell } from "./state.js";
+import { checked, known, standing } from "./known.js";
+import { leave, toCandidate } from "./hand.js";
 import { choose as choosePhoto } from "./photos.js";
 
 const STEPS = { waiting: "waiting for another search", screening: "comparing all places", fitting: "fitting the best", refining: "rendering around the best", done: "done" };
@@ -14,8 +14,10 @@ async function find(photo) {
   try {
     const result = await server.match(photo, known());
     state.results.set(photo.id, result);
-    photo.state = result.answered ? "answered" : "no answer";
+    photo.state = outcome(result);
     if (photo === state.photo) {
+      // The pose is no candidate of this search until one is chosen.
+      leave();
       say(`Searched in ${result.seconds.toFixed(1)} s`);
       tell("result");
       show();
@@ -30,6 +32,8 @@ async function find(photo) {
   show();
 }
 
+const outcome = (result) => (result.answered ? "answered" : "no answer");
+
 async function findAll() {
   for (const photo of state.photos.filter((one) => one.state === "ready")) {
     await choosePhoto(photo);
@@ -38,34 +42,40 @@ async function findAll() {
 }
 
 export function choose(index) {
-  const one = state.results.get(state.photo?.id)?.candidates[index];
+  const one = standing()?.candidates[index];
   if (!one) return;
-  state.chosen = index;
-  setPose({ lon: one.lon, lat: one.lat, heading: one.heading, pitch: one.pitch, roll: one.roll, fov: one.fov,
-    distortion: one.distortion, eyeHeight: one.eyeHeight ?? $("eye").valueAsNumber });
+  toCandidate(one, index);
   tell("chosen");
   show();
 }
 
 function show() {
-  const photo = state.photo, result = state.results.get(photo?.id);
+  const photo = state.photo, result = standing(), searched = state.results.has(photo?.id);
   const busy = photo?.state === "matching";
   $("find").disabled = !photo || busy;
   $("progress").hidden = !busy;
-  $("answer").replaceChildren(...(photo && result && !busy ? said(result) : []));
+  $("answer").replaceChildren(...(searched && !busy ? said(result) : []));
   const focused = document.activeElement?.dataset?.rank;
   $("candidates").replaceChildren(...(result && !busy ? result.candidates.map(row) : []));
   if (focused !== undefined) $("candidates").querySelector(`[data-rank="${focused}"]`)?.focus();
 }
 
+// A verdict is of one pose: the candidate's that the search has judged.
 function said(result) {
+  if (!result) return ["The skyline, or what you know, is not what the last search was asked with. Find the place again."];
   const notes = [result.claim, result.beyond].filter((one) => one)
     .map((one) => element("p", { class: "claim" }, one));
+  const best = result.candidates[0];
+  if (best && state.origin !== "found") return ["The camera has left the candidates of the search. Choose one to return to it."];
+  if (state.chosen > 0) {
+    const one = result.candidates[state.chosen];
+    const sure = one.confidence === null ? "" : `${Math.round(100 * one.confidence)} % sure within 200 m. `;
+    return [element("span", { class: "other" }, `Candidate ${state.chosen + 1}: `), sure, mapLink(one)];
+  }
   if (result.answered) {
-    const best = result.candidates[0];
     const near = result.within === null ? "" : ` within ${result.within} m`;
     const sure = result.chance === null ? "" : `, ${Math.round(100 * result.chance)} % sure`;
-    return [element("span", { class: "yes" }, `Found${near}${sure}. `), degrees(best.lon, best.lat), ...notes];
+    return [element("span", { class: "yes" }, `Found${near}${sure}. `), mapLink(best), ...notes];
   }
   return [element("span", { class: "no" }, "No answer: "), `${result.refusal}. `,
     "Check the yellow skyline and mend it, say what you know, or fit by hand.", ...notes];
@@ -73,7 +83,7 @@ function said(result) {
 
 function row(one, index) {
   const sure = one.confidence === null ? "" : `${Math.round(100 * one.confidence)} %`;
-  return element("li", {}, element("button", { "aria-current": String(index === state.chosen && !state.byHand), "data-rank": index, onclick: () => choose(index) },
+  return element("li", {}, element("button", { "aria-current": String(index === state.chosen), "data-rank": index, onclick: () => choose(index) },
     element("span", {}, String(index + 1)), element("span", {}, sure),
     element("span", {}, degrees(one.lon, one.lat, 4)), element("span", { class: "way", title: "Direction" }, `${one.heading.toFixed(0)}°`)));
 }
@@ -97,7 +107,15 @@ export function start() {
   $("cancel").onclick = () => server.cancel(state.photo).catch((error) => alertUser(error.message));
   on("progress", progressed);
   on("choose", choose);
-  on("pose", show);
+  for (const name of ["pose", "known"]) on(name, show);
+  on("skyline", () => {
+    const result = state.results.get(state.photo.id);
+    if (result && state.photo.state !== "matching") {
+      state.photo.state = result.skyline === state.version ? outcome(result) : "ready";
+      tell("states");
+    }
+    show();
+  });
   on("photo", (photo) => {
     show();
     if (photo && state.results.has(photo.id)) choose(0);

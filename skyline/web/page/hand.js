@@ -1,7 +1,10 @@
 // The pose: set by a candidate or by hand. The skyline rendered at it follows while it moves.
 import * as server from "./server.js";
 import { $, alertUser, element, on, say, state, tell, widest } from "./state.js";
+import { known } from "./known.js";
 import { middle } from "./map.js";
+
+const USUAL_EYE_M = 2;
 
 const SLIDERS = [
   ["heading", "Heading °", 0, 360, 0.1],
@@ -17,16 +20,28 @@ let flying = null, next = null, number = 0;
 export function moveTo(part, stillMoving = false) {
   if (!state.pose) return;
   Object.assign(state.pose, part);
-  state.byHand = true;
+  leave();
   changed(stillMoving);
 }
 
-export function setPose(pose) {
-  state.pose = pose && { ...pose };
-  state.byHand = false;
-  state.sight = null;
+// From now on the pose is a person's, and no verdict of a search or a fit is its own.
+export function leave() {
+  if (!state.pose || state.origin === "hand") return;
+  Object.assign(state, { origin: "hand", chosen: null, fit: null });
+  say("");
+  $("pose-said").replaceChildren(...said());
+  tell("left");
+}
+
+function setPose(pose, origin, { chosen = null, fit = null } = {}) {
+  Object.assign(state, { pose, origin, chosen, fit, sight: fit && state.sight });
   changed(false);
 }
+
+const placed = (one) => ({ lon: one.lon, lat: one.lat, heading: one.heading, pitch: one.pitch, roll: one.roll,
+  fov: one.fov, distortion: one.distortion, eyeHeight: one.eyeHeight ?? known().eyeHeight ?? USUAL_EYE_M });
+
+export const toCandidate = (one, chosen) => setPose(placed(one), "found", { chosen });
 
 export const release = () => changed(false);
 
@@ -41,12 +56,22 @@ export function turnBy(columns, rows, stillMoving) {
 function changed(stillMoving) {
   $("hand-form").hidden = !state.pose;
   $("hand-hint").hidden = Boolean(state.pose);
+  $("pose-said").replaceChildren(...said());
   $("fit").disabled = !state.pose;
   if (state.pose) {
     fill();
     look(!stillMoving);
   } else $("gap").hidden = true;
   tell("pose");
+}
+
+function said() {
+  if (state.origin === "hand") return ["The camera is set by hand: no search has judged this pose."];
+  if (!state.fit) return [];
+  const { refusal, residual, share } = state.fit;
+  const apart = `the skylines are ${residual.toFixed(2)}° apart (rms) over ${Math.round(100 * share)} % of the skyline`;
+  if (!refusal) return [element("span", { class: "yes" }, "Fitted: "), `${apart}. No search has judged this pose.`];
+  return [element("span", { class: "no" }, "The fit has failed: "), `${refusal}. Bring the two skylines closer by hand.`];
 }
 
 function fill() {
@@ -87,7 +112,7 @@ function answered(told) {
   } else {
     if (!told.summits && state.sight?.summits) told.summits = null;
     state.sight = told;
-    $("gap").textContent = told.gap === null ? "nothing to compare" : `skylines ${told.gap.toFixed(2)}° apart`;
+    $("gap").textContent = told.gap === null ? "nothing to compare" : `skylines ${told.gap.toFixed(2)}° apart in the median column`;
     live.shown++;
     live.latency.push(performance.now() - asked);
     if (live.latency.length > 1000) live.latency.shift();
@@ -104,8 +129,9 @@ async function fit() {
   try {
     const found = await server.fit(photo, state.pose);
     if (photo !== state.photo) return;
-    moveTo({ lon: found.lon, lat: found.lat, heading: found.heading, pitch: found.pitch, roll: found.roll, fov: found.fov, distortion: found.distortion, eyeHeight: found.eyeHeight ?? state.pose.eyeHeight });
-    say("Fitted");
+    setPose(placed(found), "fitted", { fit: found });
+    tell("left");
+    say(found.refusal ? "The fit has failed" : "Fitted");
   } catch (error) {
     say("");
     alertUser(error.message);
@@ -115,10 +141,9 @@ async function fit() {
 
 export function placeAt(place) {
   if (!state.photo) return alertUser("add a photo first");
-  const fov = $("fov-known").checked ? Number($("fov").value) : state.photo.fov ?? 60;
-  const heading = state.photo.heading ?? ($("heading-known").checked ? Number($("heading").value) : 0);
-  setPose({ lon: place.lng, lat: place.lat, heading, pitch: 0, roll: 0, fov, eyeHeight: Number($("eye").value) || 2 });
-  state.byHand = true;
+  const asked = known(), fov = asked.fov ?? state.photo.fov ?? 60;
+  const heading = asked.heading?.deg ?? state.photo.heading ?? 0;
+  setPose({ lon: place.lng, lat: place.lat, heading, pitch: 0, roll: 0, fov, eyeHeight: asked.eyeHeight ?? USUAL_EYE_M }, "hand");
   tell("chosen");
 }
 
@@ -155,6 +180,10 @@ export function start() {
     flying = null;
     if (state.pose) look(true);
   });
-  on("skyline", () => state.pose && look(true));
-  on("photo", () => setPose(null));
+  on("skyline", () => {
+    // A fit is to the skyline that there was.
+    if (state.origin === "fitted") leave();
+    if (state.pose) changed(false);
+  });
+  on("photo", () => setPose(null, null));
 }

@@ -1,74 +1,109 @@
 // What a person knows of where a photo was taken, and what the photo says itself.
-import { $, alertUser, on, state, widest } from "./state.js";
+import { $, alertUser, on, state, tell, widest } from "./state.js";
 import { circled, middle, showCircle } from "./map.js";
 
-const LEAST_KM = 0.5, MOST_KM = 100;
-const km = () => LEAST_KM * (MOST_KM / LEAST_KM) ** Number($("radius").value);
+const LEAST_KM = 0.5, MOST_KM = 100, NOTHING = { heading: null, near: null, elevation: null, eyeHeight: null };
+// Numbers that a slider's steps would round; each holds until a person moves its slider.
+const exact = {};
 
+const value = (id) => exact[id] ?? $(id).valueAsNumber;
+const isKnown = (name) => $(`${name}-known`).checked;
+// The circle has the radius that is shown.
+const km = () => Number((LEAST_KM * (MOST_KM / LEAST_KM) ** value("radius")).toPrecision(2));
+
+function set(id, number) {
+  exact[id] = number;
+  $(id).value = number;
+}
+
+// The question that a search would ask now. Without a field of view it is the photo's own.
 export function known() {
-  const on_ = (name) => $(`${name}-known`).checked;
-  const value = (id) => $(id).valueAsNumber;
+  const fov = isKnown("fov") ? value("fov") : null;
   return {
-    fov: on_("fov") ? value("fov") : null,
-    heading: on_("heading") ? { deg: value("heading"), slack: value("slack") } : null,
-    near: on_("near") ? circled() : null,
-    elevation: on_("elevation") ? { low: value("low"), high: value("high") } : null,
-    // What nobody has changed is not known: a camera may have stood on a roof.
-    eyeHeight: $("eye").value === $("eye").defaultValue ? null : value("eye"),
+    ...(fov === (state.photo?.fov ?? null) ? {} : { fov }),
+    heading: isKnown("heading") ? { deg: value("heading"), slack: value("slack") } : null,
+    near: isKnown("near") ? { ...circled(), km: km() } : null,
+    elevation: isKnown("elevation") ? { low: value("low"), high: value("high") } : null,
+    eyeHeight: $("eye").value === "" ? null : value("eye"),
   };
 }
 
+// The result of the photo's search while it answers the question that would be asked now; else null.
+export function standing() {
+  const result = state.results.get(state.photo?.id);
+  const stands = result?.skyline === state.version && JSON.stringify(result?.asked) === JSON.stringify(known());
+  return stands ? result : null;
+}
+
 function show() {
-  $("fov-out").textContent = $("fov-known").checked ? `${Number($("fov").value).toFixed(1)}°` : "unknown";
-  $("fov").disabled = !$("fov-known").checked;
-  $("heading-out").textContent = $("heading-known").checked ? `${$("heading").value}°` : "unknown";
-  $("heading").disabled = $("slack").disabled = !$("heading-known").checked;
-  $("slack-out").textContent = `± ${$("slack").value}°`;
-  $("radius-out").textContent = `${km().toPrecision(2)} km`;
-  $("radius").disabled = $("near-here").disabled = !$("near-known").checked;
-  $("low").disabled = $("high").disabled = !$("elevation-known").checked;
+  const angle = (id) => `${Number(value(id).toFixed(2))}°`;
+  $("fov-out").textContent = isKnown("fov") ? angle("fov") : "unknown";
+  $("fov").disabled = !isKnown("fov");
+  $("heading-out").textContent = isKnown("heading") ? angle("heading") : "unknown";
+  $("heading").disabled = $("slack").disabled = !isKnown("heading");
+  $("slack-out").textContent = `± ${value("slack")}°`;
+  $("radius-out").textContent = `${km()} km`;
+  $("radius").disabled = $("near-here").disabled = !isKnown("near");
+  $("low").disabled = $("high").disabled = !isKnown("elevation");
   const told = [
-    $("fov-known").checked && `${Number($("fov").value).toFixed(0)}° wide`,
-    $("heading-known").checked && `towards ${$("heading").value}°`,
-    $("near-known").checked && `within ${km().toPrecision(2)} km`,
-    $("elevation-known").checked && `${$("low").value} to ${$("high").value} m`,
+    isKnown("fov") && `${angle("fov")} wide`,
+    isKnown("heading") && `towards ${angle("heading")}`,
+    isKnown("near") && `within ${km()} km`,
+    isKnown("elevation") && `${$("low").value} to ${$("high").value} m`,
+    $("eye").value !== "" && `${$("eye").value} m above the ground`,
   ].filter(Boolean);
   $("known-said").textContent = told.length ? `(${told.join(", ")})` : "(nothing yet)";
+  if (state.photo?.lonlat && !isKnown("near")) {
+    $("known-said").textContent += " The photo says its place: tick “In the circle” to search near it.";
+  }
+  tell("known");
 }
 
 function circle(place = null) {
-  showCircle($("near-known").checked ? km() : null, place);
+  showCircle(isKnown("near") ? km() : null, place);
   show();
 }
 
-// A photo's own word is taken for its field of view; its place and direction are offered.
+// The form has what the photo's last search asked; before that, the photo's own word is taken for its field of view,
+// and its place and direction are offered.
 function fromPhoto(photo) {
   if (!photo) return;
-  $("fov-known").checked = Boolean(photo.fov);
+  const asked = state.results.get(photo.id)?.asked ?? NOTHING;
+  const fov = "fov" in asked ? asked.fov : photo.fov;
   $("fov").max = widest(photo);
-  if (photo.fov) $("fov").value = photo.fov;
-  for (const name of ["heading", "near", "elevation"]) $(`${name}-known`).checked = false;
-  if (photo.heading !== null && photo.heading !== undefined) $("heading").value = Math.round(photo.heading);
-  circle(photo.lonlat ? [photo.lonlat[1], photo.lonlat[0]] : null);
-  if (photo.lonlat) {
-    $("known-said").textContent += " The photo says its place: tick “In the circle” to search near it.";
-  }
+  $("fov-known").checked = fov !== null;
+  for (const name of ["heading", "near", "elevation"]) $(`${name}-known`).checked = asked[name] !== null;
+  if (fov ?? photo.fov) set("fov", fov ?? photo.fov);
+  const heading = asked.heading?.deg ?? photo.heading ?? null;
+  if (heading !== null) set("heading", heading);
+  if (asked.heading) set("slack", asked.heading.slack);
+  if (asked.near) set("radius", Math.log(asked.near.km / LEAST_KM) / Math.log(MOST_KM / LEAST_KM));
+  for (const [id, at] of asked.elevation ? Object.entries(asked.elevation) : []) set(id, at);
+  $("eye").value = "";
+  if (asked.eyeHeight !== null) set("eye", asked.eyeHeight);
+  const { lon, lat } = asked.near ?? { lon: photo.lonlat?.[0], lat: photo.lonlat?.[1] };
+  circle(lon === undefined ? null : [lat, lon]);
 }
 
 export function start() {
   for (const name of ["fov", "heading", "elevation"]) $(`${name}-known`).onchange = show;
-  for (const id of ["fov", "heading", "slack", "low", "high", "eye"]) $(id).oninput = show;
+  for (const id of ["fov", "heading", "slack", "low", "high", "eye", "radius"]) {
+    $(id).oninput = () => {
+      delete exact[id];
+      id === "radius" ? circle() : show();
+    };
+  }
   $("near-known").onchange = () => circle();
-  $("radius").oninput = () => circle();
   $("near-here").onclick = () => circle(middle());
   $("known-form").onsubmit = (event) => event.preventDefault();
   on("photo", fromPhoto);
+  on("circle", show);
   show();
 }
 
 export function checked() {
-  const low = $("low").valueAsNumber, high = $("high").valueAsNumber;
-  if ($("elevation-known").checked && !(low < high)) {
+  const low = value("low"), high = value("high");
+  if (isKnown("elevation") && !(low < high)) {
     alertUser("the lowest elevation must be below the highest");
     return false;
   }

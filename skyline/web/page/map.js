@@ -2,10 +2,11 @@
 import * as server from "./server.js";
 import { $, degrees, element, on, say, state, tell } from "./state.js";
 import { moveTo, release } from "./hand.js";
+import { standing } from "./known.js";
 
 const L = window.L;
 const REACH_M = 2000, HANDLE_PX = 74, EARTH_M = 6371008.8;
-let map, camera, handle, cone, spots, circle, centre, where;
+let map, camera, handle, cone, noted, spots, circle, centre, where;
 
 const icon = (name, size, text = "") =>
   L.divIcon({ className: name, iconSize: [size, size], html: text });
@@ -38,7 +39,7 @@ function ellipse(candidate) {
 
 function showCandidates() {
   spots.clearLayers();
-  const result = state.results.get(state.photo?.id);
+  const result = standing();
   (result?.candidates ?? []).forEach((one, index) => {
     const best = index === 0 && result.answered, chosen = index === state.chosen;
     const sure = one.confidence === null ? "" : `: ${Math.round(100 * one.confidence)} %`;
@@ -50,6 +51,22 @@ function showCandidates() {
       title: `Candidate ${index + 1}${sure}`, alt: `Candidate ${index + 1}${sure}`, zIndexOffset: 1000 - 10 * index })
       .on("click keypress", () => tell("choose", index)).addTo(spots);
   });
+}
+
+// Where the photo itself says that it was taken, with the accuracy that it claims.
+function showNoted(photo) {
+  noted.clearLayers();
+  if (!photo?.lonlat) return;
+  const at = [photo.lonlat[1], photo.lonlat[0]], about = "Where the photo says that it was taken";
+  if (photo.accuracy) L.circle(at, { radius: photo.accuracy, color: "#f2a7ff", weight: 1.5, fillOpacity: 0.08, interactive: false }).addTo(noted);
+  L.marker(at, { icon: icon("noted", 16), title: about, alt: about, keyboard: false, zIndexOffset: 500 }).addTo(noted);
+}
+
+// The answer with its view; without one all candidates.
+function goToResult() {
+  const result = standing();
+  const shown = result?.answered ? result.candidates.slice(0, 1) : result?.candidates ?? [];
+  if (shown.length) map.fitBounds(L.latLngBounds(shown.flatMap((one) => view(one, REACH_M))).pad(0.1), { maxZoom: 15 });
 }
 
 function showCamera() {
@@ -90,9 +107,9 @@ function nudged(marker, by) {
 }
 
 function makeCamera() {
-  camera = L.marker([0, 0], { icon: icon("camera", 22), draggable: true, zIndexOffset: 3000, autoPan: true,
+  camera = L.marker([0, 0], { icon: icon("camera", 44), draggable: true, zIndexOffset: 3000, autoPan: true,
     title: "The camera: drag it, or move it with the arrow keys", alt: "The camera" });
-  handle = L.marker([0, 0], { icon: icon("turn", 16), draggable: true, zIndexOffset: 3000,
+  handle = L.marker([0, 0], { icon: icon("turn", 20), draggable: true, zIndexOffset: 3000,
     title: "Where it looks: drag, or left and right arrow keys", alt: "Where the camera looks" });
   cone = L.polygon([], { color: "#35d0ff", weight: 2, fillOpacity: 0.15, interactive: false });
   camera.on("drag", () => moveTo({ lon: camera.getLatLng().lng, lat: camera.getLatLng().lat }, true));
@@ -107,7 +124,7 @@ function makeCamera() {
 
 // The circle that a search keeps to; null where there is none.
 export const circled = () =>
-  circle && map.hasLayer(circle) ? { lon: circle.getLatLng().lng, lat: circle.getLatLng().lat, km: circle.getRadius() / 1000 } : null;
+  circle && map.hasLayer(circle) ? { lon: circle.getLatLng().lng, lat: circle.getLatLng().lat } : null;
 
 export function showCircle(km, place = null) {
   if (place) {
@@ -168,6 +185,7 @@ export function start() {
   L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(map);
   L.control.scale({ imperial: false }).addTo(map);
   map.fitBounds(box(area), { padding: [8, 8] });
+  noted = L.layerGroup().addTo(map);
   spots = L.layerGroup().addTo(map);
   makeCamera();
   makeCircle();
@@ -175,7 +193,9 @@ export function start() {
   map.on("zoomend viewreset moveend", showCamera);
   new ResizeObserver(() => map.invalidateSize()).observe($("map"));
   on("pose", showCamera);
-  for (const name of ["photo", "result", "chosen"]) on(name, showCandidates);
+  for (const name of ["photo", "result", "chosen", "left", "known", "skyline"]) on(name, showCandidates);
+  on("photo", showNoted);
+  on("result", goToResult);
   on("chosen", () => {
     if (state.pose && !map.getBounds().pad(-0.1).contains([state.pose.lat, state.pose.lon])) map.panTo([state.pose.lat, state.pose.lon]);
   });

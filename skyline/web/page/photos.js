@@ -28,8 +28,7 @@ export async function choose(photo) {
     if (!photo.id) return;
   }
   state.photo = photo;
-  state.rows = state.sight = state.pose = state.chosen = null;
-  state.byHand = false;
+  state.rows = state.sight = state.pose = state.chosen = state.origin = state.fit = null;
   forget();
   for (const id of ["tools", "legend"]) $(id).hidden = false;
   $("welcome").hidden = true;
@@ -95,7 +94,7 @@ async function drop(photo) {
   if (photo.id) await server.remove(photo).catch((error) => alertUser(error.message));
   state.photos = state.photos.filter((one) => one !== photo);
   if (photo === state.photo) {
-    state.photo = state.rows = state.sight = state.pose = null;
+    state.photo = state.rows = state.sight = state.pose = state.origin = state.fit = null;
     for (const id of ["tools", "legend"]) $(id).hidden = true;
     $("welcome").hidden = false;
     show(null);

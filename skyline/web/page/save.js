@@ -1,5 +1,6 @@
 // What was found leaves the page as files.
 import * as server from "./server.js";
+import { standing } from "./known.js";
 import { $, alertUser, element, on, say, state } from "./state.js";
 
 const KINDS = [
@@ -16,7 +17,8 @@ async function save(kind, suffix, button) {
   button.disabled = true;
   say("Writing…");
   try {
-    const what = state.byHand ? { pose: state.pose } : { rank: state.chosen };
+    const isFound = state.origin === "found" && standing();
+    const what = isFound ? { rank: state.chosen } : state.origin === "fitted" ? { fitted: true } : { pose: state.pose };
     const blob = await server.save(state.photo, kind, what);
     const stem = state.photo.name.replace(/\.[^.]*$/, "");
     const link = element("a", { download: `${stem}${kind === "photo" ? "-located" : kind === "report" ? "-report" : ""}.${suffix}`, href: URL.createObjectURL(blob) });
@@ -40,7 +42,7 @@ function show() {
 export function start() {
   for (const [kind, suffix, label, about] of KINDS) {
     const button = element("button", { id: `save-${kind}`, title: about, onclick: () => save(kind, suffix, button) }, label);
-    $("saves").append(button);
+    $("load-trace").before(button);
   }
   for (const name of ["photo", "pose"]) on(name, show);
   show();

@@ -60,7 +60,11 @@ export const cancel = (photo) => ask("DELETE", ofPhoto(photo, "/match"));
 
 const asLines = async (answer) => {
   const both = new Float32Array(await answer.arrayBuffer());
-  return { rows: both.subarray(0, both.length / 2), trust: both.subarray(both.length / 2) };
+  return {
+    rows: both.subarray(0, both.length / 2),
+    trust: both.subarray(both.length / 2),
+    version: answer.headers.get("ETag").replaceAll('"', ""),
+  };
 };
 
 export const skyline = async (photo, strokes) =>

@@ -5,10 +5,12 @@ export const state = {
   photo: null, // the record that is shown
   rows: null, // Float32Array of the photo's columns: NaN where left out
   trust: null, // Float32Array, 0 to 1
+  version: null, // tells the skyline from others of the same photo
   results: new Map(), // photo id -> result of its match
   chosen: null, // index of the chosen candidate
   pose: null, // {lon, lat, heading, pitch, roll, fov, distortion, eyeHeight}
-  byHand: false, // whether the pose has been moved since it was chosen
+  origin: null, // where the pose comes from: "found" (the candidate that is chosen), "fitted" or "hand"
+  fit: null, // how the last fit ended, while the pose is the fitted one
   sight: null, // the skyline rendered at the pose
 };
 
@@ -42,6 +44,13 @@ export function alertUser(text) {
   const box = element("div", { class: "alert" }, element("span", {}, text), close);
   $("alerts").append(box);
   while ($("alerts").children.length > 3) $("alerts").firstChild.remove();
+}
+
+// A link that a person may follow: the page itself asks nothing of other machines.
+export function mapLink({ lon, lat }) {
+  const [north, east] = [lat.toFixed(5), lon.toFixed(5)];
+  const href = `https://www.openstreetmap.org/?mlat=${north}&mlon=${east}#map=14/${north}/${east}`;
+  return element("a", { href, target: "_blank", rel: "noreferrer", title: "See it on OpenStreetMap" }, degrees(lon, lat));
 }
 
 export const degrees = (lon, lat, decimals = 5) =>
