@@ -283,7 +283,7 @@ def test_nothing_of_another_pose_is_left_beside_the_new_one(tmp_path, covariance
     assert gps == {
         "GPSVersionID": "2 3 0 0", "GPSLatitudeRef": "N", "GPSLongitudeRef": "E",
         "GPSAltitudeRef": 0, "GPSAltitude": 1234.5, "GPSImgDirectionRef": "T",
-        "GPSMapDatum": "WGS-84",
+        "GPSMapDatum": "WGS-84", "GPSProcessingMethod": "SKYLINE: found, rank 1",
     }  # fmt: skip
     assert told["Canon:OwnerName"] == "Ada of the Alps"
     xmp = {name: value for name, value in told.items() if name.startswith("XMP")}
