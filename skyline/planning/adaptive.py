@@ -48,6 +48,10 @@ _BLIND_LEVEL = 6
 
 _SAMPLE = 512
 """Viewpoints that a price is worked out from."""
+
+_LEAST_SAMPLE, _MOST_SAMPLES = 64, 256
+"""Where fewer of the viewpoints than the first stand on the surface, as many again are tried, up to
+so many times: of the elevation model of an island, nearly all may be holes."""
 _BISECTIONS = 60
 
 
@@ -115,17 +119,24 @@ def price_of(
 
 
 def spread_over(terrain: HeightField, area: Rectangle, eye_height_m: float) -> Viewpoints:
-    """Return up to 512 viewpoints spread evenly over an area, always the same ones.
+    """Return some 64 to 512 viewpoints spread evenly over an area, always the same ones.
 
-    Raises `InputError` where none of them falls on the surface.
+    Fewer are returned where less than 0.05 % of the area has a surface. Raises `InputError` where
+    none of 131,072 locations has one.
     """
-    # The sequence of the plastic number (Roberts 2018) fills a square evenly.
+    # The sequence of the plastic number (Roberts 2018) fills a square evenly, however long it is.
     step = np.array([0.7548776662466927, 0.5698402909980532])
-    share = (0.5 + np.arange(1, _SAMPLE + 1)[:, None] * step) % 1.0
     west, south, east, north = area
-    easting = west + share[:, 0] * (east - west)
-    northing = south + share[:, 1] * (north - south)
-    eyes, _ = stand_where_possible(terrain, easting, northing, eye_height_m)
+    found: list[Viewpoints] = []
+    for tried in range(_MOST_SAMPLES):
+        number = tried * _SAMPLE + np.arange(1, _SAMPLE + 1)
+        share = (0.5 + number[:, None] * step) % 1.0
+        easting = west + share[:, 0] * (east - west)
+        northing = south + share[:, 1] * (north - south)
+        found.append(stand_where_possible(terrain, easting, northing, eye_height_m)[0])
+        if sum(map(len, found)) >= _LEAST_SAMPLE:
+            break
+    eyes = Viewpoints.concatenate(found)
     if not len(eyes):
         raise InputError(
             f"no viewpoint falls on the surface in easting {west:.0f} to {east:.0f}, northing "
