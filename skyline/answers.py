@@ -45,10 +45,12 @@ class Answers:
         What opening the store took.
     exit_code : int
         0 unless a query failed.
+    unfinished : str
+        Which part of the area the store holds, where its build was not finished; as of `Matcher`.
     """
 
     def __init__(self, results: Path | None, search: str, as_json: bool, top: int) -> None:
-        self.loading_s, self.exit_code = 0.0, 0
+        self.loading_s, self.exit_code, self.unfinished = 0.0, 0, ""
         self._path, self._search, self._as_json, self._top = results, search, as_json, top
         self._file: Results | None = None
         self._had: set[str] = set()
@@ -86,6 +88,8 @@ class Answers:
             else:
                 matches.append((Path(one.path), result))
                 record = _describe_match(one.path, result, self.loading_s)
+                if self.unfinished:
+                    record["unfinished"] = self.unfinished
                 said = _match_in_words(one.path, result, self._top)
             for line in [json.dumps(record)] if self._as_json else said:
                 typer.echo(line)
@@ -104,7 +108,10 @@ class Answers:
             found = matching.match_together(skylines, None, self._top, known)
         names = [one.path for one, _ in asked]
         if self._as_json:
-            typer.echo(json.dumps(_describe_together(names, found, self.loading_s)))
+            record = _describe_together(names, found, self.loading_s)
+            typer.echo(
+                json.dumps(record | ({"unfinished": self.unfinished} if self.unfinished else {}))
+            )
         else:
             typer.echo("\n".join(_together_in_words(names, found)))
         return [(Path(name), result) for name, result in zip(names, found.results, strict=True)]
@@ -113,12 +120,20 @@ class Answers:
 def write_files(
     matching: Matcher,
     matches: Sequence[tuple[Path, MatchResult]],
-    done: Sequence[str],
+    together: int,
     exports: Sequence[Path],
     report: Path | None,
     gazetteer: Peaks | None,
 ) -> None:
-    """Write what was found, where anything was, to the files asked for."""
+    """Write what was found, where anything was, to the files asked for.
+
+    ``together`` is how many photos were matched as of one place; 0 where each was by itself.
+    """
+    done = [f"{matching.rows} {matching.holds} of the store were searched."]
+    if matching.unfinished:
+        done.append(f"{matching.unfinished[:1].upper()}{matching.unfinished[1:]}.")
+    if together:
+        done.append(f"{together} photos of one place were matched together.")
     for path in exports if matches else ():
         packed = path.suffix.lower() == ".kmz"
         told_of = [matched(one, result, with_photo=packed) for one, result in matches]

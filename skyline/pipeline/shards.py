@@ -35,6 +35,7 @@ from skyline.pipeline.row_renderers import RowRenderer, rows_of
 from skyline.planning.adaptive import Blocks
 from skyline.planning.uniform import map_bounds
 from skyline.store import Built, merge_stores, open_for_append
+from skyline.store.lock import shards_folder
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -176,7 +177,7 @@ def build_sharded(
     area = map_bounds(terrain, layout.bounds_deg)
     work = layout.work(terrain, area, config.eye_height_m)
     shards = cut_into_shards(work, layout.tile_m)
-    folder = path.with_name(f"{path.name}.shards")
+    folder = shards_folder(path)
     rows = partial(rows_of, terrain, area, config, layout)
     if path.exists():
         held = _held_already(path, rows, work)

@@ -32,17 +32,17 @@ class Built:
             return ""
         if self.share is None:
             return "it is not known whether its build was finished"
-        percent = f"{100 * self.done // self.total} %" if 100 * self.done >= self.total else "< 1 %"
-        return f"its build is not finished: {percent} of the area is there"
+        percent = 100 * self.done // self.total
+        some = f"{percent} %" if percent or not self.done else "less than 1 %"
+        return f"its build is not finished: {some} of the area is there"
 
 
 def joined(parts: list[Built], *, overlap: bool) -> Built:
-    """Return what stores of one build come to together.
+    """Return how much of their build stores hold together, at least.
 
-    Where they ``overlap``, that is at least as much as the one that holds most.
+    Where they ``overlap``, or one does not know, that is as much as the one that holds most.
     """
-    total = {part.total for part in parts}
-    if len(total) != 1 or 0 in total:
-        return Built()
-    done = [part.done for part in parts]
-    return Built(min(max(done) if overlap else sum(done), *total), *total)
+    total = max(part.total for part in parts)
+    done = [part.done for part in parts if part.total == total]
+    apart = len(done) == len(parts) and not overlap
+    return Built(min(sum(done) if apart else max(done), total), total)

@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.errors import MissingFileError, SkylineError, StoreError
+from skyline.errors import SkylineError, StoreError
 from skyline.store.built import Built
+from skyline.store.lock import missing_store
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns, row_checksums
 
@@ -88,7 +89,7 @@ def check_store(path: str | os.PathLike[str]) -> StoreReport:
     """
     path = Path(path).resolve()
     if not path.is_file():
-        raise MissingFileError(f"store {path} does not exist; check the name")
+        raise missing_store(path)
     patience_s = _PATIENCE_S + _PATIENCE_S_PER_BYTE * path.stat().st_size
     command = [sys.executable, "-c", _EXAMINE, str(path), str(math.ceil(patience_s))]
     searched = os.pathsep.join(filter(None, sys.path))

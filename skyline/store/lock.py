@@ -17,6 +17,22 @@ UNREADABLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowEr
 """What h5py raises on files that are damaged or made by someone else."""
 
 
+def shards_folder(path: Path) -> Path:
+    """Return the folder of the tiles that a store is merged from when all of them are built."""
+    return path.with_name(f"{path.name}.shards")
+
+
+def missing_store(path: Path) -> MissingFileError:
+    """Return the error that there is no store of a name, or that there is none yet."""
+    folder = shards_folder(path)
+    if not folder.is_dir():
+        return MissingFileError(f"store {path} does not exist; check the name, or build it")
+    return MissingFileError(
+        f"store {path} does not exist yet: its build is not finished, and {folder} holds the "
+        f"tiles done so far, {len(list(folder.glob('*.h5')))}; give the same command again"
+    )
+
+
 @contextmanager
 def explained(path: Path, what: str, advice: str = REBUILD) -> Iterator[None]:
     """Turn what h5py raises into one line about the store."""

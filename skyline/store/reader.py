@@ -27,7 +27,7 @@ from skyline.store.header import (
     KeypointColumns,
     check_holds,
 )
-from skyline.store.lock import REBUILD, UNREADABLE, explained
+from skyline.store.lock import REBUILD, UNREADABLE, explained, shards_folder
 from skyline.store.place_map import Offsets, PlaceMap
 from skyline.store.rows import Columns, row_checksums, stored_places, views_of
 from skyline.store.superblock import WholeFile
@@ -365,13 +365,13 @@ def open_store(path: str | os.PathLike[str]) -> Store:
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is an HDF5 file with a store's schema, however damaged the rest."""
+    """Whether a file is an HDF5 file with a store's schema, however damaged or unfinished."""
     path = Path(path)
     try:
         with WholeFile(path) as raw, h5py.File(raw, "r") as file:
             return "schema" in file.attrs
     except (SkylineError, *UNREADABLE):
-        return path.suffix == ".h5" and path.is_file()
+        return path.suffix == ".h5" and (path.is_file() or shards_folder(path).is_dir())
 
 
 def _patiently(raw: WholeFile, read: Callable[[], _T]) -> _T:

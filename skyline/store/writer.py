@@ -83,6 +83,7 @@ class StoreWriter:
         self.committed = int(self._marker[()])
         self._built = self._file.get(BUILT)  # None in a store of an older release.
         self.built = Built() if self._built is None else Built(*self._built[()].tolist())
+        self._noted: list[tuple[int, Built]] = []
         self._pending: list[Columns] = []
         self._failed = False
 
@@ -146,14 +147,13 @@ class StoreWriter:
         """
         self._check_usable()
         self.built = built
-        if len(self) == self.committed:
-            self._write_built()
+        self._noted.append((len(self), built))
+        self._write_built()
 
     def flush(self) -> None:
         """Commit every appended row now; raises as `append`."""
         self._check_usable()
         self._commit(len(self))
-        self._write_built()
 
     def close(self) -> None:
         """Commit what is left and let go of the file and its lock; closing twice is fine."""
@@ -190,12 +190,16 @@ class StoreWriter:
         # At once, so that an interrupt finds each row either pending or committed.
         rest = {name: values[count:] for name, values in pending.items()}
         self.committed, self._pending = stop, [rest]
+        self._write_built()
 
     def _write_built(self) -> None:
-        if self._built is not None:
+        """Write what was noted last of rows that are all committed."""
+        sure = [built for rows, built in self._noted if rows <= self.committed]
+        if sure and self._built is not None:
             with self._writing():
-                self._built[...] = self.built.done, self.built.total
+                self._built[...] = sure[-1].done, sure[-1].total
                 self._built.flush()
+        del self._noted[: len(sure)]
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
