@@ -108,6 +108,8 @@ def run_app(app: typer.Typer, stopped: str) -> None:
     After Ctrl-C it says what ``stopped`` has to say.
     """
     start_logging()
+    # Heights in HDF5 and NetCDF are only read, also in folders without file locks.
+    os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
         if (asked := os.environ.get(ENVIRONMENT_VARIABLE, "")) not in ("", JSON):
             raise InputError(f"{ENVIRONMENT_VARIABLE} is {asked!r}; expected {JSON}, or nothing")
