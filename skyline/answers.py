@@ -10,7 +10,7 @@ from typing import TypeVar, cast
 
 import typer
 
-from skyline.console import complain, patience, remark, told
+from skyline.console import complain, keeps, patience, remark, told
 from skyline.errors import SkylineError
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.ranking import Candidate
@@ -49,13 +49,20 @@ class Answers:
         Which part of the area the store holds, where its build was not finished; as of `Matcher`.
     """
 
-    def __init__(self, results: Path | None, search: str, as_json: bool, top: int) -> None:
+    def __init__(
+        self, results: Path | None, search: str, as_json: bool, top: int, is_written: bool
+    ) -> None:
+        """Take what to print and where; ``is_written`` where answers go to files as well."""
         self.loading_s, self.exit_code, self.unfinished = 0.0, 0, ""
+        self._is_written = is_written or results is not None
         self._path, self._search, self._as_json, self._top = results, search, as_json, top
         self._file: Results | None = None
         self._had: set[str] = set()
         if results is not None:
             self._file, self._had = open_results(results, search)
+            keeps(
+                f"{results} has the answers so far, and the same command continues with the others"
+            )
 
     def left(self, queries: list[Query]) -> list[Query]:
         """Return the queries that the file does not have, and say how many those are not."""
@@ -91,11 +98,10 @@ class Answers:
                 if self.unfinished:
                     record["unfinished"] = self.unfinished
                 said = _match_in_words(one.path, result, self._top)
-            for line in [json.dumps(record)] if self._as_json else said:
-                typer.echo(line)
             # A query that was not tried is tried again.
             if self._file is not None and one not in refused:
                 self._file.add(row_of(record, self._search))
+            self._print([json.dumps(record)] if self._as_json else said)
         progress(len(queries), len(queries))
         return matches
 
@@ -107,14 +113,23 @@ class Answers:
             skylines, known = [one for _, one in asked], [one.narrowing for one, _ in asked]
             found = matching.match_together(skylines, None, self._top, known)
         names = [one.path for one, _ in asked]
+        said = _together_in_words(names, found)
         if self._as_json:
             record = _describe_together(names, found, self.loading_s)
-            typer.echo(
-                json.dumps(record | ({"unfinished": self.unfinished} if self.unfinished else {}))
-            )
-        else:
-            typer.echo("\n".join(_together_in_words(names, found)))
+            if self.unfinished:
+                record["unfinished"] = self.unfinished
+            said = [json.dumps(record)]
+        self._print(said)
         return [(Path(name), result) for name, result in zip(names, found.results, strict=True)]
+
+    def _print(self, lines: Sequence[str]) -> None:
+        """Print lines; where nobody reads them any more, go on if answers are written to files."""
+        try:
+            for line in lines:
+                typer.echo(line)
+        except BrokenPipeError:
+            if not self._is_written:
+                raise typer.Exit(self.exit_code) from None
 
 
 def write_files(

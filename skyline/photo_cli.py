@@ -166,7 +166,7 @@ def match(
         _check_together(no_refine or matcher != FULL, results is not None, is_spread)
     surfaces = tuple(absolute_name(one) for one in surface or ())
     search = search_of(store, matcher, config, common, *surfaces)
-    answers = Answers(results, search, as_json, top)
+    answers = Answers(results, search, as_json, top, bool(exports or report))
     queries = answers.left(queries)
     checked, refused = tried(queries, Query.check)
     usable = [one for one, _ in checked]

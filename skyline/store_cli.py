@@ -1,6 +1,7 @@
 """``skyline store check repair merge compact export``: looking after stores."""
 
 import json
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -39,7 +40,8 @@ def check(store: StoreFile, as_json: AsJson = False) -> None:
     built = report.built
     if as_json:
         facts = {"whole": report.whole, "finished": built.finished, "built_share": built.share}
-        typer.echo(json.dumps({"store": str(store), **facts, **asdict(report)}))
+        with suppress(BrokenPipeError):  # The exit code is true also where nobody reads this.
+            typer.echo(json.dumps({"store": str(store), **facts, **asdict(report)}))
         raise typer.Exit(0 if report.whole else _DAMAGED)
     if not report.whole:
         said = "; ".join(damage.what for damage in report.damage[:3])

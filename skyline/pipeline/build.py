@@ -117,7 +117,7 @@ def render_to_store(
     config: RenderConfig | None = None,
     progress: Progress | None = None,
 ) -> BuildResult:
-    """Render given viewpoints into a new store.
+    """Render given viewpoints into a new store; where that fails or is stopped, there is none.
 
     Raises
     ------
@@ -125,11 +125,15 @@ def render_to_store(
         Something is at ``path`` already.
     """
     config = config or RenderConfig()
-    with (
-        view_rows(terrain, config, {"planner": "viewpoints"}) as rows,
-        create_store(path, rows.header, Built(0, len(viewpoints))) as writer,
-    ):
-        return _render_into(writer, rows, viewpoints, viewpoints, len(viewpoints), progress)
+    total = len(viewpoints)
+    with view_rows(terrain, config, {"planner": "viewpoints"}) as rows:
+        writer = create_store(path, rows.header, Built(0, total))
+        try:
+            with writer:
+                return _render_into(writer, rows, viewpoints, viewpoints, total, progress)
+        except BaseException:
+            Path(path).unlink(missing_ok=True)
+            raise
 
 
 def build_store(
