@@ -10,7 +10,7 @@ from typing import TypeVar, cast
 
 import typer
 
-from skyline.console import complain, patience, remark, told
+from skyline.console import complain, keeps, patience, remark, told
 from skyline.errors import SkylineError
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.ranking import Candidate
@@ -45,15 +45,24 @@ class Answers:
         What opening the store took.
     exit_code : int
         0 unless a query failed.
+    unfinished : str
+        Which part of the area the store holds, where its build was not finished; as of `Matcher`.
     """
 
-    def __init__(self, results: Path | None, search: str, as_json: bool, top: int) -> None:
-        self.loading_s, self.exit_code = 0.0, 0
+    def __init__(
+        self, results: Path | None, search: str, as_json: bool, top: int, is_written: bool
+    ) -> None:
+        """Take what to print and where; ``is_written`` where answers go to files as well."""
+        self.loading_s, self.exit_code, self.unfinished = 0.0, 0, ""
+        self._is_written = is_written or results is not None
         self._path, self._search, self._as_json, self._top = results, search, as_json, top
         self._file: Results | None = None
         self._had: set[str] = set()
         if results is not None:
             self._file, self._had = open_results(results, search)
+            keeps(
+                f"{results} has the answers so far, and the same command continues with the others"
+            )
 
     def left(self, queries: list[Query]) -> list[Query]:
         """Return the queries that the file does not have, and say how many those are not."""
@@ -86,12 +95,13 @@ class Answers:
             else:
                 matches.append((Path(one.path), result))
                 record = _describe_match(one.path, result, self.loading_s)
+                if self.unfinished:
+                    record["unfinished"] = self.unfinished
                 said = _match_in_words(one.path, result, self._top)
-            for line in [json.dumps(record)] if self._as_json else said:
-                typer.echo(line)
             # A query that was not tried is tried again.
             if self._file is not None and one not in refused:
                 self._file.add(row_of(record, self._search))
+            self._print([json.dumps(record)] if self._as_json else said)
         progress(len(queries), len(queries))
         return matches
 
@@ -103,22 +113,42 @@ class Answers:
             skylines, known = [one for _, one in asked], [one.narrowing for one, _ in asked]
             found = matching.match_together(skylines, None, self._top, known)
         names = [one.path for one, _ in asked]
+        said = _together_in_words(names, found)
         if self._as_json:
-            typer.echo(json.dumps(_describe_together(names, found, self.loading_s)))
-        else:
-            typer.echo("\n".join(_together_in_words(names, found)))
+            record = _describe_together(names, found, self.loading_s)
+            if self.unfinished:
+                record["unfinished"] = self.unfinished
+            said = [json.dumps(record)]
+        self._print(said)
         return [(Path(name), result) for name, result in zip(names, found.results, strict=True)]
+
+    def _print(self, lines: Sequence[str]) -> None:
+        """Print lines; where nobody reads them any more, go on if answers are written to files."""
+        try:
+            for line in lines:
+                typer.echo(line)
+        except BrokenPipeError:
+            if not self._is_written:
+                raise typer.Exit(self.exit_code) from None
 
 
 def write_files(
     matching: Matcher,
     matches: Sequence[tuple[Path, MatchResult]],
-    done: Sequence[str],
+    together: int,
     exports: Sequence[Path],
     report: Path | None,
     gazetteer: Peaks | None,
 ) -> None:
-    """Write what was found, where anything was, to the files asked for."""
+    """Write what was found, where anything was, to the files asked for.
+
+    ``together`` is how many photos were matched as of one place; 0 where each was by itself.
+    """
+    done = [f"{matching.rows} {matching.holds} of the store were searched."]
+    if matching.unfinished:
+        done.append(f"{matching.unfinished[:1].upper()}{matching.unfinished[1:]}.")
+    if together:
+        done.append(f"{together} photos of one place were matched together.")
     for path in exports if matches else ():
         packed = path.suffix.lower() == ".kmz"
         told_of = [matched(one, result, with_photo=packed) for one, result in matches]

@@ -19,6 +19,7 @@ from skyline.console import (
     Tolerance,
     Width,
     Workers,
+    keeps,
     panel,
     parse_bounds,
     progress_bar,
@@ -31,7 +32,7 @@ from skyline.paper.planning.strategies import STRATEGIES
 from skyline.pipeline.build import BuildResult, build_store, render_to_store
 from skyline.pipeline.config import ROWS, PlaceConfig, RenderConfig
 from skyline.pipeline.layout import DEFAULT_LOSS, DEFAULT_TILE_M, Layout
-from skyline.pipeline.planned import PlannedResult, build_planned
+from skyline.pipeline.planned import build_planned
 from skyline.pipeline.renderings import save_depth_pictures
 from skyline.pipeline.shards import build_sharded
 from skyline.places import Places
@@ -173,6 +174,7 @@ def build(
     ] = _DEFAULTS.rows,
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""
+    keeps("what was built is kept, and the same command continues from there")
     corners = parse_bounds(bounds) if bounds is not None else None
     options = DemOptions(crs=crs, reproject=reproject)
     config = replace(_render_config(width, tolerance_px, k, no_curvature), rows=rows)
@@ -209,9 +211,7 @@ def build(
                 seed=seed,
                 budget=budget,
             )
-            done = _build_planned(read_dem(dem, options), output, planned, corners, config)
-            if drawn is not None:
-                report.save_coverage_map(done.plan, drawn)
+            _build_planned(read_dem(dem, options), output, planned, corners, config, drawn)
             return
     with runner_of(workers, scheduler) as runner, progress_bar("rendering") as bar:
         terrain = read_dem(dem, options)
@@ -219,11 +219,11 @@ def build(
             result = build_sharded(terrain, output, layout, made, runner, bar)
         else:
             result = build_store(terrain, output, layout, made, bar)
-    _say_built(result, output, "places" if planner is None else "renderings")
     if drawn is not None:
         with open_store(output) as opened:
             places = Places.concatenate(list(opened.places().blocks()))
         report.save_place_map(terrain, places, drawn)
+    _say_built(result, output, "places" if planner is None else "renderings")
 
 
 def _build_planned(
@@ -232,8 +232,9 @@ def _build_planned(
     planned: PlanConfig,
     bounds_deg: tuple[float, float, float, float] | None,
     config: RenderConfig,
-) -> PlannedResult:
-    """Build what one of the paper's planners chooses, and say what it did."""
+    drawn: Path | None,
+) -> None:
+    """Build what one of the paper's planners chooses, draw it, and say what the planner did."""
     budget = planned.budget
     with progress_bar("covering, %" if budget is None else "rendering") as bar:
 
@@ -244,6 +245,8 @@ def _build_planned(
                 bar(now.renderings, budget)
 
         done = build_planned(terrain, output, planned, bounds_deg, config, tell)
+    if drawn is not None:
+        report.save_coverage_map(done.plan, drawn)
     _say_built(done.built, output, "renderings")
     proof, made = done.verification, done.plan.progress
     typer.echo(
@@ -254,7 +257,6 @@ def _build_planned(
         f"{made.batches} batches, rendering {done.plan.render_s:.1f} s, planning "
         f"{done.plan.plan_s:.1f} s"
     )
-    return done
 
 
 def _refuse_given(ctx: typer.Context, names: Sequence[str], why: str) -> None:

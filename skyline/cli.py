@@ -76,6 +76,4 @@ for subject, commands in COMMANDS.items():
 
 def main() -> None:
     """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
-    run_app(
-        app, "stopped; what was built or fetched is kept, and the same command continues from there"
-    )
+    run_app(app)

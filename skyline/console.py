@@ -9,7 +9,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextvars import ContextVar
 from functools import partial
 from typing import Annotated, Any
 
@@ -36,6 +37,7 @@ _TOLD_EACH_S = 1.0
 """How often progress is a JSON line, at most; its end always is."""
 
 _log = logging.getLogger(__name__)
+_kept: ContextVar[str] = ContextVar("kept", default="")
 
 
 def panel(title: str) -> Callable[..., Any]:
@@ -102,12 +104,21 @@ def command_line(name: str, about: str, commands: type[TyperGroup] | None = None
     return app
 
 
-def run_app(app: typer.Typer, stopped: str) -> None:
+def keeps(what: str) -> None:
+    """Let the message after Ctrl-C say, from now on, which work of this command is kept."""
+    _kept.set(f"; {what}")
+
+
+def run_app(app: typer.Typer) -> None:
     """Run a command line; every error is one line, exit code 2 for bad input, 1 for failure.
 
-    After Ctrl-C it says what ``stopped`` has to say.
+    A command whose output nobody reads any more, as ``| head`` leaves it, ends with exit code 0.
     """
+    _open_streams()
     start_logging()
+    _kept.set("")
+    # Heights in HDF5 and NetCDF are only read, also in folders without file locks.
+    os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
         if (asked := os.environ.get(ENVIRONMENT_VARIABLE, "")) not in ("", JSON):
             raise InputError(f"{ENVIRONMENT_VARIABLE} is {asked!r}; expected {JSON}, or nothing")
@@ -115,6 +126,9 @@ def run_app(app: typer.Typer, stopped: str) -> None:
         if code == _INTERRUPTED:
             raise KeyboardInterrupt
         sys.exit(code)
+    except SystemExit as stop:
+        # Typer and rich make exit code 1 of it.
+        sys.exit(0 if isinstance(stop.__context__, BrokenPipeError) else stop.code)
     except SkylineError as error:
         _fail(str(error), error.exit_code)
     except _UsageError as error:
@@ -122,11 +136,13 @@ def run_app(app: typer.Typer, stopped: str) -> None:
             sys.exit(2)  # A group of commands without a command has printed its help.
         _fail(error.format_message(), 2)
     except (KeyboardInterrupt, typer.Abort):
-        _fail(stopped, _INTERRUPTED)
+        _fail(f"stopped{_kept.get()}", _INTERRUPTED)
     except MemoryError:
         _fail("out of memory; choose a smaller area or a larger spacing", 1)
     except OSError as error:
         _fail(f"the system said: {error}", 1)
+    finally:
+        _flush_streams()
 
 
 @contextmanager
@@ -231,8 +247,32 @@ def remark(message: str) -> None:
 def _say(level: int, prefix: str, message: str) -> None:
     if as_json():
         _log.log(level, "%s", message)
-    else:
+        return
+    # Work goes on where nobody reads messages.
+    with suppress(BrokenPipeError):
         print(prefix + message, file=sys.stderr, flush=True)
+
+
+def _open_streams() -> None:
+    """Open what the shell has closed (``>&-``), so that no other file gets its number."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # The lowest number that is free is this one.
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115, PTH123  (for as long as we run)
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115, PTH123
+
+
+def _flush_streams() -> None:
+    """Let what cannot be written go nowhere: Python would complain of it as it ends."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())
+            os.close(nowhere)
 
 
 def _fail(message: str, code: int) -> None:

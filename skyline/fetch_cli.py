@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.console import parse_bounds, progress_bar
+from skyline.console import keeps, parse_bounds, progress_bar
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.fetch.overpass import fetch_peaks
 from skyline.fetch.remote import HttpOptions
@@ -49,6 +49,7 @@ def fetch(
     failure, the same command continues.
     """
     bounds = parse_bounds(bbox)
+    keeps("the tiles that were fetched are kept, and the same command continues with the others")
     options = HttpOptions(retries=retries, timeout_s=timeout)
     with progress_bar("fetching tiles") as progress:
         done = fetch_dem(bounds, source, folder, options, progress)

@@ -1,5 +1,6 @@
 """Files that are whole or not there."""
 
+import fcntl
 from pathlib import Path
 
 from skyline.errors import InputError
@@ -31,6 +32,18 @@ def write_with_folders(path: Path, content: bytes | str) -> None:
             f"{path} cannot be written ({error.strerror}); name another place for it"
         ) from error
     write_whole(path, content)
+
+
+def has_locks(path: Path) -> bool:
+    """Whether a file can be locked; in some network folders none can."""
+    with path.open("rb") as file:
+        try:
+            fcntl.lockf(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            return False
+    return True
 
 
 def is_file(path: str | Path) -> bool:

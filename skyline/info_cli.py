@@ -174,6 +174,9 @@ def describe_store(path: str) -> Facts:
         header, eyes = store.header, store.eyes()
         frame = Frame(header.frame_wkt)
         facts: Facts = {"kind": "store", header.holds: store.committed}
+        facts |= {"finished": store.built.finished, "built_share": store.built.share}
+        if store.built.note:
+            facts["build"] = store.built.note
         if header.width:
             facts["width"] = header.width
         facts |= {

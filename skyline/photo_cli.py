@@ -166,7 +166,7 @@ def match(
         _check_together(no_refine or matcher != FULL, results is not None, is_spread)
     surfaces = tuple(absolute_name(one) for one in surface or ())
     search = search_of(store, matcher, config, common, *surfaces)
-    answers = Answers(results, search, as_json, top)
+    answers = Answers(results, search, as_json, top, bool(exports or report))
     queries = answers.left(queries)
     checked, refused = tried(queries, Query.check)
     usable = [one for one, _ in checked]
@@ -185,7 +185,7 @@ def match(
     opened = time.perf_counter()
     with patience(f"opening {store} and its elevation model"):
         matching = Matcher(*asked)
-    answers.loading_s = time.perf_counter() - opened
+    answers.loading_s, answers.unfinished = time.perf_counter() - opened, matching.unfinished
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
     if same_place:
         matches = answers.tell_together(matching, skylines)
@@ -197,10 +197,7 @@ def match(
             else:
                 found = match_many(runner, asked, usable, top)
             matches = answers.tell_all(queries, refused, found)
-    done = [f"{matching.rows} {matching.holds} of the store were searched."]
-    if same_place:
-        done.append(f"{len(skylines)} photos of one place were matched together.")
-    write_files(matching, matches, done, exports, report, gazetteer)
+    write_files(matching, matches, len(skylines), exports, report, gazetteer)
     if answers.exit_code:
         raise typer.Exit(answers.exit_code)
 

@@ -1,6 +1,7 @@
 """``skyline store check repair merge compact export``: looking after stores."""
 
 import json
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -36,15 +37,19 @@ NewStore = Annotated[Path, Option("--output", "-o", help="The new store; must no
 def check(store: StoreFile, as_json: AsJson = False) -> None:
     """Read a whole store and compare it with its checksums; exit code 2 if it is damaged."""
     report = check_store(store)
+    built = report.built
     if as_json:
-        typer.echo(json.dumps({"store": str(store), "whole": report.whole, **asdict(report)}))
+        facts = {"whole": report.whole, "finished": built.finished, "built_share": built.share}
+        with suppress(BrokenPipeError):  # The exit code is true also where nobody reads this.
+            typer.echo(json.dumps({"store": str(store), **facts, **asdict(report)}))
         raise typer.Exit(0 if report.whole else _DAMAGED)
     if not report.whole:
         said = "; ".join(damage.what for damage in report.damage[:3])
         more = f"; and {len(report.damage) - 3} more" if len(report.damage) > 3 else ""
         raise InputError(f"{store} is damaged: {said}{more}")
-    notes = ["a writer has it open, or was killed"] if report.in_use else []
-    typer.echo("; ".join([f"{store}: {report.committed:,} {report.holds}, whole", *notes]))
+    in_use = "a writer has it open, or was killed" if report.in_use else ""
+    said = f"{store}: {report.committed:,} {report.holds}, whole"
+    typer.echo("; ".join(filter(None, [said, in_use, built.note])))
 
 
 @store.command()
@@ -96,7 +101,8 @@ def export(
     """Write where the places are as a GeoPackage, for QGIS, with its style (extra `geo`)."""
     with open_store(store) as opened:
         count = write_geopackage(opened, output)
-    typer.echo(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
+    note = f"; {opened.built.note}" if opened.built.note else ""
+    typer.echo(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB{note}")
 
 
 def _say_copied(report: CopyReport, path: Path) -> None:
@@ -105,4 +111,5 @@ def _say_copied(report: CopyReport, path: Path) -> None:
     again = f", {report.duplicates} duplicates left out" if report.duplicates else ""
     lost = sum(damage.rows for damage in report.damage)
     damaged = f", {lost} damaged rows left out" if lost else ""
-    typer.echo(f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}")
+    note = f"; {report.built.note}" if report.built.note else ""
+    typer.echo(f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}{note}")

@@ -58,4 +58,4 @@ for subject, commands in COMMANDS.items():
 
 def main() -> None:
     """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
-    run_app(app, "stopped; nothing was written")
+    run_app(app)

@@ -21,7 +21,14 @@ from skyline.pipeline.layout import DEFAULT_LOSS, Layout
 from skyline.pipeline.row_renderers import RowRenderer, Work, rows_of, view_rows
 from skyline.planning.adaptive import Blocks
 from skyline.planning.uniform import map_bounds
-from skyline.store import StoreHeader, StoreWriter, create_store, open_for_append, open_store
+from skyline.store import (
+    Built,
+    StoreHeader,
+    StoreWriter,
+    create_store,
+    open_for_append,
+    open_store,
+)
 from skyline.store.header import PLACES
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -110,7 +117,7 @@ def render_to_store(
     config: RenderConfig | None = None,
     progress: Progress | None = None,
 ) -> BuildResult:
-    """Render given viewpoints into a new store.
+    """Render given viewpoints into a new store; where that fails or is stopped, there is none.
 
     Raises
     ------
@@ -118,11 +125,15 @@ def render_to_store(
         Something is at ``path`` already.
     """
     config = config or RenderConfig()
-    with (
-        view_rows(terrain, config, {"planner": "viewpoints"}) as rows,
-        create_store(path, rows.header) as writer,
-    ):
-        return _render_into(writer, rows, viewpoints, len(viewpoints), progress)
+    total = len(viewpoints)
+    with view_rows(terrain, config, {"planner": "viewpoints"}) as rows:
+        writer = create_store(path, rows.header, Built(0, total))
+        try:
+            with writer:
+                return _render_into(writer, rows, viewpoints, viewpoints, total, progress)
+        except BaseException:
+            Path(path).unlink(missing_ok=True)
+            raise
 
 
 def build_store(
@@ -155,49 +166,67 @@ def refuse_empty(built: BuildResult, path: str | Path, layout: Layout) -> BuildR
 
 
 def render_missing(
-    path: str | Path, rows: RowRenderer[Work], work: Work, progress: Progress | None = None
+    path: str | Path,
+    rows: RowRenderer[Work],
+    work: Work,
+    progress: Progress | None = None,
+    total: int | None = None,
 ) -> BuildResult:
     """Render what a store lacks of some work; the store is made where there is none.
+
+    ``total`` is how much work the whole build is, where ``work`` is one tile's.
 
     Raises `StoreMismatchError` where the store at ``path`` was built from another DEM or with
     another configuration.
     """
+    total = total or len(work)
     if not Path(path).exists():
-        with create_store(path, rows.header) as writer:
-            return _render_into(writer, rows, work, len(work), progress)
+        with create_store(path, rows.header, Built(0, total)) as writer:
+            return _render_into(writer, rows, work, work, total, progress)
     with open_for_append(path, rows.header) as writer:
         left = missing(path, work)
-        return _render_into(writer, rows, left, len(work), progress)
+        # A repaired store may lack places of any block, and does not know of which.
+        is_known = writer.built.total > 0 or not isinstance(work, Blocks)
+        return _render_into(writer, rows, work, left, total if is_known else 0, progress)
 
 
 def _render_into(
     writer: StoreWriter,
     rows: RowRenderer[Work],
+    work: Work,
     left: Work,
     total: int,
     progress: Progress | None,
 ) -> BuildResult:
-    """Render what is left of so much work into a store, a few at a time."""
+    """Render what is left of some work into a store, a few at a time.
+
+    The store notes how much of ``total`` is done; it does not where that is 0.
+    """
     started = time.perf_counter()
     held = len(writer)
-    for start in range(0, len(left), rows.at_a_time):
+    done = len(work) - len(left)
+    while True:
+        if total:
+            writer.note_built(Built(done, total))
         if progress:
-            progress(total - len(left) + start, total)
-        rows.render_into(writer, left[start : start + rows.at_a_time])
+            progress(done, len(work))
+        if done == len(work):
+            break
+        part = left[done - len(work) :][: rows.at_a_time]
+        rows.render_into(writer, part)
+        done += len(part)
     writer.flush()
-    if progress:
-        progress(total, total)
     return BuildResult(len(writer), len(writer) - held, time.perf_counter() - started)
 
 
 def missing(path: str | Path, work: Work) -> Work:
     """Return the work of which a store lacks rows."""
     with open_store(path) as store:
-        there, wanted = store.eyes(), rows_each(store.header)
+        there, wanted, done = store.eyes(), rows_each(store.header), store.built.done
     if isinstance(work, Blocks):
-        # A block is stored whole, after those before it.
-        done = np.flatnonzero(work.holding(there.easting_m, there.northing_m))
-        return work[done[-1] + 1 :] if len(done) else work
+        # A block is stored whole, after those before it; some have no places to store.
+        held = np.flatnonzero(work.holding(there.easting_m, there.northing_m))
+        return work[max(done, held.max(initial=-1) + 1) :]
     stored, count = np.unique(there.easting_m + 1j * there.northing_m, return_counts=True)
     whole = stored[count >= wanted]
     return work[~np.isin(work.easting_m + 1j * work.northing_m, whole)]

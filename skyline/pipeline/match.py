@@ -68,6 +68,12 @@ class Matcher:
         A surface or canopy model: how far trees and houses may rise above the DEM's skyline. For
         the full matcher, which heeds it in refinement.
 
+    Attributes
+    ----------
+    unfinished : str
+        Where the store's build was not finished, which part of the area the store holds, in one
+        line that is logged too; empty otherwise.
+
     Raises
     ------
     InputError
@@ -104,6 +110,17 @@ class Matcher:
             raise InputError("a surface needs the store's DEM, which is not at hand; give it")
         self.render_thread = render_thread
         self.frame = Frame(self.header.frame_wkt)
+        self.unfinished = ""
+        if opened.built.finished is False:
+            eyes = self.viewpoints
+            sides = ",".join(
+                f"{v:.4f}" for v in self.frame.box_deg(eyes.easting_m, eyes.northing_m)
+            )
+            self.unfinished = (
+                f"store {store}: {opened.built.note}, W,S,E,N {sides}; photos taken elsewhere are "
+                "not found"
+            )
+            _log.warning("%s", self.unfinished)
 
     @cached_property
     def viewpoints(self) -> Viewpoints:

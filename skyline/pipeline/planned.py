@@ -19,6 +19,7 @@ from skyline.pipeline.row_renderers import append_views
 from skyline.planning.uniform import map_bounds
 from skyline.render.horizon import HorizonRenderer
 from skyline.store import (
+    Built,
     StoreWriter,
     amend_config,
     as_stored,
@@ -29,6 +30,9 @@ from skyline.store import (
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
+
+_PARTS = 1000
+"""How finely the store notes how far the plan has come."""
 
 _REACHED = "reached_px"
 """The setting that names the threshold a budget sufficed for."""
@@ -96,12 +100,24 @@ def build_planned(
                 settings |= {k: v for k, v in store.header.config.items() if k == _REACHED}
         header = store_header(terrain, renderer.description, config, settings)
         if there is None:
-            writer = held.enter_context(create_store(path, header))
+            writer = held.enter_context(create_store(path, header, Built(0, _PARTS)))
         else:
             writer = held.enter_context(open_for_append(path, header))
         before = len(writer)
         render = partial(_render_and_keep, renderer, writer, config)
-        done = plan(terrain, render, _meter(terrain, planned), planned, area, there, progress)
+
+        def note(now: PlanProgress) -> None:
+            share = now.coverage / planned.coverage
+            if planned.budget is not None:
+                share = now.renderings / planned.budget
+            # A plan that is followed again from the store begins with less than the store has.
+            part = max(min(int(_PARTS * share), _PARTS - 1), writer.built.done)
+            writer.note_built(Built(part, _PARTS))
+            if progress:
+                progress(now)
+
+        done = plan(terrain, render, _meter(terrain, planned), planned, area, there, note)
+        writer.note_built(Built(_PARTS, _PARTS))
         writer.close()
         built = BuildResult(len(writer), len(writer) - before, time.perf_counter() - started)
         if planned.budget is not None:

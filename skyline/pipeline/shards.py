@@ -34,7 +34,8 @@ from skyline.pipeline.layout import Layout
 from skyline.pipeline.row_renderers import RowRenderer, rows_of
 from skyline.planning.adaptive import Blocks
 from skyline.planning.uniform import map_bounds
-from skyline.store import merge_stores, open_for_append
+from skyline.store import Built, merge_stores, open_for_append
+from skyline.store.lock import shards_folder
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -49,6 +50,8 @@ class Shard:
     northings from 5170 km to under 5180 km."""
     work: Viewpoints | Blocks
     """In the tile."""
+    total: int
+    """How many viewpoints or blocks there are in all tiles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +108,7 @@ def _build(folder: Path, rows: RowRenderer[Any], shard: Shard) -> BuildResult:
     """Render what a shard lacks; one that is whole is only looked at."""
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{shard.name}.h5"
-    done = render_missing(path, rows, shard.work)
+    done = render_missing(path, rows, shard.work, total=shard.total)
     if isinstance(shard.work, Viewpoints):
         due = rows_each(rows.header) * len(shard.work)
         if done.rows != due:
@@ -130,7 +133,7 @@ def cut_into_shards(work: Viewpoints | Blocks, tile_m: float) -> list[Shard]:
     place = np.stack([row[order], col[order]])
     starts = np.flatnonzero(np.r_[True, (np.diff(place) != 0).any(axis=0)])
     return [
-        Shard(f"{tile_m:.12g}m_{place[1, start]}_{place[0, start]}", work[members])
+        Shard(f"{tile_m:.12g}m_{place[1, start]}_{place[0, start]}", work[members], len(work))
         for start, members in zip(starts, np.split(order, starts[1:]), strict=True)
     ]
 
@@ -174,7 +177,7 @@ def build_sharded(
     area = map_bounds(terrain, layout.bounds_deg)
     work = layout.work(terrain, area, config.eye_height_m)
     shards = cut_into_shards(work, layout.tile_m)
-    folder = path.with_name(f"{path.name}.shards")
+    folder = shards_folder(path)
     rows = partial(rows_of, terrain, area, config, layout)
     if path.exists():
         held = _held_already(path, rows, work)
@@ -234,13 +237,13 @@ def _held_already(
             # Which places it should have shows only as they are planned: what is left is done here.
             return render_missing(path, rows, work)
         with open_for_append(path, rows.header) as writer:
-            held = len(writer)
-    if len(missing(path, work)):
-        raise StoreError(
-            f"store {path} is there and lacks some of {len(work)} viewpoints; finish it "
-            "without tiles, remove it, or choose another name"
-        )
-    return BuildResult(held, 0, time.perf_counter() - started)
+            if len(missing(path, work)):
+                raise StoreError(
+                    f"store {path} is there and lacks some of {len(work)} viewpoints; finish it "
+                    "without tiles, remove it, or choose another name"
+                )
+            writer.note_built(Built(len(work), len(work)))
+            return BuildResult(len(writer), 0, time.perf_counter() - started)
 
 
 def _remove(folder: Path, shards: Sequence[Shard]) -> None:

@@ -48,8 +48,11 @@ _BLIND_LEVEL = 6
 
 _SAMPLE = 512
 """Viewpoints that a price is worked out from."""
+
+_LEAST_SAMPLE, _MOST_SAMPLES = 64, 256
+"""Where fewer of the viewpoints than the first stand on the surface, as many again are tried, up to
+so many times: of the elevation model of an island, nearly all may be holes."""
 _BISECTIONS = 60
-_UNSEEN, _NO_SURFACE = -1, -2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,17 +119,24 @@ def price_of(
 
 
 def spread_over(terrain: HeightField, area: Rectangle, eye_height_m: float) -> Viewpoints:
-    """Return up to 512 viewpoints spread evenly over an area, always the same ones.
+    """Return some 64 to 512 viewpoints spread evenly over an area, always the same ones.
 
-    Raises `InputError` where none of them falls on the surface.
+    Fewer are returned where less than 0.05 % of the area has a surface. Raises `InputError` where
+    none of 131,072 locations has one.
     """
-    # The sequence of the plastic number (Roberts 2018) fills a square evenly.
+    # The sequence of the plastic number (Roberts 2018) fills a square evenly, however long it is.
     step = np.array([0.7548776662466927, 0.5698402909980532])
-    share = (0.5 + np.arange(1, _SAMPLE + 1)[:, None] * step) % 1.0
     west, south, east, north = area
-    easting = west + share[:, 0] * (east - west)
-    northing = south + share[:, 1] * (north - south)
-    eyes, _ = stand_where_possible(terrain, easting, northing, eye_height_m)
+    found: list[Viewpoints] = []
+    for tried in range(_MOST_SAMPLES):
+        number = tried * _SAMPLE + np.arange(1, _SAMPLE + 1)
+        share = (0.5 + number[:, None] * step) % 1.0
+        easting = west + share[:, 0] * (east - west)
+        northing = south + share[:, 1] * (north - south)
+        found.append(stand_where_possible(terrain, easting, northing, eye_height_m)[0])
+        if sum(map(len, found)) >= _LEAST_SAMPLE:
+            break
+    eyes = Viewpoints.concatenate(found)
     if not len(eyes):
         raise InputError(
             f"no viewpoint falls on the surface in easting {west:.0f} to {east:.0f}, northing "
@@ -177,7 +187,7 @@ class AdaptivePlanner:
 
     def _fill(self, seen: "_Seen", nodes: Int64Array) -> None:
         """Render what has not been rendered of nodes (N, 2)."""
-        left = nodes[seen.row(nodes) == _UNSEEN]
+        left = seen.left(nodes)
         easting, northing = seen.position_m(left)
         eyes, stands = stand_where_possible(self._terrain, easting, northing, self._eye_height_m)
         seen.bar(left[~stands])
@@ -218,21 +228,24 @@ class AdaptivePlanner:
 
 
 class _Seen:
-    """What has been rendered in a block and round about, by its place on the finest lattice.
+    """The nodes in a block and round about that were looked at, and the places at some of them.
 
-    Nodes are columns and rows of that lattice, from the block's south-western corner.
+    Nodes are columns and rows of the finest lattice, from the block's south-western corner. A node
+    that was looked at has a place, or no surface to stand on; a row is asked of places alone.
     """
 
     def __init__(self, west_m: float, south_m: float) -> None:
         self._corner_m = np.array([west_m, south_m])
-        side = (_ROOTS + 2) * _UNITS
-        self._row: Int64Array = np.full((side, side), _UNSEEN, dtype=np.int64)
+        shape = 2 * ((_ROOTS + 2) * _UNITS,)
+        self._looked_at: BoolArray = np.zeros(shape, dtype=bool)
+        self._has_place: BoolArray = np.zeros(shape, dtype=bool)
+        self._row: Int64Array = np.zeros(shape, dtype=np.int64)
         self._places: list[Places] = []
         self._lost: Float64Array = np.zeros((0, _LEVELS))
 
-    def row(self, nodes: Int64Array) -> Int64Array:
-        """Return which of the rendered ones nodes (N, 2) are, or why they are none."""
-        return np.asarray(self._row[nodes[:, 0] + _UNITS, nodes[:, 1] + _UNITS])
+    def left(self, nodes: Int64Array) -> Int64Array:
+        """Return those of nodes (N, 2) that were not looked at."""
+        return nodes[~self._looked_at[_index(nodes)]]
 
     def position_m(self, nodes: Int64Array) -> tuple[Float64Array, Float64Array]:
         """Return the eastings and northings of nodes (N, 2)."""
@@ -240,45 +253,47 @@ class _Seen:
         return position[:, 0], position[:, 1]
 
     def bar(self, nodes: Int64Array) -> None:
-        """Note that nobody can stand at nodes (N, 2)."""
-        self._set(nodes, _NO_SURFACE)
+        """Note that there is no surface to stand on at nodes (N, 2)."""
+        self._looked_at[_index(nodes)] = True
 
     def add(self, nodes: Int64Array, horizons: Horizons) -> None:
         """Note what is seen from nodes (N, 2)."""
-        self._set(nodes, len(self._lost) + np.arange(len(nodes)))
+        at = _index(nodes)
+        self._looked_at[at] = self._has_place[at] = True
+        self._row[at] = len(self._lost) + np.arange(len(nodes))
         self._places.append(Places.of(horizons, 0.0))
         self._lost = np.concatenate([self._lost, lost_shares(horizons.distance_m, _SPACING_M)])
 
     def lost_around(self, nodes: Int64Array, level: int) -> Float64Array:
-        """Return what each spacing loses at nodes (N, 2) and their neighbours, on average.
+        """Return the shares that each spacing loses at nodes (N, 2) and their neighbours.
 
-        Shape (N, levels); NaN where nothing is known of either.
+        Averages over those that have places, shape (N, levels); NaN where none of them has.
         """
-        if not len(self._lost):
-            return np.full((len(nodes), _LEVELS), np.nan)
         side = _side(level)
         steps = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]) * side
         if level % 2:
             steps = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)]) * (side // 2)
         around = nodes[:, None] + np.concatenate([np.zeros((1, 2), np.int64), steps])
-        row = self.row(around.reshape(-1, 2)).reshape(len(nodes), -1)
-        known = (row >= 0)[..., None]
-        total = np.where(known, self._lost[row], 0.0).sum(axis=1)
-        number = known.sum(axis=1)
-        return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+        known = self._has_place[_index(around)]
+        lost = np.zeros((*known.shape, _LEVELS))
+        lost[known] = self._lost[self._row[_index(around[known])]]
+        number = known.sum(axis=1)[:, None]
+        return np.where(number > 0, lost.sum(axis=1) / np.maximum(number, 1), np.nan)
 
     def places(self, nodes: Int64Array, spacing_m: float) -> Places | None:
         """Return the places at nodes (N, 2), of a lattice of a spacing; None without any."""
-        row = self.row(nodes)
-        row = row[row >= 0]
-        if not len(row):
+        at = _index(nodes[self._has_place[_index(nodes)]])
+        if not len(at[0]):
             return None
         self._places = [Places.concatenate(self._places)]
+        row = self._row[at]
         half_m = np.full(len(row), spacing_m / 2.0, dtype=np.float32)
         return replace(self._places[0][row], tolerance_m=half_m)
 
-    def _set(self, nodes: Int64Array, row: int | Int64Array) -> None:
-        self._row[nodes[:, 0] + _UNITS, nodes[:, 1] + _UNITS] = row
+
+def _index(nodes: Int64Array) -> tuple[Int64Array, Int64Array]:
+    """Return where nodes (..., 2) are in the arrays of `_Seen`."""
+    return nodes[..., 0] + _UNITS, nodes[..., 1] + _UNITS
 
 
 def _side(level: int) -> int:

@@ -4,11 +4,12 @@ The style lies in the file, in the table that QGIS keeps styles in, so that QGIS
 """
 
 import contextlib
+import io
 import sqlite3
-import tempfile
 from pathlib import Path
 
 from skyline.errors import InputError
+from skyline.files import write_whole
 from skyline.store import Store
 
 _LAYER = "places"
@@ -46,23 +47,18 @@ def write_geopackage(store: Store, path: Path) -> int:
     if path.suffix.lower() != ".gpkg":
         raise InputError(f"--output is {path}; expected a name that ends in .gpkg")
     table = store.to_geodataframe()
-    try:
-        with tempfile.TemporaryDirectory(dir=path.absolute().parent) as folder:
-            partial = Path(folder, path.name)
-            table.to_file(partial, layer=_LAYER, driver="GPKG")
-            with contextlib.closing(sqlite3.connect(partial)) as file:
-                file.executescript(_STYLES_TABLE)
-                file.execute(
-                    "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, "
-                    "f_geometry_column, styleName, styleQML, useAsDefault, update_time) VALUES "
-                    "('', '', ?, 'geom', 'places', ?, 1, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
-                    (_LAYER, _STYLE.read_text(encoding="utf-8")),
-                )
-                file.commit()
-            partial.replace(path)
-    except OSError as error:
-        raise InputError(
-            f"{path} cannot be written ({error.strerror or error}); name a file in a folder that "
-            "exists"
-        ) from error
+    # In memory, since SQLite needs file locks and not every folder has them.
+    held = io.BytesIO()
+    table.to_file(held, layer=_LAYER, driver="GPKG")
+    with contextlib.closing(sqlite3.connect(":memory:")) as file:
+        file.deserialize(held.getvalue())
+        file.executescript(_STYLES_TABLE)
+        file.execute(
+            "INSERT INTO layer_styles (f_table_catalog, f_table_schema, f_table_name, "
+            "f_geometry_column, styleName, styleQML, useAsDefault, update_time) VALUES "
+            "('', '', ?, 'geom', 'places', ?, 1, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
+            (_LAYER, _STYLE.read_text(encoding="utf-8")),
+        )
+        file.commit()
+        write_whole(path, file.serialize())
     return len(table)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from skyline.errors import InputError
+from skyline.files import has_locks, write_whole
 
 Row = dict[str, str | float | int | None]
 
@@ -135,20 +136,26 @@ class _GeoPackage:
     def __init__(self, path: Path) -> None:
         self._path = path
         if not path.exists():
-            partial = path.with_name(path.name + ".partial")
-            partial.unlink(missing_ok=True)
-            with closing(sqlite3.connect(partial)) as made:
+            with closing(sqlite3.connect(":memory:")) as made:
                 made.executescript(_GEOPACKAGE)
-            partial.replace(path)
-        with closing(sqlite3.connect(path)) as opened:
+                write_whole(path, made.serialize())
+        with self._opened() as opened:
             self.had = opened.execute("SELECT query, search FROM photos").fetchall()
 
     def add(self, row: Row) -> None:
         names = ", ".join(f'"{name}"' for name in ("geom", *_TYPES))
         marks = ", ".join("?" * (len(_TYPES) + 1))
         values = _point(row["lon"], row["lat"]), *(row[name] for name in _TYPES)
-        with _as_input_errors(self._path), closing(sqlite3.connect(self._path)) as opened, opened:
+        with _as_input_errors(self._path), self._opened() as opened, opened:
             opened.execute(f"INSERT INTO photos ({names}) VALUES ({marks})", values)
+
+    @contextmanager
+    def _opened(self) -> Iterator[sqlite3.Connection]:
+        """Open the table, without locks in a folder that has none."""
+        options = "" if has_locks(self._path) else "?nolock=1"
+        address = f"{self._path.absolute().as_uri()}{options}"
+        with closing(sqlite3.connect(address, uri=True)) as opened:
+            yield opened
 
 
 Results = _Csv | _GeoPackage

@@ -17,6 +17,7 @@ Renderings are held as rendered ("exact") or rounded to a stated error ("compact
 readers verify, every row and the header one of their own (see `skyline.store.rows`).
 """
 
+from skyline.store.built import Built
 from skyline.store.coding import RowCoding
 from skyline.store.copying import CopyReport, compact_store, merge_stores, repair_store
 from skyline.store.header import SCHEMA, SCHEMA_VERSION, KeypointColumns, StoreHeader
@@ -29,6 +30,7 @@ from skyline.store.writer import StoreWriter, amend_config, create_store, open_f
 __all__ = [
     "SCHEMA",
     "SCHEMA_VERSION",
+    "Built",
     "CopyReport",
     "Damage",
     "KeypointColumns",

@@ -9,8 +9,11 @@ import h5py
 import numpy as np
 
 from skyline.errors import InputError, StoreError
+from skyline.store.built import Built
 from skyline.store.coding import RowCoding
 from skyline.store.header import (
+    BUILT,
+    COMMITTED,
     KEYPOINTS,
     PLACE_CODING,
     PLACES,
@@ -102,11 +105,27 @@ def _check_version(path: Path, file: h5py.File) -> None:
 
 def read_committed(path: Path, file: h5py.File) -> int:
     """Return the number of complete rows; raises `StoreError` where there is no such number."""
-    node = _hard_linked(path, file, "committed")
-    one = isinstance(node, h5py.Dataset) and node.shape == () and node.dtype.kind == "u"
-    if not one or node.external or node.is_virtual:
-        raise StoreError(f"store {path}: `committed` is not one unsigned number; {REBUILD}")
-    return int(node[()])
+    return int(_counts(path, file, COMMITTED, ()))
+
+
+def read_built(path: Path, file: h5py.File) -> Built:
+    """Return how much of its build a store holds; raises `StoreError` where that is nonsense."""
+    if BUILT not in file:
+        return Built()
+    done, total = (int(count) for count in _counts(path, file, BUILT, (2,)))
+    if done > total:
+        raise StoreError(f"store {path}: {done} of {total} parts of it are built; {REBUILD}")
+    return Built(done, total)
+
+
+def _counts(path: Path, file: h5py.File, name: str, shape: tuple[int, ...]) -> Any:
+    """Return the unsigned numbers of a dataset of a shape."""
+    node = _hard_linked(path, file, name)
+    plain = isinstance(node, h5py.Dataset) and node.shape == shape and node.dtype.kind == "u"
+    if not plain or node.external or node.is_virtual:
+        said = "one unsigned number" if shape == () else "two unsigned numbers"
+        raise StoreError(f"store {path}: `{name}` is not {said}; {REBUILD}")
+    return node[()]
 
 
 def _attribute(path: Path, file: h5py.File, name: str) -> object:

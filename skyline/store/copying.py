@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import InputError, StoreError
+from skyline.store.built import Built, joined
 from skyline.store.coding import RowCoding
 from skyline.store.header import KEYPOINTS, RENDERINGS, StoreHeader, check_holds, refuse_mismatch
 from skyline.store.integrity import Damage, whole_rows
 from skyline.store.lock import complete_or_absent, explained, new_store
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns, row_checksums, stored_rows, views_of
-from skyline.store.writer import block_rows, write_rows
+from skyline.store.writer import block_rows, new_rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +37,8 @@ class CopyReport:
     """What they are: "renderings" or "places"."""
     duplicates: int
     """Rows left out because the same view or place is there already."""
+    built: Built
+    """How much of its build the new store holds."""
     damage: tuple[Damage, ...] = ()
     """Rows left out because they are damaged (`repair_store` alone)."""
 
@@ -122,18 +125,18 @@ def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> C
     Raises `StoreError` where nothing can be saved, or the new store cannot be written or exists.
     """
     damage: list[Damage] = []
-    kept = 0
-
-    def whole(store: Store) -> Iterator[Columns]:
-        nonlocal kept
+    with (
+        open_store(path) as store,
+        _new_file(Path(out)) as partial,
+        new_rows(partial, store.header) as writer,
+    ):
         for columns, rows, found in whole_rows(store):
             damage.extend([found] if found else [])
-            kept += len(rows)
-            yield {name: values[rows] for name, values in columns.items()}
-
-    with open_store(path) as store, _new_file(Path(out)) as partial:
-        write_rows(partial, store.header, filter(len, whole(store)))
-    return CopyReport(kept, store.header.holds, 0, tuple(damage))
+            if len(rows):
+                writer.append_stored({name: values[rows] for name, values in columns.items()})
+        # Which parts of the build the damaged rows are of is not known.
+        writer.note_built(Built() if damage else store.built)
+    return CopyReport(len(writer), store.header.holds, 0, writer.built, tuple(damage))
 
 
 def _copy(stores: Sequence[Store], header: StoreHeader, out: Path) -> CopyReport:
@@ -148,13 +151,14 @@ def _copy(stores: Sequence[Store], header: StoreHeader, out: Path) -> CopyReport
     ):
         rows = _spread(stores, header, waiting, total)
         chosen = _chosen(rows, header)
+        again = total - len(chosen)
         step = block_rows(header)
-        blocks = (
-            {name: rows[name][chosen[first : first + step]] for name in header.specs}
-            for first in range(0, len(chosen), step)
-        )
-        write_rows(partial, header, blocks)
-    return CopyReport(len(chosen), header.holds, total - len(chosen))
+        with new_rows(partial, header) as writer:
+            for first in range(0, len(chosen), step):
+                at = chosen[first : first + step]
+                writer.append_stored({name: rows[name][at] for name in header.specs})
+            writer.note_built(joined([store.built for store in stores], overlap=again > 0))
+    return CopyReport(len(chosen), header.holds, again, writer.built)
 
 
 def _spread(

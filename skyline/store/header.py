@@ -36,6 +36,9 @@ RENDERINGS, PLACES = "renderings", "places"
 
 _MADE_BY = {RENDERINGS: "`skyline build --planner uniform`", PLACES: "`skyline build`"}
 
+COMMITTED, BUILT = "committed", "built"
+"""Datasets of the counts that change while a store is written: complete rows, and `Built`."""
+
 EYE = ("easting_m", "northing_m", "eye_elevation_m")
 """Where the eye of a row is, whatever the rows are."""
 

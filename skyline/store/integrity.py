@@ -11,13 +11,15 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.errors import MissingFileError, SkylineError, StoreError
+from skyline.errors import SkylineError, StoreError
+from skyline.store.built import Built
+from skyline.store.lock import missing_store
 from skyline.store.reader import Store, open_store
 from skyline.store.rows import Columns, row_checksums
 
@@ -66,6 +68,8 @@ class StoreReport:
     """Empty for a whole store."""
     holds: str = "rows"
     """``renderings`` or ``places``; ``rows`` where it cannot be opened."""
+    built: Built = field(default_factory=Built)
+    """How much of its build the store holds."""
 
     @property
     def whole(self) -> bool:
@@ -85,7 +89,7 @@ def check_store(path: str | os.PathLike[str]) -> StoreReport:
     """
     path = Path(path).resolve()
     if not path.is_file():
-        raise MissingFileError(f"store {path} does not exist; check the name")
+        raise missing_store(path)
     patience_s = _PATIENCE_S + _PATIENCE_S_PER_BYTE * path.stat().st_size
     command = [sys.executable, "-c", _EXAMINE, str(path), str(math.ceil(patience_s))]
     searched = os.pathsep.join(filter(None, sys.path))
@@ -109,8 +113,8 @@ def check_store(path: str | os.PathLike[str]) -> StoreReport:
     except ValueError as error:
         reason = (child.stderr.strip().splitlines() or ["it said nothing"])[-1]
         raise StoreError(f"store {path} could not be examined: {reason}; try again") from error
-    damage = tuple(Damage(**item) for item in said.pop("damage"))
-    return StoreReport(**said, damage=damage)
+    damage = tuple(Damage(**item) for item in said["damage"])
+    return StoreReport(**said | {"damage": damage, "built": Built(**said["built"])})
 
 
 def _hopeless(what: str) -> StoreReport:
@@ -126,7 +130,8 @@ def examine(path: Path) -> StoreReport:
             if not store.in_use and store.longest != store.committed:
                 said = f"it holds {store.longest} rows and says {store.committed} are committed"
                 found.insert(0, Damage(said))
-            return StoreReport(store.committed, store.in_use, _joined(found), store.header.holds)
+            facts = store.committed, store.in_use, _joined(found), store.header.holds, store.built
+            return StoreReport(*facts)
     except SkylineError as error:
         return _hopeless(str(error))
 

@@ -1,20 +1,40 @@
 """One writer at a time, files that are complete or absent, and what h5py raises in one line."""
 
 import fcntl
+import logging
 import os
 import re
 import socket
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import cache
 from pathlib import Path
 
 from skyline.errors import MissingFileError, SkylineError, StoreError
+
+_log = logging.getLogger(__name__)
 
 RESUME = "committed rows are safe: make room, then resume it"
 REBUILD = "copy or build it again"
 
 UNREADABLE = (OSError, RuntimeError, KeyError, ValueError, TypeError, OverflowError, MemoryError)
 """What h5py raises on files that are damaged or made by someone else."""
+
+
+def shards_folder(path: Path) -> Path:
+    """Return the folder of the tiles that a store is merged from when all of them are built."""
+    return path.with_name(f"{path.name}.shards")
+
+
+def missing_store(path: Path) -> MissingFileError:
+    """Return the error that there is no store of a name, or that there is none yet."""
+    folder = shards_folder(path)
+    if not folder.is_dir():
+        return MissingFileError(f"store {path} does not exist; check the name, or build it")
+    return MissingFileError(
+        f"store {path} does not exist yet: its build is not finished, and {folder} holds the "
+        f"tiles done so far, {len(list(folder.glob('*.h5')))}; give the same command again"
+    )
 
 
 @contextmanager
@@ -48,7 +68,8 @@ def complete_or_absent(path: Path) -> Iterator[Path]:
 def writer_lock(path: Path) -> Iterator[None]:
     """Hold ``path``.lock; raise `StoreError` where another writer does.
 
-    The kernel lets go of the lock when its holder dies, so a file left behind bars nobody.
+    The kernel lets go of the lock when its holder dies, so a file left behind bars nobody. Where
+    the file system has no locks, as some network folders have none, a warning takes their place.
     """
     lock = path.with_name(f"{path.name}.lock")
     what, advice = "it cannot be locked for writing", "check the folder's rights and space"
@@ -76,10 +97,22 @@ def _lock_file(path: Path, lock: Path) -> int:
                 raise StoreError(
                     f"store {path} is being written by {holder}; wait for it to end, or stop it"
                 ) from error
+            except OSError as error:
+                _warn_of_no_locks(path.parent, error.strerror)
             # A holder that just ended may have removed the file after it was opened here.
             if lock.exists() and os.path.samestat(os.fstat(descriptor), lock.stat()):
                 opened.pop_all()
                 return descriptor
+
+
+@cache
+def _warn_of_no_locks(folder: Path, reason: str) -> None:
+    """Warn once of a folder."""
+    _log.warning(
+        "folder %s has no file locks (%s): nothing keeps two processes from writing one store "
+        "there at the same time; see to it that only one does",
+        *(folder, reason),
+    )
 
 
 @contextmanager

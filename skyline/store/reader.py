@@ -17,7 +17,7 @@ from skyline.errors import InputError, SkylineError, StoreError
 from skyline.features import NO_KEYPOINT
 from skyline.geodesy import Frame
 from skyline.shown import facts_html
-from skyline.store.checks import checked_dataset, read_committed, read_header
+from skyline.store.checks import checked_dataset, read_built, read_committed, read_header
 from skyline.store.dataset import dataset_of_places, dataset_of_views, table_of_places
 from skyline.store.header import (
     EYE,
@@ -27,7 +27,7 @@ from skyline.store.header import (
     KeypointColumns,
     check_holds,
 )
-from skyline.store.lock import REBUILD, UNREADABLE, explained
+from skyline.store.lock import REBUILD, UNREADABLE, explained, shards_folder
 from skyline.store.place_map import Offsets, PlaceMap
 from skyline.store.rows import Columns, row_checksums, stored_places, views_of
 from skyline.store.superblock import WholeFile
@@ -68,6 +68,8 @@ class Store:
         What the store was built from and how.
     committed : int
         Number of complete rows when the store was opened.
+    built : Built
+        How much of its build the store held then, at least.
     """
 
     def __init__(self, path: Path, raw: WholeFile) -> None:
@@ -78,6 +80,7 @@ class Store:
             self._file = resources.enter_context(h5py.File(raw, "r"))
             self.header = read_header(path, self._file)
             # Counted before the datasets are opened: a writer at work may lengthen them.
+            self.built = read_built(path, self._file)
             self.committed = read_committed(path, self._file)
             self._datasets = self._open_datasets()
             self._check_committed()
@@ -108,7 +111,8 @@ class Store:
         return self.committed
 
     def __repr__(self) -> str:
-        return f"Store({self.path.name}: {self.committed} {self.header.holds})"
+        note = f"; {self.built.note}" if self.built.note else ""
+        return f"Store({self.path.name}: {self.committed} {self.header.holds}{note})"
 
     def _repr_html_(self) -> str:
         header = self.header
@@ -120,6 +124,7 @@ class Store:
             "DEM": ", ".join(header.dem_files) or "no file",
             **{name: str(value) for name, value in settings if not isinstance(value, Mapping)},
             "made by": f"skyline {header.package_version}",
+            **({"build": self.built.note} if self.built.note else {}),
         }
         return facts_html(facts)
 
@@ -360,13 +365,13 @@ def open_store(path: str | os.PathLike[str]) -> Store:
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Whether a file is an HDF5 file with a store's schema, however damaged the rest."""
+    """Whether a file is an HDF5 file with a store's schema, however damaged or unfinished."""
     path = Path(path)
     try:
         with WholeFile(path) as raw, h5py.File(raw, "r") as file:
             return "schema" in file.attrs
     except (SkylineError, *UNREADABLE):
-        return path.suffix == ".h5" and path.is_file()
+        return path.suffix == ".h5" and (path.is_file() or shards_folder(path).is_dir())
 
 
 def _patiently(raw: WholeFile, read: Callable[[], _T]) -> _T:

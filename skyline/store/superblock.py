@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
-from skyline.errors import MissingFileError, StoreError
+from skyline.errors import StoreError
+from skyline.store.lock import missing_store
 
 if TYPE_CHECKING:
     from _typeshed import WriteableBuffer
@@ -94,9 +95,7 @@ class WholeFile(io.FileIO):
         try:
             super().__init__(path, "rb")
         except FileNotFoundError as error:
-            raise MissingFileError(
-                f"store {path} does not exist; check the name, or build it"
-            ) from error
+            raise missing_store(path) from error
         except OSError as error:
             raise StoreError(
                 f"store {path} cannot be read: {error.strerror}; name a file that you may read"

@@ -4,8 +4,8 @@ import io
 import logging
 import os
 import shutil
-from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -15,7 +15,10 @@ import numpy as np
 
 from skyline.errors import StoreError
 from skyline.places import Places
+from skyline.store.built import Built
 from skyline.store.header import (
+    BUILT,
+    COMMITTED,
     PLACES,
     RENDERINGS,
     SCHEMA,
@@ -63,6 +66,8 @@ class StoreWriter:
         What the store is built from and how.
     committed : int
         Number of rows that a reader sees and a kill cannot take away.
+    built : Built
+        How much of its build the store holds, as `note_built` was called last.
     """
 
     def __init__(
@@ -74,8 +79,11 @@ class StoreWriter:
         self._file = file
         self._resources = resources
         self._datasets = {name: self._file[name] for name in header.specs}
-        self._marker = self._file["committed"]
+        self._marker = self._file[COMMITTED]
         self.committed = int(self._marker[()])
+        self._built = self._file.get(BUILT)  # None in a store of an older release.
+        self.built = Built() if self._built is None else Built(*self._built[()].tolist())
+        self._noted: list[tuple[int, Built]] = []
         self._pending: list[Columns] = []
         self._failed = False
 
@@ -131,6 +139,17 @@ class StoreWriter:
         left = 0 if all_or_none else len(self) % self.header.chunk_rows
         self._commit(len(self) - left)
 
+    def note_built(self, built: Built) -> None:
+        """Note how much of its build the store holds with the rows appended so far.
+
+        It is written once these are committed, so that a kill leaves a store that claims too
+        little rather than too much. Raises as `append`.
+        """
+        self._check_usable()
+        self.built = built
+        self._noted.append((len(self), built))
+        self._write_built()
+
     def flush(self) -> None:
         """Commit every appended row now; raises as `append`."""
         self._check_usable()
@@ -158,24 +177,40 @@ class StoreWriter:
             name: np.concatenate([columns[name] for columns in self._pending])
             for name in self._datasets
         }
+        with self._writing():
+            for name, values in pending.items():
+                dataset = self._datasets[name]
+                if len(dataset) < stop:
+                    dataset.resize(stop, axis=0)
+                dataset[start:stop] = values[:count]
+                dataset.flush()
+            os.fsync(self._file.id.get_vfd_handle())
+            self._marker[()] = stop
+            self._marker.flush()
+        # At once, so that an interrupt finds each row either pending or committed.
+        rest = {name: values[count:] for name, values in pending.items()}
+        self.committed, self._pending = stop, [rest]
+        self._write_built()
+
+    def _write_built(self) -> None:
+        """Write what was noted last of rows that are all committed."""
+        sure = [built for rows, built in self._noted if rows <= self.committed]
+        if sure and self._built is not None:
+            with self._writing():
+                self._built[...] = sure[-1].done, sure[-1].total
+                self._built.flush()
+        del self._noted[: len(sure)]
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Do not write again where writing failed; raises `StoreError` there."""
         try:
             with explained(self._path, "rows cannot be written", RESUME):
-                for name, values in pending.items():
-                    dataset = self._datasets[name]
-                    if len(dataset) < stop:
-                        dataset.resize(stop, axis=0)
-                    dataset[start:stop] = values[:count]
-                    dataset.flush()
-                os.fsync(self._file.id.get_vfd_handle())
-                self._marker[()] = stop
-                self._marker.flush()
+                yield
         except StoreError:
             self._failed = True
             self._divert()
             raise
-        # At once, so that an interrupt finds each row either pending or committed.
-        rest = {name: values[count:] for name, values in pending.items()}
-        self.committed, self._pending = stop, [rest]
 
     def _divert(self) -> None:
         """Let HDF5 write the rest to nowhere; the file stays as a killed writer leaves it.
@@ -189,7 +224,11 @@ class StoreWriter:
 
 
 def create_store(
-    path: str | os.PathLike[str], header: StoreHeader, *, overwrite: bool = False
+    path: str | os.PathLike[str],
+    header: StoreHeader,
+    built: Built | None = None,
+    *,
+    overwrite: bool = False,
 ) -> StoreWriter:
     """Create an empty store and open it for writing.
 
@@ -199,6 +238,8 @@ def create_store(
     ----------
     path : path-like
         Its folder must exist.
+    built : Built, optional
+        How much of its build the store holds when it is empty; by default that is not known.
     overwrite : bool
         Replace a file that is there already.
 
@@ -214,7 +255,7 @@ def create_store(
     with ExitStack() as resources:
         resources.enter_context(new_store(path, advice, overwrite=overwrite))
         with complete_or_absent(path) as partial:
-            write_empty(partial, header)
+            write_empty(partial, header, built or Built())
         file = resources.enter_context(open_to_write(path, header))
         return StoreWriter(path, header, file, resources.pop_all())
 
@@ -278,13 +319,15 @@ def amend_config(path: str | os.PathLike[str], settings: Mapping[str, object]) -
 def _rewrite(path: Path, store: Store, header: StoreHeader | None = None) -> None:
     """Replace the file by one that holds the committed rows of ``store`` alone."""
     step = block_rows(store.header)
-    blocks = (store.stored(slice(first, first + step)) for first in range(0, len(store), step))
     with complete_or_absent(path) as partial:
-        write_rows(partial, header or store.header, blocks)
+        with new_rows(partial, header or store.header) as writer:
+            for first in range(0, len(store), step):
+                writer.append_stored(store.stored(slice(first, first + step)))
+            writer.note_built(store.built)
         shutil.copymode(path, partial)
 
 
-def write_empty(path: Path, header: StoreHeader) -> None:
+def write_empty(path: Path, header: StoreHeader, built: Built) -> None:
     """Write a new file that holds a store without rows."""
     # HDF5 makes the file in memory, since it crashes the process at exit if it cannot write it.
     image = io.BytesIO()
@@ -304,8 +347,9 @@ def write_empty(path: Path, header: StoreHeader) -> None:
                 fletcher32=True,
                 **(_PACKING[header.rows] if row.shape else {}),
             )
-        # A dataset, since SWMR writes no attributes.
-        file.create_dataset("committed", data=np.uint64(0))
+        # Datasets, since SWMR writes no attributes.
+        file.create_dataset(COMMITTED, data=np.uint64(0))
+        file.create_dataset(BUILT, data=np.array([built.done, built.total], dtype=np.uint64))
     with path.open("xb") as target:
         target.write(image.getbuffer())
         target.flush()
@@ -333,12 +377,12 @@ def block_rows(header: StoreHeader) -> int:
     return max(1024, 8 * header.chunk_rows)
 
 
-def write_rows(path: Path, header: StoreHeader, blocks: Iterable[Columns]) -> None:
-    """Write a new store file of stored rows: the same rows and header give the same bytes."""
-    write_empty(path, header)
+@contextmanager
+def new_rows(path: Path, header: StoreHeader) -> Iterator[StoreWriter]:
+    """Write a new store file, which nobody else knows: the same rows give the same bytes."""
+    write_empty(path, header, Built())
     with (
         open_to_write(path, header) as file,
         StoreWriter(path, header, file, ExitStack()) as writer,
     ):
-        for columns in blocks:
-            writer.append_stored(columns)
+        yield writer

@@ -295,8 +295,10 @@ def _neighbours(samples: Int64Array, steps: Int64Array, shape: tuple[int, ...]) 
 
 def _heights(heights_m: Float32Array, samples: Int64Array) -> NDArray[np.float64]:
     """Return heights in float64, NaN for voids, for what no file covers and off the grid."""
-    heights = heights_m.reshape(-1)[samples].astype(np.float64)
-    return np.where((samples >= 0) & np.isfinite(heights), heights, np.nan)
+    on_grid = samples >= 0
+    heights = np.full(samples.shape, np.nan)
+    heights[on_grid] = heights_m.reshape(-1)[samples[on_grid]]
+    return np.where(np.isfinite(heights), heights, np.nan)
 
 
 def _find(samples: Int64Array, wanted: Int64Array) -> tuple[Int64Array, BoolArray]:

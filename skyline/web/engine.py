@@ -64,6 +64,7 @@ class Engine:
         return {
             "store": self.given.store.name,
             "places": self.matcher.rows,
+            "unfinished": self.matcher.unfinished,
             "area": list(self.matcher.frame.box_deg(eyes.easting_m, eyes.northing_m)),
             "terrain": self.relief and list(self.relief.bounds_deg),
             "rendering": self.viewer is not None,

@@ -50,7 +50,8 @@ def serve(given: Given, host: str, port: int) -> None:
 def _say_ready(host: str, port: int) -> None:
     """Say where the page is; by now the server heeds Ctrl-C."""
     name = f"[{host}]" if ":" in host else host
-    print(f"The page is at http://{name}:{port}/ (Ctrl-C ends it)", flush=True)
+    with contextlib.suppress(BrokenPipeError):  # The page is there also where nobody reads this.
+        print(f"The page is at http://{name}:{port}/ (Ctrl-C ends it)", flush=True)
 
 
 def _listening(opened: contextlib.ExitStack, host: str, port: int) -> socket.socket:

@@ -270,7 +270,7 @@ def test_a_store_holds_what_the_docs_say_and_no_more(world):
             found = datasets_of(file)
             assert set(file.attrs) == attributes
             assert found.keys() == datasets.keys()
-            sizes = {"N": int(file["committed"][()]), "W": 640, "P": 128}
+            sizes = {"N": int(file["committed"][()]), "W": 640, "P": 128, "2": 2}
             for path, row in datasets.items():
                 shape = tuple(sizes[size] for size in re.findall(r"\w", row["shape"]))
                 assert found[path].shape == shape, path
@@ -285,7 +285,7 @@ def test_a_store_of_places_holds_what_the_docs_say_and_no_more(world):
     with h5py.File(world / "davos.h5") as file:
         found = datasets_of(file)
         assert set(file.attrs) == attributes
-        assert found.keys() == said.keys() | {"committed"}
+        assert found.keys() == said.keys() | {"committed", "built"}
         coding = json.loads(file.attrs["rows"])
         for path, row in said.items():
             count, *sizes = row["shape"].replace("`", "").split(", ")

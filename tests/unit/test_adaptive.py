@@ -20,6 +20,57 @@ from skyline.planning.loss import lost_shares
 AREA = (0.0, 0.0, 2.0 * BLOCK_M, BLOCK_M)
 SPACINGS_M = 1280.0 / 2.0 ** (np.arange(13) / 2.0)
 
+EAST, NORTH = np.meshgrid(np.arange(-960.0, 6081.0, 80.0), np.arange(6080.0, -961.0, -80.0))
+"""Of samples in a block and round about. The lattices down to a spacing of 80 m lie on them."""
+COL, ROW = EAST // 80.0, NORTH // 80.0
+NODE_M = np.hypot(EAST - 2560.0, NORTH - 2560.0)
+"""Distance from a node of the coarsest lattice."""
+RANDOM = np.random.default_rng(2).random(EAST.shape)
+
+HOLES = {
+    "none": NODE_M < 0.0,
+    "one sample": NODE_M == 0.0,
+    "the sample in a corner": (EAST == -960.0) & (NORTH == -960.0),
+    "a quarter": (EAST < 2560.0) & (NORTH < 2560.0),
+    "half": EAST < 2560.0,
+    "a disc": NODE_M < 1500.0,
+    "all but a disc": NODE_M > 500.0,
+    "all but a disc between the coarsest nodes": np.hypot(EAST - 1920.0, NORTH - 1920.0) > 500.0,
+    "all but the corners": np.hypot(EAST % 5120.0, NORTH % 5120.0) > 500.0,
+    "all but one sample": NODE_M > 0.0,
+    "all but one sample between the coarsest nodes": (EAST != 1920.0) | (NORTH != 1920.0),
+    "all but one sample round about": (EAST != 0.0) | (NORTH != 5120.0),
+    "all but one cell": np.maximum(np.abs(EAST - 2600.0), np.abs(NORTH - 2600.0)) > 40.0,
+    "all but one triangle": NODE_M + (EAST < 2560.0) + (NORTH < 2560.0) > 80.0,
+    "a ring": np.abs(NODE_M - 1500.0) < 300.0,
+    "all but a ring": np.abs(NODE_M - 1300.0) > 150.0,
+    "a checkerboard": (ROW + COL) % 2 == 0,
+    "a checkerboard of nodes": (EAST // 160.0 + NORTH // 160.0) % 2 == 0,
+    "a checkerboard of squares": (ROW // 9 + COL // 9) % 2 == 0,
+    "every other row": ROW % 2 == 0,
+    "a row": NORTH == 2560.0,
+    "all but a row": NORTH != 2560.0,
+    "all but a column": EAST != 2560.0,
+    "a diagonal": EAST == NORTH,
+    "all but a diagonal": EAST != NORTH,
+    "all but the rim": np.maximum(np.abs(EAST - 2560.0), np.abs(NORTH - 2560.0)) < 2400.0,
+    "a third, scattered": RANDOM < 0.3,
+    "all but a tenth, scattered": RANDOM < 0.9,
+    "all but a few": RANDOM < 0.99,
+    "all": NODE_M >= 0.0,
+}
+
+CUTS = {
+    "one sample": np.s_[44:45, 44:45],
+    "one cell": np.s_[44:46, 43:45],
+    "one sample high": np.s_[44:45],
+    "one sample wide": np.s_[:, 44:45],
+    "one cell high": np.s_[44:46],
+    "one cell wide": np.s_[:, 43:45],
+    "smaller than a block": np.s_[20:50, 30:60],
+    "smaller than the coarsest spacing, between its nodes": np.s_[46:54, 46:54],
+}
+
 
 def looking(distance_m):
     """Return what renders skylines at a distance that depends on the easting."""
@@ -48,6 +99,14 @@ def planned(terrain, distance_m, price, area=AREA):
 @pytest.fixture(scope="module")
 def plain():
     return field_of(np.full((140, 140), 500.0), 100.0, west_m=-1500.0, north_m=7500.0)
+
+
+def price_of_level(level, distance_m):
+    """Return a price at which a level is the best where all skylines are at one distance."""
+    lost = lost_shares(np.full((1, BINS), distance_m, dtype=np.float32), SPACINGS_M)
+    prices = np.geomspace(1e-2, 1e8, 2000)
+    best = np.argmin(lost + prices[:, None] / SPACINGS_M**2, axis=1)
+    return float(np.median(prices[best == level]))
 
 
 def positions(places):
@@ -109,6 +168,14 @@ class TestPrice:
         with pytest.raises(InputError, match="no viewpoint falls on the surface"):
             spread_over(plain, (1e6, 1e6, 2e6, 2e6), 2.0)
 
+    def test_viewpoints_are_found_on_a_small_island(self, plain):
+        """In an elevation model that is nearly all holes."""
+        west, south, east, north = plain.bounds_m
+        share = (east - west) * (north - south) / 1e12
+        eyes = spread_over(plain, (-5e5, -5e5, 5e5, 5e5), 2.0)
+        assert len(eyes) == pytest.approx(131_072 * share, rel=0.3)
+        assert not np.isnan(plain.height_at(eyes.easting_m, eyes.northing_m)).any()
+
 
 class TestPlan:
     @pytest.mark.parametrize("level", [0, 1, 6, 7])
@@ -116,12 +183,7 @@ class TestPlan:
         def far(easting):
             return np.full(len(easting), 2000.0)
 
-        lost = lost_shares(looking(far)(spread_over(plain, AREA, 2.0)).distance_m[:1], SPACINGS_M)
-        # Any price at which this level is the best one.
-        prices = np.geomspace(1e-2, 1e8, 2000)
-        best = np.argmin(lost + prices[:, None] / SPACINGS_M**2, axis=1)
-        price = float(np.median(prices[best == level]))
-        places = planned(plain, far, price)
+        places = planned(plain, far, price_of_level(level, 2000.0))
         assert np.unique(places.tolerance_m) == np.float32(SPACINGS_M[level] / 2.0)
         # Places on the far sides of the area belong to blocks beyond it.
         assert len(places) == len(positions(places))
@@ -179,6 +241,28 @@ class TestPlan:
         places = AdaptivePlanner(plain, look, AREA, 100.0, 2.0).places(blocks_of(AREA))
         # But for the coarsest places round about each block.
         assert sum(seen) - len(places) == 2 * (6 * 6 - 4 * 4)
+
+    @pytest.mark.parametrize("hole", HOLES)
+    def test_holes_of_every_shape(self, hole):
+        self.check_plan(np.where(HOLES[hole], np.nan, 500.0), EAST, NORTH)
+
+    @pytest.mark.parametrize("cut", CUTS)
+    def test_terrain_of_every_size(self, cut):
+        east, north = EAST[CUTS[cut]], NORTH[CUTS[cut]]
+        self.check_plan(np.full(east.shape, 500.0), east, north)
+
+    @staticmethod
+    def check_plan(heights_m, east, north):
+        """Assert that places are the samples with heights that a lattice of 160 m has nodes at."""
+        field = field_of(heights_m, 80.0, west_m=east.min(), north_m=north.max())
+        price = price_of_level(6, 500.0)
+        block = (0.0, 0.0, BLOCK_M, BLOCK_M)
+        places = planned(field, lambda easting: np.full(len(easting), 500.0), price, block)
+        within = (east >= 0.0) & (east < BLOCK_M) & (north >= 0.0) & (north < BLOCK_M)
+        stands = within & (east % 160.0 == 0.0) & (north % 160.0 == 0.0) & ~np.isnan(heights_m)
+        wanted = set(zip(east[stands].tolist(), north[stands].tolist(), strict=True))
+        assert (set() if places is None else positions(places)) == wanted
+        assert places is None or len(places) == len(wanted)
 
     def test_nobody_stands_on_holes_or_outside(self, plain):
         area = (2000.0, 1500.0, 5000.0, 4000.0)

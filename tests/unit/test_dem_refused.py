@@ -1,5 +1,6 @@
 """Elevation files that cannot be used, and what is said of them."""
 
+import fcntl
 import gzip
 import subprocess
 import sys
@@ -124,6 +125,17 @@ def test_a_gzip_bomb_is_not_unpacked(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_options_out_of_range(wrong: dict[str, float]) -> None:
     with pytest.raises(InputError):
         replace(DemOptions(), **wrong)
+
+
+def test_netcdf_in_a_folder_without_file_locks(shared_data: Path, tmp_path: Path) -> None:
+    """HDF5 would lock it to read it, and fails where that fails, as it does here."""
+    path = tmp_path / "lakes.nc"
+    path.write_bytes((shared_data / "sierra" / "lakes_topo.nc").read_bytes())
+    command = [sys.executable, "-m", "skyline", "info", f"netcdf:{path}:dem"]
+    with path.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_netcdf_by_its_gdal_name(shared_data: Path) -> None:

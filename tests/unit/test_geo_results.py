@@ -1,5 +1,6 @@
 """Candidates as a GeoDataFrame, and rows of a store as a Dataset, say what they are made from."""
 
+import sqlite3
 import sys
 from dataclasses import fields, replace
 from xml.etree import ElementTree
@@ -129,6 +130,16 @@ def test_places_are_a_table_of_points_with_their_spacing(place_store):
     np.testing.assert_allclose(degrees.x, table["lon"], atol=1e-9)
     np.testing.assert_allclose(degrees.y, table["lat"], atol=1e-9)
     assert place_store.to_geodataframe([7, 3])["place"].tolist() == [7, 3]
+
+
+def test_a_geopackage_is_written_without_file_locks(place_store, tmp_path, monkeypatch):
+    """SQLite is given no file, which it would lock."""
+    connect = sqlite3.connect
+    opened = []
+    monkeypatch.setattr(sqlite3, "connect", lambda *name: opened.append(name) or connect(*name))
+    write_geopackage(place_store, tmp_path / "places.gpkg")
+    assert opened == [(":memory:",)]
+    assert [file.name for file in tmp_path.glob("*.gpkg*")] == ["places.gpkg"]
 
 
 def test_a_geopackage_is_opened_by_gdal_and_brings_its_style(place_store, tmp_path):

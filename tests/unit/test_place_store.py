@@ -160,7 +160,7 @@ class TestRoundTrip:
                 BINS,
                 DISTANCE_BINS,
             )
-            assert list(file) == ["committed", "places"]
+            assert list(file) == ["built", "committed", "places"]
             assert set(file["places"]) == set(DATASETS)
             documented = (Path(__file__).parents[2] / "docs" / "store.md").read_text()
             for name, data in file["places"].items():

@@ -1,6 +1,10 @@
 """Files of results: rows that are kept, a search that goes on, and what is no such file."""
 
 import csv
+import errno
+import os
+import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -74,6 +78,22 @@ def test_a_row_that_was_cut_off_is_done_again(tmp_path, cut):
     assert [row["query"] for row in rows] == ["a,b.jpg"]
     assert (rows[0]["answered"], float(rows[0]["lon"])) == ("1", 9.8)
     assert (float(rows[0]["within_m"]), float(rows[0]["confidence_1km"])) == (200.0, 0.95)
+
+
+def test_a_geopackage_in_a_folder_without_file_locks(tmp_path, monkeypatch):
+    path = tmp_path / "results.gpkg"
+    open_results(path, "one")
+
+    def refuse(*_):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.lockf", refuse)
+    with closing(sqlite3.connect(path)) as other:
+        other.execute("BEGIN EXCLUSIVE")  # a lock that SQLite would wait for
+        open_results(path, "one")[0].add(row_of(FOUND, "one"))
+        other.rollback()
+    assert open_results(path, "one")[1] == {"a,b.jpg"}
+    assert [file.name for file in tmp_path.iterdir()] == ["results.gpkg"]
 
 
 def test_a_geopackage_is_one_for_others(tmp_path):

@@ -22,6 +22,7 @@ from skyline.errors import (
     InputError,
 )
 from skyline.store import (
+    Built,
     create_store,
     open_for_append,
     open_store,
@@ -158,6 +159,54 @@ def run(script: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", textwrap.dedent(script)], capture_output=True, text=True, check=False
     )
+
+
+def built(path: Path) -> Built:
+    with open_store(path) as store:
+        return store.built
+
+
+class TestBuilt:
+    def test_no_part_is_claimed_before_its_rows_are_committed(self, tmp_path: Path) -> None:
+        path = tmp_path / "s.h5"
+        with create_store(path, HEADER, Built(0, 3)) as writer:
+            assert built(path) == Built(0, 3)
+            for part, stop in enumerate((CHUNK, CHUNK + 20, 2 * CHUNK + 10), start=1):
+                writer.append(*rows(len(writer), stop))
+                writer.note_built(Built(part, 3))
+                assert writer.built == Built(part, 3)
+                # Committed are whole chunks.
+                assert built(path) == Built(min(part, 2 if stop > 2 * CHUNK else 1), 3)
+        assert built(path) == Built(3, 3)
+        assert built(path).finished
+
+    def test_a_killed_writers_parts_are_kept(self, tmp_path: Path) -> None:
+        path, killed = tmp_path / "s.h5", tmp_path / "killed.h5"
+        with create_store(path, HEADER, Built(0, 3)) as writer:
+            writer.append(*rows(0, CHUNK))
+            writer.note_built(Built(1, 3))
+            shutil.copy(path, killed)
+        open_for_append(killed, HEADER).close()
+        assert built(killed) == Built(1, 3)
+
+    def test_a_store_of_an_older_release_does_not_know(self, tmp_path: Path) -> None:
+        path = build(tmp_path / "s.h5", 3)
+        with edited(path) as file:
+            del file["built"]
+        with open_for_append(path, HEADER) as writer:
+            writer.append(*rows(3, 5))
+            writer.note_built(Built(5, 5))
+        with open_store(path) as store:
+            assert_holds(store, 5)
+            assert store.built.share is store.built.finished is None
+            assert store.built.note == "it is not known whether its build was finished"
+
+    @pytest.mark.parametrize(
+        ("done", "said"), [(0, "0 %"), (1, "less than 1 %"), (9999, "99 %"), (10000, "")]
+    )
+    def test_it_is_said_how_much_is_there(self, done: int, said: str) -> None:
+        note = Built(done, 10_000).note
+        assert note == (said and f"its build is not finished: {said} of the area is there")
 
 
 class TestKill:

@@ -1,5 +1,7 @@
 """What a store is made with, and what it is told apart by."""
 
+import errno
+import fcntl
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -18,8 +20,10 @@ from skyline.errors import (
 )
 from skyline.geodesy import Frame
 from skyline.store import (
+    check_store,
     create_store,
     is_store,
+    merge_stores,
     open_for_append,
     open_store,
 )
@@ -129,6 +133,57 @@ class TestCreate:
             writer.append(*rows(0, 3))
         with open_for_append(path, HEADER) as writer:
             assert writer.committed == 3
+
+    @pytest.mark.parametrize("name", ["ENOLCK", "EOPNOTSUPP", "ENOSYS", "EINVAL", "EIO", "EACCES"])
+    def test_a_folder_without_file_locks(
+        self,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        caplog: pytest.LogCaptureFixture,
+        name: str,
+    ) -> None:
+        def refuse(*_: object) -> None:
+            raise OSError(getattr(errno, name), os.strerror(getattr(errno, name)))
+
+        monkeypatch.setattr("fcntl.flock", refuse)
+        path = killed_copy(tmp_path / "s.h5", CHUNK)
+        with open_for_append(path, HEADER) as writer:
+            writer.append(*rows(CHUNK, CHUNK + 3))
+        with open_store(path) as store:
+            assert_holds(store, CHUNK + 3)
+        assert merge_stores([path], tmp_path / "merged.h5").rows == CHUNK + 3
+        assert check_store(path).whole
+        warnings = [said for said in caplog.messages if "file locks" in said]
+        reason = os.strerror(getattr(errno, name))
+        assert warnings == [
+            f"folder {tmp_path} has no file locks ({reason}): nothing keeps two processes from "
+            "writing one store there at the same time; see to it that only one does"
+        ]
+        assert not list(tmp_path.glob("*.lock"))
+
+    def test_hdf5_asks_for_no_locks(self, tmp_path: Path) -> None:
+        """Its own would fail here, and in folders that have none."""
+        path = build(tmp_path / "s.h5", 3)
+        with path.open("rb") as held:
+            fcntl.flock(held, fcntl.LOCK_EX)
+            with open_for_append(path, HEADER) as writer:
+                writer.append(*rows(3, 5))
+            with open_store(path) as store:
+                assert_holds(store, 5)
+            assert check_store(path).whole
+
+    @pytest.mark.parametrize("call", ["os.ftruncate", "os.write"])
+    def test_a_lock_that_cannot_be_written_is_not_left(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
+    ) -> None:
+        def refuse(*_: object) -> None:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        with monkeypatch.context() as patch:
+            patch.setattr(call, refuse)
+            with pytest.raises(StoreError, match="No space left on device"):
+                create_store(tmp_path / "s.h5", HEADER)
+        assert list(tmp_path.iterdir()) == []
 
     def test_a_writer_lets_go_of_all_its_files(self, tmp_path: Path) -> None:
         path, open_files = build(tmp_path / "s.h5", 3), Path("/proc/self/fd")

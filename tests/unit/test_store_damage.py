@@ -146,6 +146,23 @@ class TestDamage:
             file["committed"][()] = committed
         self.assert_refused(path, f"says {committed} rows are committed and holds 3")
 
+    @pytest.mark.parametrize(
+        ("built", "said"),
+        [
+            ([3, 2], "3 of 2 parts of it are built"),
+            ([1, 2, 3], "`built` is not two unsigned numbers"),
+            ([-1, 2], "`built` is not two unsigned numbers"),
+        ],
+    )
+    def test_more_built_than_there_is_to_build(
+        self, tmp_path: Path, built: list[int], said: str
+    ) -> None:
+        path = build(tmp_path / "s.h5", 3)
+        with edited(path) as file:
+            del file["built"]
+            file["built"] = np.array(built, dtype="u8" if min(built) >= 0 else "i8")
+        self.assert_refused(path, said)
+
     def test_rows_that_are_promised_but_not_there(self, tmp_path: Path) -> None:
         """A small file that claims a trillion rows must not be taken at its word."""
         path = build(tmp_path / "s.h5", 3)

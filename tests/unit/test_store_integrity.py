@@ -14,6 +14,7 @@ from store_rows import HEADER, WIDTH, rows
 
 from skyline.errors import InputError, MissingFileError, StoreError, StoreMismatchError
 from skyline.store import (
+    Built,
     RowCoding,
     StoreHeader,
     check_store,
@@ -35,6 +36,13 @@ def build(path: Path, *spans: tuple[int, int], header: StoreHeader = HEADER) -> 
     with create_store(path, header) as writer:
         for start, stop in spans:
             writer.append(*rows(start, stop))
+    return path
+
+
+def part(path: Path, span: tuple[int, int], built: Built) -> Path:
+    with create_store(path, HEADER) as writer:
+        writer.append(*rows(*span))
+        writer.note_built(built)
     return path
 
 
@@ -177,8 +185,40 @@ class TestRepair:
         assert repair_store(path, tmp_path / "saved.h5").damage == ()
         assert_holds(tmp_path / "saved.h5", 100)
 
+    def test_of_a_damaged_store_it_is_not_known_what_is_missing(self, tmp_path: Path) -> None:
+        path = part(tmp_path / "s.h5", (0, 40), Built(2, 2))
+        assert repair_store(path, tmp_path / "whole.h5").built == Built(2, 2)
+        data = bytearray(path.read_bytes())
+        with h5py.File(path) as file:
+            data[file["views/northing"].id.get_chunk_info(0).byte_offset] ^= 1
+        path.write_bytes(data)
+        assert repair_store(path, tmp_path / "saved.h5").built == Built()
+
 
 class TestMerge:
+    @pytest.mark.parametrize(
+        ("parts", "wanted"),
+        [
+            ([((0, 40), Built(1, 3))], Built(1, 3)),
+            ([((0, 40), Built(1, 3)), ((40, 70), Built(2, 3))], Built(3, 3)),
+            ([((0, 40), Built(1, 3)), ((40, 70), Built(1, 3))], Built(2, 3)),
+            ([((0, 40), Built(1, 3)), ((0, 40), Built(1, 3))], Built(1, 3)),
+            ([((0, 40), Built(1, 3)), ((0, 70), Built(2, 3))], Built(2, 3)),
+            ([((0, 40), Built(3, 3)), ((40, 41), Built())], Built(3, 3)),
+            ([((0, 40), Built(1, 3)), ((40, 70), Built())], Built(1, 3)),
+            ([((0, 40), Built()), ((40, 70), Built())], Built()),
+        ],
+    )
+    def test_parts_of_a_build_add_up(
+        self, tmp_path: Path, parts: list[tuple[tuple[int, int], Built]], wanted: Built
+    ) -> None:
+        """At least: stores that share rows hold no more than the one that holds most."""
+        stores = [part(tmp_path / f"{number}.h5", *one) for number, one in enumerate(parts)]
+        assert merge_stores(stores, tmp_path / "out.h5").built == wanted
+        compact_store(tmp_path / "out.h5", tmp_path / "copy.h5")
+        with open_store(tmp_path / "copy.h5") as store:
+            assert store.built == wanted
+
     def test_order_and_cut_change_no_byte(self, tmp_path: Path) -> None:
         a = build(tmp_path / "a.h5", (0, 40))
         b = build(tmp_path / "b.h5", (70, 100), (40, 70))

@@ -1,0 +1,229 @@
+"""How every command ends after Ctrl-C, and where nobody reads its output any more."""
+
+import os
+import subprocess
+import sys
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import lonlat_of
+
+from skyline import cli
+from skyline.fetch.dem_tiles import FetchResult
+from skyline.store import open_store
+
+COMMANDS = {
+    "info": (("{dem}",), "info_cli.read_dem"),
+    "explain": (("{dem}", "--at", "601800,5178000"), "info_cli.read_dem"),
+    "horizon": (("{dem}", "--at", "{at}"), "views_cli.read_dem"),
+    "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views_cli.read_dem"),
+    "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views_cli.read_blocks"),
+    "match": (("{store}", "{trace}", "--no-refine"), "photo_cli.Matcher"),
+    "extract": (("{photo}", "-o", "{out}.csv"), "photo_cli.extract_photo"),
+    "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build_cli.read_dem"),
+    "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "build_cli.read_dem"),
+    "store check": (("{store}",), "store_cli.check_store"),
+    "store repair": (("{store}", "-o", "{out}.h5"), "store_cli.repair_store"),
+    "store merge": (("{store}", "-o", "{out}.h5"), "store_cli.merge_stores"),
+    "store compact": (("{store}", "-o", "{out}.h5"), "store_cli.compact_store"),
+    "store export": (("{store}", "-o", "{out}.gpkg"), "store_cli.open_store"),
+    "dem fetch": (("--bbox", "9,46,10,47", "-o", "{tmp}"), "fetch_cli.fetch_dem"),
+    "peaks": (
+        ("--bbox", "9,46,10,47", "--server", "http://localhost/", "-o", "{out}.geojson"),
+        "fetch_cli.fetch_peaks",
+    ),
+}
+"""Each command's arguments, and a function of the package that it calls."""
+
+KEPT = {
+    "build": "; what was built is kept, and the same command continues from there",
+    "dem fetch": "; the tiles that were fetched are kept, and the same command continues with the "
+    "others",
+}
+
+
+@pytest.fixture
+def unread(monkeypatch):
+    """Return a function that makes an output a pipe whose reader has gone."""
+    pipes = []
+
+    def close(name="sys.stdout"):
+        read, write = os.pipe()
+        os.close(read)
+        pipes.append(os.fdopen(write, "w"))
+        monkeypatch.setattr(name, pipes[-1])
+
+    yield close
+    for pipe in pipes:
+        with suppress(BrokenPipeError):
+            pipe.close()
+
+
+@pytest.fixture
+def trace(tmp_path):
+    rows = [f"{q},{40 + 10 * np.sin(q / 7.0):.2f}" for q in range(160)]
+    path = tmp_path / "trace.csv"
+    path.write_text("\n".join(["# width=160 height=120 fov_deg=60", "column_px,row_px", *rows]))
+    return path
+
+
+@pytest.fixture
+def command(request, tmp_path, dem):
+    """Return a function that gives a command's arguments."""
+    at = "{:.6f},{:.6f}".format(*lonlat_of(dem, 601_800.0, 5_178_000.0))
+    given = {"dem": dem, "at": at, "out": tmp_path / "out", "tmp": tmp_path}
+
+    def arguments_of(name):
+        arguments = [str(one) for one in COMMANDS[name][0]]
+        for fixture in ("store", "photo", "trace"):
+            if f"{{{fixture}}}" in arguments:
+                given[fixture] = request.getfixturevalue(fixture)
+        return [*name.split(), *(one.format(**given) for one in arguments)]
+
+    return arguments_of
+
+
+def test_each_command_is_tried():
+    known = set()
+    for paths in cli.COMMANDS.values():
+        for path in paths:
+            name = path.partition(".")[2]
+            one = cli.loaded(name)
+            known |= {f"{name} {sub}" for sub in getattr(one, "commands", ())} or {name}
+    # `serve` ends with Ctrl-C alone, and prints when it is ready: tests/web has it.
+    assert known == {*COMMANDS, "serve"}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_after_ctrl_c_it_says_what_is_kept(run, command, tmp_path, monkeypatch, name):
+    def interrupted(*_args, **_options):
+        raise KeyboardInterrupt
+
+    arguments = command(name)
+    before = sorted(tmp_path.iterdir())
+    monkeypatch.setattr(f"skyline.{COMMANDS[name][1]}", interrupted)
+    done = run(*arguments)
+    assert (done.code, done.out) == (130, "")
+    assert done.err == f"error: stopped{KEPT.get(name, '')}\n"
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_match_that_is_stopped_keeps_what_it_has_written(
+    run, store, trace, tmp_path, monkeypatch
+):
+    second = tmp_path / "second.csv"
+    second.write_bytes(trace.read_bytes())
+    match = partial(run, "match", store, trace, second, "--no-refine", "--results")
+    matched = cli.loaded("match") and sys.modules["skyline.photo_cli"].Query.match
+
+    def stopping(query, *arguments):
+        if query.path == str(second):
+            raise KeyboardInterrupt
+        return matched(query, *arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("skyline.photo_cli.Query.match", stopping)
+        done = match(tmp_path / "r.csv")
+    assert done.code == 130
+    said = f"error: stopped; {tmp_path / 'r.csv'} has the answers so far, and the same command"
+    assert done.err.startswith(said)
+    assert "trace.csv" in done.out
+    again = match(tmp_path / "r.csv")
+    assert "1 of 2 are there already" in again.err
+    assert "trace.csv" not in again.out
+
+
+def test_a_render_that_is_stopped_leaves_no_store(run, command, tmp_path, monkeypatch):
+    """The same command would not go on with one."""
+
+    def stop(_writer, _built):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("skyline.store.StoreWriter.note_built", stop)
+        assert run(*command("render")).err == "error: stopped\n"
+    assert not list(tmp_path.glob("out*"))
+    assert run(*command("render")).code == 0
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_closed_pipe_is_no_failure(run, command, tmp_path, monkeypatch, unread, name):
+    monkeypatch.setattr("skyline.fetch_cli.fetch_dem", lambda *_: FetchResult((), 0, ()))
+    monkeypatch.setattr("skyline.fetch_cli.fetch_peaks", lambda *_: 0)
+    arguments = command(name)
+    unread()
+    done = run(*arguments)
+    assert (done.code, done.err) == (0, "")
+    for made in (one for one in arguments if one.startswith(str(tmp_path / "out"))):
+        assert Path(made).exists() or name == "peaks"
+
+
+@pytest.mark.parametrize("name", ["info", "explain", "match", "store check"])
+def test_nor_is_one_of_json(run, command, unread, name):
+    arguments = command(name)
+    unread()
+    done = run(*arguments, "--json")
+    assert (done.code, done.err) == (0, "")
+
+
+def test_nor_is_one_of_help(run, unread):
+    for arguments in (["--help"], ["match", "--help"], ["--version"], ["store"]):
+        unread()
+        done = run(*arguments)
+        assert (done.code, done.err) == (0, ""), arguments
+
+
+def test_files_are_written_all_the_same(run, store, trace, tmp_path, monkeypatch, unread):
+    second = tmp_path / "second.csv"
+    second.write_bytes(trace.read_bytes())
+    matched = []
+    match = sys.modules["skyline.photo_cli"].Query.match
+    monkeypatch.setattr(
+        "skyline.photo_cli.Query.match", lambda *asked: matched.append(1) or match(*asked)
+    )
+    arguments = "match", store, trace, second, "--no-refine"
+    unread()
+    assert run(*arguments).code == 0
+    assert len(matched) == 1, "nobody reads the second answer"
+    files = [tmp_path / name for name in ("r.csv", "x.geojson", "page")]
+    unread()
+    options = "--results", files[0], "--export", files[1], "--report", files[2]
+    assert run(*arguments, *options).code == 0
+    assert len(matched) == 3
+    assert all(file.exists() for file in files)
+    assert files[0].read_text().count("\n") == 3
+
+
+def test_failures_stay_failures(run, store, trace, tmp_path, unread):
+    damaged = bytearray(store.read_bytes())
+    damaged[len(damaged) // 2] ^= 4
+    (tmp_path / "damaged.h5").write_bytes(damaged)
+    for arguments in (
+        ("store", "check", tmp_path / "damaged.h5", "--json"),
+        ("match", store, tmp_path / "none.csv", trace, "--no-refine"),
+    ):
+        unread()
+        assert run(*arguments).code == 2
+        unread()
+        unread("sys.stderr")
+        assert run(*arguments).code == 2
+
+
+def test_in_a_shell(dem, tmp_path):
+    """Nothing is said as Python ends, and no file gets the number of a stream that is closed."""
+    skyline = f"{sys.executable} -m skyline"
+
+    def end_of(line):
+        done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+        return done.returncode, done.stdout, done.stderr
+
+    assert end_of(f"{skyline} info {dem} | true; exit ${{PIPESTATUS[0]}}") == (0, "", "")
+    build = f"{skyline} build {dem} --spacing 1500 -o {tmp_path / 's.h5'}"
+    assert end_of(f"{build} <&- >&- 2>&-") == (0, "", "")
+    with open_store(tmp_path / "s.h5") as store:
+        assert store.built.finished
+    said = "error: the system said: [Errno 28] No space left on device\n"
+    assert end_of(f"{skyline} --version >/dev/full") == (1, "", said)
