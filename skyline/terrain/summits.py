@@ -13,8 +13,9 @@ from numpy.typing import ArrayLike
 from skyline.arrays import Float64Array
 from skyline.terrain.heightfield import HeightField
 
-_SUMMIT_SDS = 2.0
-"""By how many deviations of the model's heights the ground falls off around a summit."""
+_FALL_SDS, _LEVEL_SDS = 2.0, 0.5
+"""By how many deviations of the model's heights ground falls off around a summit, and rises on it
+at most."""
 _SUMMIT_REACH = 16
 """Within how many samples it does."""
 PROMINENCE_REACH = 64
@@ -87,9 +88,9 @@ def summit_heights_m(
 ) -> Float64Array:
     """Return the height of the summit on which each place lies, (N,); NaN where on none.
 
-    A place lies on a summit if the highest sample within one spacing is one: ground around it falls
-    off by more than the model's heights may be wrong (twice `HeightField.height_sd_m`), on all
-    sides and within 16 samples, before it rises higher. Beyond holes and the border it may rise.
+    A place lies on a summit if the highest sample within one spacing is on one: the ground falls
+    off by twice `HeightField.height_sd_m` on all sides within 16 samples, before it rises by half
+    of that deviation. Beyond holes and the border it may rise.
     """
     row, col = field.to_grid(easting_m, northing_m)
     near = np.arange(-1, 3)
@@ -106,11 +107,11 @@ def summit_heights_m(
         top_col[:, np.newaxis] + np.tile(side, 3),
         np.inf,
     )
-    drop_m = _SUMMIT_SDS * field.height_sd_m
+    fall_m, level_m = _FALL_SDS * field.height_sd_m, _LEVEL_SDS * field.height_sd_m
     summit_m = np.full(len(row), np.nan)
-    for index in np.flatnonzero(np.isfinite(top_m) & (top_m >= around.max(axis=1))):
+    for index in np.flatnonzero(np.isfinite(top_m) & (top_m + level_m >= around.max(axis=1))):
         hill = _framed(field, int(top_row[index]), int(top_col[index]), _SUMMIT_REACH)
-        if _falls_by(hill, drop_m, 0.0):
+        if _falls_by(hill, fall_m, level_m):
             summit_m[index] = top_m[index]
     return summit_m
 
@@ -125,11 +126,11 @@ def prominence_m(field: HeightField, row: int, col: int) -> float:
     hill = _framed(field, row, col, PROMINENCE_REACH)
     low_m, high_m = 0.0, float(field.heights_m[row, col]) - float(hill.min())
     while high_m - low_m > _PROMINENCE_STEP_M:
-        drop_m = 0.5 * (low_m + high_m)
-        if _falls_by(hill, drop_m, field.height_sd_m):
-            low_m = drop_m
+        fall_m = 0.5 * (low_m + high_m)
+        if _falls_by(hill, fall_m, field.height_sd_m):
+            low_m = fall_m
         else:
-            high_m = drop_m
+            high_m = fall_m
     return low_m
 
 
@@ -153,10 +154,10 @@ def _framed(field: HeightField, row: int, col: int, reach: int) -> Float64Array:
     return np.pad(heights, 1, constant_values=np.inf)
 
 
-def _falls_by(around_m: Float64Array, drop_m: float, slack_m: float) -> bool:
-    """Whether ground falls by so much on all sides of a window's middle before it rises higher."""
+def _falls_by(around_m: Float64Array, fall_m: float, rise_m: float) -> bool:
+    """Whether ground falls so much on all sides of a window's middle before it rises so much."""
     from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
 
     middle = around_m.shape[0] // 2, around_m.shape[1] // 2
-    hills, _ = label(around_m >= around_m[middle] - drop_m, _EIGHT_NEIGHBOURS)
-    return bool(around_m[hills == hills[middle]].max() <= around_m[middle] + slack_m)
+    hills, _ = label(around_m >= around_m[middle] - fall_m, _EIGHT_NEIGHBOURS)
+    return bool(around_m[hills == hills[middle]].max() <= around_m[middle] + rise_m)
