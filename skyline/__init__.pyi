@@ -42,7 +42,7 @@ from .solar.local_horizons import LocalHorizons, sky_view_factor
 from .store import Locations, PlaceMap, RowCoding, Store, StoreHeader, open_store
 from .terrain.dem import DemOptions, read_dem
 from .terrain.heightfield import HeightField, Provenance
-from .terrain.viewpoints import Viewpoints, stand_on
+from .terrain.viewpoints import Viewpoints, stand_at, stand_on
 from .views import Views
 
 __version__: str
@@ -115,6 +115,7 @@ __all__ = [
     "report_matches",
     "save_panorama",
     "sky_view_factor",
+    "stand_at",
     "stand_on",
     "to_geodataframe",
     "write_located",

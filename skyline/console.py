@@ -23,6 +23,7 @@ from typer.core import TyperGroup
 
 from skyline import __version__
 from skyline.errors import InputError, SkylineError
+from skyline.geodesy import swapped_in_words
 from skyline.logs import ENVIRONMENT_VARIABLE, JSON, as_json, start_logging
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.jobs import Progress, Runner
@@ -229,9 +230,14 @@ def parse_place(text: str) -> tuple[float, float]:
     """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
     said = f"the place is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
     lon, lat = parse_numbers(text, 2, said)
-    if not (-180.0 <= lon <= 360.0 and -90.0 <= lat <= 90.0):
-        raise InputError(said)
+    if not are_degrees(lon, lat):
+        raise InputError(f"{said}; {swapped_in_words(lon, lat)}" if are_degrees(lat, lon) else said)
     return lon, lat
+
+
+def are_degrees(lon: float, lat: float) -> bool:
+    """Whether two numbers can be a longitude and a latitude."""
+    return -180.0 <= lon <= 360.0 and -90.0 <= lat <= 90.0
 
 
 def complain(message: str) -> None:

@@ -77,17 +77,37 @@ Bounds = tuple[float, float, float, float]
 def check_bounds(bounds_deg: Bounds) -> Bounds:
     """Return bounds; `InputError` where they are not W,S,E,N with S < N."""
     west, south, east, north = bounds_deg
-    if not (
-        np.isfinite(bounds_deg).all()
+    if not are_bounds(*bounds_deg):
+        hint = ""
+        if are_bounds(south, west, north, east):
+            hint = f"; {swapped_in_words(*bounds_deg)}"
+        raise InputError(
+            f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees with S < N"
+            + hint
+        )
+    return bounds_deg
+
+
+def are_bounds(west: float, south: float, east: float, north: float) -> bool:
+    """Whether numbers can be the bounds of a box in degrees."""
+    return bool(
+        np.isfinite([west, south, east, north]).all()
         and -90.0 <= south < north <= 90.0
         and -180.0 <= west <= 180.0
         and -180.0 <= east <= 180.0
         and west != east
-    ):
-        raise InputError(
-            f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees with S < N"
-        )
-    return bounds_deg
+    )
+
+
+def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:
+    """Return the suspicion that the coordinates of places were given in the wrong order.
+
+    The right order is shown: of each pair of numbers the second first.
+    """
+    right = ",".join(
+        f"{second:.10g},{first:.10g}" for first, second in zip(given[::2], given[1::2], strict=True)
+    )
+    return f"{names} seem to be swapped: give {right}"
 
 
 def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from numpy.typing import ArrayLike
 from typer import Argument, Option
 
 from skyline.camera import pixel_size
@@ -20,7 +21,7 @@ from skyline.console import (
     Width,
     parse_numbers,
 )
-from skyline.errors import InputError
+from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature, Frame
 from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.renderings import render_views
@@ -38,7 +39,7 @@ from skyline.terrain.scene_bounds import (
     share_beyond,
     sight_range_m,
 )
-from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.terrain.viewpoints import Viewpoints, is_inside, place_on, stand_on
 
 _DEFAULTS = RenderConfig()
 
@@ -85,13 +86,14 @@ def explain(
     wanted = "LON,LAT in degrees, or easting and northing in metres"
     first, second = parse_numbers(at, 2, f"--at is `{at}`; expected {wanted}")
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-    place_m = first, second
-    if abs(first) <= 180.0 and abs(second) <= 90.0:
-        east, north = (float(value) for value in terrain.frame.from_lonlat(first, second))
-        west_m, south_m, east_m, north_m = terrain.bounds_m
-        # Numbers that are degrees off the map are metres.
-        if west_m <= east <= east_m and south_m <= north <= north_m:
-            place_m = east, north
+    place_m: tuple[ArrayLike, ArrayLike] = first, second
+    if max(abs(first), abs(second)) <= 360.0:
+        try:
+            place_m = place_on(terrain.frame, terrain.bounds_m, first, second)
+        except OffMapError:
+            # Numbers that are metres on the map, and degrees off it, are metres.
+            if not is_inside(terrain.bounds_m, first, second):
+                raise
     eye = stand_on(terrain, *place_m, config.eye_height_m)
     _say_facts(_describe_scene(terrain, eye, config), as_json)
 

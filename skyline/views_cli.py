@@ -19,6 +19,7 @@ from skyline.console import (
     parse_place,
     patience,
     progress_bar,
+    remark,
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -35,7 +36,7 @@ from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,
     read_viewpoints,
-    stand_on,
+    stand_at,
 )
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
 
@@ -47,6 +48,15 @@ At = Annotated[
     list[str] | None,
     Option("--at", metavar="LON,LAT", help="A place, degrees (WGS 84); may be repeated."),
 ]
+SummitWithin = Annotated[
+    float | None,
+    Option(
+        "--summit-within",
+        metavar="M",
+        help="Stand on the highest point within so many metres. By default an eye stays where it "
+        "is and, beside a summit of the model, stands as high as it; 0 leaves it on the slope.",
+    ),
+]
 EyeHeight = Annotated[float, Option("--eye-height", metavar="M", help="Metres above ground.")]
 
 
@@ -57,6 +67,7 @@ def horizon(
         Path | None, Option(metavar="FILE.csv", help="Places as CSV: lon,lat[,eye_height_m].")
     ] = None,
     eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
+    summit_within: SummitWithin = None,
     step_deg: Annotated[
         float, Option("--step-deg", help="Degrees between azimuths.")
     ] = DEFAULT_STEP_DEG,
@@ -86,9 +97,9 @@ def horizon(
     with progress_bar("rendering") as progress:
         terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
         if points is not None:
-            eyes = read_viewpoints(points, terrain, eye_height)
+            eyes = read_viewpoints(points, terrain, eye_height, summit_within)
         else:
-            eyes = _eyes(terrain, at or [], eye_height)
+            eyes = _eyes(terrain, at or [], eye_height, summit_within)
         over = read_surface(surface, terrain) if surface else None
         curvature = Curvature(refraction_k=k, enabled=not no_curvature)
         found = horizons_of(terrain, eyes, step_deg, curvature, progress, over)
@@ -104,6 +115,7 @@ def sun(
     at: At,
     day: Annotated[str, Option("--date", metavar="YYYY-MM-DD", help="The day at the place.")],
     eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
+    summit_within: SummitWithin = None,
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
@@ -114,7 +126,8 @@ def sun(
         raise InputError(f"--date is `{day}`; expected a day such as 2026-12-21") from error
     with progress_bar("rendering") as progress:
         terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-        found = horizons_of(terrain, _eyes(terrain, at or [], eye_height), progress=progress)
+        eyes = _eyes(terrain, at or [], eye_height, summit_within)
+        found = horizons_of(terrain, eyes, progress=progress)
     typer.echo("lon,lat,from_utc,to_utc")
     for place in range(len(found)):
         for begin, end in found.sun_above(asked, place):
@@ -140,13 +153,14 @@ def panorama(
         float, Option("--fov-deg", help="The picture's angle, 5 to 360.")
     ] = _PANORAMA.fov_deg,
     eye_height: EyeHeight = _PANORAMA.eye_height_m,
+    summit_within: SummitWithin = None,
     surface: Surfaces = None,
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
     """Draw what is seen from a place, with the names of the peaks that are seen."""
     lonlat = parse_place(at)
-    config = PanoramaConfig(heading, fov_deg, eye_height)
+    config = PanoramaConfig(heading, fov_deg, eye_height, summit_within)
     options = DemOptions(crs=crs, reproject=reproject)
     with patience(f"drawing {output}"):
         if surface:
@@ -155,14 +169,50 @@ def panorama(
         else:
             blocks, over = read_blocks(dem, options), None
         gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
-        seen = save_panorama_of(blocks, lonlat, output, gazetteer, config, over)
+        drawn = save_panorama_of(blocks, lonlat, output, gazetteer, config, over)
+    landscape = drawn.view.landscape
+    _say_where(landscape.terrain, lonlat, landscape.eye, eye_height, summit_within)
+    seen = len(drawn.view.sightings)
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
+    if drawn.unnamed:
+        named += f", {drawn.unnamed} of them without a name for want of room"
     typer.echo(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
 
 
-def _eyes(terrain: HeightField, at: list[str], eye_height_m: float) -> Viewpoints:
+def _eyes(
+    terrain: HeightField, at: list[str], eye_height_m: float, summit_within_m: float | None
+) -> Viewpoints:
+    """Stand eyes at places, and say where they stand if that is not the surface there."""
     lon, lat = np.transpose([parse_place(text) for text in at])
-    return stand_on(terrain, *terrain.frame.from_lonlat(lon, lat), eye_height_m)
+    eyes = stand_at(terrain, lon, lat, eye_height_m, summit_within_m)
+    for index, asked in enumerate(zip(lon.tolist(), lat.tolist(), strict=True)):
+        _say_where(terrain, asked, eyes[index : index + 1], eye_height_m, summit_within_m)
+    return eyes
+
+
+def _say_where(
+    terrain: HeightField,
+    asked: tuple[float, float],
+    eye: Viewpoints,
+    eye_height_m: float,
+    summit_within_m: float | None,
+) -> None:
+    """Say which point was taken for a place, if it was looked for or is a summit beside it."""
+    asked_m = np.array(terrain.frame.from_lonlat(*asked))
+    stands_m = float(eye.eye_elevation_m[0]) - eye_height_m
+    said = f"{asked[0]:.5f},{asked[1]:.5f}"
+    if summit_within_m:
+        lon, lat = (float(one[0]) for one in terrain.frame.to_lonlat(eye.easting_m, eye.northing_m))
+        away_m = np.hypot(eye.easting_m[0] - asked_m[0], eye.northing_m[0] - asked_m[1])
+        remark(
+            f"{said}: the highest point within {summit_within_m:g} m is {lon:.5f},{lat:.5f}, "
+            f"{stands_m:.0f} m high and {away_m:.0f} m away"
+        )
+    elif summit_within_m is None and stands_m - (surface_m := terrain.height_at(*asked_m)) > 0.01:
+        remark(
+            f"{said} is beside a summit of the model: the eye stands as high as it, {stands_m:.0f} "
+            f"m, and not on its slope, {surface_m:.0f} m (as --summit-within 0 would have it)"
+        )
 
 
 def _warn(found: LocalHorizons) -> None:

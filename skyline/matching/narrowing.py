@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
-from skyline.geodesy import Frame, Rectangle
+from skyline.geodesy import Frame, Rectangle, are_bounds, swapped_in_words
 from skyline.matching.claim import Claim
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.screening import turns_within
@@ -54,9 +54,11 @@ class Narrowing:
         if self.near is not None:
             lon, lat, radius_km = self.near
             if not (abs(lon) <= 180.0 and abs(lat) <= 90.0 and 0.0 < radius_km < np.inf):
+                is_swapped = abs(lon) <= 90.0 < abs(lat) <= 180.0
                 raise InputError(
                     f"near is {lon:g},{lat:g},{radius_km:g}; expected longitude and latitude in "
                     "degrees and a radius above 0 km"
+                    + (f"; {swapped_in_words(lon, lat)}" if is_swapped else "")
                 )
         if self.heading_deg is not None:
             heading, slack = self.heading_deg
@@ -110,6 +112,24 @@ class Narrowed:
     """(180,) bool. The turns that are screened; see `turns_within`."""
     claim: Claim | None = None
     """Where the photo says that it was taken."""
+
+    def swapped(self, places: Places) -> str:
+        """Return the suspicion that longitudes and latitudes are swapped; empty without one.
+
+        They are if the swapped narrowing is in the rectangle around the places.
+        """
+        west, east = places.easting_m.min(), places.easting_m.max()
+        south, north = places.northing_m.min(), places.northing_m.max()
+        near, bounds = self.narrowing.near, self.narrowing.bounds_deg
+        if near is not None and max(abs(near[0]), abs(near[1])) <= 90.0:
+            easting, northing = self.frame.from_lonlat(near[1], near[0])
+            if west <= easting <= east and south <= northing <= north:
+                return f"; {swapped_in_words(*near[:2])}"
+        if bounds is not None and are_bounds(bounds[1], bounds[0], bounds[3], bounds[2]):
+            box = self.frame.rectangle_m((bounds[1], bounds[0], bounds[3], bounds[2]))
+            if box[0] <= east and west <= box[2] and box[1] <= north and south <= box[3]:
+                return f"; {swapped_in_words(*bounds)}"
+        return ""
 
     def about_the_claim(self) -> "Narrowed | None":
         """Return this, narrowed to where the photo says that it was taken; None without a claim."""

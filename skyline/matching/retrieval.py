@@ -36,10 +36,6 @@ _LIKELY_DEVIATIONS = 2.5
 _UNLIKELY = 0.25
 """Times the square of how many deviations a field of view is off: what its scores lose."""
 _SLOPE_REACH_M = 15.0
-_NOWHERE = (
-    "no place of the store lies within what the search is narrowed to; widen it, or build a store "
-    "of that area"
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +110,14 @@ class Retriever:
     def _sample(self) -> Places:
         return sample_of(self.places)
 
+    def _nowhere(self, narrowed: Sequence[Narrowed]) -> InputError:
+        """Return the error that a search is narrowed to no place."""
+        hints = (one.swapped(self._sample) for one in narrowed)
+        return InputError(
+            "no place of the store lies within what the search is narrowed to; widen it, or build "
+            "a store of that area" + next(filter(None, hints), "")
+        )
+
     def screened(
         self, query: QueryRays, narrowed: Narrowed | None = None, part: slice = slice(None)
     ) -> Alike:
@@ -140,7 +144,7 @@ class Retriever:
         alike = self.screened(query, narrowed) if screened is None else screened
         alike = alike.best(self._screened)
         if not len(alike):
-            raise InputError(_NOWHERE)
+            raise self._nowhere([] if narrowed is None else [narrowed])
         fitted = self._fitted(query, self._aim(query, narrowed), alike)
         if narrowed is not None:
             fitted = fitted[narrowed.holds(fitted)]
@@ -169,7 +173,7 @@ class Retriever:
             (lambda some: np.all([test(some) for test in tests], axis=0)) if tests else None,
         )
         if not len(alike):
-            raise InputError(_NOWHERE)
+            raise self._nowhere(tests)
         places = self.places.take(alike.row)
         starts = [
             self._start(query, self._aim(query, narrowed), places, screen.scores(places.phase))

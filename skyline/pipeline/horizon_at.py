@@ -15,14 +15,14 @@ from skyline.render.panorama import PanoramaRenderer
 from skyline.solar.local_horizons import LocalHorizons
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import Dem, read_surface
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_at
 
 DEFAULT_STEP_DEG = 0.5
 _AT_ONCE = 2048
 _LEAST_STEPS = 8
 
 
-def horizon(
+def horizon(  # noqa: PLR0913  (each is a condition of its own)
     terrain: HeightField,
     lon: ArrayLike,
     lat: ArrayLike,
@@ -30,6 +30,8 @@ def horizon(
     step_deg: float = DEFAULT_STEP_DEG,
     curvature: Curvature | None = None,
     surface: Dem | None = None,
+    *,
+    summit_within_m: float | None = None,
 ) -> LocalHorizons:
     """Return the horizons round places: exact on the surface of the DEM, but for float32.
 
@@ -43,6 +45,9 @@ def horizon(
         Defaults to the Earth's with k = 0.13.
     surface : path, paths or HeightField, optional
         A surface or canopy model: how far trees and houses may rise above the horizon.
+    summit_within_m : float, optional
+        Eyes go to the highest point within so many metres. By default they stay, and those within a
+        sample's spacing of a summit of the model stand as high as it; 0 leaves these on the slope.
 
     Raises
     ------
@@ -53,8 +58,7 @@ def horizon(
     ContextError
         No OpenGL context can be made.
     """
-    easting_m, northing_m = terrain.frame.from_lonlat(*np.broadcast_arrays(lon, lat))
-    eyes = stand_on(terrain, easting_m, northing_m, eye_height_m)
+    eyes = stand_at(terrain, lon, lat, eye_height_m, summit_within_m)
     over = None if surface is None else read_surface(surface, terrain)
     return horizons_of(terrain, eyes, step_deg, curvature, surface=over)
 

@@ -1,6 +1,7 @@
 """Makes labelled panoramas of what is seen from a place."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,11 +12,12 @@ from skyline.errors import InputError
 from skyline.files import write_whole
 from skyline.geodesy import Curvature
 from skyline.pipeline.horizon_at import horizons_of
-from skyline.report.peaks import Peaks, visible_peaks
-from skyline.terrain.blocks import TerrainBlocks
+from skyline.report.peaks import Peaks, Sighting, most_prominent_first, visible_peaks
+from skyline.terrain.blocks import BLOCK, TerrainBlocks
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.summits import PROMINENCE_REACH
 from skyline.terrain.surface import Dem, read_surface
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, place_on
 
 PANORAMA_SUFFIXES = (".png", ".svg", ".pdf")
 _LEAST_FOV_DEG = 5.0
@@ -32,11 +34,14 @@ class PanoramaConfig:
         The picture's middle, from true north, and its angle, 5 to 360 degrees.
     eye_height_m : float
         Above ground.
+    summit_within_m : float, optional
+        As of `skyline.horizon`.
     """
 
     heading_deg: float = 180.0
     fov_deg: float = 360.0
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    summit_within_m: float | None = None
 
     def __post_init__(self) -> None:
         if not (_LEAST_FOV_DEG <= self.fov_deg <= 360.0 and math.isfinite(self.heading_deg)):
@@ -76,8 +81,8 @@ def save_panorama(
     Returns
     -------
     int
-        How many of the peaks are seen in the picture. The lower of two whose names would overlap
-        goes without its name.
+        How many of the peaks are seen in the picture. Of two whose names would overlap, the less
+        prominent goes without its name; the picture says how many do.
 
     Raises
     ------
@@ -90,7 +95,22 @@ def save_panorama(
     """
     over = None if surface is None else read_surface(surface, terrain)
     config = config or PanoramaConfig()
-    return save_panorama_of(TerrainBlocks.of(terrain), (lon, lat), path, peaks, config, over)
+    drawn = save_panorama_of(TerrainBlocks.of(terrain), (lon, lat), path, peaks, config, over)
+    return len(drawn.view.sightings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnPanorama:
+    """A panorama that has been drawn.
+
+    Attributes
+    ----------
+    unnamed : int
+        How many of the peaks that are seen have no room for their names.
+    """
+
+    view: "report.PanoramaView"
+    unnamed: int
 
 
 def save_panorama_of(
@@ -100,7 +120,7 @@ def save_panorama_of(
     peaks: Peaks | None,
     config: PanoramaConfig,
     surface: HeightField | None = None,
-) -> int:
+) -> DrawnPanorama:
     """Draw what is seen of blocks; without a surface, hidden ones are not made.
 
     As `save_panorama` otherwise; the surface is one that is read.
@@ -109,8 +129,9 @@ def save_panorama_of(
     if path.suffix.lower() not in PANORAMA_SUFFIXES:
         raise InputError(f"{path} is no picture; expected {', '.join(PANORAMA_SUFFIXES)}")
     view = panorama_view(blocks, lonlat, peaks, config, surface)
-    write_whole(path, report.encode_panorama(report.draw_panorama(view), path.suffix[1:].lower()))
-    return len(view.sightings)
+    figure = report.draw_panorama(view)
+    write_whole(path, report.encode_panorama(figure, path.suffix[1:].lower()))
+    return DrawnPanorama(view, len(view.sightings) - report.count_names(figure))
 
 
 def panorama_view(
@@ -122,19 +143,22 @@ def panorama_view(
 ) -> "report.PanoramaView":
     """Look at what one eye sees and find its peaks; see `save_panorama_of`."""
     start_deg, fov_deg = config.start_deg, config.fov_deg
-    easting_m, northing_m = (float(at) for at in blocks.frame.from_lonlat(*lonlat))
+    place_m = place_on(blocks.frame, blocks.grid.bounds, *lonlat)
     landscape = report.Landscape.of(
         blocks,
-        (easting_m, northing_m),
+        (float(place_m[0][0]), float(place_m[1][0])),
         config.eye_height_m,
         report.picture_azimuths_deg(start_deg, fov_deg),
+        config.summit_within_m,
     )
     terrain, eye = landscape.terrain, landscape.eye
     seen = [] if peaks is None else visible_peaks(terrain, eye, peaks, Curvature())
-    convergence_deg = float(blocks.frame.convergence_deg(easting_m, northing_m))
+    convergence_deg = float(blocks.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0]))
     inside = [
         one for one in seen if (one.azimuth_deg + convergence_deg - start_deg) % 360.0 < fov_deg
     ]
+    if inside:
+        inside = most_prominent_first(_around(blocks, inside), inside)
     surface_deg = None
     if surface is not None:
         both = horizons_of(terrain, eye, _SURFACE_STEP_DEG, surface=surface)
@@ -142,3 +166,13 @@ def panorama_view(
             landscape.azimuth_deg, both.azimuth_deg[0], both.surface_deg[0], period=360.0
         )
     return report.PanoramaView(landscape, inside, start_deg, fov_deg, surface_deg)
+
+
+def _around(blocks: TerrainBlocks, sightings: Sequence[Sighting]) -> HeightField:
+    """Return the terrain around summits, of which some is hidden from the eye that sees them."""
+    wanted = np.zeros(blocks.highest_m.shape, np.bool_)
+    for one in sightings:
+        east_m, north_m = np.abs(blocks.around_m(one.easting_m, one.northing_m))
+        grid, reach = blocks.grid, PROMINENCE_REACH + 0.5 * BLOCK
+        wanted |= (east_m <= reach * grid.step_east) & (north_m <= reach * grid.step_north)
+    return blocks.field(wanted)

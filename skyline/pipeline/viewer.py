@@ -17,9 +17,9 @@ from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.rendered_scene import RenderedScene
 from skyline.report.matched import Surroundings
-from skyline.report.peaks import Peaks, visible_peaks
+from skyline.report.peaks import Peaks, most_prominent_first, visible_peaks
 from skyline.report.posed_picture import Panorama, PosedPicture
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, at_elevation, stand_at
 
 _WIDTH = 1024
 """Columns of a view: more than a screen shows of it."""
@@ -114,17 +114,22 @@ class Viewer:
     ) -> Candidate:
         """Return the candidate of a camera that stands at a place; headings are from true north.
 
+        A place within a sample's spacing of a summit of the model has the summit's height as its
+        ground, as in `skyline.horizon`; ``eye_height_m`` may be negative there.
+
         Raises
         ------
         OffMapError
             The place is off the map or on a hole, or the eye is below the ground.
         """
-        easting, northing = self.frame.from_lonlat(lon, lat)
-        eye = stand_on(self.terrain, easting, northing, eye_height_m)
+        ground = stand_at(self.terrain, lon, lat, 0.0)
+        place = ground.easting_m, ground.northing_m
+        eye = at_elevation(self.terrain, *place, ground.eye_elevation_m + eye_height_m)
+        easting, northing = float(eye.easting_m[0]), float(eye.northing_m[0])
         convergence_deg = float(self.frame.convergence_deg(easting, northing))
         pose = Hypotheses.of_pose(
-            float(easting),
-            float(northing),
+            easting,
+            northing,
             float(eye.eye_elevation_m[0]),
             (heading_deg - convergence_deg) % 360.0,
             pitch_deg,
@@ -166,13 +171,14 @@ class Viewer:
         return Panorama.of(views)
 
     def summits(self, pose: Candidate, query: QuerySkyline) -> list[SeenPeak]:
-        """Return the summits that a pose sees in its photo, the highest first."""
+        """Return the summits that a pose sees in its photo, the most prominent first."""
         eye = self._around.eye_of(pose)
         if eye is None or self.peaks is None:
             return []
         seen = visible_peaks(self.terrain, eye, self.peaks, self.curvature)
         picture = PosedPicture(query.width_px, query.height_px, pose, query.projection)
+        inside = most_prominent_first(self.terrain, [one for one, *_ in picture.peaks(seen)])
         return [
             SeenPeak(one.label, column_px, row_px, one.distance_m)
-            for one, column_px, row_px in picture.peaks(seen)
+            for one, column_px, row_px in picture.peaks(inside)
         ]

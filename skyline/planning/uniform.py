@@ -3,7 +3,7 @@
 import numpy as np
 
 from skyline.errors import InputError
-from skyline.geodesy import Bounds, Rectangle
+from skyline.geodesy import Bounds, Rectangle, are_bounds, swapped_in_words
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
 
@@ -17,24 +17,27 @@ def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
     """
     if bounds_deg is None:
         return field.bounds_m
-    west, south, east, north = bounds_deg
-    box = field.frame.rectangle_m(bounds_deg)
-    data = field.bounds_m
-    clipped = (
-        max(box[0], data[0]),
-        max(box[1], data[1]),
-        min(box[2], data[2]),
-        min(box[3], data[3]),
-    )
-    if not (clipped[0] < clipped[2] and clipped[1] < clipped[3]):
-        data_lon, data_lat = field.frame.to_lonlat(
-            [data[0], data[2], data[0], data[2]], [data[1], data[1], data[3], data[3]]
-        )
+    clipped = _clipped(field, bounds_deg)
+    if clipped is None:
+        west, south, east, north = bounds_deg
+        data = field.bounds_m
+        box = field.frame.box_deg([data[0], data[2]] * 2, [data[1]] * 2 + [data[3]] * 2)
+        swapped = south, west, north, east
+        is_swapped = are_bounds(*swapped) and _clipped(field, swapped) is not None
         raise InputError(
             f"bounds {west},{south},{east},{north} do not meet the DEM, which covers about "
-            f"{data_lon.min():.4f},{data_lat.min():.4f},{data_lon.max():.4f},{data_lat.max():.4f}"
+            + ",".join(f"{side:.4f}" for side in box)
+            + (f"; {swapped_in_words(*bounds_deg)}" if is_swapped else "")
         )
-    return (float(clipped[0]), float(clipped[1]), float(clipped[2]), float(clipped[3]))
+    return clipped
+
+
+def _clipped(field: HeightField, bounds_deg: Bounds) -> Rectangle | None:
+    """Return the rectangle around bounds, clipped to a field; None where they do not meet."""
+    box, data = field.frame.rectangle_m(bounds_deg), field.bounds_m
+    west, south = max(box[0], data[0]), max(box[1], data[1])
+    east, north = min(box[2], data[2]), min(box[3], data[3])
+    return (west, south, east, north) if west < east and south < north else None
 
 
 def uniform_grid(

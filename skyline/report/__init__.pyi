@@ -2,7 +2,13 @@ from .html import Page, Picture, Section, Table, Text
 from .landscape import Landscape
 from .match_report import write_match_report
 from .matched import Matched, Surroundings
-from .panorama_picture import PanoramaView, draw_panorama, encode_panorama, picture_azimuths_deg
+from .panorama_picture import (
+    PanoramaView,
+    count_names,
+    draw_panorama,
+    encode_panorama,
+    picture_azimuths_deg,
+)
 from .peaks import Peaks, read_peaks
 from .pictures import save_depth_images
 from .plan_maps import save_coverage_map, save_place_map
@@ -18,6 +24,7 @@ __all__ = [
     "Surroundings",
     "Table",
     "Text",
+    "count_names",
     "draw_panorama",
     "encode_panorama",
     "picture_azimuths_deg",

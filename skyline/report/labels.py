@@ -65,3 +65,10 @@ def place_labels(
         if (first := next(free, None)) is not None:
             placed.append(first)
     return placed
+
+
+def unnamed_in_words(count: int, before: str = "") -> str:
+    """Return how many peaks have no room for their names; nothing where all have."""
+    if count == 0:
+        return ""
+    return f"{before}{count} {'peak has' if count == 1 else 'peaks have'} no room for a name"

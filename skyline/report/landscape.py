@@ -38,6 +38,8 @@ class Landscape:
     """What is hidden from the eye may be missing."""
     eye: Viewpoints
     """One."""
+    ground_m: float
+    """Height of the ground on which it stands: of a summit where the eye is on one."""
     azimuth_deg: Float64Array
     """(C,) float64. From true north, increasing."""
     begins: Int64Array
@@ -56,6 +58,7 @@ class Landscape:
         place_m: tuple[float, float],
         eye_height_m: float,
         azimuth_deg: Float64Array,
+        summit_within_m: float | None = 0.0,
     ) -> Self:
         """Look at the terrain, over the Earth's curvature with k = 0.13.
 
@@ -65,18 +68,19 @@ class Landscape:
         ----------
         place_m : (float, float)
             Easting and northing.
-        eye_height_m : float
-            Above ground.
+        eye_height_m, summit_within_m : float
+            As of `skyline.stand_on`.
         azimuth_deg : (C,) float64
             From true north, in equal steps, at least two.
         """
         near_m, *farther_m = (samples * blocks.spacing_m for samples in _RINGS_SAMPLES)
         from_m = np.hypot(*blocks.around_m(*place_m)) - blocks.radius_m
-        wanted = from_m <= near_m
+        wanted = from_m <= near_m + (summit_within_m or 0.0)
         terrain = blocks.field(wanted)
         if np.isnan(terrain.height_at(*place_m)):
             terrain = blocks.field(np.zeros_like(wanted))  # For an error that names all of the map.
-        eye = stand_on(terrain, *place_m, eye_height_m)
+        eye = stand_on(terrain, *place_m, eye_height_m, summit_within_m)
+        from_m = np.hypot(*blocks.around_m(eye.easting_m[0], eye.northing_m[0])) - blocks.radius_m
         look = _Look(blocks, eye, azimuth_deg)
         look.walk(terrain, 0.0, near_m, np.full(len(azimuth_deg), np.inf))
         for ring_m in itertools.pairwise((near_m, *farther_m)):
@@ -84,7 +88,8 @@ class Landscape:
             wanted = np.where(from_m <= ring_m[0], wanted, seen)
             terrain = blocks.field(wanted & (from_m <= ring_m[1]))
             look.walk(terrain, *ring_m, until_m)
-        return cls(terrain, eye, azimuth_deg, *look.points(terrain))
+        ground_m = float(eye.eye_elevation_m[0]) - eye_height_m
+        return cls(terrain, eye, ground_m, azimuth_deg, *look.points(terrain))
 
     @property
     def skyline_deg(self) -> Float32Array:

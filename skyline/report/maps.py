@@ -9,6 +9,7 @@ from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 
 from skyline.matching.ranking import Candidate
+from skyline.report.labels import unnamed_in_words
 from skyline.report.matched import Surroundings
 from skyline.report.peaks import Sighting
 from skyline.report.relief import Area, draw_bearings, draw_relief
@@ -72,7 +73,9 @@ def draw_match_map(
     _draw_peaks(axis, peaks[:_MOST_PEAKS], area)
     axis.autoscale(False)
     draw_bearings(axis, surroundings.frame, area)
-    axis.set_title(f"{shown} viewpoints of the store (dots)", fontsize=9, loc="left")
+    title = f"{shown} viewpoints of the store (dots)"
+    title += unnamed_in_words(max(0, len(peaks) - _MOST_PEAKS), "; ")
+    axis.set_title(title, fontsize=9, loc="left")
     return figure
 
 

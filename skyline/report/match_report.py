@@ -12,10 +12,11 @@ from skyline.matching.ranking import Candidate
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import write_geojson
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
+from skyline.report.labels import unnamed_in_words
 from skyline.report.maps import detail_area, draw_match_map, overview_area
 from skyline.report.matched import Matched, Surroundings
 from skyline.report.overlay import Overlay
-from skyline.report.peaks import HIDDEN_DEG, Sighting, visible_peaks
+from skyline.report.peaks import HIDDEN_DEG, Sighting, most_prominent_first, visible_peaks
 from skyline.report.pictures import encode_figure
 from skyline.report.posed_picture import Panorama, median_gap_deg
 from skyline.report.records import (
@@ -147,9 +148,9 @@ def _view_of(best: Candidate, surroundings: Surroundings) -> tuple[Panorama | No
         four = eye[np.zeros(len(HEADINGS), dtype=np.intp)]
         panorama = Panorama.of(surroundings.render(four, HEADINGS))
     if surroundings.peaks is not None:
-        sightings = visible_peaks(
-            surroundings.terrain, eye, surroundings.peaks, surroundings.curvature
-        )
+        terrain = surroundings.terrain
+        seen = visible_peaks(terrain, eye, surroundings.peaks, surroundings.curvature)
+        sightings = most_prominent_first(terrain, seen)
     return panorama, sightings
 
 
@@ -216,13 +217,14 @@ def _map_link(candidate: Candidate) -> tuple[str, str]:
 def _overlay_caption(overlay: Overlay) -> str:
     trusted = 100.0 * float(overlay.query.trusted.mean())
     caption = f"Skyline found in {trusted:.0f} % of the columns"
+    unnamed = unnamed_in_words(overlay.unnamed, "; ")
     pose = overlay.pose
     if pose is None or overlay.panorama is None:
-        return f"{caption}; no skyline was rendered to compare it with."
+        return f"{caption}; no skyline was rendered to compare it with{unnamed}."
     gap_deg = median_gap_deg(pose, overlay.query, overlay.panorama)
     return (
         f"{caption}, and the skyline rendered at {name_of(pose.candidate)}; they are "
-        f"{gap_deg:.2f}° apart in the median column, up or down."
+        f"{gap_deg:.2f}° apart in the median column, up or down{unnamed}."
     )
 
 

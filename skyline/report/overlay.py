@@ -58,6 +58,12 @@ class Overlay:
         query = self.query
         return PosedPicture(query.width_px, query.height_px, self.candidate, query.projection)
 
+    @property
+    def unnamed(self) -> int:
+        """How many peaks in the picture have no room for their names."""
+        peaks, labels = _place_peaks(self, Figure(dpi=_DPI))
+        return len(peaks) - len(labels)
+
     def jpeg(self) -> bytes:
         """Return the drawn picture, the query's at most 1600 px wide and high in it."""
         with warnings.catch_warnings():
@@ -66,22 +72,34 @@ class Overlay:
             return encode_figure(_draw(self), "jpeg", _DPI)
 
 
-def _draw(overlay: Overlay) -> Figure:
-    query = overlay.query
-    scale = min(
+def _scale(query: QuerySkyline) -> float:
+    """Return the drawn picture's pixels a pixel of the query's."""
+    return min(
         _LONGEST_PX / max(query.width_px, query.height_px),
         max(1.0, _NARROWEST_PX / query.width_px),
     )
+
+
+def _place_peaks(
+    overlay: Overlay, figure: Figure
+) -> tuple[list[tuple[str, float, float]], list[Placed]]:
+    """Return the peaks in the drawn picture, label, column and row each, and their labels."""
+    pose, scale = overlay.pose, _scale(overlay.query)
+    peaks: list[tuple[str, float, float]] = []
+    for sighting, *place_px in [] if pose is None else pose.peaks(overlay.sightings):
+        column, row = _drawn(place_px, scale).tolist()
+        peaks.append((sighting.label, column, row))
+    widths = [extent_px(figure, text, _LABEL_POINTS)[0] for text, _, _ in peaks]
+    width = max(8.0, overlay.query.width_px * scale)
+    return peaks, place_labels([at for _, at, _ in peaks], widths, width, _MOST_ROWS)
+
+
+def _draw(overlay: Overlay) -> Figure:
+    query, scale = overlay.query, _scale(overlay.query)
     width, height = (max(8.0, side * scale) for side in (query.width_px, query.height_px))
     figure = Figure(dpi=_DPI)
     FigureCanvasAgg(figure)
-    pose = overlay.pose
-    peaks = [
-        (sighting.label, *_drawn([column, row], scale).tolist())
-        for sighting, column, row in ([] if pose is None else pose.peaks(overlay.sightings))
-    ]
-    widths = [extent_px(figure, text, _LABEL_POINTS)[0] for text, _, _ in peaks]
-    labels = place_labels([at for _, at, _ in peaks], widths, width, _MOST_ROWS)
+    peaks, labels = _place_peaks(overlay, figure)
     band = _ROW_PX * (1 + max((label.row for label in labels), default=-1)) + (
         10.0 if labels else 0
     )

@@ -13,7 +13,7 @@ from scipy.ndimage import map_coordinates
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.geodesy import degrees_in_words
-from skyline.report.labels import extent_px, place_labels
+from skyline.report.labels import extent_px, place_labels, unnamed_in_words
 from skyline.report.landscape import Landscape
 from skyline.report.peaks import Sighting
 from skyline.report.pictures import encode_figure
@@ -35,6 +35,7 @@ _LIGHT_ASIDE, _LIGHT_UP = np.radians(60.0), np.radians(40.0)
 """Light falls over the onlooker's left shoulder, wherever the onlooker looks."""
 _ROCK, _HAZE = np.array([0.46, 0.47, 0.38]), np.array([0.80, 0.87, 0.93])
 _SKY, _TREES = "#f4f8fb", "#2e8b57"
+_LIFTED_M = 0.5
 _POINTS = {0: "N", 45: "NE", 90: "E", 135: "SE", 180: "S", 225: "SW", 270: "W", 315: "NW"}
 
 
@@ -87,8 +88,14 @@ def draw_panorama(view: PanoramaView) -> Figure:
         _draw_row(axis, view, row, colours)
         _draw_names(axis, row)
         top_in -= row.total_in
-    figure.text(left, 1.0 - 0.3 / total_in, _title(view), fontsize=11, va="baseline")
+    title = _title(view) + unnamed_in_words(len(view.sightings) - count_names(figure), "; ")
+    figure.text(left, 1.0 - 0.3 / total_in, title, fontsize=11, va="baseline")
     return figure
+
+
+def count_names(figure: Figure) -> int:
+    """Return how many summits have their names in a panorama."""
+    return len(figure.findobj(lambda one: one.get_gid() == SUMMIT))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,10 +288,12 @@ def _title(view: PanoramaView) -> str:
     lon, lat = (
         float(at[0]) for at in view.landscape.terrain.frame.to_lonlat(eye.easting_m, eye.northing_m)
     )
-    ground_m = float(view.landscape.terrain.height_at(eye.easting_m, eye.northing_m)[0])
+    surface_m = float(view.landscape.terrain.height_at(eye.easting_m, eye.northing_m)[0])
+    ground_m = view.landscape.ground_m
+    beside = ", as high as the summit beside it" if ground_m - surface_m > _LIFTED_M else ""
     return (
-        f"{degrees_in_words(lat, 'NS')}, {degrees_in_words(lon, 'EW')}, "
-        f"{ground_m:.0f} m, seen from {eye.eye_elevation_m[0] - ground_m:.1f} m above ground; "
+        f"{degrees_in_words(lat, 'NS')}, {degrees_in_words(lon, 'EW')}, {ground_m:.0f} m{beside}, "
+        f"seen from {eye.eye_elevation_m[0] - ground_m:.1f} m above ground; "
         "azimuths from true north"
         + ("; green: how far trees and houses may rise" if view.surface_deg is not None else "")
     )

@@ -10,6 +10,7 @@ import csv
 import json
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from skyline.arrays import Float64Array
 from skyline.errors import InputError, MissingFileError
 from skyline.geodesy import Curvature, Frame
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.summits import prominence_m
 from skyline.terrain.viewpoints import Viewpoints
 
 SUMMIT_RADIUS_M = 150.0
@@ -174,17 +176,31 @@ class Sighting:
 def visible_peaks(
     terrain: HeightField, eye: Viewpoints, peaks: Peaks, curvature: Curvature
 ) -> list[Sighting]:
-    """Return the peaks one eye sees, highest above the datum first.
+    """Return the peaks one eye sees, in the gazetteer's order.
 
     Peaks off the terrain are left out, since nothing says what hides them.
     """
-    seen = [
+    return [
         sighting
         for index in range(len(peaks))
         if (sighting := _sight(terrain, eye, peaks, index, curvature)) is not None
         and not _is_hidden(terrain, eye, sighting, curvature)
     ]
-    return sorted(seen, key=lambda sighting: -sighting.surface_m)
+
+
+def most_prominent_first(terrain: HeightField, sightings: Sequence[Sighting]) -> list[Sighting]:
+    """Return sightings by the prominence of their summits on the terrain, then by their heights.
+
+    Gazetteers seldom know prominences, and a height says little: a knoll on a high ridge is higher
+    than a mountain that stands alone.
+    """
+
+    def rank(sighting: Sighting) -> tuple[float, float]:
+        row, col = terrain.to_grid(sighting.easting_m, sighting.northing_m)
+        prominent_m = prominence_m(terrain, round(float(row)), round(float(col)))
+        return -prominent_m, -sighting.surface_m
+
+    return sorted(sightings, key=rank)
 
 
 def _sight(

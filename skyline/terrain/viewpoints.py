@@ -9,11 +9,16 @@ from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError, MissingFileError, OffMapError
+from skyline.geodesy import Frame, Rectangle, swapped_in_words
 from skyline.row_arrays import Rows
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.summits import highest_within, summit_heights_m
 
 DEFAULT_EYE_HEIGHT_M = 2.0
+MOST_WITHIN_M = 10_000.0
+"""Within so many metres the highest point around an eye is looked for, at most."""
 
+_ROUNDING_M = 1e-6
 _PLACES = (("easting", "northing"), ("lon", "lat"))
 _EYES = ("eye_height_m", "eye_elevation_m")
 _EXPECTED = (
@@ -43,6 +48,7 @@ def stand_on(
     easting_m: ArrayLike,
     northing_m: ArrayLike,
     eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
+    summit_within_m: float | None = 0.0,
 ) -> Viewpoints:
     """Place eyes on the surface plus an eye height.
 
@@ -50,28 +56,76 @@ def stand_on(
     ----------
     easting_m, northing_m : array_like, broadcast to (N,), metres
     eye_height_m : array_like, metres above ground, at least 0
+    summit_within_m : float or None
+        How far an eye goes, at most, to stand on the highest point around. None leaves eyes where
+        they are, and lifts those that lie within a sample's spacing of a summit of the model to its
+        height (`skyline.terrain.summits.summit_heights_m`).
 
     Raises
     ------
     OffMapError
         A location off the map or on a hole, or an eye height below 0.
+    InputError
+        A distance to summits that is not from 0 to 10,000 m.
     """
     easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
-    eyes, stands = stand_where_possible(field, easting, northing, eye_height)
-    missing = np.flatnonzero(~stands)
-    if missing.size:
-        first = missing[0]
-        west, south, east, north = field.bounds_m
-        inside = west <= easting[first] <= east and south <= northing[first] <= north
-        place = "on a hole of the DEM" if inside else "off the map"
-        lon, lat = field.frame.to_lonlat(easting[first], northing[first])
-        raise OffMapError(
-            f"viewpoint {first} (lon {lon:.5f}, lat {lat:.5f}; easting {easting[first]:.2f}, "
-            f"northing {northing[first]:.2f}) is {place}; the DEM covers easting {west:.1f} "
-            f"to {east:.1f}, northing {south:.1f} to {north:.1f}: move it "
-            f"or remove it ({missing.size} such)"
+    _check_heights(eye_height)
+    asked = easting, northing
+    if summit_within_m is not None and not 0.0 <= summit_within_m <= MOST_WITHIN_M:
+        raise InputError(
+            f"summits are looked for within {summit_within_m:g} m; expected 0 to {MOST_WITHIN_M:g}"
         )
-    return eyes
+    if summit_within_m:
+        highest = [
+            highest_within(field, *place, summit_within_m)
+            for place in zip(easting.tolist(), northing.tolist(), strict=True)
+        ]
+        easting, northing = np.array(highest).reshape(-1, 2).T.copy()
+    ground = field.height_at(easting, northing)
+    _check_ground(field, *asked, ground)
+    if summit_within_m is None:
+        ground = np.fmax(ground, summit_heights_m(field, easting, northing))
+    return Viewpoints(easting, northing, ground + eye_height)
+
+
+def stand_at(
+    field: HeightField,
+    lon_deg: ArrayLike,
+    lat_deg: ArrayLike,
+    eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
+    summit_within_m: float | None = None,
+) -> Viewpoints:
+    """Place eyes at longitudes and latitudes (WGS 84), as `stand_on` does at metres.
+
+    By default an eye beside a summit of the model stands as high as the summit.
+    """
+    place = place_on(field.frame, field.bounds_m, lon_deg, lat_deg)
+    return stand_on(field, *place, eye_height_m, summit_within_m)
+
+
+def place_on(
+    frame: Frame, bounds_m: Rectangle, lon_deg: ArrayLike, lat_deg: ArrayLike
+) -> tuple[Float64Array, Float64Array]:
+    """Return easting and northing (N,) of longitudes and latitudes (WGS 84) on a map.
+
+    Raises `OffMapError` for a place off the map, and says so where longitude and latitude seem to
+    be swapped.
+    """
+    lon, lat = _flat(lon_deg, lat_deg)
+    easting, northing = frame.from_lonlat(lon, lat)
+    outside = np.flatnonzero(~is_inside(bounds_m, easting, northing))
+    if outside.size:
+        first = outside[0]
+        west, south, east, north = bounds_m
+        box = frame.box_deg([west, east, west, east], [south, south, north, north])
+        is_swapped = is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first]))
+        raise OffMapError(
+            f"viewpoint {first} (lon {lon[first]:.5f}, lat {lat[first]:.5f}; {outside.size} such) "
+            f"is off the map; the DEM covers lon {box[0]:.4f} to {box[2]:.4f}, lat {box[1]:.4f} to "
+            f"{box[3]:.4f}: "
+            + (swapped_in_words(lon[first], lat[first]) if is_swapped else "move it or remove it")
+        )
+    return easting, northing
 
 
 def stand_where_possible(
@@ -101,6 +155,42 @@ def at_elevation(
     return Viewpoints(easting, northing, eye_elevation)
 
 
+def _check_ground(
+    field: HeightField, easting_m: Float64Array, northing_m: Float64Array, ground_m: Float64Array
+) -> None:
+    """Raise `OffMapError` where there is no ground to stand on."""
+    missing = np.flatnonzero(np.isnan(ground_m))
+    if not missing.size:
+        return
+    first = missing[0]
+    easting, northing = easting_m[first], northing_m[first]
+    lon, lat = field.frame.to_lonlat(easting, northing)
+    place = (
+        f"viewpoint {first} (lon {lon:.5f}, lat {lat:.5f}; easting {easting:.2f}, northing "
+        f"{northing:.2f}; {missing.size} such) is"
+    )
+    if is_inside(field.bounds_m, easting, northing):
+        raise OffMapError(f"{place} on a hole of the DEM: move it or remove it")
+    west, south, east, north = field.bounds_m
+    is_swapped = is_inside(field.bounds_m, northing, easting)
+    raise OffMapError(
+        f"{place} off the map; the DEM covers easting {west:.1f} to {east:.1f}, northing "
+        f"{south:.1f} to {north:.1f}: "
+        + (
+            swapped_in_words(easting, northing, names="easting and northing")
+            if is_swapped
+            else "move it or remove it"
+        )
+    )
+
+
+def is_inside(bounds_m: Rectangle, easting_m: ArrayLike, northing_m: ArrayLike) -> BoolArray:
+    """Return which places lie within bounds, of the places' shape."""
+    west, south, east, north = bounds_m
+    easting, northing = np.asarray(easting_m), np.asarray(northing_m)
+    return (west <= easting) & (easting <= east) & (south <= northing) & (northing <= north)
+
+
 def _flat(*values: ArrayLike) -> list[Float64Array]:
     arrays = np.broadcast_arrays(*[np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in values])
     flat = [np.ascontiguousarray(array).reshape(-1) for array in arrays]
@@ -110,7 +200,7 @@ def _flat(*values: ArrayLike) -> list[Float64Array]:
 
 
 def _check_heights(eye_height_m: Float64Array) -> None:
-    below = np.flatnonzero(eye_height_m < 0.0)
+    below = np.flatnonzero(eye_height_m < -_ROUNDING_M)
     if below.size:
         first = below[0]
         raise OffMapError(
@@ -120,7 +210,10 @@ def _check_heights(eye_height_m: Float64Array) -> None:
 
 
 def read_viewpoints(
-    path: str | Path, field: HeightField, eye_height_m: float = DEFAULT_EYE_HEIGHT_M
+    path: str | Path,
+    field: HeightField,
+    eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
+    summit_within_m: float | None = 0.0,
 ) -> Viewpoints:
     """Read viewpoints and place their eyes on a height field.
 
@@ -131,6 +224,8 @@ def read_viewpoints(
         (WGS 84), and optionally ``eye_height_m`` or ``eye_elevation_m``.
     eye_height_m : float
         Metres above ground where the file does not say.
+    summit_within_m : float or None
+        As of `stand_on`, for eyes whose elevation the file does not give.
 
     Raises
     ------
@@ -147,10 +242,11 @@ def read_viewpoints(
         raise InputError(f"{path}: columns are `{','.join(columns)}`; {_EXPECTED}")
     first, second = columns[places[0]], columns[places[1]]
     if places == ("lon", "lat"):
-        first, second = field.frame.from_lonlat(first, second)
+        first, second = place_on(field.frame, field.bounds_m, first, second)
     if eyes == ["eye_elevation_m"]:
         return at_elevation(field, first, second, columns["eye_elevation_m"])
-    return stand_on(field, first, second, columns.get("eye_height_m", eye_height_m))
+    eye_height = columns.get("eye_height_m", eye_height_m)
+    return stand_on(field, first, second, eye_height, summit_within_m)
 
 
 def _read_columns(path: Path) -> dict[str, Float64Array]:

@@ -9,7 +9,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from skyline import Matcher, ReliefTiles, RenderThread, SkylineError, Viewer, read_peaks
+from skyline import (
+    Candidate,
+    Matcher,
+    ReliefTiles,
+    RenderThread,
+    SkylineError,
+    Viewer,
+    read_peaks,
+    stand_at,
+)
 
 T = TypeVar("T")
 
@@ -79,6 +88,17 @@ class Engine:
             return None
         height = float(terrain.height_at(*self.matcher.frame.from_lonlat(lon, lat)))
         return height if np.isfinite(height) else None
+
+    def eye_height_m(self, pose: Candidate) -> float | None:
+        """Return how high a pose's eye is above the ground that `Viewer.pose` gives its place.
+
+        An eye below the surface counts as on it. Without terrain there is none.
+        """
+        surface_m = self.height_m(pose.lon, pose.lat)
+        if surface_m is None or self.matcher.terrain is None:
+            return None
+        ground = stand_at(self.matcher.terrain, pose.lon, pose.lat, 0.0)
+        return max(surface_m, pose.eye_elevation_m) - float(ground.eye_elevation_m[0])
 
     def close(self) -> None:
         """End all work and free what was held."""

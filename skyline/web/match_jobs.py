@@ -88,8 +88,6 @@ def _outcome(result: MatchResult, engine: Engine) -> dict[str, Any]:
 
 def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
     """Return a candidate as the page takes it."""
-    ground_m = engine.height_m(candidate.lon, candidate.lat)
-    above_m = None if ground_m is None else max(0.0, candidate.eye_elevation_m - ground_m)
     return {
         "lon": candidate.lon,
         "lat": candidate.lat,
@@ -99,7 +97,7 @@ def candidate_json(candidate: Candidate, engine: Engine) -> dict[str, Any]:
         "fov": candidate.fov_deg,
         "distortion": candidate.distortion,
         "elevation": candidate.eye_elevation_m,
-        "eyeHeight": above_m,
+        "eyeHeight": engine.eye_height_m(candidate),
         "confidence": candidate.confidence,
         "refined": candidate.refined,
         "residual": candidate.residual_deg,

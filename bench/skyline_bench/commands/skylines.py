@@ -111,7 +111,7 @@ def summits(
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Summits of a DEM's file against those of the surface, how they are seen, and what it costs.
+    """Summits of a DEM's file against those of the surface, how they are seen and what from them.
 
     A record that is there keeps the rows of other DEMs.
     """
@@ -120,6 +120,9 @@ def summits(
     columns = """surface spacing_m summits lowest_m highest_m summits_off sights median_sight_m
         p90_sight_m bias_m rms_off_m place_cpu_ms"""
     options.print_rows(rows, columns)
+    for name, value in rows[0].items():
+        if name.startswith(("summit_below", "prominent", "anywhere", *summits_kept.STOOD)):
+            typer.echo(f"{name:<24} {value:g}")
     write_record(json_file, "summits", options.rows_but(json_file, "dem", [rows[0]["dem"]]) + rows)
 
 

@@ -3,6 +3,9 @@
 The surface is what `read_dem` makes of the file. Beside a surface that was warped stand others:
 the same on the file's coarser spacing, which is cheaper; on half of its own spacing, where that is
 not too large; and plain bilinear interpolation at its own samples, which keeps no summit.
+
+On the surface as it is read, horizons are rendered too: from places beside the most prominent
+summits, as far from them as true coordinates are, and from places anywhere.
 """
 
 import math
@@ -19,12 +22,15 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, is_metric
+from skyline.pipeline.horizon_at import horizon, horizons_of
 from skyline.places import BINS
 from skyline.render.panorama import PanoramaRenderer
 from skyline.terrain.dem import DemOptions, clean, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.tiles import Grid, mosaic_grid, open_tile, read_mosaic
+from skyline.terrain.viewpoints import stand_on
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame
+from skyline_bench.measuring.prominence import prominences
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import in_turns
 from skyline_bench.runs.speed_error import central_viewpoints
@@ -32,6 +38,13 @@ from skyline_bench.runs.speed_error import central_viewpoints
 EXACT_M = 1.0
 """How far a summit may be off."""
 
+STOOD = {"slope": 0.0, "summit_height": None, "within_100_m": 100.0}
+"""Where an eye beside a summit stands: ``summit_within_m`` of `skyline.horizon`."""
+
+LOW_DEG = 3.0
+"""What a horizon of a summit is below."""
+
+_MOST_RANKED = 2_000_000
 _APART_M = 1000.0
 """A summit is the highest sample so far around."""
 
@@ -51,11 +64,14 @@ class SummitsConfig:
     nearest_m: float = 2000.0
     farthest_m: float = 20_000.0
     places: int = 400  # Places rendered, for the cost
+    prominent: int = 10  # The most prominent summits, that eyes stand beside
+    beside: int = 5  # Places beside each, up to half a sample of the file away along each axis
+    anywhere: int = 1000  # Places on the surface
     seed: int = 0
 
     def quick(self) -> "SummitsConfig":
         """Return a much smaller measurement."""
-        return replace(self, summits=40, eyes=2, places=40)
+        return replace(self, summits=40, eyes=2, places=40, beside=2, anywhere=100)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +175,84 @@ def measure(
                 "place_cpu_ms": _place_cpu_ms(surface, config.places),
             }
         )
-    return rows
+    seen = _horizons_beside(field, file, config), _horizons_anywhere(field, config)
+    return [{**rows[0], **seen[0], **seen[1]}, *rows[1:]]
+
+
+def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> Row:
+    """Return how high horizons are from places beside summits, by where the eye then stands.
+
+    The shares of azimuths below 3 degrees, more than 1 degree off what is seen from the summit
+    itself, and whose horizon is nearer than a sample; the first from the summit itself too.
+    """
+    row, col = _prominent(field, config.prominent)
+    if not row.size:
+        return {"prominent": 0}
+    rng = np.random.default_rng(config.seed)
+    east_m, north_m = (
+        rng.uniform(-0.5, 0.5, (2, config.beside, row.size)).T * np.array(file.spacing_m)
+    ).T
+    easting, northing = field.to_map(row, col)
+    seen = horizons_of(field, stand_on(field, easting, northing)).elevation_deg
+    found: dict[str, float] = {
+        "prominent": row.size,
+        "summit_below": float(np.mean(seen < LOW_DEG)),
+    }
+    lon, lat = field.frame.to_lonlat(easting + east_m, northing + north_m)
+    for name, within_m in STOOD.items():
+        stood = horizon(field, lon.ravel(), lat.ravel(), summit_within_m=within_m)
+        off_deg = np.abs(stood.elevation_deg - np.tile(seen, (config.beside, 1)))
+        found |= {
+            f"{name}_below": float(np.mean(stood.elevation_deg < LOW_DEG)),
+            f"{name}_off": float(np.mean(off_deg > 1.0)),
+            f"{name}_near": float(np.mean(stood.distance_m < field.spacing_m)),
+        }
+    return found
+
+
+def _prominent(field: HeightField, count: int) -> tuple[Int64Array, Int64Array]:
+    """Return row and column of the most prominent summits that known samples surround."""
+    # Of a large field, the highest samples of squares: their passes are a little too high.
+    side = math.ceil(math.sqrt(field.heights_m.size / _MOST_RANKED))
+    rows, cols = field.rows // side, field.cols // side
+    squares = field.heights_m[: rows * side, : cols * side].reshape(rows, side, cols, side)
+    row, col, _ = prominences(np.fmax.reduce(np.fmax.reduce(squares, axis=3), axis=1))
+    found: list[tuple[int, int]] = []
+    for top, left in zip((side * row).tolist(), (side * col).tolist(), strict=True):
+        square = field.heights_m[top : top + side, left : left + side]
+        at = np.unravel_index(np.nanargmax(square), square.shape)
+        place = top + int(at[0]), left + int(at[1])
+        reach = [round(_APART_M / step) for step in (field.spacing_north_m, field.spacing_east_m)]
+        around = field.heights_m[
+            max(place[0] - reach[0], 0) : place[0] + reach[0] + 1,
+            max(place[1] - reach[1], 0) : place[1] + reach[1] + 1,
+        ]
+        is_inner = around.shape == (2 * reach[0] + 1, 2 * reach[1] + 1)
+        if is_inner and not np.isnan(around).any():
+            found.append(place)
+        if len(found) == count:
+            break
+    places = np.array(found, np.int64).reshape(-1, 2)
+    return places[:, 0], places[:, 1]
+
+
+def _horizons_anywhere(field: HeightField, config: SummitsConfig) -> Row:
+    """Return how many places anywhere are on summits, and whose horizons this changes."""
+    rng = np.random.default_rng(config.seed)
+    west, south, east, north = field.bounds_m
+    drawn = rng.uniform((west, south), (east, north), (4 * config.anywhere, 2))
+    easting, northing = drawn[np.isfinite(field.height_at(*drawn.T))][: config.anywhere].T
+    before = stand_on(field, easting, northing)
+    after = stand_on(field, easting, northing, summit_within_m=None)
+    lifted = after.eye_elevation_m > before.eye_elevation_m
+    was, now = (horizons_of(field, eyes[~lifted], 1.0) for eyes in (before, after))
+    changed = (was.elevation_deg != now.elevation_deg) | (was.distance_m != now.distance_m)
+    known = np.isfinite(was.elevation_deg) | np.isfinite(now.elevation_deg)
+    return {
+        "anywhere": easting.size,
+        "anywhere_on_summits": int(lifted.sum()),
+        "anywhere_else_changed": int((changed & known).any(axis=1).sum()),
+    }
 
 
 def _warped(file: _File, field: HeightField, spacing_m: float) -> HeightField:

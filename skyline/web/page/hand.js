@@ -19,6 +19,8 @@ let flying = null, next = null, number = 0;
 
 export function moveTo(part, stillMoving = false) {
   if (!state.pose) return;
+  // A candidate may look from below the summit beside it; elsewhere that is below the ground.
+  if ("lon" in part || "lat" in part) state.pose.eyeHeight = Math.max(0, state.pose.eyeHeight);
   Object.assign(state.pose, part);
   leave();
   changed(stillMoving);

@@ -124,6 +124,13 @@ export function drawSummits(ctx, view, summits) {
   ctx.font = "12px system-ui, sans-serif";
   ctx.textAlign = "center";
   const taken = [];
+  const write = (text, across, down) => {
+    ctx.lineWidth = 3;
+    ctx.strokeStyle = DARK;
+    ctx.strokeText(text, across, down);
+    ctx.fillStyle = "white";
+    ctx.fillText(text, across, down);
+  };
   for (const summit of summits) {
     const at = [x(view, summit.column), y(view, summit.row)];
     const half = ctx.measureText(summit.label).width / 2 + 4;
@@ -139,12 +146,10 @@ export function drawSummits(ctx, view, summits) {
     ctx.moveTo(at[0], foot + 3);
     ctx.lineTo(at[0], at[1] - 3);
     ctx.stroke();
-    ctx.lineWidth = 3;
-    ctx.strokeStyle = DARK;
-    ctx.strokeText(summit.label, at[0], foot);
-    ctx.fillStyle = "white";
-    ctx.fillText(summit.label, at[0], foot);
+    write(summit.label, at[0], foot);
   }
+  const unnamed = summits.length - taken.length;
+  if (unnamed) write(`${unnamed} ${unnamed === 1 ? "peak has" : "peaks have"} no room for a name`, view.width / 2, view.height - 8);
 }
 
 const BRUSHES = { sky: "rgba(120, 200, 255, 0.55)", ground: "rgba(230, 150, 60, 0.6)", erase: "rgba(20, 20, 20, 0.6)", line: FOUND };

@@ -1,0 +1,163 @@
+"""Summits of a height field: the highest point near a place, and how prominent a hill is.
+
+A grid holds a summit as a sample that lies up to a sample's spacing aside. A place beside that
+sample is on the model's slope, where the summit stands before the eye like a wall, although the
+model cannot tell the two apart.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from skyline.arrays import Float64Array
+from skyline.terrain.heightfield import HeightField
+
+_FALL_SDS, _LEVEL_SDS = 2.0, 0.5
+"""By how many deviations of the model's heights ground falls off around a summit, and rises on it
+at most."""
+_SUMMIT_REACH = 16
+"""Within how many samples it does."""
+PROMINENCE_REACH = 64
+"""Within how many samples of a summit the way to higher ground is looked for."""
+_PROMINENCE_STEP_M = 1.0
+_BESIDE = 1e-8 * np.exp(1j * np.radians([22.5, 67.5, 135.0, 202.5, 247.5, 315.0]))
+"""From a sample into each triangle around it, in samples to the east plus i times to the south."""
+_EIGHT_NEIGHBOURS = np.ones((3, 3), np.int64)
+
+
+def highest_within(
+    field: HeightField, easting_m: float, northing_m: float, within_m: float
+) -> tuple[float, float]:
+    """Return easting and northing of the surface's highest point in a disc; of equals the nearest.
+
+    On each triangle the height is linear. Its greatest in the disc is therefore at a sample, where
+    an edge leaves the disc, or where the triangle's steepest way up from the disc's middle does.
+    Where the disc has no surface, its middle is returned.
+
+    Parameters
+    ----------
+    within_m : float
+        The disc's radius.
+    """
+    row, col = (float(at) for at in field.to_grid(easting_m, northing_m))
+    south_m, east_m = field.spacing_north_m, field.spacing_east_m
+    rows, cols = (
+        np.arange(max(0, math.ceil(at - reach) - 1), min(count, math.floor(at + reach) + 2))
+        for at, reach, count in (
+            (row, within_m / south_m, field.rows),
+            (col, within_m / east_m, field.cols),
+        )
+    )
+    if not (rows.size and cols.size):
+        return easting_m, northing_m
+    down_m, right_m = (rows - row) * south_m, (cols - col) * east_m
+    # Points are offsets to the east plus i times offsets to the south.
+    points = [np.zeros(1, np.complex128), (right_m + 1j * down_m[:, np.newaxis]).ravel()]
+    diagonal_m = math.hypot(south_m, east_m)
+    diagonals = np.arange(cols[0] - rows[-1], cols[-1] - rows[0] + 1) - (col - row)
+    for normal, away_m in (
+        (1.0 + 0.0j, right_m),
+        (0.0 + 1.0j, down_m),
+        (complex(south_m, -east_m) / diagonal_m, diagonals * (south_m * east_m / diagonal_m)),
+    ):
+        met_m = away_m[np.abs(away_m) <= within_m]
+        half_m = np.sqrt(within_m**2 - met_m**2)
+        points += [normal * (met_m + 1j * half_m), normal * (met_m - 1j * half_m)]
+    heights = field.heights_m[rows[:, np.newaxis], cols].astype(np.float64)
+    up_east, up_south = np.diff(heights, axis=1) / east_m, np.diff(heights, axis=0) / south_m
+    for up in (
+        up_east[:-1] + 1j * up_south[:, 1:],  # the north-eastern triangles
+        up_east[1:] + 1j * up_south[:, :-1],
+    ):
+        sloping = up[np.abs(up) > 0.0]
+        points.append(within_m * sloping / np.abs(sloping))
+    place = np.concatenate(points)
+    place = place[np.abs(place) <= within_m * (1.0 + 1e-12)]
+    # Rounding may not decide in which triangle a point lies: that one may be missing.
+    place = (place[:, np.newaxis] + east_m * _BESIDE.real + 1j * south_m * _BESIDE.imag).ravel()
+    easting, northing = easting_m + place.real, northing_m - place.imag
+    # To the millimetre, since rounding must not prefer one place of level ground to another.
+    height = np.nan_to_num(np.round(field.height_at(easting, northing), 3), nan=-np.inf)
+    best = np.lexsort((np.abs(place), -height))[0]
+    return float(easting[best]), float(northing[best])
+
+
+def summit_heights_m(
+    field: HeightField, easting_m: Float64Array, northing_m: Float64Array
+) -> Float64Array:
+    """Return the height of the summit on which each place lies, (N,); NaN where on none.
+
+    A place lies on a summit if the highest sample within one spacing is on one: the ground falls
+    off by twice `HeightField.height_sd_m` on all sides within 16 samples, before it rises by half
+    of that deviation. Beyond holes and the border it may rise.
+    """
+    row, col = field.to_grid(easting_m, northing_m)
+    near = np.arange(-1, 3)
+    rows = np.floor(row).astype(np.int64)[:, np.newaxis] + np.repeat(near, 4)
+    cols = np.floor(col).astype(np.int64)[:, np.newaxis] + np.tile(near, 4)
+    within = np.hypot(rows - row[:, np.newaxis], cols - col[:, np.newaxis]) <= 1.0
+    heights = np.where(within, _heights(field, rows, cols, -np.inf), -np.inf)
+    each, highest = np.arange(len(row)), heights.argmax(axis=1)
+    top_row, top_col, top_m = (one[each, highest] for one in (rows, cols, heights))
+    side = np.arange(-1, 2)
+    around = _heights(
+        field,
+        top_row[:, np.newaxis] + np.repeat(side, 3),
+        top_col[:, np.newaxis] + np.tile(side, 3),
+        np.inf,
+    )
+    fall_m, level_m = _FALL_SDS * field.height_sd_m, _LEVEL_SDS * field.height_sd_m
+    summit_m = np.full(len(row), np.nan)
+    for index in np.flatnonzero(np.isfinite(top_m) & (top_m + level_m >= around.max(axis=1))):
+        hill = _framed(field, int(top_row[index]), int(top_col[index]), _SUMMIT_REACH)
+        if _falls_by(hill, fall_m, level_m):
+            summit_m[index] = top_m[index]
+    return summit_m
+
+
+def prominence_m(field: HeightField, row: int, col: int) -> float:
+    """Return how far one must descend from a sample, at least, to reach higher ground.
+
+    Ground counts as higher if it is more than `HeightField.height_sd_m` above the sample, because
+    the sample nearest to a named place is not always the highest of its hill. Ground that is more
+    than 64 samples away, or not known, counts as higher.
+    """
+    hill = _framed(field, row, col, PROMINENCE_REACH)
+    low_m, high_m = 0.0, float(field.heights_m[row, col]) - float(hill.min())
+    while high_m - low_m > _PROMINENCE_STEP_M:
+        fall_m = 0.5 * (low_m + high_m)
+        if _falls_by(hill, fall_m, field.height_sd_m):
+            low_m = fall_m
+        else:
+            high_m = fall_m
+    return low_m
+
+
+def _heights(
+    field: HeightField, rows: ArrayLike, cols: ArrayLike, missing_m: float
+) -> Float64Array:
+    """Return the heights of samples; of holes and off the map another value."""
+    rows, cols = np.broadcast_arrays(rows, cols)
+    inside = (rows >= 0) & (rows < field.rows) & (cols >= 0) & (cols < field.cols)
+    heights = field.heights_m[np.where(inside, rows, 0), np.where(inside, cols, 0)]
+    return np.where(inside & ~np.isnan(heights), heights, missing_m).astype(np.float64)
+
+
+def _framed(field: HeightField, row: int, col: int, reach: int) -> Float64Array:
+    """Return the heights as far as ``reach`` samples around one, in a frame of infinite heights.
+
+    What is not known is infinite too, since the ground may rise there.
+    """
+    near = np.arange(-reach, reach + 1)
+    heights = _heights(field, row + near[:, np.newaxis], col + near, np.inf)
+    return np.pad(heights, 1, constant_values=np.inf)
+
+
+def _falls_by(around_m: Float64Array, fall_m: float, rise_m: float) -> bool:
+    """Whether ground falls so much on all sides of a window's middle before it rises so much."""
+    from scipy.ndimage import label  # noqa: PLC0415  (slow to load, seldom needed)
+
+    middle = around_m.shape[0] // 2, around_m.shape[1] // 2
+    hills, _ = label(around_m >= around_m[middle] - fall_m, _EIGHT_NEIGHBOURS)
+    return bool(around_m[hills == hills[middle]].max() <= around_m[middle] + rise_m)
