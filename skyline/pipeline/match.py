@@ -270,8 +270,8 @@ class Matcher:
 
         The one candidate of the result holds how far the skylines are apart. It has no confidence,
         since no other place was tried. The fit has failed, and there is no answer, where a search
-        would not stand by the pose even if nothing else fitted; or where this pose does not fit
-        either, and there is no candidate.
+        would not stand by the pose even if nothing else fitted: the candidate then has no
+        covariance. Where this pose does not fit either, there is no candidate.
 
         Parameters
         ----------
@@ -287,7 +287,7 @@ class Matcher:
             The matcher does not render, or the pose is off the map.
         """
         started = time.perf_counter()
-        pose = Hypotheses.of_pose(
+        given = Hypotheses.of_pose(
             start.easting_m,
             start.northing_m,
             start.eye_elevation_m,
@@ -297,14 +297,15 @@ class Matcher:
             start.fov_deg,
             start.distortion,
         )
-        ranking = self._ranker.fit_from(self._rays(query.with_fov(start.fov_deg)), pose)
+        ranking = self._ranker.fit_from(self._rays(query.with_fov(start.fov_deg)), given)
         if ranking is None:
             raise InputError("this matcher does not render; a fit needs the full one and the DEM")
         fitted: tuple[Candidate, ...] = ()
         refusal: str | None = "nothing near this pose fits"
         for alone in ranking.candidates(self.frame):
             refusal = misfit(alone, self._config)
-            fitted = (replace(alone, rank=None, confidence=None, confidence_1km=None),)
+            pose = replace(alone, rank=None, confidence=None, confidence_1km=None)
+            fitted = (pose if refusal is None else replace(pose, covariance_m2=None),)
         return MatchResult(query, fitted, time.perf_counter() - started, refusal)
 
     def screen(

@@ -24,7 +24,7 @@ from skyline.report.records import (
     beyond_in_words,
     claim_in_words,
     confidence_within,
-    name_of,
+    pose_name,
 )
 from skyline.report.shapes import Ellipse
 
@@ -168,7 +168,7 @@ def _maps(
         near = detail_area(candidates[0], surroundings)
         if near.width_m < _DETAIL_SHARE * whole.width_m:
             ellipse = ", its ellipse 95 % of where it may be" if candidates[0].covariance_m2 else ""
-            name = name_of(candidates[0])
+            name = pose_name(candidates[0])
             areas.append(("detail", near, f"{name[0].upper()}{name[1:]} from nearby{ellipse}"))
     pictures = []
     for name, area, caption in areas:
@@ -223,7 +223,7 @@ def _overlay_caption(overlay: Overlay) -> str:
         return f"{caption}; no skyline was rendered to compare it with{unnamed}."
     gap_deg = median_gap_deg(pose, overlay.query, overlay.panorama)
     return (
-        f"{caption}, and the skyline rendered at {name_of(pose.candidate)}; they are "
+        f"{caption}, and the skyline rendered at {pose_name(pose.candidate)}; they are "
         f"{gap_deg:.2f}° apart in the median column, up or down{unnamed}."
     )
 

@@ -19,7 +19,7 @@ from skyline.report.labels import Placed, extent_px, place_labels
 from skyline.report.peaks import Sighting
 from skyline.report.pictures import encode_figure
 from skyline.report.posed_picture import Panorama, PosedPicture
-from skyline.report.records import name_of
+from skyline.report.records import pose_name
 
 FOUND_COLOUR, RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
 
@@ -162,7 +162,7 @@ def _draw_rendered(axis: Axes, overlay: Overlay, scale: float) -> None:
     column, row = pose.pixels(panorama.azimuth_deg, panorama.elevation_tan)
     near = np.abs(column - pose.width_px / 2.0) <= _AROUND * pose.width_px
     for sure, style, label in (
-        (True, "-", f"skyline rendered at {name_of(pose.candidate)}"),
+        (True, "-", f"skyline rendered at {pose_name(pose.candidate)}"),
         (False, ":", "the same, where the elevation data end"),
     ):
         drawn = near & (panorama.is_sure == sure)

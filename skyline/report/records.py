@@ -132,6 +132,11 @@ def name_of(candidate: Candidate) -> str:
     return "the fitted pose" if candidate.refined else "the pose set by hand"
 
 
+def pose_name(candidate: Candidate) -> str:
+    """Return the name of the pose that a report shows: `name_of`, but for the best candidate's."""
+    return "the best candidate" if candidate.rank == 1 else name_of(candidate)
+
+
 def apart_in_words(candidate: Candidate) -> str:
     """Return how far the skylines of a fitted pose are apart; empty for a pose that is not."""
     if candidate.residual_deg is None or candidate.terrain_share is None:

@@ -16,7 +16,7 @@ from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket
 
 from skyline import InputError, SkylineError, read_trace
-from skyline.web.asked import chosen_of, pose_of, strokes_of
+from skyline.web.asked import chosen_of, narrowing_of, pose_of, query_of, strokes_of
 from skyline.web.engine import Engine
 from skyline.web.live import LiveChannel
 from skyline.web.match_jobs import Match, candidate_json
@@ -192,7 +192,7 @@ class _Pages:
         before = session.matches.get(photo.id)
         if before is not None and not before.done:
             raise InputError("this photo is being matched; wait, or cancel that match")
-        match = Match(photo, asked)
+        match = Match(photo, query_of(asked, photo.known()), narrowing_of(asked), asked)
         session.matches[photo.id] = match
         photo.state = "matching"
         await self._engine.work("matches", match.run, self._engine)

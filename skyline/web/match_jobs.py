@@ -4,8 +4,7 @@ import threading
 from collections.abc import Mapping
 from typing import Any
 
-from skyline import Candidate, MatchResult, SkylineError
-from skyline.web.asked import narrowing_of, query_of
+from skyline import Candidate, MatchResult, Narrowing, QuerySkyline, SkylineError
 from skyline.web.engine import Engine
 from skyline.web.photos import PagePhoto, version_of
 
@@ -18,15 +17,18 @@ class _CancelledError(Exception):
 
 
 class Match:
-    """One match of one photo; ``asked`` is what a person knows of where it was taken.
+    """One match of one photo; its result comes with the question ``asked``, as the page put it."""
 
-    Raises `InputError` where the photo is not open yet, or what is asked is no question.
-    """
-
-    def __init__(self, photo: PagePhoto, asked: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        photo: PagePhoto,
+        query: QuerySkyline,
+        narrowing: Narrowing,
+        asked: Mapping[str, Any] | None = None,
+    ) -> None:
         self.photo = photo
-        self._query, self._narrowing = query_of(asked, photo.known()), narrowing_of(asked)
-        self._question = {"asked": asked, "skyline": version_of(self._query)}
+        self._query, self._narrowing = query, narrowing
+        self._question = {"asked": asked, "skyline": version_of(query)}
         self._cancelled = threading.Event()
         self.step, self.share = "waiting", 0.0
         self.error: str | None = None

@@ -142,6 +142,7 @@ def test_a_pose_is_fitted_from_nearby(matcher, query, east_m, north_m, turn_deg)
     assert math.hypot(found.easting_m - EASTING_M, found.northing_m - NORTHING_M) < 45.0
     assert after < min(0.1, before / 2.0)
     assert (found.origin, found.confidence) == ("fitted", None)
+    assert found.radius_m is not None
     assert found.residual_deg < 0.05
     assert found.terrain_share > 0.9
 
@@ -162,7 +163,7 @@ def test_a_fit_that_no_search_would_stand_by_has_failed(matcher, query, east_m, 
         (found,) = fit.candidates
         gap_deg = viewer.look(found, query).gap_deg
     assert fit.answer is None
-    assert found.confidence is None
+    assert (found.confidence, found.radius_m) == (None, None)
     assert found.residual_deg == pytest.approx(np.sqrt(np.nanmean(gap_deg**2)), rel=0.2)
     said = f"{found.residual_deg:.2f} degrees apart (rms) over {100 * found.terrain_share:.0f} %"
     assert said in fit.refusal

@@ -170,8 +170,9 @@ def test_one_question_has_one_answer_wherever_it_is_asked(
     _, uploaded = served.upload(session, path.name, path.read_bytes())
     asked = dict.fromkeys(("heading", "near", "elevation", "eyeHeight")) | question.page
     of_photo = f"{session}/photos/{uploaded['id']}"
-    status, page = served.ask("POST", f"{of_photo}/match", json.dumps(asked))
-    assert status == 200
+    with live(served, session):
+        status, page = served.ask("POST", f"{of_photo}/match", json.dumps(asked))
+    assert status == 200, page
     found = [[one[name] for name in NUMBERS] for one in page["candidates"]]
     assert found
     assert found == [[one[name] for name in NUMBERS.values()] for one in command["candidates"]]
