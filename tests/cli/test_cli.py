@@ -315,6 +315,14 @@ BAD_CSV = {
     "not numbers": (f"easting,northing\n{WEST_M},north\n", "expected 2 numbers"),
     "short row": (f"easting,northing\n{WEST_M}\n", "expected 2 numbers"),
     "off the map": ("easting,northing\n0,0\n", "off the map"),
+    "swapped degrees": (
+        "lon,lat\n46.75,10.33\n",
+        "longitude and latitude seem to be swapped: give 10.33,46.75",
+    ),
+    "swapped metres": (
+        f"easting,northing\n{NORTH_M - 900},{WEST_M + 900}\n",
+        "easting and northing seem to be swapped: give 600900,5179100",
+    ),
     "not finite": ("easting,northing\nnan,0\n", "not a finite number"),
     "below ground": (
         f"easting,northing,eye_elevation_m\n{WEST_M + 900},{NORTH_M - 900},-9000\n",
@@ -373,6 +381,11 @@ def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
         (["build", dem, "-o", out, "--spacing", "1e9"], "choose a smaller spacing"),
         (["build", dem, "-o", out, "--bounds", "1,2,3"], "bounds are `1,2,3`"),
         (["build", dem, "-o", out, "--bounds", "1,2,3,4"], "do not meet the DEM"),
+        (
+            ["build", dem, "-o", out, "--bounds", "46.74,10.32,46.75,10.34"],
+            "longitude and latitude seem to be swapped: give 10.32,46.74,10.34,46.75",
+        ),
+        (["build", dem, "-o", out, "--bounds", "36,-119,37,-118"], "give -119,36,-118,37"),
         (["build", dem, "-o", out, "--planner", "best"], "planner is 'best'"),
         (["build", dem], "--output"),
         (["match", renderings, photo, "--matcher", "paper"], "--fov-deg"),
@@ -412,7 +425,15 @@ def test_explain_says_what_was_modelled_and_what_it_costs(dem, run):
     assert "sight_m" in run("explain", dem, "--at", place).out
 
 
-@pytest.mark.parametrize(("place", "said"), [("5", "easting and northing"), ("0,0", "off the map")])
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        ("5", "easting and northing"),
+        ("0,0", "off the map"),
+        ("46.75,10.33", "longitude and latitude seem to be swapped: give 10.33,46.75"),
+        ("5178000,601800", "easting and northing seem to be swapped: give 601800,5178000"),
+    ],
+)
 def test_explain_refuses_bad_places(dem, run, place, said):
     told = run("explain", dem, "--at", place)
     assert told.code == 2

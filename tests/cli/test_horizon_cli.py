@@ -120,6 +120,9 @@ def test_a_horizon_on_the_border_is_warned_of(run, dem, places, caplog):
         (("--at", "7.0,46.8"), "viewpoint 0 (lon 7.00000, lat 46.80000;"),
         (("--at", "46.8"), "expected LON,LAT in degrees"),
         (("--at", "9.8,95"), "expected LON,LAT in degrees"),
+        (("--at", "46.7484,10.3224"), "longitude and latitude seem to be swapped: give 10.3224,46"),
+        (("--at", "36.6,-118.3"), "longitude and latitude seem to be swapped: give -118.3,36.6"),
+        (("--at", AT, "--summit-within", "-5"), "expected 0 to 10000"),
         ((), "give places as --at LON,LAT or as --points"),
         (("--at", AT, "--points", "points.csv"), "give places as --at LON,LAT or as --points"),
         (("--at", AT, "-o", "horizon.doc"), "expected a name that ends in .csv"),
@@ -131,6 +134,47 @@ def test_a_horizon_on_the_border_is_warned_of(run, dem, places, caplog):
 def test_bad_input_is_one_line(run, dem, places, arguments, said):
     arguments = [places[0] if word == AT else word for word in arguments]
     assert_refused(run("horizon", dem, *arguments), said)
+
+
+@pytest.fixture(scope="module")
+def mountain(tmp_path_factory):
+    """Return a DEM of a mountain, and a place a third of a sample beside its summit."""
+    row, col = np.indices((60, 60))
+    heights = (3000.0 - 28.0 * np.hypot(row - 30, col - 30)).astype(np.float32)
+    dem = write_dem(tmp_path_factory.mktemp("mountain") / "dem.tif", heights)
+    terrain = read_dem([dem])
+    lon, lat = terrain.frame.to_lonlat(*terrain.to_map([30.3, 30.0], [30.35, 30.0]))
+    return dem, [f"{a:.5f},{b:.5f}" for a, b in zip(lon, lat, strict=True)]
+
+
+@pytest.mark.parametrize("command", [("horizon",), ("sun", "--date", "2026-06-21"),
+                                     ("panorama", "-o", "panorama.png")])  # fmt: skip
+def test_it_is_said_which_point_was_taken(run, mountain, tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    dem, (beside, summit) = mountain
+    said = {}
+    for within in (None, "0", "100"):
+        option = () if within is None else ("--summit-within", within)
+        done = run(command[0], dem, "--at", beside, *command[1:], *option)
+        assert done.code == 0, done.err
+        (said[within],) = done.err.splitlines() or [""]
+    assert said[None].startswith(
+        f"{beside} is beside a summit of the model: the eye stands as high"
+    )
+    assert "3000 m, and not on its slope, 2987 m" in said[None]
+    assert said["0"] == ""
+    assert said["100"] == (
+        f"{beside}: the highest point within 100 m is {summit}, 3000 m high and 14 m away"
+    )
+
+
+def test_a_horizon_is_of_the_highest_point_that_was_asked_for(run, mountain, tmp_path):
+    dem, (beside, summit) = mountain
+    points = csv_of(tmp_path / "points.csv", [beside], "lon,lat")
+    for place in (("--at", beside), ("--points", points)):
+        rows = table(run("horizon", dem, *place, "--summit-within", "100").out)
+        assert f"{float(rows[0]['lon']):.5f},{float(rows[0]['lat']):.5f}" == summit
+        assert max(float(row["elevation_deg"]) for row in rows) < 3.0
 
 
 def test_a_place_on_a_hole_is_one_line(run, dem, tmp_path):

@@ -87,8 +87,19 @@ def test_a_search_narrowed_to_nothing_is_one_line(run, store, photo, tmp_path):
 
 
 @pytest.mark.parametrize(
+    "options",
+    [("--near", "46.7478,10.3327,5"), ("--bounds", "46.74,10.32,46.75,10.34")],
+)
+def test_a_search_with_swapped_coordinates_says_so(run, store, photo, options):
+    done = run("match", store, photo, "--fov-deg", "60", *options)
+    assert_refused(done, "longitude and latitude seem to be swapped: give 10.3")
+
+
+@pytest.mark.parametrize(
     ("options", "said"),
     [
+        (("--near", "36.6,-118.3,5"), "seem to be swapped: give -118.3,36.6"),
+        (("--bounds", "36,-119,37,-118"), "seem to be swapped: give -119,36,-118,37"),
         (("--near", "10.3,46.7"), "--near is `10.3,46.7`; expected 3 numbers LON,LAT,KM"),
         (("--near", "10.3,46.7,0"), "a radius above 0 km"),
         (("--near", "10.3,95,3"), "longitude and latitude"),

@@ -8,7 +8,16 @@ import pytest
 from pyproj import Geod
 from scenes import field_from, fractal
 
-from skyline import Curvature, Frame, HeightField, InputError, OffMapError, horizon, stand_on
+from skyline import (
+    Curvature,
+    Frame,
+    HeightField,
+    InputError,
+    OffMapError,
+    horizon,
+    read_dem,
+    stand_on,
+)
 from skyline_bench.truth import oracle
 
 # Ten degrees east of its middle: north of the map is seven degrees from true north.
@@ -158,3 +167,51 @@ def test_steps_that_are_no_share_of_a_turn(rough, step_deg):
 def test_places_off_the_map_are_named_in_degrees(rough):
     with pytest.raises(OffMapError, match=r"lon 9\.00000, lat 47\.00000; .*off the map"):
         horizon(rough, 9.0, 47.0)
+
+
+MOUNTAIN = field_from(lambda east, north: 3000.0 - 0.8 * np.hypot(east, north), 101, 90.0)
+BESIDE_DEG = MOUNTAIN.frame.to_lonlat(-38.0, 30.0)
+
+
+def test_a_summit_does_not_stand_before_who_stands_on_it():
+    """True coordinates lie up to half a sample beside the model's summit."""
+    slope = horizon(MOUNTAIN, *BESIDE_DEG, summit_within_m=0.0)
+    towards = 2 * 128
+    assert slope.elevation_deg[0, towards] > 30.0
+    assert slope.distance_m[0, towards] < 60.0
+    for found in (
+        horizon(MOUNTAIN, *BESIDE_DEG),
+        horizon(MOUNTAIN, *BESIDE_DEG, summit_within_m=100.0),
+    ):
+        assert found.eye_elevation_m[0] == pytest.approx(3002.0, abs=1e-3)
+        assert found.elevation_deg.max() < 0.0
+
+
+def test_elsewhere_a_horizon_is_what_it_was():
+    place = np.random.default_rng(2).uniform(-4000.0, 4000.0, (2, 200))
+    place = place[:, np.hypot(*place) > 128.0]
+    lonlat = MOUNTAIN.frame.to_lonlat(*place)
+    found, as_is = (horizon(MOUNTAIN, *lonlat, 2.0, 7.5, summit_within_m=m) for m in (None, 0.0))
+    np.testing.assert_array_equal(found.eye_elevation_m, as_is.eye_elevation_m)
+    np.testing.assert_array_equal(found.elevation_deg, as_is.elevation_deg)
+
+
+@pytest.mark.parametrize("place", ["Whitney", "Half Dome"])
+def test_from_real_summits_nothing_near_stands_above_the_eye(shared_data, place):
+    tile, lon, lat = {
+        "Whitney": ("N36W119", -118.29204, 36.57857),
+        "Half Dome": ("N37W120", -119.5332, 37.7461),
+    }[place]
+    terrain = read_dem(shared_data / "california" / f"{tile}.hgt.gz")
+    assert horizon(terrain, lon, lat, summit_within_m=0.0).elevation_deg.max() > 25.0
+    for within_m in (None, 100.0):
+        found = horizon(terrain, lon, lat, summit_within_m=within_m)
+        assert (found.elevation_deg < 3.0).mean() > 0.92
+        # Clouds Rest and the ridges beyond it stand above Half Dome.
+        assert found.distance_m[found.elevation_deg > 3.0].min(initial=np.inf) > 4000.0
+
+
+@pytest.mark.parametrize("swapped", [(46.8, 9.8), (np.array([9.8, 46.8]), np.array([46.8, 9.8]))])
+def test_swapped_longitudes_and_latitudes_are_suspected(swapped):
+    with pytest.raises(OffMapError, match=r"lat 46\.[78].*seem to be swapped: give 9\.8,46\.8$"):
+        horizon(MOUNTAIN, *swapped)

@@ -237,3 +237,50 @@ def test_angles_out_of_range(heading, fov):
 def test_a_suffix_that_is_no_picture(mountains, tmp_path):
     with pytest.raises(InputError, match=r"expected \.png, \.svg, \.pdf"):
         save_panorama(mountains[0], 9.8, 46.8, tmp_path / "panorama.txt")
+
+
+def test_the_most_prominent_peak_has_its_name_where_higher_knolls_crowd_it():
+    """A mountain that stands alone, before a higher ridge with six knolls in a row on it."""
+    row_m = 120.0 * np.array([-3, -2, -1, 1, 2, 3])
+
+    def height(east, north):
+        ridge = 1700.0 - 0.6 * np.abs(north - 9000.0)
+        knolls = np.max([25.0 - 0.5 * np.hypot(east - at, north - 9000.0) for at in row_m], axis=0)
+        alone = 1500.0 - 0.9 * np.hypot(east, north - 5000.0)
+        return np.maximum(np.maximum(ridge + np.maximum(knolls, 0.0), alone), 0.0)
+
+    field = field_from(height, 701, 40.0)
+    names = (*(f"Knoll {index}" for index in range(6)), "Lonely Mountain")
+    peaks = Peaks(
+        names, np.append(row_m, 0.0), np.array([9000.0] * 6 + [5000.0]), np.full(7, np.nan)
+    )
+    lonlat = tuple(float(at) for at in FRAME.to_lonlat(0.0, 0.0))
+    view = panorama_view(
+        TerrainBlocks.of(field), lonlat, peaks, PanoramaConfig(0.0, 60.0, eye_height_m=1200.0)
+    )
+    assert len(view.sightings) == 7
+    figure = draw_panorama(view)
+    named = [one.get_text() for one in figure.findobj(lambda one: one.get_gid() == SUMMIT)]
+    assert sum(text.startswith("Lonely Mountain") for text in named) == 1
+    assert len(named) < 7
+    assert f"{7 - len(named)} peaks have no room for a name" in figure.texts[0].get_text()
+
+
+def test_a_panorama_from_a_summit_shows_no_wall():
+    field = field_from(lambda east, north: 3000.0 - np.hypot(east, north), 101, 90.0)
+    lonlat = tuple(float(at) for at in FRAME.to_lonlat(-38.0, 30.0))
+    blocks = TerrainBlocks.of(field)
+
+    def skyline_deg(within_m):
+        view = panorama_view(blocks, lonlat, None, PanoramaConfig(summit_within_m=within_m))
+        return view.landscape.skyline_deg, draw_panorama(view).texts[0].get_text()
+
+    wall, said = skyline_deg(0.0)
+    assert wall.max() > 30.0
+    assert "2950 m, seen from 2.0 m above ground" in said
+    lifted, said = skyline_deg(None)
+    assert lifted.max() < 0.0
+    assert "3000 m, as high as the summit beside it, seen from 2.0 m above ground" in said
+    moved, said = skyline_deg(100.0)
+    assert moved.max() < 0.0
+    assert "3000 m, seen from 2.0 m above ground" in said

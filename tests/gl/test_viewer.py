@@ -25,6 +25,7 @@ from skyline.photo.projection import Projection
 from skyline.pipeline.config import curvature_of
 from skyline.render.horizon import HorizonRenderer
 from skyline.report.posed_picture import Panorama, PosedPicture
+from skyline.terrain.summits import summit_heights_m
 from skyline.terrain.viewpoints import stand_on
 
 EASTING_M, NORTHING_M = 601_800.0, 5_178_000.0
@@ -62,6 +63,25 @@ def test_a_pose_says_where_the_eye_stands(matcher, dem):
         assert pose.origin == "set by hand"
         with pytest.raises(OffMapError):
             viewer.pose(9.0, 40.0, 0.0)
+
+
+def test_a_pose_beside_a_summit_stands_as_high_as_it(matcher):
+    terrain = matcher.terrain
+    row, col = np.indices(terrain.heights_m.shape)[:, 20:-20, 20:-20].reshape(2, -1)
+    tops_m = summit_heights_m(terrain, *terrain.to_map(row + 0.3, col + 0.4))
+    first = np.nanargmax(tops_m)
+    place = terrain.to_map(row[first] + 0.3, col[first] + 0.4)
+    lon, lat = (float(one) for one in matcher.frame.to_lonlat(*place))
+    ground_m = float(terrain.height_at(*place))
+    assert ground_m < tops_m[first]
+    with Viewer(matcher) as viewer:
+        assert viewer.pose(lon, lat, 0.0).eye_elevation_m == pytest.approx(tops_m[first] + 2.0)
+        # Down to the surface, heights above the summit may be negative.
+        below_m = ground_m - tops_m[first]
+        low = viewer.pose(lon, lat, 0.0, eye_height_m=below_m)
+        assert low.eye_elevation_m == pytest.approx(ground_m)
+        with pytest.raises(OffMapError, match="below the ground"):
+            viewer.pose(lon, lat, 0.0, eye_height_m=below_m - 1.0)
 
 
 def test_the_skyline_at_the_true_pose_is_the_photos(matcher, query):

@@ -1,4 +1,4 @@
-"""Summits of a DEM in degrees: as high on the surface as in the file, and nothing else raised."""
+"""Summits: as high on the surface as in a file of degrees, and what stands on them."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,11 +7,15 @@ import numpy as np
 import pytest
 from dem_files import AnyArray, write
 from rasterio.transform import from_origin
+from scenes import FRAME, field_from, field_of
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from skyline.errors import InputError, OffMapError
 from skyline.terrain import cleaning
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.summits import highest_within, prominence_m, summit_heights_m
+from skyline.terrain.viewpoints import stand_on
 from skyline.terrain.warp import local_maxima
 
 STEP_DEG = 1.0 / 1200.0
@@ -124,3 +128,141 @@ def test_maxima_are_those_of_a_plain_search(monkeypatch: pytest.MonkeyPatch) -> 
     assert list(zip(*local_maxima(heights), strict=True)) == expected
     monkeypatch.setattr(cleaning, "_STRIP_SAMPLES", 100)
     assert list(zip(*local_maxima(heights), strict=True)) == expected
+
+
+def surface_of(seed: int) -> HeightField:
+    """Rough ground, on every third seed with holes."""
+    rng = np.random.default_rng(seed)
+    heights = rng.normal(0.0, 30.0, (9, 11))
+    heights[rng.random(heights.shape) < 0.1 * (seed % 3 == 0)] = np.nan
+    return HeightField(heights, 0.0, 0.0, *rng.uniform(10.0, 100.0, 2), FRAME)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_highest_point_of_a_disc_is_higher_than_all_others_of_it(seed):
+    surface, rng = surface_of(seed), np.random.default_rng(1000 + seed)
+    easting, northing = (float(at) for at in surface.to_map(*rng.uniform(-1.0, 10.0, 2)))
+    within_m = rng.uniform(0.0, 5.0) * surface.spacing_m
+    highest = highest_within(surface, easting, northing, within_m)
+    assert np.hypot(highest[0] - easting, highest[1] - northing) <= within_m + 1e-5
+    # Everywhere in the disc, and on its edge.
+    away_m = within_m * np.append(np.sqrt(rng.uniform(0.0, 1.0, 3000)), np.ones(3000))
+    turn = rng.uniform(0.0, 2.0 * np.pi, away_m.size)
+    others_m = surface.height_at(easting + away_m * np.sin(turn), northing + away_m * np.cos(turn))
+    if np.isnan(others_m).all():
+        assert np.hypot(highest[0] - easting, highest[1] - northing) < 1e-5
+    else:
+        assert surface.height_at(*highest) >= np.nanmax(others_m) - 2e-3
+
+
+def test_of_equally_high_points_the_nearest_is_taken():
+    level = field_of(np.full((9, 9), 1234.567), 30.0)
+    highest = highest_within(level, 100.3, -111.7, 70.0)
+    assert highest == pytest.approx((100.3, -111.7), abs=1e-5)
+
+
+def cone(top_m: float = 600.0, east_m: float = 0.0, north_m: float = 0.0) -> HeightField:
+    """Return a mountain that stands alone: a cone of 45 degrees, 61 x 61 samples 90 m apart."""
+    return field_from(
+        lambda east, north: np.maximum(top_m - np.hypot(east - east_m, north - north_m), 0.0),
+        61, 90.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("east_m", "north_m", "is_beside"),
+    [
+        (0.0, 0.0, True),
+        (40.0, -35.0, True),
+        (0.0, 89.0, True),
+        (-60.0, 60.0, True),
+        (70.0, 70.0, False),
+        (0.0, 95.0, False),
+        (900.0, 0.0, False),
+        (2000.0, 2000.0, False),
+    ],
+)
+def test_a_place_within_a_sample_of_a_summit_is_on_it(east_m, north_m, is_beside):
+    found = summit_heights_m(cone(), np.array([east_m]), np.array([north_m]))
+    np.testing.assert_array_equal(found, [600.0 if is_beside else np.nan])
+
+
+def knoll(rise_m: float) -> HeightField:
+    """Return a slope that rises to the north, with a knoll on it at its middle."""
+    return field_from(
+        lambda east, north: 1000.0 + 0.3 * north + rise_m * ((east == 0.0) & (north == 0.0)),
+        61, 90.0,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("rise_m", "is_summit"), [(0.0, False), (30.0, False), (60.0, True)])
+def test_a_knoll_on_a_slope_is_a_summit_if_it_rises_more_than_a_model_errs(rise_m, is_summit):
+    # Beside it, the slope rises by 27 m a sample; twice the deviation of heights is 23 m.
+    found = summit_heights_m(knoll(rise_m), np.array([30.0]), np.array([20.0]))
+    assert np.isfinite(found[0]) == is_summit
+
+
+def test_the_lower_end_of_a_level_top_is_on_the_summit_too():
+    # As Half Dome: 4 m below the highest sample, 200 m from it.
+    level = field_from(
+        lambda east, north: 2000.0 - np.maximum(np.abs(east) - 200.0, 0.0) - np.abs(north)
+        + 0.01 * east, 61, 90.0,
+    )  # fmt: skip
+    found = summit_heights_m(level, np.array([-190.0]), np.array([40.0]))
+    assert found[0] == pytest.approx(2000.0 - 1.8)
+
+
+@pytest.mark.parametrize(("east_m", "north_m"), [(-2700.0, 0.0), (2700.0, 2700.0)])
+def test_at_the_border_nothing_is_known_to_be_a_summit(east_m, north_m):
+    place = np.array([0.98 * east_m]), np.array([0.98 * north_m])
+    assert np.isnan(summit_heights_m(cone(600.0, east_m, north_m), *place)).all()
+
+
+def test_beside_a_hole_nothing_is_known_to_be_a_summit():
+    heights = np.array(cone().heights_m)
+    heights[29, 31] = np.nan
+    assert np.isnan(
+        summit_heights_m(field_of(heights, 90.0), np.array([2700.0]), np.array([-2700.0]))
+    )
+
+
+def test_a_prominence_is_how_far_one_must_descend():
+    two = field_from(
+        lambda east, north: np.maximum(
+            1500.0 - np.hypot(east, north), 1200.0 - np.hypot(east - 900.0, north)
+        ), 101, 50.0,
+    )  # fmt: skip
+    # Between the two, 900 m apart, the pass is at 900 m.
+    assert prominence_m(two, 50, 68) == pytest.approx(300.0, abs=1.0)
+    assert prominence_m(two, 50, 50) > 1000.0
+    assert prominence_m(two, 50, 59) == pytest.approx(0.0, abs=1.0)
+
+
+def test_eyes_stand_where_they_are_told_to():
+    mountain = cone()
+    beside = 40.0, -35.0
+    as_is, lifted, moved = (
+        stand_on(mountain, *beside, 2.0, within_m) for within_m in (0.0, None, 100.0)
+    )
+    assert as_is.eye_elevation_m[0] == mountain.height_at(*beside) + 2.0 < 565.0
+    assert (lifted.easting_m[0], lifted.northing_m[0]) == beside
+    assert lifted.eye_elevation_m[0] == 602.0
+    assert (moved.easting_m[0], moved.northing_m[0]) == pytest.approx((0.0, 0.0), abs=1e-5)
+    assert moved.eye_elevation_m[0] == pytest.approx(602.0, abs=1e-5)
+    slope = stand_on(mountain, 450.0, 0.0, 2.0, 100.0)
+    assert slope.easting_m[0] == pytest.approx(350.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("within_m", [-1.0, 10_001.0, np.nan])
+def test_summits_are_looked_for_within_a_distance(within_m):
+    with pytest.raises(InputError, match="expected 0 to 10000"):
+        stand_on(cone(), 0.0, 0.0, 2.0, within_m)
+
+
+def test_a_place_on_a_hole_may_have_a_summit_beside_it():
+    heights = np.array(cone().heights_m)
+    heights[34, 30] = np.nan
+    mountain = field_from(lambda *_: heights, 61, 90.0)
+    with pytest.raises(OffMapError, match="on a hole"):
+        stand_on(mountain, 0.0, -360.0)
+    assert stand_on(mountain, 0.0, -360.0, 2.0, 400.0).eye_elevation_m[0] > 600.0
