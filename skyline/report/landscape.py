@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.report.peaks import HIDDEN_DEG, UNDERFOOT_SAMPLES
 from skyline.terrain.blocks import TerrainBlocks
@@ -62,7 +63,8 @@ class Landscape:
     ) -> Self:
         """Look at the terrain, over the Earth's curvature with k = 0.13.
 
-        Raises `OffMapError` where the place is off the map or on a hole.
+        Raises `OffMapError` where the place is off the map or on a hole, and `InputError` where no
+        terrain is seen.
 
         Parameters
         ----------
@@ -175,6 +177,10 @@ class _Look:
     ) -> tuple[Int64Array, Float64Array, Float32Array, BoolArray]:
         """Return what was seen, as `Landscape` has it, ridges as high as the surface is there."""
         column, step, up_deg = (np.concatenate(part) for part in zip(*self._seen, strict=True))
+        if not len(column):
+            raise InputError(
+                "no terrain is seen: the DEM has no heights around the place; give a wider DEM"
+            )
         order = np.argsort(column, kind="stable")  # Steps are in order already.
         column, step, up_deg = column[order], step[order], up_deg[order]
         distance_m = self._distance_m[step]

@@ -284,3 +284,9 @@ def test_a_panorama_from_a_summit_shows_no_wall():
     moved, said = skyline_deg(100.0)
     assert moved.max() < 0.0
     assert "3000 m, seen from 2.0 m above ground" in said
+
+
+def test_where_no_terrain_is_seen_it_says_so():
+    field = HeightField(np.array([[500.0]]), 0.0, 0.0, 30.0, 30.0, FRAME)
+    with pytest.raises(InputError, match="no terrain is seen: the DEM has no heights around"):
+        Landscape.of(TerrainBlocks.of(field), (0.0, 0.0), 2.0, AZIMUTH_DEG)
