@@ -10,11 +10,12 @@ from PIL.ExifTags import GPS, IFD, Base
 from PIL.TiffImagePlugin import IFDRational
 
 
-def lensed(photo, path, focal_mm, size=None):
+def lensed(photo, path, focal_mm, size=None, tag=Base.FocalLengthIn35mmFilm, **more):
     """Write a copy of a photo, 960 x 640, that notes a 35 mm equivalent and a frame's size."""
     exif = Image.Exif()
     noted = exif.get_ifd(IFD.Exif)
-    noted[Base.FocalLengthIn35mmFilm] = focal_mm
+    noted[tag] = focal_mm
+    noted.update({Base[name]: value for name, value in more.items()})
     if size is not None:
         noted[Base.ExifImageWidth], noted[Base.ExifImageHeight] = size
     with Image.open(photo) as image:
@@ -27,7 +28,10 @@ def test_what_a_photo_notes_of_its_lens_is_weighed(run, store, photo, tmp_path):
     plain = lensed(photo, tmp_path / "plain.jpg", 31, (3000, 2000))
     cropped = lensed(photo, tmp_path / "cropped.jpg", 24, (4000, 3000))
     lie = lensed(photo, tmp_path / "lie.jpg", 9999)
-    found = run("match", store, plain, cropped, lie, "--json")
+    # 125 pixels a millimetre of 24 mm, where the sensor has 36.
+    fine = {"FocalPlaneXResolution": 125, "FocalPlaneResolutionUnit": 4}
+    plane = lensed(photo, tmp_path / "plane.jpg", 31, (3000, 2000), Base.FocalLength, **fine)
+    found = run("match", store, plain, cropped, lie, plane, "--json")
     assert found.code == 0, found.err
     told = [json.loads(line) for line in found.out.splitlines()]
     assert all(off_m(one["answer"]) < 60.0 for one in told)
@@ -37,6 +41,7 @@ def test_what_a_photo_notes_of_its_lens_is_weighed(run, store, photo, tmp_path):
     assert lenses[1]["most_deg"] > 60.0 > lenses[1]["fov_deg"]
     assert "cropped" in lenses[1]["said"]
     assert lenses[2]["fov_deg"] is None
+    assert lenses[3]["fov_deg"] == pytest.approx(42.3, abs=0.1)
     said = run("match", store, plain, cropped, lie, "--no-refine").out
     assert "field of view: 60.3 degrees, give or take 5; EXIF's 35 mm equivalent alone" in said
     assert "field of view: 53.7 degrees, give or take 12; EXIF's 35 mm equivalent alone," in said
