@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
-import typer
 from numpy.typing import ArrayLike
 from typer import Argument, Option
 
@@ -20,6 +19,7 @@ from skyline.console import (
     Tolerance,
     Width,
     parse_numbers,
+    say,
 )
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature, Frame
@@ -40,6 +40,7 @@ from skyline.terrain.scene_bounds import (
     sight_range_m,
 )
 from skyline.terrain.viewpoints import Viewpoints, is_inside, place_on, stand_on
+from skyline.text import printable
 
 _DEFAULTS = RenderConfig()
 
@@ -100,13 +101,13 @@ def explain(
 
 def _say_facts(facts: Facts, as_json: bool) -> None:
     if as_json:
-        typer.echo(json.dumps(facts))
+        say(json.dumps(facts))
         return
     for name, value in facts.items():
         values = value if isinstance(value, list) else [value]
         for line, item in enumerate(values):
             shown = f"{item:.9g}" if isinstance(item, float) else item
-            typer.echo(f"{name if line == 0 else '':<24} {shown}")
+            say(f"{name if line == 0 else '':<24} {shown}")
 
 
 def _describe_terrain(field: HeightField) -> Facts:
@@ -183,7 +184,7 @@ def describe_store(path: str) -> Facts:
             facts["width"] = header.width
         facts |= {
             "frame": frame.name,
-            "dem_files": list(header.dem_files),
+            "dem_files": [printable(file) for file in header.dem_files],
             "dem_digest": header.dem_digest,
             "config": dict(header.config),
             "rows": header.rows,

@@ -20,6 +20,7 @@ from skyline.console import (
     patience,
     progress_bar,
     remark,
+    say,
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -128,11 +129,11 @@ def sun(
         terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
         eyes = _eyes(terrain, at or [], eye_height, summit_within)
         found = horizons_of(terrain, eyes, progress=progress)
-    typer.echo("lon,lat,from_utc,to_utc")
+    say("lon,lat,from_utc,to_utc")
     for place in range(len(found)):
         for begin, end in found.sun_above(asked, place):
             times = ",".join(f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (begin, end))
-            typer.echo(f"{found.lon[place]:.7f},{found.lat[place]:.7f},{times}")
+            say(f"{found.lon[place]:.7f},{found.lat[place]:.7f},{times}")
     _warn(found)
 
 
@@ -176,7 +177,7 @@ def panorama(
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
     if drawn.unnamed:
         named += f", {drawn.unnamed} of them without a name for want of room"
-    typer.echo(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
+    say(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
 
 
 def _eyes(

@@ -23,6 +23,7 @@ from rasterio.windows import transform as transform_of
 
 from skyline.errors import FetchError, InputError
 from skyline.fetch.remote import AbsentError, HttpOptions, shown, with_remote
+from skyline.files import for_gdal
 from skyline.geodesy import Bounds, check_bounds
 from skyline.terrain.tiles import GRID_TOLERANCE
 
@@ -196,6 +197,7 @@ def fetch_dem(
     origin = TileSource.named(source)
     tiles = origin.tiles(bounds_deg)
     folder = Path(folder)
+    for_gdal(str(folder.absolute()))
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is not a folder; name a folder to write the tiles to")
     cuts: list[_Cut] = []

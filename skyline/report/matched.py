@@ -26,7 +26,7 @@ class Matched:
     Attributes
     ----------
     name : str
-        What the user calls the query: its file.
+        The query's file, as the user has named it.
     candidates : sequence of Candidate
         The pose to show first, then others; each has its own rank.
     is_answered : bool
@@ -37,6 +37,8 @@ class Matched:
         What was done to find it, a sentence each.
     within_m : float, optional
         How near the answer is sure to be; None without an answer.
+    is_upload : bool
+        Whether the file lies on another machine, so that its name is no path on this one.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Matched:
     photo: UInt8Array | None = None
     done: Sequence[str] = ()
     within_m: float | None = None
+    is_upload: bool = False
 
 
 @dataclass(frozen=True, slots=True)

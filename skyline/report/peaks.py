@@ -24,6 +24,7 @@ from skyline.geodesy import Curvature, Frame
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import prominence_m
 from skyline.terrain.viewpoints import Viewpoints
+from skyline.text import printable
 
 SUMMIT_RADIUS_M = 150.0
 """How far from the place named a summit is looked for; terrain this near to it does not hide it."""
@@ -56,6 +57,8 @@ class Peaks:
 
     Attributes
     ----------
+    names : tuple of str
+        Printable: what is not is escaped.
     easting_m, northing_m : (N,) float64
     height_m : (N,) float64
         As the gazetteer has it, for its label; NaN where it does not say.
@@ -65,6 +68,9 @@ class Peaks:
     easting_m: Float64Array
     northing_m: Float64Array
     height_m: Float64Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", tuple(map(printable, self.names)))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -78,8 +84,9 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
     path : str or Path
         GeoJSON (``.geojson``, ``.json``) of points with the properties ``name`` and, optionally,
         ``ele``, as OpenStreetMap has them (`height_of_ele`); features without a name or a point
-        are left out, and one warning counts the peaks whose ``ele`` is no height. Else CSV: header ``name,lon,lat`` (degrees, WGS 84) or ``name,easting,northing`` (metres, in
-        ``frame``), and optionally ``height_m``, which may be empty.
+        are left out, and one warning counts the peaks whose ``ele`` is no height. Else CSV: header
+        ``name,lon,lat`` (degrees, WGS 84) or ``name,easting,northing`` (metres, in ``frame``), and
+        optionally ``height_m``, which may be empty.
 
     Raises
     ------
@@ -124,9 +131,9 @@ def _read_geojson(path: Path, frame: Frame) -> Peaks:
     named = [point for point in points if point is not None]
     if not named:
         raise InputError(f"gazetteer {path} has no named point; {expected}")
-    names, lon, lat, eles = zip(*named, strict=True)
-    height_m = np.array([math.nan if ele is None else height_of_ele(ele) for ele in eles])
-    unread = [i for i, ele in enumerate(eles) if ele is not None and math.isnan(height_m[i])]
+    names, lon, lat, given = zip(*named, strict=True)
+    height_m = np.array([math.nan if ele is None else height_of_ele(ele) for ele in given])
+    unread = [i for i, ele in enumerate(given) if ele is not None and math.isnan(height_m[i])]
     if unread:
         _log.warning(
             "gazetteer %s: `ele` of %d of %d peaks is no height (the first is `%.40s` of %s), so "
@@ -135,7 +142,7 @@ def _read_geojson(path: Path, frame: Frame) -> Peaks:
             path,
             len(unread),
             len(named),
-            eles[unread[0]],
+            given[unread[0]],
             names[unread[0]],
         )
     return Peaks(names, *frame.from_lonlat(lon, lat), height_m)

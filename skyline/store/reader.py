@@ -32,6 +32,7 @@ from skyline.store.place_map import Offsets, PlaceMap
 from skyline.store.rows import Columns, row_checksums, stored_places, views_of
 from skyline.store.superblock import WholeFile
 from skyline.terrain.viewpoints import Viewpoints
+from skyline.text import printable
 from skyline.views import Views
 
 _T = TypeVar("_T")
@@ -112,7 +113,8 @@ class Store:
 
     def __repr__(self) -> str:
         note = f"; {self.built.note}" if self.built.note else ""
-        return f"Store({self.path.name}: {self.committed} {self.header.holds}{note})"
+        name = printable(self.path.name)
+        return f"Store({name}: {self.committed} {self.header.holds}{note})"
 
     def _repr_html_(self) -> str:
         header = self.header

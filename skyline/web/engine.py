@@ -24,6 +24,7 @@ T = TypeVar("T")
 
 _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
 """Threads by what they do, so that no kind of work waits for another."""
+_NAME_LENGTH = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +72,14 @@ class Engine:
         """Return what a page shows of the store."""
         eyes = self.matcher.viewpoints
         return {
-            "store": self.given.store.name,
+            "store": shown_name(self.given.store.name),
             "places": self.matcher.rows,
             "unfinished": self.matcher.unfinished,
             "area": list(self.matcher.frame.box_deg(eyes.easting_m, eyes.northing_m)),
             "terrain": self.relief and list(self.relief.bounds_deg),
             "rendering": self.viewer is not None,
             "peaks": self.given.peaks is not None,
-            "given": [path.name for path in self.given.photos],
+            "given": [shown_name(path.name) for path in self.given.photos],
         }
 
     def height_m(self, lon: float, lat: float) -> float | None:
@@ -108,3 +109,10 @@ class Engine:
             self.viewer.release()
         self.matcher.release()
         self.thread.close()
+
+
+def shown_name(name: str) -> str:
+    """Return a file's name as the page shows it: without folders or control characters."""
+    last = name.replace("\\", "/").rsplit("/", 1)[-1]
+    plain = "".join(letter for letter in last if letter.isprintable()).strip()
+    return plain[-_NAME_LENGTH:] or "photo"

@@ -95,7 +95,7 @@ def test_a_gazetteer_in_degrees_or_metres(tmp_path):
     assert np.isnan(second.height_m).all()
 
 
-def geojson_of(path, eles, names=None):
+def geojson_of(path, heights):
     """Write points with these `ele` (None: the property is not there), and return the path."""
     features = [
         {
@@ -103,7 +103,7 @@ def geojson_of(path, eles, names=None):
             "properties": {"name": name} | ({} if ele is None else {"ele": ele}),
             "geometry": {"type": "Point", "coordinates": [9.0 + 0.01 * at, 46.0]},
         }
-        for at, (ele, name) in enumerate(zip(eles, names or "ABCDEFGHIJ", strict=False))
+        for at, (ele, name) in enumerate(zip(heights, "ABCD", strict=False))
     ]
     path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
     return path
