@@ -112,7 +112,6 @@ def _say_facts(facts: Facts, as_json: bool) -> None:
 
 def _describe_terrain(field: HeightField) -> Facts:
     west, south, east, north = field.bounds_m
-    bounds_deg = field.frame.box_deg([west, east, west, east], [south, south, north, north])
     centre = (west + east) / 2.0, (south + north) / 2.0
     made = field.provenance
     return {
@@ -125,7 +124,7 @@ def _describe_terrain(field: HeightField) -> Facts:
         "samples": f"{field.cols} x {field.rows}",
         "spacing_m": [field.spacing_east_m, field.spacing_north_m],
         "bounds_m": [west, south, east, north],
-        "bounds_deg": list(bounds_deg),
+        "bounds_deg": list(field.frame.box_deg([west, east], [south, north])),
         "height_range_m": list(field.height_range_m),
         "convergence_deg": float(field.frame.convergence_deg(*centre)),
         **{name: getattr(made, name) for name in ("filled", "hollow", "despiked", "undeclared")},

@@ -29,7 +29,7 @@ from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.report.matched import Matched
 from skyline.report.records import describe_candidate, name_of
-from skyline.report.shapes import Ellipse, view_wedge_m
+from skyline.report.shapes import Ellipse, lonlat_rings, view_wedge_m
 from skyline.text import printable
 
 VIEW_REACH_M = 2000.0
@@ -52,7 +52,7 @@ def write_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     (null where no search found the pose), ``origin`` (see `Candidate.origin`) and ``shape`` =
     ``candidate``; a Polygon with ``shape`` = ``view``, the field of view out to
     2 km; and where its covariance is known one with ``shape`` = ``ellipse95``, ``semi_major_m``
-    and ``semi_minor_m``.
+    and ``semi_minor_m``. A shape that the antimeridian cuts is a MultiPolygon.
 
     Raises `InputError` where the file cannot be written.
     """
@@ -94,15 +94,16 @@ def _features(query: str, candidate: Candidate, frame: Frame) -> list[Json]:
 
 
 def _polygon(outline_m: Float64Array, frame: Frame) -> Json:
-    return {"type": "Polygon", "coordinates": [_lonlat_of(outline_m, frame)]}
+    """Return a shape, which is two or more polygons where the antimeridian cuts it."""
+    rings = _rings(outline_m, frame)
+    if len(rings) == 1:
+        return {"type": "Polygon", "coordinates": rings}
+    return {"type": "MultiPolygon", "coordinates": [[ring] for ring in rings]}
 
 
-def _lonlat_of(places_m: Float64Array, frame: Frame) -> list[list[float]]:
-    """Return longitudes and latitudes to a centimetre of places (P, 2), metres."""
-    lon, lat = frame.to_lonlat(places_m[:, 0], places_m[:, 1])
-    degrees = np.round(np.stack([lon, lat], axis=1), _DECIMALS)
-    pairs: list[list[float]] = degrees.tolist()
-    return pairs
+def _rings(outline_m: Float64Array, frame: Frame) -> list[list[list[float]]]:
+    """Return the rings of an outline (P, 2), metres, in degrees to a centimetre."""
+    return [np.round(ring, _DECIMALS).tolist() for ring in lonlat_rings(outline_m, frame)]
 
 
 def write_cameras(path: Path, matches: Sequence[Matched]) -> None:
@@ -217,9 +218,9 @@ def _add_match(folder: Xml.Element, matched: Matched, frame: Frame, href: str | 
         _child(mark, "description", _described(candidate))
         shapes = _child(mark, "MultiGeometry")
         _add_point(shapes, candidate)
-        ring = _child(_child(_child(shapes, "Polygon"), "outerBoundaryIs"), "LinearRing")
-        outline = _lonlat_of(view_wedge_m(candidate, VIEW_REACH_M), frame)
-        _child(ring, "coordinates", " ".join(f"{lon},{lat}" for lon, lat in outline))
+        for outline in _rings(view_wedge_m(candidate, VIEW_REACH_M), frame):
+            ring = _child(_child(_child(shapes, "Polygon"), "outerBoundaryIs"), "LinearRing")
+            _child(ring, "coordinates", " ".join(f"{lon},{lat}" for lon, lat in outline))
     is_flat = matched.query.projection is Projection.PERSPECTIVE
     if href is not None and matched.candidates and is_flat:
         _add_photo(folder, name, matched.query, matched.candidates[0], href)

@@ -11,7 +11,7 @@ from matplotlib.offsetbox import AnchoredText
 from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.geodesy import Frame, degrees_in_words
+from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.report.relief_tiles import DARKEST, TINTS
 from skyline.terrain.heightfield import HeightField
 
@@ -134,6 +134,7 @@ def _draw_degrees(axis: Axes, frame: Frame, area: Area) -> None:
     easting = area.west_m + along * area.width_m
     northing = area.south_m + along * area.height_m
     lon, lat = frame.to_lonlat(*np.meshgrid(easting, northing))
+    lon = in_turn(lon, float(lon[_EDGE_POINTS // 2, _EDGE_POINTS // 2]))
     lines: dict[str, Any] = {"colors": "black", "linewidths": 0.4, "alpha": 0.35}
     for degrees, place, edge, names, way in (
         (lon, easting, lon[0], "EW", axis.set_xticks),

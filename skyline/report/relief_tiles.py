@@ -44,9 +44,9 @@ class ReliefTiles:
         low, high = np.nanpercentile(coarse, [0.5, 99.5])
         self._range_m = float(low), max(float(high), float(low) + 1.0)
         west, south, east, north = terrain.bounds_m
-        mesh_m = np.meshgrid(np.linspace(west, east, 33), np.linspace(south, north, 33))
-        self.bounds_deg = terrain.frame.box_deg(*mesh_m)
-        """West, south, east, north of what there is, degrees."""
+        self.bounds_deg = terrain.frame.box_deg([west, east], [south, north])
+        """West, south, east, north of what there is, degrees; west above east across the
+        antimeridian."""
 
     def png(self, zoom: int, x: int, y: int) -> bytes:
         """Return a tile as PNG, transparent where there is no terrain.

@@ -114,7 +114,7 @@ class HeightField:
 
     def _repr_html_(self) -> str:
         west, south, east, north = self.bounds_m
-        corners = self.frame.box_deg([west, east, west, east], [south, south, north, north])
+        corners = self.frame.box_deg([west, east], [south, north])
         facts = self._facts() | {"W, S, E, N": ", ".join(f"{v:.4f}" for v in corners)}
         if not np.isnan(self.heights_m).all():
             facts["heights"] = "{:.0f} to {:.0f} m".format(*self.height_range_m)

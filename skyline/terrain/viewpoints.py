@@ -117,7 +117,7 @@ def place_on(
     if outside.size:
         first = outside[0]
         west, south, east, north = bounds_m
-        box = frame.box_deg([west, east, west, east], [south, south, north, north])
+        box = frame.box_deg([west, east], [south, north])
         is_swapped = is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first]))
         raise OffMapError(
             f"viewpoint {first} (lon {lon[first]:.5f}, lat {lat[first]:.5f}; {outside.size} such) "

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pyproj import Geod
 
 from skyline.errors import InputError
-from skyline.geodesy import Curvature, Frame, is_metric
+from skyline.geodesy import Curvature, Frame, check_bounds, degrees_in_words, is_metric, width_deg
 
 WGS84 = Geod(ellps="WGS84")
 FRAMES = {
@@ -121,3 +121,72 @@ def test_curvature_drop() -> None:
 def test_curvature_refuses_nonsense(wrong: dict[str, float]) -> None:
     with pytest.raises(InputError):
         Curvature(**wrong)
+
+
+BOXES = {
+    "west of the antimeridian": ("EPSG:32660", (780e3, 1000e3, 810e3, 1030e3)),
+    "across, UTM 60": ("EPSG:32660", (810e3, 1000e3, 900e3, 1100e3)),
+    "across, UTM 1": ("EPSG:32601", (100e3, 1000e3, 250e3, 1100e3)),
+    "across, Chatham": ("EPSG:3793", (3000e3, 4900e3, 3900e3, 5300e3)),
+    "across, beside the pole": ("EPSG:3413", (-500e3, 400e3, -300e3, 600e3)),
+    "up to the antimeridian": ("local", (-20e3, -20e3, 0.0, 20e3)),
+    "from the antimeridian": ("local", (0.0, -20e3, 20e3, 20e3)),
+    "bent sides": ("ESRI:102003", (-2100e3, 200e3, -1800e3, 400e3)),
+}
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_a_box_in_degrees_holds_its_rectangle_and_no_more(name: str) -> None:
+    crs, (west_m, south_m, east_m, north_m) = BOXES[name]
+    frame = Frame.local(180.0, -17.0) if crs == "local" else Frame.from_crs(crs)
+    west, south, east, north = box = frame.box_deg([west_m, east_m], [south_m, north_m])
+    edge = np.meshgrid(np.linspace(west_m, east_m, 301), np.linspace(south_m, north_m, 301))
+    lon, lat = frame.to_lonlat(*edge)
+    east_of_west = (lon - west + 1e-7) % 360.0 - 1e-7
+    assert (east_of_west.min(), east_of_west.max()) == pytest.approx(
+        (0.0, width_deg(box)), abs=1e-4 * (1.0 + width_deg(box))
+    )
+    assert (lat.min(), lat.max()) == pytest.approx((south, north), abs=1e-4)
+    assert (west > east) is name.startswith("across")
+    assert -180.0 <= west < 180.0
+    assert -180.0 < east <= 180.0
+    back_m = frame.rectangle_m(check_bounds(box))
+    assert (np.array(back_m[:2]) <= np.array([west_m, south_m]) + 1.0).all()
+    assert (np.array(back_m[2:]) >= np.array([east_m, north_m]) - 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("frame", "pole"),
+    [
+        (Frame.from_crs("EPSG:3413"), 90.0),
+        (Frame.from_crs("EPSG:3031"), -90.0),
+        (Frame.local(30.0, 89.9), 90.0),
+    ],
+)
+def test_a_box_round_a_pole_has_all_longitudes(frame: Frame, pole: float) -> None:
+    sides_m = [-50e3, 50e3]
+    box = frame.box_deg(sides_m, sides_m)
+    assert (box[0], box[2]) == (-180.0, 180.0)
+    assert pole in (box[1], box[3])
+    assert width_deg(check_bounds(box)) == 360.0
+    west, south, east, north = frame.rectangle_m(box)
+    assert max(west, south) <= -49_999.0
+    assert min(east, north) >= 49_999.0
+
+
+def test_a_box_round_one_place_is_that_place() -> None:
+    box = Frame.local(9.8, 46.8).box_deg([0.0], [0.0])
+    assert box == pytest.approx((9.8, 46.8, 9.8, 46.8))
+
+
+@pytest.mark.parametrize(
+    "bounds", [(180.0, 1, -180.0, 2), (9, 1, 9, 2), (179, 1, 181, 2), (math.nan, 1, 2, 3)]
+)
+def test_bounds_that_are_no_box_are_refused(bounds: tuple[float, float, float, float]) -> None:
+    with pytest.raises(InputError, match="longitudes from -180 to 180"):
+        check_bounds(bounds)
+
+
+def test_longitudes_past_the_antimeridian_have_the_name_of_their_side() -> None:
+    said = [degrees_in_words(lon, "EW", 1) for lon in (179.5, 180.5, -180.5, -179.5)]
+    assert said == ["179.5° E", "179.5° W", "179.5° E", "179.5° W"]
