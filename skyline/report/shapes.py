@@ -13,7 +13,7 @@ _CHI_SQUARE_95 = 5.991464547107979
 _ARC_STEP_DEG = 2.0
 _ELLIPSE_POINTS = 72
 _ON_EDGE_DEG, _SLIVER_DEG = 1e-9, 2e-7
-"""Corners nearer to the antimeridian are on it; parts narrower than two centimetres are left out."""
+"""A corner nearer to the antimeridian is on it; a part narrower than 2 cm is left out."""
 
 
 @dataclass(frozen=True, slots=True)
