@@ -236,13 +236,13 @@ class Frame:
         return cls(parsed.to_wkt())
 
     @classmethod
-    def local(cls, lon_deg: float, lat_deg: float) -> "Frame":
+    def local(cls, *, lon: float, lat: float) -> "Frame":
         """Make the local conformal frame: transverse Mercator on WGS 84 through a point."""
         definition = CRS.from_proj4(
-            f"+proj=tmerc +lat_0={lat_deg:.9f} +lon_0={lon_deg:.9f} +k=1 +x_0=0 +y_0=0 "
+            f"+proj=tmerc +lat_0={lat:.9f} +lon_0={lon:.9f} +k=1 +x_0=0 +y_0=0 "
             "+ellps=WGS84 +datum=WGS84 +units=m +no_defs"
         ).to_json_dict()
-        definition["name"] = f"local transverse Mercator at {lat_deg:.4f}, {lon_deg:.4f}"
+        definition["name"] = f"local transverse Mercator at {lat:.4f}, {lon:.4f}"
         return cls(CRS.from_json_dict(definition).to_wkt())
 
     @cached_property
@@ -267,7 +267,7 @@ class Frame:
         lon, lat = self._to_lonlat.transform(easting_m, northing_m)
         return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
 
-    def box_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Bounds:
+    def box_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Bounds:
         """Return the box in degrees around the map rectangle around places.
 
         West is above east where the box lies across the antimeridian. A rectangle that holds a
@@ -283,11 +283,9 @@ class Frame:
         # The antimeridian is -180 as a west side and 180 as an east side.
         return -180.0 if west == 180.0 else west, south, 180.0 if east == -180.0 else east, north
 
-    def from_lonlat(
-        self, lon_deg: ArrayLike, lat_deg: ArrayLike
-    ) -> tuple[Float64Array, Float64Array]:
+    def from_lonlat(self, lon: ArrayLike, lat: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Return easting and northing in metres of longitudes and latitudes (WGS 84)."""
-        easting, northing = self._to_lonlat.transform(lon_deg, lat_deg, direction="INVERSE")
+        easting, northing = self._to_lonlat.transform(lon, lat, direction="INVERSE")
         return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
 
     def rectangle_m(self, bounds_deg: Bounds) -> Rectangle:
@@ -312,19 +310,21 @@ class Frame:
         )
         return rectangle
 
-    def convergence_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+    def convergence_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return grid convergence: true azimuth = grid azimuth + convergence, degrees."""
         _, to_north = self._steps(easting_m, northing_m)
         return np.degrees(np.arctan2(0.0 - to_north.real, to_north.imag))
 
-    def angular_distortion_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+    def angular_distortion_deg(
+        self, *, easting_m: ArrayLike, northing_m: ArrayLike
+    ) -> Float64Array:
         """Return the greatest distortion of an angle at each location; 0 where conformal."""
         to_east, to_north = self._steps(easting_m, northing_m)
         # Sum and difference of the half axes of Tissot's ellipse (Snyder 1987, 4-12 and 4-13).
         sums, differences = np.abs(to_east - 1j * to_north), np.abs(to_east + 1j * to_north)
         return np.degrees(2.0 * np.arcsin(differences / sums))
 
-    def scale(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+    def scale(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return map metres per metre on the ground at each location, mean over directions."""
         to_east, to_north = self._steps(easting_m, northing_m)
         return np.sqrt(np.abs((to_east.conj() * to_north).imag))

@@ -6,7 +6,7 @@ import re
 _UNSHOWN = re.compile(
     "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
 )
-"""Control characters, line ends, what turns the direction of text, and what is no character."""
+"""Control characters, line ends, marks that turn the direction of text, and no characters."""
 
 
 def printable(text: str | os.PathLike[str]) -> str:

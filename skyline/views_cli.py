@@ -185,7 +185,9 @@ def _eyes(
 ) -> Viewpoints:
     """Stand eyes at places, and say where they stand if that is not the surface there."""
     lon, lat = np.transpose([parse_place(text) for text in at])
-    eyes = stand_at(terrain, lon, lat, eye_height_m, summit_within_m)
+    eyes = stand_at(
+        terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
+    )
     for index, asked in enumerate(zip(lon.tolist(), lat.tolist(), strict=True)):
         _say_where(terrain, asked, eyes[index : index + 1], eye_height_m, summit_within_m)
     return eyes
@@ -209,7 +211,9 @@ def _say_where(
             f"{said}: the highest point within {summit_within_m:g} m is {lon:.5f},{lat:.5f}, "
             f"{stands_m:.0f} m high and {away_m:.0f} m away"
         )
-    elif summit_within_m is None and stands_m - (surface_m := terrain.height_at(*asked_m)) > 0.01:
+        return
+    surface_m = float(terrain.height_at(lon=asked[0], lat=asked[1]))
+    if summit_within_m is None and stands_m - surface_m > 0.01:
         remark(
             f"{said} is beside a summit of the model: the eye stands as high as it, {stands_m:.0f} "
             f"m, and not on its slope, {surface_m:.0f} m (as --summit-within 0 would have it)"

@@ -25,7 +25,10 @@ def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
         is_swapped = are_bounds(*swapped) and _clipped(field, swapped) is not None
         raise InputError(
             f"bounds {west},{south},{east},{north} do not meet the DEM, which covers "
-            + ",".join(f"{side:.4f}" for side in field.frame.box_deg(data[::2], data[1::2]))
+            + ",".join(
+                f"{side:.4f}"
+                for side in field.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])
+            )
             + (f"; {swapped_in_words(*bounds_deg)}" if is_swapped else "")
         )
     return clipped

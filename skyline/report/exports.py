@@ -133,7 +133,9 @@ def _camera(query: QuerySkyline, candidate: Candidate) -> dict[str, object]:
     crs = f"EPSG:{(32600 if candidate.lat >= 0.0 else 32700) + zone}"
     utm = Frame.from_crs(crs)
     easting_m, northing_m = (float(at) for at in utm.from_lonlat(candidate.lon, candidate.lat))
-    grid_deg = candidate.heading_deg - float(utm.convergence_deg(easting_m, northing_m))
+    grid_deg = candidate.heading_deg - float(
+        utm.convergence_deg(easting_m=easting_m, northing_m=northing_m)
+    )
     return {
         "crs": crs,
         "position_m": [easting_m, northing_m, candidate.eye_elevation_m],

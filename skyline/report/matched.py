@@ -73,7 +73,12 @@ class Surroundings:
         if self.terrain is None:
             return None
         try:
-            eye = stand_on(self.terrain, candidate.easting_m, candidate.northing_m, 0.0)
+            eye = stand_on(
+                self.terrain,
+                easting_m=candidate.easting_m,
+                northing_m=candidate.northing_m,
+                eye_height_m=0.0,
+            )
         except OffMapError:
             return None
         np.maximum(eye.eye_elevation_m, candidate.eye_elevation_m, out=eye.eye_elevation_m)

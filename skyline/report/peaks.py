@@ -51,7 +51,7 @@ _log = logging.getLogger(__name__)
 _EXPECTED = "expected a header `name,lon,lat` or `name,easting,northing`, and optionally `height_m`"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Peaks:
     """N named summits in a metric frame.
 
@@ -117,7 +117,12 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
     )
     if places == ("lon", "lat"):
         first, second = frame.from_lonlat(first, second)
-    return Peaks(tuple(record["name"] for record in records), first, second, height)
+    return Peaks(
+        names=tuple(record["name"] for record in records),
+        easting_m=first,
+        northing_m=second,
+        height_m=height,
+    )
 
 
 def _read_geojson(path: Path, frame: Frame) -> Peaks:
@@ -145,7 +150,8 @@ def _read_geojson(path: Path, frame: Frame) -> Peaks:
             given[unread[0]],
             names[unread[0]],
         )
-    return Peaks(names, *frame.from_lonlat(lon, lat), height_m)
+    easting_m, northing_m = frame.from_lonlat(lon, lat)
+    return Peaks(names=names, easting_m=easting_m, northing_m=northing_m, height_m=height_m)
 
 
 def _named_point(feature: Any) -> tuple[str, float, float, object] | None:
@@ -250,7 +256,7 @@ def most_prominent_first(terrain: HeightField, sightings: Sequence[Sighting]) ->
     """
 
     def rank(sighting: Sighting) -> tuple[float, float]:
-        row, col = terrain.to_grid(sighting.easting_m, sighting.northing_m)
+        row, col = terrain.to_grid(easting_m=sighting.easting_m, northing_m=sighting.northing_m)
         prominent_m = prominence_m(terrain, round(float(row)), round(float(col)))
         return -prominent_m, -sighting.surface_m
 
@@ -285,7 +291,7 @@ def _summit(
     terrain: HeightField, easting_m: float, northing_m: float
 ) -> tuple[float, float, float] | None:
     """Return easting, northing and height of the highest sample near a place, if there is any."""
-    row, col = (float(at) for at in terrain.to_grid(easting_m, northing_m))
+    row, col = (float(at) for at in terrain.to_grid(easting_m=easting_m, northing_m=northing_m))
     if not (0.0 <= row <= terrain.rows - 1 and 0.0 <= col <= terrain.cols - 1):
         return None
     reach_rows = max(1.0, SUMMIT_RADIUS_M / terrain.spacing_north_m)
@@ -311,7 +317,8 @@ def _is_hidden(
     distance = distance[(distance > near_m) & (distance < far_m)]
     turn = math.radians(sighting.azimuth_deg)
     ground = terrain.height_at(
-        eye.easting_m[0] + distance * math.sin(turn), eye.northing_m[0] + distance * math.cos(turn)
+        easting_m=eye.easting_m[0] + distance * math.sin(turn),
+        northing_m=eye.northing_m[0] + distance * math.cos(turn),
     )
     up = ground - eye.eye_elevation_m[0] - curvature.drop_m(distance)
     highest = float(np.fmax.reduce(up / distance, initial=-np.inf))
@@ -325,8 +332,13 @@ def _crossings(terrain: HeightField, eye: Viewpoints, sighting: Sighting) -> Flo
     Between two edges the surface is a plane, so what stands highest as seen from the eye stands
     on one of them.
     """
-    row, col = (float(at[0]) for at in terrain.to_grid(eye.easting_m, eye.northing_m))
-    to_row, to_col = (float(at) for at in terrain.to_grid(sighting.easting_m, sighting.northing_m))
+    row, col = (
+        float(at[0]) for at in terrain.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
+    )
+    to_row, to_col = (
+        float(at)
+        for at in terrain.to_grid(easting_m=sighting.easting_m, northing_m=sighting.northing_m)
+    )
     spans = ((row, to_row), (col, to_col), (col - row, to_col - to_row))
     shares = [
         (np.arange(math.ceil(min(span)), math.floor(max(span)) + 1) - span[0]) / (span[1] - span[0])

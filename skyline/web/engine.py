@@ -75,7 +75,9 @@ class Engine:
             "store": shown_name(self.given.store.name),
             "places": self.matcher.rows,
             "unfinished": self.matcher.unfinished,
-            "area": list(self.matcher.frame.box_deg(eyes.easting_m, eyes.northing_m)),
+            "area": list(
+                self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+            ),
             "terrain": self.relief and list(self.relief.bounds_deg),
             "rendering": self.viewer is not None,
             "peaks": self.given.peaks is not None,
@@ -87,7 +89,7 @@ class Engine:
         terrain = self.matcher.terrain
         if terrain is None:
             return None
-        height = float(terrain.height_at(*self.matcher.frame.from_lonlat(lon, lat)))
+        height = float(terrain.height_at(lon=lon, lat=lat))
         return height if np.isfinite(height) else None
 
     def eye_height_m(self, pose: Candidate) -> float | None:
@@ -98,7 +100,7 @@ class Engine:
         surface_m = self.height_m(pose.lon, pose.lat)
         if surface_m is None or self.matcher.terrain is None:
             return None
-        ground = stand_at(self.matcher.terrain, pose.lon, pose.lat, 0.0)
+        ground = stand_at(self.matcher.terrain, lon=pose.lon, lat=pose.lat, eye_height_m=0.0)
         return max(surface_m, pose.eye_elevation_m) - float(ground.eye_elevation_m[0])
 
     def close(self) -> None:

@@ -69,7 +69,7 @@ def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
     )  # fmt: skip
     assert done.code == 0, done.err
     terrain = read_dem([dem])
-    eyes = stand_on(terrain, WEST_M + 900 + 300 * np.arange(3), NORTH_M - 1500)
+    eyes = stand_on(terrain, easting_m=WEST_M + 900 + 300 * np.arange(3), northing_m=NORTH_M - 1500)
     truth = oracle.skyline(terrain, eyes, 160)
     with open_store(out) as opened:
         views = opened.views()
@@ -93,7 +93,9 @@ def test_longitudes_and_latitudes_name_the_same_places(run, dem, tmp_path):
     assert run("render", dem, "--viewpoints", places, "-o", tmp_path / "a.h5").code == 0
     with open_store(tmp_path / "a.h5") as opened:
         place = opened.locations()
-    expected = stand_on(terrain, WEST_M + 1200.0, NORTH_M - 1700.0, 12.0)
+    expected = stand_on(
+        terrain, easting_m=WEST_M + 1200.0, northing_m=NORTH_M - 1700.0, eye_height_m=12.0
+    )
     np.testing.assert_allclose(place.easting_m, expected.easting_m[0], atol=1e-3)
     np.testing.assert_allclose(place.northing_m, expected.northing_m[0], atol=1e-3)
     np.testing.assert_allclose(place.eye_elevation_m, expected.eye_elevation_m[0], atol=1e-2)

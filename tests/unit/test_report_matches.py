@@ -23,7 +23,7 @@ from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
 FIELD = field_of(fractal(120, 120, seed=1), west_m=0.0, north_m=3600.0)
-EYE = stand_on(FIELD, 1800.0, 1800.0)
+EYE = stand_on(FIELD, easting_m=1800.0, northing_m=1800.0)
 EYE_M = float(EYE.eye_elevation_m[0])
 BEST = candidate_at(
     1800.0, 1800.0, 350.0, 12.0, 4.0, 70.0, eye_elevation_m=EYE_M, confidence=0.9,
@@ -131,7 +131,12 @@ def report(folder, matches, surroundings=AROUND):
 
 
 def test_a_report_says_where_and_shows_it(tmp_path):
-    peaks = Peaks(("<i>Top</i> $",), np.array([1500.0]), np.array([3000.0]), np.array([np.nan]))
+    peaks = Peaks(
+        names=("<i>Top</i> $",),
+        easting_m=np.array([1500.0]),
+        northing_m=np.array([3000.0]),
+        height_m=np.array([np.nan]),
+    )
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 120, np.uint8)
     found = Matched(
         "a/<script>.jpg", QUERY, [BEST, OTHER], 1.5, True, photo, ["Matched & refined."]
@@ -166,7 +171,7 @@ def test_a_report_without_terrain_says_so(tmp_path):
 def test_a_map_across_the_antimeridian_counts_on():
     axis = Figure().subplots()
     area = Area(-2000.0, -2000.0, 2000.0, 2000.0)
-    draw_bearings(axis, Frame.local(180.0, -17.0), area)
+    draw_bearings(axis, Frame.local(lon=180.0, lat=-17.0), area)
     labels = [label.get_text() for label in axis.get_xticklabels()]
     assert labels == ["179.99° E", "180.00° W", "179.99° W"]
     place_m = [label.get_position()[0] for label in axis.get_xticklabels()]

@@ -34,7 +34,9 @@ def field(wall_m):
 
 def named(**places):
     east, north = np.array(list(places.values()), dtype=float).T
-    return Peaks(tuple(places), east, north, np.full(len(places), np.nan))
+    return Peaks(
+        names=tuple(places), easting_m=east, northing_m=north, height_m=np.full(len(places), np.nan)
+    )
 
 
 # Named 50 m beside their summits, as gazetteers do.
@@ -43,7 +45,7 @@ TWO = named(west=(-860.0, 3030.0), east=(930.0, 2960.0))
 
 def names_seen(wall_m, peaks=TWO):
     terrain = field(wall_m)
-    eye = stand_on(terrain, 0.0, -900.0, 2.0)
+    eye = stand_on(terrain, easting_m=0.0, northing_m=-900.0, eye_height_m=2.0)
     return [peak.label for peak in visible_peaks(terrain, eye, peaks, FLAT)]
 
 
@@ -57,7 +59,7 @@ def test_a_peak_is_seen_unless_something_before_it_stands_higher():
 
 def test_a_sighting_has_the_summit_s_direction():
     terrain = field(0.0)
-    eye = stand_on(terrain, 0.0, -900.0, 2.0)
+    eye = stand_on(terrain, easting_m=0.0, northing_m=-900.0, eye_height_m=2.0)
     west, east = visible_peaks(terrain, eye, TWO, FLAT)
     away = np.hypot(900.0, 3900.0)
     assert east.distance_m == pytest.approx(away)
@@ -74,7 +76,7 @@ def test_peaks_off_the_terrain_or_under_the_eye_are_not_named():
 
 def test_the_curve_of_the_earth_hides_what_is_far():
     terrain = field_from(lambda east, north: cone(east, north, 0.0, 50_000.0, 150.0, 0.1), 241, 500)
-    eye = stand_on(terrain, 0.0, -50_000.0, 2.0)
+    eye = stand_on(terrain, easting_m=0.0, northing_m=-50_000.0, eye_height_m=2.0)
     far = named(far=(0.0, 50_000.0))
     assert [peak.label for peak in visible_peaks(terrain, eye, far, FLAT)] == ["far"]
     assert visible_peaks(terrain, eye, far, Curvature()) == []

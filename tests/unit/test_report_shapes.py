@@ -6,7 +6,7 @@ import xml.etree.ElementTree as Xml
 import numpy as np
 import pytest
 from pyproj import Geod
-from scenes import FRAME, candidate_at
+from scenes import FRAME, at_m, candidate_at
 from shapely import MultiPolygon, Polygon
 
 from skyline.errors import InputError
@@ -93,7 +93,7 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
     ]
     point, view, ellipse, *_ = collection["features"]
     np.testing.assert_allclose(point["geometry"]["coordinates"], [10.78277, 46.79586], atol=1e-7)
-    convergence_deg = float(UTM.convergence_deg(*PLACE))
+    convergence_deg = float(UTM.convergence_deg(**at_m(PLACE)))
     assert point["properties"]["heading_deg"] == pytest.approx(275.0 + convergence_deg)
     assert {"lon", "lat", "easting_m", "northing_m", "pitch_deg", "roll_deg", "fov_deg", "score",
             "confidence", "refined"} <= point["properties"].keys()  # fmt: skip
@@ -109,7 +109,7 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
 
 
 GEOD = Geod(ellps="WGS84")
-FIJI = Frame.local(180.0, -17.0)
+FIJI = Frame.local(lon=180.0, lat=-17.0)
 
 
 @pytest.mark.parametrize("fov_deg", [1.0, 60.0, 200.0, 300.0, 359.0, 360.0])

@@ -42,7 +42,9 @@ def test_terrain_is_one_line_and_a_table_with_relief():
 
 def test_terrain_across_the_antimeridian_says_its_bounds():
     flat = np.zeros((101, 101), np.float32)
-    html = HeightField(flat, -5e3, 5e3, 100.0, 100.0, Frame.local(180.0, -17.0))._repr_html_()
+    html = HeightField(
+        flat, -5e3, 5e3, 100.0, 100.0, Frame.local(lon=180.0, lat=-17.0)
+    )._repr_html_()
     assert "179.9530, -17.0452, -179.9530, -16.9548" in html
 
 
