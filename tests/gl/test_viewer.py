@@ -248,7 +248,7 @@ query = read_query(sys.argv[2], 60.0)
 with RenderThread() as thread, Matcher(sys.argv[1], render_thread=thread) as matcher:
     with Viewer(matcher) as viewer, ThreadPoolExecutor(4) as pool:
         matches = [pool.submit(matcher.match, query) for _ in range(2)]
-        pose = viewer.pose(10.3327, 46.7478, 141.0)
+        pose = viewer.pose(lon=10.3327, lat=46.7478, heading_deg=141.0)
         looks = [pool.submit(viewer.look, pose, query) for _ in range(30)]
         found = [[one.easting_m, one.northing_m, one.score] for match in matches
                  for one in match.result().candidates]
