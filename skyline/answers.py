@@ -10,7 +10,7 @@ from typing import TypeVar, cast
 
 import typer
 
-from skyline.console import complain, keeps, patience, remark, told
+from skyline.console import complain, keeps, patience, remark, say, told
 from skyline.errors import SkylineError
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.ranking import Candidate
@@ -30,6 +30,7 @@ from skyline.report.records import (
     describe_claim,
 )
 from skyline.report.results_file import Results, open_results, row_of
+from skyline.text import printable
 
 T = TypeVar("T")
 
@@ -66,7 +67,7 @@ class Answers:
 
     def left(self, queries: list[Query]) -> list[Query]:
         """Return the queries that the file does not have, and say how many those are not."""
-        left = [one for one in queries if one.path not in self._had]
+        left = [one for one in queries if printable(one.path) not in self._had]
         if len(left) < len(queries):
             done = len(queries) - len(left)
             remark(f"{self._path}: {done} of {len(queries)} are there already")
@@ -83,21 +84,22 @@ class Answers:
         progress = told("matching")
         for done, one in enumerate(queries):
             progress(done, len(queries))
-            with nullcontext() if matches else patience(f"matching {one.path}"):
+            name = printable(one.path)
+            with nullcontext() if matches else patience(f"matching {name}"):
                 result = refused.get(one) or next(found)
             record: MatchRecord | FailureRecord
             if isinstance(result, SkylineError):
                 self.exit_code = result.exit_code
-                record = FailureRecord(query=one.path, error=str(result))
+                record = FailureRecord(query=name, error=str(result))
                 said: list[str] = []
                 if one not in refused:
                     complain(str(result))
             else:
                 matches.append((Path(one.path), result))
-                record = _describe_match(one.path, result, self.loading_s)
+                record = _describe_match(name, result, self.loading_s)
                 if self.unfinished:
                     record["unfinished"] = self.unfinished
-                said = _match_in_words(one.path, result, self._top)
+                said = _match_in_words(name, result, self._top)
             # A query that was not tried is tried again.
             if self._file is not None and one not in refused:
                 self._file.add(row_of(record, self._search))
@@ -112,7 +114,8 @@ class Answers:
         with patience(f"matching {len(asked)} photos together"):
             skylines, known = [one for _, one in asked], [one.narrowing for one, _ in asked]
             found = matching.match_together(skylines, None, self._top, known)
-        names = [one.path for one, _ in asked]
+        paths = [one.path for one, _ in asked]
+        names = [printable(path) for path in paths]
         said = _together_in_words(names, found)
         if self._as_json:
             record = _describe_together(names, found, self.loading_s)
@@ -120,13 +123,13 @@ class Answers:
                 record["unfinished"] = self.unfinished
             said = [json.dumps(record)]
         self._print(said)
-        return [(Path(name), result) for name, result in zip(names, found.results, strict=True)]
+        return [(Path(path), result) for path, result in zip(paths, found.results, strict=True)]
 
     def _print(self, lines: Sequence[str]) -> None:
         """Print lines; where nobody reads them any more, go on if answers are written to files."""
         try:
             for line in lines:
-                typer.echo(line)
+                say(line)
         except BrokenPipeError:
             if not self._is_written:
                 raise typer.Exit(self.exit_code) from None

@@ -24,6 +24,7 @@ from skyline.console import (
     parse_bounds,
     progress_bar,
     runner_of,
+    say,
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -249,7 +250,7 @@ def _build_planned(
         report.save_coverage_map(done.plan, drawn)
     _say_built(done.built, output, "renderings")
     proof, made = done.verification, done.plan.progress
-    typer.echo(
+    say(
         f"to {done.plan.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
         f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "
         f"{100 * proof.share:.1f} % hold, 95 % interval {100 * proof.low:.1f} to "
@@ -276,7 +277,7 @@ def _render_config(width: int, tolerance_px: float, k: float, no_curvature: bool
 
 def _say_built(result: BuildResult, path: Path, what: str) -> None:
     rate = result.rendered / result.seconds if result.seconds > 0.0 else 0.0
-    typer.echo(
+    say(
         f"{path}: {result.rows} {what}, {result.rendered} of them new in "
         f"{result.seconds:.1f} s ({rate:.0f}/s), {path.stat().st_size / 1e6:.1f} MB"
     )

@@ -27,6 +27,7 @@ from skyline.geodesy import swapped_in_words
 from skyline.logs import ENVIRONMENT_VARIABLE, JSON, as_json, start_logging
 from skyline.pipeline.cluster import local_runner, remote_runner
 from skyline.pipeline.jobs import Progress, Runner
+from skyline.text import printable
 
 # Typer brings click under one name or another, by its version; this one name is public in all.
 _UsageError: Any = typer.BadParameter.__base__
@@ -240,23 +241,28 @@ def are_degrees(lon: float, lat: float) -> bool:
     return -180.0 <= lon <= 360.0 and -90.0 <= lat <= 90.0
 
 
+def say(line: str) -> None:
+    """Print one line to standard output, whatever is in the names that it has."""
+    typer.echo(printable(line))
+
+
 def complain(message: str) -> None:
-    """Tell of an error, in one line of the error stream."""
-    _say(logging.ERROR, "error: ", " ".join(message.split()))
+    """Print an error as one line to standard error."""
+    _note(logging.ERROR, "error: ", " ".join(message.split()))
 
 
 def remark(message: str) -> None:
-    """Tell of what is no error, in one line of the error stream."""
-    _say(logging.INFO, "", message)
+    """Print a message that is no error as one line to standard error."""
+    _note(logging.INFO, "", message)
 
 
-def _say(level: int, prefix: str, message: str) -> None:
+def _note(level: int, prefix: str, message: str) -> None:
     if as_json():
         _log.log(level, "%s", message)
         return
     # Work goes on where nobody reads messages.
     with suppress(BrokenPipeError):
-        print(prefix + message, file=sys.stderr, flush=True)
+        print(prefix + printable(message), file=sys.stderr, flush=True)
 
 
 def _open_streams() -> None:

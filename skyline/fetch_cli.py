@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.console import keeps, parse_bounds, progress_bar
+from skyline.console import keeps, parse_bounds, progress_bar, say
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.fetch.overpass import fetch_peaks
 from skyline.fetch.remote import HttpOptions
@@ -54,11 +54,9 @@ def fetch(
     with progress_bar("fetching tiles") as progress:
         done = fetch_dem(bounds, source, folder, options, progress)
     held = sum(path.stat().st_size for path in done.files)
-    typer.echo(
-        f"{folder}: {len(done.files)} tiles, {done.fetched} of them new, {held / 1e6:.1f} MB"
-    )
+    say(f"{folder}: {len(done.files)} tiles, {done.fetched} of them new, {held / 1e6:.1f} MB")
     if done.missing:
-        typer.echo(f"the source has no tile (usually sea) for: {', '.join(done.missing)}")
+        say(f"the source has no tile (usually sea) for: {', '.join(done.missing)}")
 
 
 def peaks(
@@ -75,4 +73,4 @@ def peaks(
     """Fetch the named peaks of a box from an Overpass server, for `--peaks`."""
     options = HttpOptions(retries=retries, timeout_s=timeout)
     count = fetch_peaks(parse_bounds(bbox), server, output, options)
-    typer.echo(f"{output}: {count} peaks (OpenStreetMap contributors, ODbL)")
+    say(f"{output}: {count} peaks (OpenStreetMap contributors, ODbL)")

@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
-import typer
 from numpy.typing import ArrayLike
 from typer import Argument, Option
 
@@ -20,6 +19,7 @@ from skyline.console import (
     Tolerance,
     Width,
     parse_numbers,
+    say,
 )
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature, Frame
@@ -40,6 +40,7 @@ from skyline.terrain.scene_bounds import (
     sight_range_m,
 )
 from skyline.terrain.viewpoints import Viewpoints, is_inside, place_on, stand_on
+from skyline.text import printable
 
 _DEFAULTS = RenderConfig()
 
@@ -86,33 +87,36 @@ def explain(
     wanted = "LON,LAT in degrees, or easting and northing in metres"
     first, second = parse_numbers(at, 2, f"--at is `{at}`; expected {wanted}")
     terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
-    place_m: tuple[ArrayLike, ArrayLike] = first, second
+    east_m: ArrayLike = first
+    north_m: ArrayLike = second
     if max(abs(first), abs(second)) <= 360.0:
         try:
-            place_m = place_on(terrain.frame, terrain.bounds_m, first, second)
+            east_m, north_m = place_on(terrain.frame, terrain.bounds_m, first, second)
         except OffMapError:
             # Numbers that are metres on the map, and degrees off it, are metres.
             if not is_inside(terrain.bounds_m, first, second):
                 raise
-    eye = stand_on(terrain, *place_m, config.eye_height_m)
+    height_m = config.eye_height_m
+    eye = stand_on(terrain, easting_m=east_m, northing_m=north_m, eye_height_m=height_m)
     _say_facts(_describe_scene(terrain, eye, config), as_json)
 
 
 def _say_facts(facts: Facts, as_json: bool) -> None:
     if as_json:
-        typer.echo(json.dumps(facts))
+        say(json.dumps(facts))
         return
     for name, value in facts.items():
         values = value if isinstance(value, list) else [value]
         for line, item in enumerate(values):
             shown = f"{item:.9g}" if isinstance(item, float) else item
-            typer.echo(f"{name if line == 0 else '':<24} {shown}")
+            say(f"{name if line == 0 else '':<24} {shown}")
 
 
 def _describe_terrain(field: HeightField) -> Facts:
     west, south, east, north = field.bounds_m
-    bounds_deg = field.frame.box_deg([west, east, west, east], [south, south, north, north])
-    centre = (west + east) / 2.0, (south + north) / 2.0
+    turn_deg = field.frame.convergence_deg(
+        easting_m=(west + east) / 2.0, northing_m=(south + north) / 2.0
+    )
     made = field.provenance
     return {
         "kind": "DEM",
@@ -124,9 +128,9 @@ def _describe_terrain(field: HeightField) -> Facts:
         "samples": f"{field.cols} x {field.rows}",
         "spacing_m": [field.spacing_east_m, field.spacing_north_m],
         "bounds_m": [west, south, east, north],
-        "bounds_deg": list(bounds_deg),
+        "bounds_deg": list(field.frame.box_deg(easting_m=[west, east], northing_m=[south, north])),
         "height_range_m": list(field.height_range_m),
-        "convergence_deg": float(field.frame.convergence_deg(*centre)),
+        "convergence_deg": float(turn_deg),
         **{name: getattr(made, name) for name in ("filled", "hollow", "despiked", "undeclared")},
         "digest": field.digest,
     }
@@ -138,7 +142,9 @@ def _describe_scene(terrain: HeightField, eye: Viewpoints, config: RenderConfig)
     exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
     given = render_views(terrain, eye, config)
     drop_per_m2 = config.curvature.drop_per_m2
-    reach_m = terrain.reach_m(float(eye.easting_m[0]), float(eye.northing_m[0]))
+    reach_m = terrain.reach_m(
+        easting_m=float(eye.easting_m[0]), northing_m=float(eye.northing_m[0])
+    )
     sight_m = sight_range_m(terrain, float(eye.eye_elevation_m[0]), drop_per_m2)
     short = np.nanmax(exact.elevation_tan - given.elevation_tan, initial=0.0)
     depth_m = exact.depth_m
@@ -183,7 +189,7 @@ def describe_store(path: str) -> Facts:
             facts["width"] = header.width
         facts |= {
             "frame": frame.name,
-            "dem_files": list(header.dem_files),
+            "dem_files": [printable(file) for file in header.dem_files],
             "dem_digest": header.dem_digest,
             "config": dict(header.config),
             "rows": header.rows,
@@ -203,5 +209,7 @@ def describe_store(path: str) -> Facts:
                 blocks = store.places().blocks()
                 spacing_m = 2.0 * np.concatenate([block.tolerance_m for block in blocks])
                 facts["spacing_m"] = np.quantile(spacing_m, [0.0, 0.5, 1.0]).tolist()
-            facts["bounds_deg"] = list(frame.box_deg(eyes.easting_m, eyes.northing_m))
+            facts["bounds_deg"] = list(
+                frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+            )
         return facts

@@ -22,6 +22,7 @@ from skyline.console import (
     parse_numbers,
     patience,
     runner_of,
+    say,
 )
 from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.matching.match_config import MatchConfig
@@ -230,7 +231,7 @@ def extract(
     if overlay is not None:
         write_overlay(image, skyline, overlay)
     trusted = np.count_nonzero(skyline.trusted)
-    typer.echo(f"{output}: skyline found in {trusted} of {skyline.width_px} columns")
+    say(f"{output}: skyline found in {trusted} of {skyline.width_px} columns")
 
 
 def serve(

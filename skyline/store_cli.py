@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from skyline.console import AsJson
+from skyline.console import AsJson, say
 from skyline.errors import InputError
 from skyline.report.geopackage import write_geopackage
 from skyline.store import (
@@ -22,6 +22,7 @@ from skyline.store import (
     repair_store,
 )
 from skyline.store.header import RENDERINGS, check_holds
+from skyline.text import printable
 
 _DAMAGED = 2
 
@@ -41,7 +42,7 @@ def check(store: StoreFile, as_json: AsJson = False) -> None:
     if as_json:
         facts = {"whole": report.whole, "finished": built.finished, "built_share": built.share}
         with suppress(BrokenPipeError):  # The exit code is true also where nobody reads this.
-            typer.echo(json.dumps({"store": str(store), **facts, **asdict(report)}))
+            say(json.dumps({"store": printable(store), **facts, **asdict(report)}))
         raise typer.Exit(0 if report.whole else _DAMAGED)
     if not report.whole:
         said = "; ".join(damage.what for damage in report.damage[:3])
@@ -49,7 +50,7 @@ def check(store: StoreFile, as_json: AsJson = False) -> None:
         raise InputError(f"{store} is damaged: {said}{more}")
     in_use = "a writer has it open, or was killed" if report.in_use else ""
     said = f"{store}: {report.committed:,} {report.holds}, whole"
-    typer.echo("; ".join(filter(None, [said, in_use, built.note])))
+    say("; ".join(filter(None, [said, in_use, built.note])))
 
 
 @store.command()
@@ -59,7 +60,7 @@ def repair(store: StoreFile, output: NewStore) -> None:
     _say_copied(report, output)
     for damage in report.damage:
         rows = f"rows {damage.first_row} to {damage.first_row + damage.rows - 1}"
-        typer.echo(f"  left out {rows}: {damage.what}")
+        say(f"  left out {rows}: {damage.what}")
 
 
 @store.command()
@@ -102,7 +103,7 @@ def export(
     with open_store(store) as opened:
         count = write_geopackage(opened, output)
     note = f"; {opened.built.note}" if opened.built.note else ""
-    typer.echo(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB{note}")
+    say(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB{note}")
 
 
 def _say_copied(report: CopyReport, path: Path) -> None:
@@ -112,4 +113,4 @@ def _say_copied(report: CopyReport, path: Path) -> None:
     lost = sum(damage.rows for damage in report.damage)
     damaged = f", {lost} damaged rows left out" if lost else ""
     note = f"; {report.built.note}" if report.built.note else ""
-    typer.echo(f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}{note}")
+    say(f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}{note}")

@@ -20,6 +20,7 @@ from skyline.console import (
     patience,
     progress_bar,
     remark,
+    say,
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -128,11 +129,11 @@ def sun(
         terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
         eyes = _eyes(terrain, at or [], eye_height, summit_within)
         found = horizons_of(terrain, eyes, progress=progress)
-    typer.echo("lon,lat,from_utc,to_utc")
+    say("lon,lat,from_utc,to_utc")
     for place in range(len(found)):
         for begin, end in found.sun_above(asked, place):
             times = ",".join(f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (begin, end))
-            typer.echo(f"{found.lon[place]:.7f},{found.lat[place]:.7f},{times}")
+            say(f"{found.lon[place]:.7f},{found.lat[place]:.7f},{times}")
     _warn(found)
 
 
@@ -176,7 +177,7 @@ def panorama(
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
     if drawn.unnamed:
         named += f", {drawn.unnamed} of them without a name for want of room"
-    typer.echo(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
+    say(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
 
 
 def _eyes(
@@ -184,7 +185,9 @@ def _eyes(
 ) -> Viewpoints:
     """Stand eyes at places, and say where they stand if that is not the surface there."""
     lon, lat = np.transpose([parse_place(text) for text in at])
-    eyes = stand_at(terrain, lon, lat, eye_height_m, summit_within_m)
+    eyes = stand_at(
+        terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
+    )
     for index, asked in enumerate(zip(lon.tolist(), lat.tolist(), strict=True)):
         _say_where(terrain, asked, eyes[index : index + 1], eye_height_m, summit_within_m)
     return eyes
@@ -208,7 +211,9 @@ def _say_where(
             f"{said}: the highest point within {summit_within_m:g} m is {lon:.5f},{lat:.5f}, "
             f"{stands_m:.0f} m high and {away_m:.0f} m away"
         )
-    elif summit_within_m is None and stands_m - (surface_m := terrain.height_at(*asked_m)) > 0.01:
+        return
+    surface_m = float(terrain.height_at(lon=asked[0], lat=asked[1]))
+    if summit_within_m is None and stands_m - surface_m > 0.01:
         remark(
             f"{said} is beside a summit of the model: the eye stands as high as it, {stands_m:.0f} "
             f"m, and not on its slope, {surface_m:.0f} m (as --summit-within 0 would have it)"

@@ -100,7 +100,7 @@ def renderings(dem, tmp_path_factory):
 def photo(dem, tmp_path_factory):
     """A photograph from a stored viewpoint, heading 140 degrees."""
     terrain = read_dem([dem])
-    eye = stand_on(terrain, 601_800.0, 5_178_000.0)
+    eye = stand_on(terrain, easting_m=601_800.0, northing_m=5_178_000.0)
     with DepthRenderer(terrain, 1600) as renderer:
         picture = photograph(renderer, eye, 0, Camera(140.0, fov_deg=60.0), seed=3)
     path = tmp_path_factory.mktemp("photo") / "photo.jpg"

@@ -114,7 +114,8 @@ class Matcher:
         if opened.built.finished is False:
             eyes = self.viewpoints
             sides = ",".join(
-                f"{v:.4f}" for v in self.frame.box_deg(eyes.easting_m, eyes.northing_m)
+                f"{v:.4f}"
+                for v in self.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
             )
             self.unfinished = (
                 f"store {store}: {opened.built.note}, W,S,E,N {sides}; photos taken elsewhere are "

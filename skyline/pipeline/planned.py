@@ -27,7 +27,7 @@ from skyline.store import (
     open_for_append,
     open_store,
 )
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
@@ -129,7 +129,7 @@ def _meter(terrain: HeightField, planned: PlanConfig) -> ToleranceMeter:
     spacing = planned.spacing
     size = 2 * int(spacing.reach_m // spacing.candidate_m) + 1
     return ToleranceMeter(
-        terrain.height_at, size, spacing.candidate_m, eye_height_m=planned.eye_height_m
+        ground_of(terrain), size, spacing.candidate_m, eye_height_m=planned.eye_height_m
     )
 
 

@@ -13,7 +13,7 @@ from skyline.render.horizon import HorizonRenderer
 from skyline.render.thread import RenderThread
 from skyline.store import StoreHeader
 from skyline.terrain.edge import DataEdge
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
@@ -41,7 +41,7 @@ class RenderedScene:
         thread: RenderThread | None = None,
         surface: HeightField | None = None,
     ) -> None:
-        self.ground_m = terrain.height_at
+        self.ground_m = ground_of(terrain)
         self.height_sd_m = terrain.height_sd_m
         self.edge = DataEdge.of(terrain, config.curvature)
         self._thread = thread

@@ -21,12 +21,14 @@ def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:
     if clipped is None:
         west, south, east, north = bounds_deg
         data = field.bounds_m
-        box = field.frame.box_deg([data[0], data[2]] * 2, [data[1]] * 2 + [data[3]] * 2)
         swapped = south, west, north, east
         is_swapped = are_bounds(*swapped) and _clipped(field, swapped) is not None
         raise InputError(
-            f"bounds {west},{south},{east},{north} do not meet the DEM, which covers about "
-            + ",".join(f"{side:.4f}" for side in box)
+            f"bounds {west},{south},{east},{north} do not meet the DEM, which covers "
+            + ",".join(
+                f"{side:.4f}"
+                for side in field.frame.box_deg(easting_m=data[::2], northing_m=data[1::2])
+            )
             + (f"; {swapped_in_words(*bounds_deg)}" if is_swapped else "")
         )
     return clipped

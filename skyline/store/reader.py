@@ -32,6 +32,7 @@ from skyline.store.place_map import Offsets, PlaceMap
 from skyline.store.rows import Columns, row_checksums, stored_places, views_of
 from skyline.store.superblock import WholeFile
 from skyline.terrain.viewpoints import Viewpoints
+from skyline.text import printable
 from skyline.views import Views
 
 _T = TypeVar("_T")
@@ -112,7 +113,8 @@ class Store:
 
     def __repr__(self) -> str:
         note = f"; {self.built.note}" if self.built.note else ""
-        return f"Store({self.path.name}: {self.committed} {self.header.holds}{note})"
+        name = printable(self.path.name)
+        return f"Store({name}: {self.committed} {self.header.holds}{note})"
 
     def _repr_html_(self) -> str:
         header = self.header
@@ -174,13 +176,18 @@ class Store:
         eyes = self.eyes()
         heading = self._read(self.header.fields["heading"], self._rows(slice(None)))
         self._check_headings(heading)
-        return Locations(eyes.easting_m, eyes.northing_m, eyes.eye_elevation_m, heading)
+        return Locations(
+            easting_m=eyes.easting_m,
+            northing_m=eyes.northing_m,
+            eye_elevation_m=eyes.eye_elevation_m,
+            heading=heading,
+        )
 
     def eyes(self) -> Viewpoints:
         """Read where the eye of every row is, whatever the store holds; raises as `stored`."""
         rows, names = self._rows(slice(None)), self.header.fields
-        read = (self._read(names[field], rows).astype(np.float64, copy=False) for field in EYE)
-        return Viewpoints(*read)
+        read = {field: self._read(names[field], rows) for field in EYE}
+        return Viewpoints(**{field: read[field].astype(np.float64, copy=False) for field in EYE})
 
     def places(self) -> PlaceMap:
         """Map the places of a store of places; they can be read when the store is closed.

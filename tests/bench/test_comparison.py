@@ -15,7 +15,7 @@ from skyline_bench.truth.agreement import compare
 @pytest.fixture(scope="module")
 def truth():
     field = field_of(fractal(60, 60, 300.0, seed=4))
-    views = oracle.skyline(field, stand_on(field, [900.0], [-900.0]), 16)
+    views = oracle.skyline(field, stand_on(field, easting_m=[900.0], northing_m=[-900.0]), 16)
     return dataclasses.replace(views, flags=np.zeros_like(views.flags))
 
 

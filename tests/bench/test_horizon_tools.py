@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from scenes import FRAME, fractal, write_dem
+from scenes import FRAME, at_m, fractal, write_dem
 
 from skyline import Curvature, HeightField, SkylineError, horizon, stand_on
 from skyline_bench.peers import grass
@@ -35,13 +35,18 @@ def test_skyline_is_the_oracle_s_and_the_rays_within_their_bracket(field):
 
 @needs_grass
 def test_grass_answers_by_azimuth_from_true_north(field):
-    eyes = stand_on(field, *field.to_map([80.0, 60.0], [70.0, 90.0]), 0.0)
+    eyes = stand_on(field, **at_m(field.to_map([80.0, 60.0], [70.0, 90.0])), eye_height_m=0.0)
     angles, seconds = grass.horizons(field, eyes, 2.0)
     assert angles.shape == (2, 180)
     assert seconds.shape == (1,)
     lon, lat = field.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
     flat = Curvature(enabled=False)
-    found = np.maximum(horizon(field, lon, lat, 0.0, 2.0, flat).elevation_deg, 0.0)
+    found = np.maximum(
+        horizon(
+            field, lon=lon, lat=lat, eye_height_m=0.0, step_deg=2.0, curvature=flat
+        ).elevation_deg,
+        0.0,
+    )
     off = [np.abs(np.roll(angles, turn, axis=1) - found).mean() for turn in range(180)]
     assert min(off[0], off[1], off[-1]) == min(off)
 
@@ -50,7 +55,7 @@ def test_grass_answers_by_azimuth_from_true_north(field):
 def test_grass_that_fails_is_one_line(field, monkeypatch):
     monkeypatch.setattr(grass, "_SCRIPT", "echo no such thing >&2; exit 3\n")
     with pytest.raises(SkylineError, match=r"r\.horizon gave 0 angles"):
-        grass.horizons(field, stand_on(field, *field.to_map(80.0, 70.0)), 2.0)
+        grass.horizons(field, stand_on(field, **at_m(field.to_map(80.0, 70.0))), 2.0)
 
 
 def test_the_command_writes_its_record(run_bench, tmp_path, monkeypatch):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import field_from, field_of, fractal
+from scenes import at_m, field_from, field_of, fractal
 
 from skyline.errors import InputError
 from skyline_bench.queries.other_dems import perturbed, resampled
@@ -38,7 +38,9 @@ def test_resampling_samples_the_same_surface():
     assert other.bounds_m[2] <= east < other.bounds_m[2] + 41.0
     assert other.bounds_m[1] >= south > other.bounds_m[1] - 41.0
     places = np.random.default_rng(0).uniform(-700.0, 700.0, (2, 50))
-    np.testing.assert_allclose(other.height_at(*places), terrain.height_at(*places), atol=1e-6)
+    np.testing.assert_allclose(
+        other.height_at(**at_m(places)), terrain.height_at(**at_m(places)), atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("arguments", [(-1.0,), (1.0, 0.0), (1.0, 300.0, -1)])

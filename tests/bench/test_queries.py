@@ -41,7 +41,9 @@ def test_an_exact_query_levelled_is_the_oracles_skyline(terrain):
         rays = query.rays()
         azimuth, y = level(rays.u, rays.v, truth.pitch_deg, truth.roll_deg)
         eye = Viewpoints(
-            *(np.array([x]) for x in (truth.easting_m, truth.northing_m, truth.eye_elevation_m))
+            easting_m=np.array([truth.easting_m]),
+            northing_m=np.array([truth.northing_m]),
+            eye_elevation_m=np.array([truth.eye_elevation_m]),
         )
         views = oracle.skyline(terrain, eye, width=4096)
         order = np.argsort(views.azimuth_deg().ravel())
@@ -63,7 +65,7 @@ def test_eyes_stand_on_the_surface_inside_the_area(terrain):
     for truth in (query.truth for query in queries):
         assert 1400.0 <= truth.easting_m <= 1900.0
         assert -1900.0 <= truth.northing_m <= -1400.0
-        ground_m = terrain.height_at(truth.easting_m, truth.northing_m)
+        ground_m = terrain.height_at(easting_m=truth.easting_m, northing_m=truth.northing_m)
         assert truth.eye_elevation_m == pytest.approx(ground_m + 2.0)
 
 

@@ -21,7 +21,7 @@ def test_work_is_done_in_turns_after_a_warm_up():
 
 def test_viewpoints_shared_out_come_back_in_order():
     field = field_of(fractal(20, 20))
-    viewpoints = stand_on(field, np.linspace(0.0, 500.0, 11), -200.0)
+    viewpoints = stand_on(field, easting_m=np.linspace(0.0, 500.0, 11), northing_m=-200.0)
     parts = over_cores(lambda part: part.easting_m, viewpoints, 4)
     assert [len(part) for part in parts] == [4, 4, 3]
     np.testing.assert_array_equal(np.concatenate(parts), viewpoints.easting_m)

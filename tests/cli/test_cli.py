@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from commands import assert_refused, csv_of
+from rasterio.transform import Affine
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
 from skyline import build_cli, build_uniform, read_dem, stand_on
@@ -68,7 +69,7 @@ def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
     )  # fmt: skip
     assert done.code == 0, done.err
     terrain = read_dem([dem])
-    eyes = stand_on(terrain, WEST_M + 900 + 300 * np.arange(3), NORTH_M - 1500)
+    eyes = stand_on(terrain, easting_m=WEST_M + 900 + 300 * np.arange(3), northing_m=NORTH_M - 1500)
     truth = oracle.skyline(terrain, eyes, 160)
     with open_store(out) as opened:
         views = opened.views()
@@ -92,7 +93,9 @@ def test_longitudes_and_latitudes_name_the_same_places(run, dem, tmp_path):
     assert run("render", dem, "--viewpoints", places, "-o", tmp_path / "a.h5").code == 0
     with open_store(tmp_path / "a.h5") as opened:
         place = opened.locations()
-    expected = stand_on(terrain, WEST_M + 1200.0, NORTH_M - 1700.0, 12.0)
+    expected = stand_on(
+        terrain, easting_m=WEST_M + 1200.0, northing_m=NORTH_M - 1700.0, eye_height_m=12.0
+    )
     np.testing.assert_allclose(place.easting_m, expected.easting_m[0], atol=1e-3)
     np.testing.assert_allclose(place.northing_m, expected.northing_m[0], atol=1e-3)
     np.testing.assert_allclose(place.eye_elevation_m, expected.eye_elevation_m[0], atol=1e-2)
@@ -266,6 +269,29 @@ def test_info_of_a_dem_and_of_a_store(run, dem, store, renderings):
     assert facts["config"]["spacing_m"] == 80.0
     assert facts["dem_files"] == [str(dem)]
     assert "places" in run("info", store).out
+
+
+def test_a_dem_across_the_antimeridian_says_its_bounds_and_takes_them(run, tmp_path):
+    # The antimeridian lies at easting 819,450 of UTM 60 S there.
+    grid = Affine(SPACING_M, 0.0, 817_650.0, 0.0, -SPACING_M, 8_119_650.0)
+    dem = write_dem(tmp_path / "dem.tif", fractal(110, 120), "EPSG:32760", transform=grid)
+    west, south, east, north = json.loads(run("info", dem, "--json").out)["bounds_deg"]
+    assert (west, east) == pytest.approx((179.983, -179.983), abs=1e-3)
+    assert (south, north) == pytest.approx((-17.015, -16.985), abs=1e-3)
+    whole, part = tmp_path / "whole.h5", tmp_path / "part.h5"
+    bounds = f"{west!r},{south!r},{east!r},{north!r}"
+    assert run("build", dem, "-o", whole, "--spacing", "300", "--bounds", bounds).code == 0
+    facts = json.loads(run("info", whole, "--json").out)
+    assert facts["places"] == 12 * 11
+    assert facts["bounds_deg"][0] > 179.98
+    assert -180.0 < facts["bounds_deg"][2] < -179.98
+    half = f"{west!r},{south!r},180,{north!r}"
+    assert run("build", dem, "-o", part, "--spacing", "300", "--bounds", half).code == 0
+    assert json.loads(run("info", part, "--json").out)["bounds_deg"][2] == pytest.approx(
+        180.0, abs=0.01
+    )
+    done = run("build", dem, "-o", tmp_path / "no.h5", "--bounds", "-179.9,-17,-179.8,-16.9")
+    assert_refused(done, "which covers 179.9830,-17.0150,-179.9830,-16.9850")
 
 
 def test_info_gl_says_what_was_chosen_and_why(run):

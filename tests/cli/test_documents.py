@@ -42,7 +42,7 @@ from rasterio.transform import from_origin
 from scenes import fractal
 
 import skyline
-from skyline import cli, read_dem, stand_on
+from skyline import cli, read_dem, stand_at
 from skyline.fetch.dem_tiles import SOURCES
 from skyline.matching.full import FullMatcher
 from skyline.matching.match_config import FullConfig
@@ -210,7 +210,7 @@ def world(tmp_path_factory):
 def make_queries():
     """Write the photos and lists that the documents name."""
     terrain = read_dem(matching("alps/*.tif"))
-    eye = stand_on(terrain, *terrain.frame.from_lonlat(9.85, 46.75))
+    eye = stand_at(terrain, lon=9.85, lat=46.75, summit_within_m=0.0)
     with DepthRenderer(terrain, 1024) as renderer:
         picture = photograph(renderer, eye, 0, Camera(140.0, fov_deg=60.0), seed=3)
     exif = Image.Exif()

@@ -120,7 +120,7 @@ def test_a_plan_is_what_is_built_when_nothing_else_is_asked(wide, whole):
         places = Places.concatenate(list(store.places().blocks()))
     assert built.rows == built.rendered == len(places) > 300
     with PanoramaRenderer(wide, BINS) as renderer:
-        eyes = stand_on(wide, places.easting_m, places.northing_m)
+        eyes = stand_on(wide, easting_m=places.easting_m, northing_m=places.northing_m)
         wanted = Places.of(renderer.render(eyes), places.tolerance_m)
     np.testing.assert_array_equal(places.rise, wanted.rise)
     assert len(np.unique(places.tolerance_m)) > 2

@@ -55,7 +55,12 @@ def test_every_viewpoint_is_in_one_tile():
     # On tile borders, a rounding error beside them, and west and south of the origin.
     values = np.array([-2000.0, -1000.0, -1e-9, 0.0, 1e-9, 999.9999999999, 1000.0, 1500.0])
     east, north = (grid.ravel() for grid in np.meshgrid(values, values))
-    shards = cut_into_shards(Viewpoints(east, north, np.arange(east.size, dtype=float)), 1000.0)
+    shards = cut_into_shards(
+        Viewpoints(
+            easting_m=east, northing_m=north, eye_elevation_m=np.arange(east.size, dtype=float)
+        ),
+        1000.0,
+    )
     members = np.concatenate([shard.work.eye_elevation_m for shard in shards])
     assert sorted(members) == list(range(east.size))
     for shard in shards:

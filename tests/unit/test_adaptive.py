@@ -174,7 +174,9 @@ class TestPrice:
         share = (east - west) * (north - south) / 1e12
         eyes = spread_over(plain, (-5e5, -5e5, 5e5, 5e5), 2.0)
         assert len(eyes) == pytest.approx(131_072 * share, rel=0.3)
-        assert not np.isnan(plain.height_at(eyes.easting_m, eyes.northing_m)).any()
+        assert not np.isnan(
+            plain.height_at(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+        ).any()
 
 
 class TestPlan:
@@ -271,7 +273,9 @@ class TestPlan:
         holed = field_of(heights, 100.0, west_m=-1500.0, north_m=7500.0)
         places = planned(holed, lambda easting: np.full(len(easting), 300.0), 100.0, area)
         assert len(places) > 100
-        assert not np.isnan(holed.height_at(places.easting_m, places.northing_m)).any()
+        assert not np.isnan(
+            holed.height_at(easting_m=places.easting_m, northing_m=places.northing_m)
+        ).any()
         assert places.easting_m.min() >= area[0]
         assert places.easting_m.max() <= area[2]
         assert places.northing_m.min() >= area[1]

@@ -177,7 +177,7 @@ def test_holes_and_the_border_are_never_chosen(terrain):
     done = run_plan(terrain, Renderer())
     for one in done.coverages:
         eyes = done.candidates.viewpoints(one.viewpoints)
-        row, col = terrain.to_grid(eyes.easting_m, eyes.northing_m)
+        row, col = terrain.to_grid(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
         assert ((row >= 1) & (row <= 58) & (col >= 1) & (col <= 58)).all()
         assert not ((row > 19) & (row < 25) & (col > 19) & (col < 40)).any()
 

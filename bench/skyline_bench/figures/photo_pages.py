@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from skyline import Matcher, Viewer, build_places, read_dem, stand_on
+from skyline import Matcher, Viewer, build_places, read_dem, stand_at
 from skyline.photo.read import read_picture
 from skyline.pipeline.reports import matched, report_matches
 from skyline.render.depth import DepthRenderer
@@ -56,7 +56,7 @@ def save_match(path: Path, width: int) -> dict[str, object]:
         terrain = read_dem([write_sample_dem(Path(name) / "sample.tif")])
         store = Path(name) / "places.h5"
         build_places(terrain, store, bounds_deg=BOUNDS_DEG)
-        eye = stand_on(terrain, *terrain.frame.from_lonlat(LON_DEG, LAT_DEG))
+        eye = stand_at(terrain, lon=LON_DEG, lat=LAT_DEG, summit_within_m=0.0)
         photo, report = Path(name) / "photo.jpg", Path(name) / "report"
         with DepthRenderer(terrain, width) as renderer:
             Image.fromarray(photograph(renderer, eye, 0, CAMERA, seed=1)).save(photo, quality=92)

@@ -135,7 +135,7 @@ def _sampled(
     field: HeightField, easting_m: Float64Array, northing_m: Float64Array
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Return heights and slopes towards east and north, smooth between samples."""
-    row, col = field.to_grid(easting_m, northing_m)
+    row, col = field.to_grid(easting_m=easting_m, northing_m=northing_m)
     top = int(np.clip(np.floor(row.min()) - 1, 0, field.rows - 2))
     left = int(np.clip(np.floor(col.min()) - 1, 0, field.cols - 2))
     bottom = int(np.clip(np.ceil(row.max()) + 2, top + 2, field.rows))
@@ -218,7 +218,9 @@ def draw_photo(
     size = query.skyline.width_px, query.skyline.height_px
     camera = Camera(truth.heading_deg, truth.pitch_deg, truth.roll_deg, truth.fov_deg, *size)
     viewpoint = Viewpoints(
-        *(np.array([x]) for x in (truth.easting_m, truth.northing_m, truth.eye_elevation_m))
+        easting_m=np.array([truth.easting_m]),
+        northing_m=np.array([truth.northing_m]),
+        eye_elevation_m=np.array([truth.eye_elevation_m]),
     )
     rays = camera.rays()
     distance = _distance(renderer.depth_images(viewpoint, 0), rays)

@@ -33,7 +33,7 @@ from skyline.pipeline.jobs import Progress
 from skyline.pipeline.rendered_scene import RenderedScene
 from skyline.store import open_store
 from skyline.terrain.dem import DemOptions
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import HeightField, ground_of
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.other_dems import perturbed, resampled
@@ -207,7 +207,7 @@ def _matcher(terrain: HeightField, folder: Path) -> Iterator[FullMatcher]:
     with open_store(store) as opened:
         scene = RenderedScene.of_store(terrain, opened.header, MatchConfig())
         places = opened.places()
-        yield FullMatcher(Retriever(places, terrain.height_at, edge=scene.edge), scene)
+        yield FullMatcher(Retriever(places, ground_of(terrain), edge=scene.edge), scene)
         scene.release()
 
 

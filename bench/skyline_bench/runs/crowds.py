@@ -23,7 +23,7 @@ from skyline.pipeline.jobs import Progress
 from skyline.places import BINS, DISTANCE_BINS, Places
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import HeightField, ground_of
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import own_bytes
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
@@ -105,7 +105,7 @@ def retrieval_scale(
     seen = [query for query in made if query.skyline.trusted.any()]
     shortlist, rows = MatchConfig().full.shortlist, list[Row]()
     for count in (len(own), places):
-        retriever = Retriever(InMemory(grown(own, count, seed)), terrain.height_at)
+        retriever = Retriever(InMemory(grown(own, count, seed)), ground_of(terrain))
         off_m, taken = [], []
         with one_blas_thread():
             for query in seen:

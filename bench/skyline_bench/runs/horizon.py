@@ -50,10 +50,12 @@ def measure(terrain: HeightField, config: HorizonConfig) -> list[Row]:
     west, south, east, north = terrain.bounds_m
     share = np.random.default_rng(config.seed).uniform(0.25, 0.75, (2, config.places))
     easting, northing = west + share[0] * (east - west), south + share[1] * (north - south)
-    there = ~np.isnan(terrain.height_at(easting, northing))
-    eyes = stand_on(terrain, easting[there], northing[there])
+    there = ~np.isnan(terrain.height_at(easting_m=easting, northing_m=northing))
+    eyes = stand_on(terrain, easting_m=easting[there], northing_m=northing[there])
     some = eyes[: config.compared]
-    convergence = terrain.frame.convergence_deg(eyes.easting_m, eyes.northing_m)
+    convergence = terrain.frame.convergence_deg(
+        easting_m=eyes.easting_m, northing_m=eyes.northing_m
+    )
     to_grid = -np.radians(convergence)
     curvature = Curvature()
     begun = time.perf_counter()
@@ -90,10 +92,15 @@ def measure(terrain: HeightField, config: HorizonConfig) -> list[Row]:
 
 
 def _grass(terrain: HeightField, eyes: Viewpoints) -> list[Row]:
-    row, col = (np.rint(at) for at in terrain.to_grid(eyes.easting_m, eyes.northing_m))
-    stand = stand_on(terrain, *terrain.to_map(row, col), 0.0)
+    row, col = (
+        np.rint(at) for at in terrain.to_grid(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+    )
+    easting_m, northing_m = terrain.to_map(row, col)
+    stand = stand_on(terrain, easting_m=easting_m, northing_m=northing_m, eye_height_m=0.0)
     found_deg, seconds = grass.horizons(terrain, stand, DEFAULT_STEP_DEG)
-    turn_deg = -terrain.frame.convergence_deg(stand.easting_m, stand.northing_m)
+    turn_deg = -terrain.frame.convergence_deg(
+        easting_m=stand.easting_m, northing_m=stand.northing_m
+    )
     true_deg = _true_deg(terrain, stand, turn_deg, Curvature(enabled=False))
     off = found_deg - np.maximum(true_deg, 0.0)
     each = float(np.median(seconds))

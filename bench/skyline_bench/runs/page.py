@@ -82,7 +82,7 @@ def _made(folder: Path) -> tuple[Path, Path]:
     store, photo = folder / "places.h5", folder / "photo.jpg"
     build_places(terrain, store, _SPACING_M, _BOUNDS_DEG)
     easting, northing = terrain.frame.from_lonlat(-84.25, 36.58)
-    eye = stand_on(terrain, easting, northing)
+    eye = stand_on(terrain, easting_m=easting, northing_m=northing)
     fov_deg = float(2.0 * np.degrees(np.arctan(18.0 / _FOCAL_LENGTH_35MM)))
     with DepthRenderer(terrain, 2048) as renderer:
         picture = photograph(renderer, eye, 0, Camera(60.0, fov_deg=fov_deg), seed=1)

@@ -258,10 +258,11 @@ def _fitted(
     if one.heading_deg is None:
         return None
     fov_deg = one.fov_deg or query.fov_deg or 60.0
-    east, north = (float(value) for value in matcher.frame.from_lonlat(*one.lonlat))
-    ground_m = float(viewer.terrain.height_at(east, north))
+    lon, lat = one.lonlat
+    ground_m = float(viewer.terrain.height_at(lon=lon, lat=lat))
     above_m = 2.0 if one.elevation_m is None else max(0.0, one.elevation_m - ground_m)
-    pose = viewer.pose(*one.lonlat, one.heading_deg, pitch_deg=one.pitch_deg or 0.0,
+    pose = viewer.pose(
+        lon=lon, lat=lat, heading_deg=one.heading_deg, pitch_deg=one.pitch_deg or 0.0,
         roll_deg=one.roll_deg or 0.0, fov_deg=fov_deg, eye_height_m=above_m,
     )  # fmt: skip
     fitted = next(iter(matcher.fit(query, pose).candidates), None)

@@ -130,7 +130,9 @@ def _expected(
     there = cKDTree(np.stack([places.easting_m, places.northing_m], axis=1))
     _, nearest = there.query(np.stack([easting_m, northing_m], axis=1))
     with PanoramaRenderer(terrain, BINS) as renderer:
-        distance_m = renderer.render(Viewpoints(easting_m, northing_m, up_m)).distance_m
+        distance_m = renderer.render(
+            Viewpoints(easting_m=easting_m, northing_m=northing_m, eye_elevation_m=up_m)
+        ).distance_m
     start_deg = heading_deg - _WINDOW_DEG / 2.0
     window = np.rint(start_deg / _STEP_DEG).astype(np.int64) % round(360.0 / _STEP_DEG)
     spacing_m = 2.0 * places.tolerance_m[np.asarray(nearest)].astype(np.float64)

@@ -24,7 +24,7 @@ from skyline.pipeline.match import Matcher
 from skyline.pipeline.rendered_scene import RenderedScene
 from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import HeightField, ground_of
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import own_bytes, peak_bytes, reset_peak, unseen
 from skyline_bench.queries.synthetic import QueryConfig, Truth, make_queries
@@ -195,7 +195,7 @@ def outcomes(
         with open_store(store.path) as opened:
             places, header = opened.places(), opened.header
         scene = RenderedScene.of_store(terrain, header, MATCHING)
-        traced = Traced(places, terrain.height_at, scene, terrain.frame)
+        traced = Traced(places, ground_of(terrain), scene, terrain.frame)
         traced.match(queries[0])  # The first compiles shaders.
         for key in missing:
             progress(len(kept.found), len(wanted))

@@ -80,10 +80,10 @@ def large_dem(samples: int, viewpoints: int) -> Row:
     again = np.arange(samples) % _PERIOD
     heights = tile[np.ix_(again, again)]
     heights.setflags(write=False)
-    field = HeightField(heights, 0.0, 0.0, _SAMPLES_M, _SAMPLES_M, Frame.local(10.0, 46.0))
+    field = HeightField(heights, 0.0, 0.0, _SAMPLES_M, _SAMPLES_M, Frame.local(lon=10.0, lat=46.0))
     middle = samples * _SAMPLES_M / 2.0
     place = np.random.default_rng(2).uniform(-5000.0, 5000.0, (2, viewpoints))
-    eyes = stand_on(field, middle + place[0], -middle + place[1])
+    eyes = stand_on(field, easting_m=middle + place[0], northing_m=-middle + place[1])
     with HorizonRenderer(field) as renderer:
         started = time.perf_counter()
         views = renderer.render(eyes)

@@ -137,7 +137,9 @@ def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) 
         renderer = PanoramaRenderer(terrain, BINS, config.curvature, config.tolerance_deg)
         header = store_header(terrain, renderer.description, config, {"planner": "viewpoints"})
         with place_rows(renderer, header, tolerance) as rows:
-            return render_missing(path, rows, Viewpoints(*np.ascontiguousarray(eyes)))
+            easting_m, northing_m, up_m = np.ascontiguousarray(eyes)
+            at = Viewpoints(easting_m=easting_m, northing_m=northing_m, eye_elevation_m=up_m)
+            return render_missing(path, rows, at)
 
     path = folder / f"{planned.name}-places.h5"
     built = _built(planned.name, path, render)

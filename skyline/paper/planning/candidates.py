@@ -72,7 +72,12 @@ class CandidateMap:
     def viewpoints(self, candidates: Int64Array) -> Viewpoints:
         """Return viewpoints at candidates (N)."""
         row, col = self.grid.row_col(candidates)
-        return stand_on(self.field, self.easting_m[col], self.northing_m[row], self.eye_height_m)
+        return stand_on(
+            self.field,
+            easting_m=self.easting_m[col],
+            northing_m=self.northing_m[row],
+            eye_height_m=self.eye_height_m,
+        )
 
 
 def lay_out(
@@ -127,9 +132,10 @@ def lay_out(
 
 def _can_stand(field: HeightField, easting: Float64Array, northing: Float64Array) -> BoolArray:
     """Return where the surface goes on for a sample to every side."""
-    ground = field.height_at(easting, northing)
+    ground = field.height_at(easting_m=easting, northing_m=northing)
     for east, north in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         ground = ground + field.height_at(
-            easting + east * field.spacing_east_m, northing + north * field.spacing_north_m
+            easting_m=easting + east * field.spacing_east_m,
+            northing_m=northing + north * field.spacing_north_m,
         )
     return ~np.isnan(ground)

@@ -248,7 +248,7 @@ class ToleranceMeter:
     """Measures how far around views their skylines serve: a call returns reprojection errors."""
 
     ground: Ground
-    """Heights at map coordinates: `HeightField.height_at`."""
+    """Heights at map coordinates: `skyline.terrain.heightfield.ground_of`."""
     size: int = 10
     """K: rows and columns of the locations around a view, which is at [K // 2, K // 2]; 10 in the
     paper."""
