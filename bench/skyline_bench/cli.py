@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable, Mapping
 
-from skyline.console import command_line, run_app
+from skyline.cli.console import command_line, run_app
 from skyline_bench.commands import matching, photos, skylines, stores
 
 COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {

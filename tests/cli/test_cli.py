@@ -14,8 +14,9 @@ from commands import assert_refused, csv_of
 from rasterio.transform import Affine
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
-from skyline import build_cli, build_uniform, read_dem, stand_on
+from skyline import build_uniform, read_dem, stand_on
 from skyline.cli import COMMANDS, loaded
+from skyline.cli import build as build_command
 from skyline.pipeline import row_renderers
 from skyline.pipeline.build import build_store
 from skyline.store import open_store
@@ -229,7 +230,7 @@ def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(run, dem, tmp
     with monkeypatch.context() as patch:
         patch.setattr(row_renderers, "PLACES_AT_A_TIME", 512)
         patch.setattr(
-            build_cli,
+            build_command,
             "build_store",
             lambda *given: build_store(*given[:-1], stop),
         )

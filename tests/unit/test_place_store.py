@@ -17,8 +17,8 @@ import pytest
 from store_files import build, edited, one_line
 from store_rows import HEADER, rows
 
+from skyline.cli.info import describe_store
 from skyline.errors import InputError, StoreError, StoreMismatchError
-from skyline.info_cli import describe_store
 from skyline.places import BINS, DISTANCE_BINS, Places
 from skyline.store import (
     RowCoding,

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from skyline.console import progress_bar
+from skyline.cli.console import progress_bar
 from skyline.paper.planning.candidates import Spacing
 from skyline.paper.planning.plan import PlanConfig
 from skyline.paper.planning.strategies import STRATEGIES

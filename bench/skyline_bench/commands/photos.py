@@ -9,7 +9,7 @@ from typing import Annotated
 from typer import Argument, Option
 
 from skyline import InputError, Viewer
-from skyline.console import progress_bar
+from skyline.cli.console import progress_bar
 from skyline.pipeline.jobs import Progress
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands import options

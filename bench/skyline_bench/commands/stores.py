@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from skyline.console import progress_bar
+from skyline.cli.console import progress_bar
 from skyline.errors import InputError
 from skyline.terrain.dem import read_dem
 from skyline_bench.commands import options

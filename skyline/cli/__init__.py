@@ -6,37 +6,37 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from skyline.console import command_line, run_app
+from skyline.cli.console import command_line, run_app
 
 COMMANDS = {
     "Photos": {
-        "photo_cli.match": "Find where photos were taken and in which direction the camera looked.",
-        "photo_cli.extract": "Find the skyline in a photo and write it as a trace that a person "
+        "photo.match": "Find where photos were taken and in which direction the camera looked.",
+        "photo.extract": "Find the skyline in a photo and write it as a trace that a person "
         "can correct.",
-        "photo_cli.serve": "Open a page in the browser: drop photos, mend skylines, find places, "
+        "photo.serve": "Open a page in the browser: drop photos, mend skylines, find places, "
         "fit by hand.",
     },
     "Stores": {
-        "build_cli.build": "Build the store that `match` searches. After Ctrl-C, the same command "
+        "build.build": "Build the store that `match` searches. After Ctrl-C, the same command "
         "continues.",
-        "build_cli.render": "Render the skylines of given viewpoints, to grid north, east, south, "
+        "build.render": "Render the skylines of given viewpoints, to grid north, east, south, "
         "west, into a store.",
-        "store_cli.store": "Check, repair, merge, compact and export stores.",
+        "store.store": "Check, repair, merge, compact and export stores.",
     },
     "Views from a place": {
-        "views_cli.horizon": "Give the horizon around places: elevation angle and distance by "
+        "views.horizon": "Give the horizon around places: elevation angle and distance by "
         "azimuth from true north.",
-        "views_cli.sun": "Say when the sun is above the mountains on a day: CSV of times in UTC "
+        "views.sun": "Say when the sun is above the mountains on a day: CSV of times in UTC "
         "(extra `sun`).",
-        "views_cli.panorama": "Draw what is seen from a place, with the names of the peaks that "
+        "views.panorama": "Draw what is seen from a place, with the names of the peaks that "
         "are seen.",
     },
     "Data": {
-        "fetch_cli.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
-        "info_cli.info": "Describe a DEM, a store, or the OpenGL in use.",
-        "info_cli.explain": "Show which terrain a skyline depends on, what is left out, and what "
+        "fetch.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
+        "info.info": "Describe a DEM, a store, or the OpenGL in use.",
+        "info.explain": "Show which terrain a skyline depends on, what is left out, and what "
         "error that makes.",
-        "fetch_cli.dem": "Elevation data for an area.",
+        "fetch.dem": "Elevation data for an area.",
     },
 }
 """Commands by subject: the module and the name of each, and the first line of its own help."""
@@ -59,7 +59,7 @@ class _Commands(TyperGroup):
 
 def loaded(name: str) -> Any:
     """Load a command, or a group of them."""
-    found = getattr(import_module(f"skyline.{_MODULES[name]}"), name)
+    found = getattr(import_module(f"skyline.cli.{_MODULES[name]}"), name)
     if isinstance(found, typer.Typer):
         return typer.main.get_group(found)
     alone = typer.Typer(add_completion=False)

@@ -9,7 +9,7 @@ import typer
 from typer import Option
 
 from skyline import report
-from skyline.console import (
+from skyline.cli.console import (
     Crs,
     Dems,
     NoCurvature,

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.console import keeps, parse_bounds, progress_bar, say
+from skyline.cli.console import keeps, parse_bounds, progress_bar, say
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.fetch.overpass import fetch_peaks
 from skyline.fetch.remote import HttpOptions

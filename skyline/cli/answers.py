@@ -10,7 +10,7 @@ from typing import TypeVar, cast
 
 import typer
 
-from skyline.console import complain, keeps, patience, remark, say, told
+from skyline.cli.console import complain, keeps, patience, remark, say, told
 from skyline.errors import SkylineError
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.ranking import Candidate

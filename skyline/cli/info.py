@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from typer import Argument, Option
 
 from skyline.camera import pixel_size
-from skyline.console import (
+from skyline.cli.console import (
     AsJson,
     Crs,
     Dems,

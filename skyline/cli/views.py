@@ -9,7 +9,7 @@ import numpy as np
 import typer
 from typer import Option
 
-from skyline.console import (
+from skyline.cli.console import (
     Crs,
     Dems,
     NoCurvature,

@@ -10,8 +10,8 @@ import numpy as np
 import typer
 from typer import Argument, Option
 
-from skyline.answers import Answers, search_of, tried, write_files
-from skyline.console import (
+from skyline.cli.answers import Answers, search_of, tried, write_files
+from skyline.cli.console import (
     AsJson,
     Scheduler,
     StoreDem,

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from skyline.console import AsJson, say
+from skyline.cli.console import AsJson, say
 from skyline.errors import InputError
 from skyline.report.geopackage import write_geopackage
 from skyline.store import (
