@@ -18,7 +18,6 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     },
     "Planning": {skylines.table1: "a minute", skylines.prediction_quality: "a minute"},
     "Builds, stores and files": {
-        stores.sharded_build: "an hour",
         stores.store_durability: "an hour",
         stores.input_fuzz: "a minute",
     },

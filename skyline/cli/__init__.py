@@ -19,9 +19,9 @@ COMMANDS = {
     "Stores": {
         "build.build": "Build the store that `match` searches. After Ctrl-C, the same command "
         "continues.",
-        "build.render": "Render the skylines of given viewpoints, to grid north, east, south, "
-        "west, into a store.",
-        "store.store": "Check, repair, merge, compact and export stores.",
+        "render.render": "Render views to grid north, east, south and west into a store, for the "
+        "paper's matcher.",
+        "store.store": "Check, repair, merge and export stores.",
     },
     "Views from a place": {
         "views.horizon": "Give the horizon around places: elevation angle and distance by "

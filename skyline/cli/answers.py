@@ -46,15 +46,13 @@ class Answers:
         What opening the store took.
     exit_code : int
         0 unless a query failed.
-    unfinished : str
-        Which part of the area the store holds, where its build was not finished; as of `Matcher`.
     """
 
     def __init__(
         self, results: Path | None, search: str, as_json: bool, top: int, is_written: bool
     ) -> None:
         """Take what to print and where; ``is_written`` where answers go to files as well."""
-        self.loading_s, self.exit_code, self.unfinished = 0.0, 0, ""
+        self.loading_s, self.exit_code = 0.0, 0
         self._is_written = is_written or results is not None
         self._path, self._search, self._as_json, self._top = results, search, as_json, top
         self._file: Results | None = None
@@ -97,8 +95,6 @@ class Answers:
             else:
                 matches.append((Path(one.path), result))
                 record = _describe_match(name, result, self.loading_s)
-                if self.unfinished:
-                    record["unfinished"] = self.unfinished
                 said = _match_in_words(name, result, self._top)
             # A query that was not tried is tried again.
             if self._file is not None and one not in refused:
@@ -118,10 +114,7 @@ class Answers:
         names = [printable(path) for path in paths]
         said = _together_in_words(names, found)
         if self._as_json:
-            record = _describe_together(names, found, self.loading_s)
-            if self.unfinished:
-                record["unfinished"] = self.unfinished
-            said = [json.dumps(record)]
+            said = [json.dumps(_describe_together(names, found, self.loading_s))]
         self._print(said)
         return [(Path(path), result) for path, result in zip(paths, found.results, strict=True)]
 
@@ -148,8 +141,6 @@ def write_files(
     ``together`` is how many photos were matched as of one place; 0 where each was by itself.
     """
     done = [f"{matching.rows} {matching.holds} of the store were searched."]
-    if matching.unfinished:
-        done.append(f"{matching.unfinished[:1].upper()}{matching.unfinished[1:]}.")
     if together:
         done.append(f"{together} photos of one place were matched together.")
     for path in exports if matches else ():

@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
 from typing import Annotated, Any
@@ -22,11 +22,10 @@ from typer import Argument, Option
 from typer.core import TyperGroup
 
 from skyline import __version__
+from skyline.build.cluster import Progress
 from skyline.errors import InputError, SkylineError
 from skyline.geodesy import swapped_in_words
 from skyline.logs import ENVIRONMENT_VARIABLE, JSON, as_json, start_logging
-from skyline.pipeline.cluster import local_runner, remote_runner
-from skyline.pipeline.jobs import Progress, Runner
 from skyline.text import printable
 
 # Typer brings click under one name or another, by its version; this one name is public in all.
@@ -198,15 +197,6 @@ def told(doing: str) -> Progress:
             _log.info("%s: %d of %d", doing, done, total, extra={"facts": facts})
 
     return tell
-
-
-def runner_of(workers: int | None, scheduler: str | None) -> AbstractContextManager[Runner | None]:
-    """Return what starts, or connects to, the workers asked for; None stands for this process."""
-    if workers is not None and scheduler is not None:
-        raise InputError("give one of --workers and --scheduler: a cluster has its own workers")
-    if workers is not None:
-        return local_runner(workers)
-    return remote_runner(scheduler) if scheduler is not None else nullcontext()
 
 
 def parse_numbers(text: str, count: int, complaint: str) -> tuple[float, ...]:

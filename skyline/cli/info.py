@@ -23,11 +23,11 @@ from skyline.cli.console import (
 )
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Curvature, Frame
-from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.renderings import render_views
 from skyline.render.context import describe_context
+from skyline.render.horizon import RenderConfig
 from skyline.store import is_store, open_store
-from skyline.store.header import PLACES, SCHEMA_VERSION
+from skyline.store.format import PLACES, SCHEMA_VERSION
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.products import model_of
@@ -39,7 +39,13 @@ from skyline.terrain.scene_bounds import (
     share_beyond,
     sight_range_m,
 )
-from skyline.terrain.viewpoints import Viewpoints, is_inside, place_on, stand_on
+from skyline.terrain.viewpoints import (
+    DEFAULT_EYE_HEIGHT_M,
+    Viewpoints,
+    is_inside,
+    place_on,
+    stand_on,
+)
 from skyline.text import printable
 
 _DEFAULTS = RenderConfig()
@@ -96,7 +102,7 @@ def explain(
             # Numbers that are metres on the map, and degrees off it, are metres.
             if not is_inside(terrain.bounds_m, first, second):
                 raise
-    height_m = config.eye_height_m
+    height_m = DEFAULT_EYE_HEIGHT_M
     eye = stand_on(terrain, easting_m=east_m, northing_m=north_m, eye_height_m=height_m)
     _say_facts(_describe_scene(terrain, eye, config), as_json)
 
@@ -181,10 +187,7 @@ def describe_store(path: str) -> Facts:
     with open_store(path) as store:
         header, eyes = store.header, store.eyes()
         frame = Frame(header.frame_wkt)
-        facts: Facts = {"kind": "store", header.holds: store.committed}
-        facts |= {"finished": store.built.finished, "built_share": store.built.share}
-        if store.built.note:
-            facts["build"] = store.built.note
+        facts: Facts = {"kind": "store", header.holds: len(store)}
         if header.width:
             facts["width"] = header.width
         facts |= {
@@ -192,18 +195,11 @@ def describe_store(path: str) -> Facts:
             "dem_files": [printable(file) for file in header.dem_files],
             "dem_digest": header.dem_digest,
             "config": dict(header.config),
-            "rows": header.rows,
-        }
-        if header.coding is not None:
-            # How far compact rows may be from what was rendered.
-            facts["tan_error_px"] = header.coding.tan_error_px(header.width)
-            facts["depth_error"] = header.coding.depth_error
-        facts |= {
             "renderer": header.renderer,
             "package_version": header.package_version,
             "schema_version": SCHEMA_VERSION,
         }
-        if store.committed:
+        if len(store):
             facts["locations"] = len(np.unique(eyes.easting_m + 1j * eyes.northing_m))
             if header.holds == PLACES:
                 blocks = store.places().blocks()

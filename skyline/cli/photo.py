@@ -10,6 +10,7 @@ import numpy as np
 import typer
 from typer import Argument, Option
 
+from skyline.build.cluster import runner_of
 from skyline.cli.answers import Answers, search_of, tried, write_files
 from skyline.cli.console import (
     AsJson,
@@ -21,7 +22,6 @@ from skyline.cli.console import (
     parse_bounds,
     parse_numbers,
     patience,
-    runner_of,
     say,
 )
 from skyline.errors import InputError, MissingFileError, SkylineError
@@ -186,7 +186,7 @@ def match(
     opened = time.perf_counter()
     with patience(f"opening {store} and its elevation model"):
         matching = Matcher(*asked)
-    answers.loading_s, answers.unfinished = time.perf_counter() - opened, matching.unfinished
+    answers.loading_s = time.perf_counter() - opened
     gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
     if same_place:
         matches = answers.tell_together(matching, skylines)

@@ -1,4 +1,4 @@
-"""``skyline build`` in tiles, here and on workers."""
+"""``--workers`` and ``--scheduler``: the same stores and answers as in one process."""
 
 import json
 
@@ -7,44 +7,28 @@ import pytest
 from commands import assert_refused
 
 
-@pytest.fixture
-def tiles(dem, tmp_path):
-    return "build", dem, "-o", tmp_path / "s.h5"
-
-
 @pytest.mark.parametrize(
-    ("options", "holds"),
-    [
-        (("--spacing", "200"), "places"),
-        (("--planner", "uniform", "--spacing", "900", "--width", "80"), "renderings"),
-    ],
+    ("command", "options"),
+    [("build", ("--spacing", 200)), ("render", ("--grid", 900, "--width", 80))],
 )
-def test_tiles_and_workers_make_the_same_store(run, tiles, tmp_path, options, holds):
-    here = run(*tiles, *options, "--shard-km", "2")
+def test_workers_make_the_same_store(run, dem, tmp_path, command, options):
+    here = run(command, dem, "-o", tmp_path / "here.h5", *options)
     assert here.code == 0, here.err
-    assert holds in here.out
-    content = (tmp_path / "s.h5").read_bytes()
-    (tmp_path / "s.h5").unlink()
-    spread = run(*tiles, *options, "--shard-km", "2", "--workers", "1")
+    spread = run(command, dem, "-o", tmp_path / "spread.h5", *options, "--workers", 1)
     assert (spread.code, spread.err) == (0, "")
-    assert (tmp_path / "s.h5").read_bytes() == content
-    again = run(*tiles, *options, "--shard-km", "2")
-    assert ", 0 of them new" in again.out
+    assert (tmp_path / "spread.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "expected"),
     [
-        (("--shard-km", "0"), "tile size is 0.0 m"),
-        (("--shard-km", "nan"), "tile size is nan m"),
         (("--workers", "0"), "workers is 0; expected 1 or more"),
         (("--workers", "2", "--scheduler", "tcp://127.0.0.1:1"), "one of --workers and"),
         (("--scheduler", "nonsense://x"), "no dask scheduler answers"),
-        (("--shard-km", "2", "--planner", "lpov"), "planner lpov plans one area"),
     ],
 )
-def test_options_that_do_not_fit(run, tiles, options, said, tmp_path):
-    assert_refused(run(*tiles, *options), said)
+def test_options_that_do_not_fit(run, dem, options, expected, tmp_path):
+    assert_refused(run("build", dem, "-o", tmp_path / "s.h5", *options), expected)
     assert not list(tmp_path.iterdir())
 
 

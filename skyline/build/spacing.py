@@ -1,11 +1,15 @@
 """Places laid out adaptively: dense where skylines are near, sparse where they are far.
 
 The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. What a
-place's skyline says of its surroundings (`skyline.planning.loss`) tells whether more places there
-would pay: whether they save more views than the same number would elsewhere. Where they would, the
-next lattice, twice as dense, is filled in; a place that has been rendered stays, so nothing is
-rendered that is not kept. Blocks of the map are planned each on its own and come out the same
-whoever plans them, and in whatever order.
+place's skyline shows whether more places there would pay: whether they save more views than the same
+number would elsewhere. Where they would, the next lattice, twice as dense, is filled in; a place
+that has been rendered stays, so nothing is rendered that is not kept. Blocks of the map are planned
+each on its own, and the result depends neither on the process that plans a block nor on the order.
+
+A view that is taken between places differs from theirs by as much as its skyline moves, which is the
+spacing over the skyline's distance. The odds that a whole search, refinement included, then fails
+grow with a power of that ratio. The power and the ratio of even odds were fitted to searches for
+made views, 60 degrees wide; docs/method.md has the terrain, and how well the law holds elsewhere.
 """
 
 from collections.abc import Callable
@@ -13,12 +17,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float64Array, Int64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.horizons import Horizons
 from skyline.places import Places
-from skyline.planning.loss import lost_shares
 from skyline.row_arrays import Rows
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
@@ -54,6 +57,19 @@ _LEAST_SAMPLE, _MOST_SAMPLES = 64, 256
 so many times: of the elevation model of an island, nearly all may be holes."""
 _BISECTIONS = 60
 
+_WINDOWS = 36
+"""Views 60 degrees wide, each as likely as the others."""
+
+_NEAREST_M = 1.0
+_FARTHEST_M = 1e6
+"""Of a skyline; directions without data count as far as this."""
+
+_EVEN_ODDS = 0.72
+"""Spacing over distance where half of the views are lost."""
+
+_POWER = 1.55
+"""Of that ratio, in the odds of a loss."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks(Rows):
@@ -62,21 +78,6 @@ class Blocks(Rows):
     col: Int64Array
     row: Int64Array
     """``col``, ``row``: (N,) int64. Which multiples their western and southern sides are at."""
-
-    @property
-    def easting_m(self) -> Float64Array:
-        """Of the south-western corners, (N,)."""
-        return np.asarray(self.col * BLOCK_M, dtype=np.float64)
-
-    @property
-    def northing_m(self) -> Float64Array:
-        """Of the south-western corners, (N,)."""
-        return np.asarray(self.row * BLOCK_M, dtype=np.float64)
-
-    def holding(self, easting_m: Float64Array, northing_m: Float64Array) -> BoolArray:
-        """Return which blocks hold one of some locations, shape (N,)."""
-        held = np.floor(easting_m / BLOCK_M) + 1j * np.floor(northing_m / BLOCK_M)
-        return np.isin(self.col + 1j * self.row, held)
 
 
 def blocks_of(area: Rectangle) -> Blocks:
@@ -88,6 +89,12 @@ def blocks_of(area: Rectangle) -> Blocks:
     return Blocks(cols.ravel(), rows.ravel())
 
 
+def check_loss(loss: float) -> None:
+    """Raise `InputError` unless a loss is a share of the views."""
+    if not 0.0 < loss < 1.0:
+        raise InputError(f"loss is {loss}; expected a share between 0 and 1, for example 0.2")
+
+
 def price_of(
     loss: float, terrain: HeightField, area: Rectangle, look: Look, eye_height_m: float
 ) -> float:
@@ -96,8 +103,7 @@ def price_of(
     It is worked out from viewpoints that are spread over the area. Raises `InputError` for a loss
     outside (0, 1), or below that of the finest lattice, and for an area of holes.
     """
-    if not 0.0 < loss < 1.0:
-        raise InputError(f"loss is {loss}; expected a share between 0 and 1, for example 0.2")
+    check_loss(loss)
     sample = look(spread_over(terrain, area, eye_height_m))
     lost = lost_shares(sample.distance_m, _SPACING_M)
     least = float(lost[:, -1].mean())
@@ -319,3 +325,31 @@ def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
         step = np.where(nodes[:, 0] % _side(level) == 0, half, -half)
         beside = nodes + np.stack([step, np.zeros_like(step)], axis=1)
     return np.concatenate([nodes, beside])
+
+
+def window_losses(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
+    """Return how likely views round N places are lost where they lie S spacings apart, (N, S, 36).
+
+    The views are 60 degrees wide and begin at 0, 10, 20, ... degrees. ``distance_m`` (N, B) is of
+    the skylines all the way round; NaN where there is no data.
+    """
+    # The nearest stretches of a skyline move most, so the mean is one of nearness.
+    nearness = 1.0 / np.clip(
+        np.nan_to_num(distance_m.astype(np.float64), nan=_FARTHEST_M), _NEAREST_M, _FARTHEST_M
+    )
+    bins = distance_m.shape[1]
+    width = bins // 6
+    ahead = np.concatenate([nearness, nearness[:, :width]], axis=1)
+    total = np.cumsum(np.pad(ahead, ((0, 0), (1, 0))), axis=1)
+    starts = np.arange(_WINDOWS) * bins // _WINDOWS
+    mean = (total[:, starts + width] - total[:, starts]) / width
+    odds = (spacing_m[:, None] * mean[:, None, :] / _EVEN_ODDS) ** _POWER
+    return np.asarray(odds / (1.0 + odds), dtype=np.float64)
+
+
+def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
+    """Return the share (N, S) of the views round places that is expected to be lost.
+
+    As `window_losses`, over all directions.
+    """
+    return np.asarray(window_losses(distance_m, spacing_m).mean(axis=2), dtype=np.float64)
