@@ -9,8 +9,9 @@ from hypothesis import settings
 from PIL import Image
 from scenes import fractal, write_dem
 
-from skyline import build_places, build_uniform, console, read_dem, stand_on
-from skyline.pipeline.cluster import local_cluster
+from skyline import build_places, build_uniform, read_dem, stand_on
+from skyline.build.cluster import local_cluster
+from skyline.cli import console
 from skyline.render.context import acquire_context
 from skyline.render.depth import DepthRenderer
 from skyline_bench.queries.made_photos import photograph

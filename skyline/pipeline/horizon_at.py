@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import Float64Array
+from skyline.build.cluster import Progress
 from skyline.camera import MAX_WIDTH
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.horizons import Horizons
-from skyline.pipeline.jobs import Progress
 from skyline.render.panorama import PanoramaRenderer
 from skyline.solar.local_horizons import LocalHorizons
 from skyline.terrain.heightfield import HeightField

@@ -13,12 +13,12 @@ from skyline.errors import InputError, SkylineError
 from skyline.files import is_file
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.profiles import Profiles
-from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
 from skyline.pipeline.rendered_scene import RenderedScene
+from skyline.pipeline.stored_dem import check_dem, curvature_of, read_dem_of
 from skyline.places import PlaceSource
 from skyline.render.thread import RenderThread
 from skyline.store import Store, StoreHeader
-from skyline.store.header import PLACES
+from skyline.store.format import PLACES
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground, HeightField, ground_of
 from skyline.terrain.surface import Dem, read_surface
@@ -58,7 +58,7 @@ class OpenedSource:
         """
         if self._store.header.holds == PLACES:
             return partial(_spaced, self._places)
-        there = self._store.locations()
+        there = self._store.eyes()
         eyes = np.stack([there.easting_m, there.northing_m, there.eye_elevation_m])
         found = _viewpoints(np.ascontiguousarray(np.unique(eyes, axis=1)))
         return lambda: found

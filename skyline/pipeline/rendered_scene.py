@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.matching.match_config import MatchConfig
-from skyline.pipeline.config import RenderConfig, curvature_of, make_renderer
-from skyline.render.horizon import HorizonRenderer
+from skyline.pipeline.stored_dem import curvature_of
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.render.thread import RenderThread
 from skyline.store import StoreHeader
 from skyline.terrain.edge import DataEdge
@@ -48,7 +48,7 @@ class RenderedScene:
         self._piece = max(1, _PIECE_COLUMNS // config.width)
         fields = [terrain] if surface is None else [terrain, surface]
         self._renderers = self._run(
-            lambda: [make_renderer(field, config) for field in fields], urgent=False
+            lambda: [HorizonRenderer.of(field, config) for field in fields], urgent=False
         )
 
     @classmethod

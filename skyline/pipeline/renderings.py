@@ -7,8 +7,8 @@ import cv2
 from skyline import report
 from skyline.camera import HEADINGS
 from skyline.files import write_whole
-from skyline.pipeline.config import RenderConfig, make_renderer
 from skyline.render.depth import DepthRenderer
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
@@ -19,7 +19,7 @@ def render_views(
 ) -> Views:
     """Render the skylines of viewpoints to grid north, east, south, west (4 N views)."""
     config = config or RenderConfig()
-    with make_renderer(terrain, config) as renderer:
+    with HorizonRenderer.of(terrain, config) as renderer:
         return renderer.render(viewpoints)
 
 

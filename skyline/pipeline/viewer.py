@@ -13,9 +13,10 @@ from skyline.errors import InputError, OffMapError
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.ranking import Candidate, Ranking
 from skyline.photo.query import QuerySkyline
-from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.rendered_scene import RenderedScene
+from skyline.pipeline.stored_dem import curvature_of
+from skyline.render.horizon import RenderConfig
 from skyline.report.matched import Surroundings
 from skyline.report.peaks import Peaks, most_prominent_first, visible_peaks
 from skyline.report.posed_picture import Panorama, PosedPicture

@@ -74,7 +74,6 @@ class Engine:
         return {
             "store": shown_name(self.given.store.name),
             "places": self.matcher.rows,
-            "unfinished": self.matcher.unfinished,
             "area": list(
                 self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
             ),

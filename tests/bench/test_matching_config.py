@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from scenes import field_of
 
+from skyline.build.grid import map_bounds
 from skyline.errors import InputError
 from skyline.paper.planning.plan import PlanConfig
-from skyline.planning.uniform import map_bounds
 from skyline_bench.runs.matching import MatchingConfig, check, middle_deg
 
 PLAIN = field_of(np.zeros((300, 300), dtype=np.float32), 30.0, north_m=9000.0)
 
 
-def planned(*budgets):
-    return tuple(PlanConfig("lpov", budget=budget) for budget in budgets)
+def planned(*thresholds_px):
+    return tuple(PlanConfig("lpov", threshold_px=pixels) for pixels in thresholds_px)
 
 
 def side_m(bounds_deg):
@@ -22,22 +22,20 @@ def side_m(bounds_deg):
 
 
 def test_quick_is_the_middle_with_renderings_to_match():
-    config = MatchingConfig(
-        plans=planned(800, 1600), bounds_deg=middle_deg(PLAIN, (6000.0, 6000.0))
-    )
+    config = MatchingConfig(plans=planned(6.0, 3.0), bounds_deg=middle_deg(PLAIN, (6000.0, 6000.0)))
     quick = config.quick(PLAIN)
     assert side_m(quick.bounds_deg) == pytest.approx((3000.0, 3000.0), rel=0.02)
     assert (quick.spacings_m, quick.place_spacings_m) == ((1024.0, 512.0), (None,))
-    assert quick.plans[0].budget == pytest.approx(200, abs=6)
+    assert quick.plans[0].threshold_px == 6.0
     assert len(quick.plans) == 1
     assert quick.queries < 20
     assert check(PLAIN, quick) == quick.bounds_deg
 
 
 def test_what_is_asked_for_twice_is_measured_once():
-    config = MatchingConfig(spacings_m=(512.0, 256.0, 512.0), plans=planned(800, 800))
+    config = MatchingConfig(spacings_m=(512.0, 256.0, 512.0), plans=planned(6.0, 6.0))
     assert config.spacings_m == (512.0, 256.0)
-    assert config.plans == planned(800)
+    assert config.plans == planned(6.0)
 
 
 def test_what_does_not_fit_is_refused():

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal
 
-from skyline.pipeline.config import PlaceConfig, RenderConfig
-from skyline.pipeline.layout import Layout
+from skyline.build.plans import PlacePlan
+from skyline.render.horizon import RenderConfig
 from skyline.store import open_store
-from skyline.store.header import PLACES
-from skyline_bench.stores.reference import laid_out_store, planned_places
+from skyline.store.format import PLACES
+from skyline_bench.stores.reference import laid_out_store, planned_places, uniform_renderings
 
 pytestmark = pytest.mark.usefixtures("no_gl_error")
 
@@ -19,8 +19,8 @@ def terrain():
 
 
 def test_a_store_of_places_is_built_once(terrain, tmp_path):
-    first = laid_out_store(terrain, tmp_path, Layout(300.0), PlaceConfig())
-    again = laid_out_store(terrain, tmp_path, Layout(300.0), PlaceConfig())
+    first = laid_out_store(terrain, tmp_path, PlacePlan(300.0))
+    again = laid_out_store(terrain, tmp_path, PlacePlan(300.0))
     assert first == again
     assert first.holds == PLACES
     assert first.places == first.rows == first.renderings / 4
@@ -28,7 +28,7 @@ def test_a_store_of_places_is_built_once(terrain, tmp_path):
 
 
 def test_places_stand_where_a_planner_did(terrain, tmp_path):
-    planned = laid_out_store(terrain, tmp_path, Layout(400.0), RenderConfig(width=160))
+    planned = uniform_renderings(terrain, tmp_path, 400.0, None, RenderConfig(width=160))
     store = planned_places(terrain, tmp_path, planned)
     assert store.rows == store.places == planned.places == planned.rows / 4
     assert store.build_s > planned.build_s

@@ -5,9 +5,9 @@ import pytest
 from scenes import fractal, write_dem
 
 from skyline import JointResult, MatchResult, read_dem
+from skyline.build.grid import map_bounds
 from skyline.errors import InputError
 from skyline.matching.ranking import Candidate
-from skyline.planning.uniform import map_bounds
 from skyline_bench.queries.synthetic import make_queries_together
 from skyline_bench.runs.same_place import SamePlaceConfig, _groups, _Measured, _row
 from skyline_bench.trials.trials import trial_of

@@ -9,7 +9,8 @@ import pytest
 from commands import assert_refused, csv_of
 from scenes import fractal, write_dem
 
-from skyline import console, horizon, read_dem
+from skyline import horizon, read_dem
+from skyline.cli import console
 
 AT = "10.3224,46.7484"
 

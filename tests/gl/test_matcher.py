@@ -25,8 +25,8 @@ from skyline.matching.retrieval import Retriever
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.pipeline.batch import _opened
-from skyline.pipeline.config import curvature_of
 from skyline.pipeline.rendered_scene import RenderedScene
+from skyline.pipeline.stored_dem import curvature_of
 from skyline.store import open_store
 from skyline.terrain.heightfield import ground_of
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together

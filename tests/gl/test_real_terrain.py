@@ -8,8 +8,8 @@ import rasterio
 from rasterio.transform import from_origin
 from scenes import at_m
 
+from skyline.build.grid import map_bounds
 from skyline.geodesy import Curvature, Frame
-from skyline.planning.uniform import map_bounds
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField

@@ -10,9 +10,8 @@ from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.match_config import RefineConfig
 from skyline.matching.pose import refine
-from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.rendered_scene import RenderedScene
-from skyline.render.horizon import HorizonRenderer
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import UNKNOWN_M, read_surface
 

@@ -23,7 +23,7 @@ from skyline import (
 )
 from skyline.camera import HEADINGS
 from skyline.photo.projection import Projection
-from skyline.pipeline.config import curvature_of
+from skyline.pipeline.stored_dem import curvature_of
 from skyline.render.horizon import HorizonRenderer
 from skyline.report.posed_picture import Panorama, PosedPicture
 from skyline.terrain.summits import summit_heights_m

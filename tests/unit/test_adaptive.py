@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from scenes import field_of
 
-from skyline.errors import InputError
-from skyline.horizons import Horizons
-from skyline.places import BINS, Places
-from skyline.planning.adaptive import (
+from skyline.build.spacing import (
     BLOCK_M,
     AdaptivePlanner,
     Blocks,
     blocks_of,
+    lost_shares,
     price_of,
     spread_over,
 )
-from skyline.planning.loss import lost_shares
+from skyline.errors import InputError
+from skyline.horizons import Horizons
+from skyline.places import BINS, Places
 
 AREA = (0.0, 0.0, 2.0 * BLOCK_M, BLOCK_M)
 SPACINGS_M = 1280.0 / 2.0 ** (np.arange(13) / 2.0)
@@ -230,8 +230,6 @@ class TestPlan:
         np.testing.assert_array_equal(
             Places.concatenate(parts[::-1]).tolerance_m, whole.tolerance_m
         )
-        eastern = blocks.holding(np.array([BLOCK_M + 1.0]), np.array([5.0]))
-        assert eastern.tolist() == [False, True]
 
     def test_what_is_rendered_is_kept(self, plain):
         seen = []

@@ -11,9 +11,9 @@ import pytest
 from matplotlib.figure import Figure
 from scenes import candidate_at, field_of, fractal
 
+from skyline.build.grid import uniform_grid
 from skyline.geodesy import Frame
 from skyline.photo.query import QuerySkyline
-from skyline.planning.uniform import uniform_grid
 from skyline.report import Matched, Peaks, Surroundings, write_match_report
 from skyline.report.overlay import Overlay
 from skyline.report.peaks import Sighting

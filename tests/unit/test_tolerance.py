@@ -97,5 +97,3 @@ def test_bad_settings_say_what_is_wrong():
     for pitch in (0.0, -3.0, np.nan, np.inf):
         with pytest.raises(InputError, match=r"spacing of .* m; expected a positive"):
             ToleranceMeter(level, 10, pitch)
-    with pytest.raises(InputError, match="eye height is -1"):
-        ToleranceMeter(level, eye_height_m=-1.0)

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from skyline.console import progress_bar
+from skyline.cli.console import progress_bar
 from skyline.paper.planning.candidates import Spacing
 from skyline.paper.planning.plan import PlanConfig
 from skyline.paper.planning.strategies import STRATEGIES
@@ -34,7 +34,7 @@ from skyline_bench.runs.matching import KINDS, PLAIN, MatchingConfig, check, mea
 from skyline_bench.trials.trials import ALL, PAPER, RETRIEVED, WHAT, DistanceGroup
 
 _MATCHING = MatchingConfig()
-_BUDGETS = (800, 1600, 2800)
+_THRESHOLDS_PX = (12.0, 6.0, 3.0)
 _COMPARED = (PAPER, RETRIEVED, FULL)
 
 Matcher = Annotated[Names, Option(help=f"May be repeated, of {', '.join(WHAT)}.")]
@@ -97,8 +97,8 @@ def uniform_adaptive(
     strategy: Annotated[
         Names, Option(help=f"Of adaptive stores, of {', '.join(STRATEGIES)} [lpov].")
     ] = None,
-    budget: Annotated[
-        list[int] | None, Option(help="Renderings of an adaptive store [800 1600 2800].")
+    threshold_px: Annotated[
+        Floats, Option(help="Pixels to which an adaptive store covers [12 6 3].")
     ] = None,
     candidate_spacing: Annotated[
         float, Option(help="Between places that a planner chooses from, metres.")
@@ -130,9 +130,9 @@ def uniform_adaptive(
         spacings_m=grids,
         place_spacings_m=grids,
         plans=tuple(
-            PlanConfig(name, apart, seed=seed, budget=renderings)
+            PlanConfig(name, apart, pixels, seed=seed)
             for name in strategy or ("lpov",)
-            for renderings in sorted(budget or _BUDGETS)
+            for pixels in sorted(threshold_px or _THRESHOLDS_PX, reverse=True)
         ),
         matchers=tuple(matcher or _COMPARED),
         kinds=(kind,),

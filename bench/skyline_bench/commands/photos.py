@@ -9,8 +9,8 @@ from typing import Annotated
 from typer import Argument, Option
 
 from skyline import InputError, Viewer
-from skyline.console import progress_bar
-from skyline.pipeline.jobs import Progress
+from skyline.build.cluster import Progress
+from skyline.cli.console import progress_bar
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.commands import options
 from skyline_bench.figures.photo_pages import PhotographsPage, save_match

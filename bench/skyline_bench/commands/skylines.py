@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.console import progress_bar
+from skyline.cli.console import progress_bar
 from skyline.errors import SkylineError
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline_bench.cases import stability as hard_cases

@@ -94,4 +94,4 @@ def _kilobytes(name: str, process: int | str = "self") -> int | None:
 
 
 def unseen(_done: int, _total: int) -> None:
-    """Hear of progress that nobody looks at; a `skyline.pipeline.jobs.Progress`."""
+    """Hear of progress that nobody looks at; a `skyline.build.cluster.Progress`."""

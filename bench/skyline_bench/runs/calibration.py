@@ -21,6 +21,8 @@ from scipy.optimize import minimize
 
 from skyline import MatchConfig, read_dem
 from skyline.arrays import BoolArray, Float64Array
+from skyline.build.cluster import Progress
+from skyline.build.parts import build_places
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.matching import confidence
@@ -28,8 +30,6 @@ from skyline.matching.confidence import DISTANCES_M, Logistic, model_name
 from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.retrieval import Retriever
-from skyline.pipeline.build import build_places
-from skyline.pipeline.jobs import Progress
 from skyline.pipeline.rendered_scene import RenderedScene
 from skyline.store import open_store
 from skyline.terrain.dem import DemOptions

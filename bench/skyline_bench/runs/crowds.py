@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from skyline import MatchConfig, Matcher
+from skyline.build.cluster import Progress
+from skyline.build.grid import map_bounds
 from skyline.horizons import Horizons
 from skyline.matching.confidence import RIGHT_WITHIN_M
 from skyline.matching.retrieval import Retriever
 from skyline.matching.threads import one_blas_thread
-from skyline.pipeline.config import read_dem_of
-from skyline.pipeline.jobs import Progress
+from skyline.pipeline.stored_dem import read_dem_of
 from skyline.places import BINS, DISTANCE_BINS, Places
-from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline_bench.measuring.record import Row

@@ -4,7 +4,6 @@ Stores are uniform grids, what the paper's planners choose (paper 5.2), or files
 Stores and answers are kept, so that a comparison that was stopped goes on.
 """
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -13,17 +12,16 @@ from types import MappingProxyType
 
 import numpy as np
 
+from skyline.build.cluster import Progress
+from skyline.build.grid import map_bounds
+from skyline.build.plans import PlacePlan
 from skyline.errors import InputError
 from skyline.geodesy import Bounds
-from skyline.paper.planning.budget import spaced_for
 from skyline.paper.planning.candidates import lay_out
 from skyline.paper.planning.plan import PlanConfig
-from skyline.pipeline.config import PlaceConfig, RenderConfig
-from skyline.pipeline.jobs import Progress
-from skyline.pipeline.layout import Layout
 from skyline.pipeline.match import Matcher
-from skyline.planning.uniform import map_bounds
-from skyline.store.header import PLACES, RENDERINGS
+from skyline.render.horizon import RenderConfig
+from skyline.store.format import PLACES, RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import unseen
@@ -38,6 +36,7 @@ from skyline_bench.stores.reference import (
     laid_out_store,
     planned_places,
     planned_store,
+    uniform_renderings,
 )
 from skyline_bench.trials.kept import Kept, file_digest
 from skyline_bench.trials.trials import (
@@ -139,8 +138,7 @@ class MatchingConfig:
     def quick(self, terrain: HeightField) -> "MatchingConfig":
         """Return a version that takes a minute or two: few queries, no fine grids.
 
-        With planners, the area is its middle, and the budget the least one, by as much as the area
-        is smaller.
+        With planners, the area is its middle, and the threshold the greatest one.
         """
         coarse = tuple(one for one in self.spacings_m if one >= _COARSE_M)
         coarse = coarse or self.spacings_m[:1]
@@ -153,10 +151,8 @@ class MatchingConfig:
         bounds_deg = self.bounds_deg or middle_deg(terrain)
         west, south, east, north = map_bounds(terrain, bounds_deg)
         size_m = min(east - west, _QUICK_M), min(north - south, _QUICK_M)
-        share = size_m[0] * size_m[1] / ((east - west) * (north - south))
-        budgets = [plan.budget for plan in self.plans if plan.budget is not None]
-        budget = math.ceil(share * min(budgets)) if budgets else None
-        plans = tuple(replace(plan, budget=budget) for plan in self.plans)
+        greatest_px = max(plan.threshold_px for plan in self.plans)
+        plans = tuple(replace(plan, threshold_px=greatest_px) for plan in self.plans)
         return replace(small, bounds_deg=middle_deg(terrain, size_m, bounds_deg), plans=plans)
 
 
@@ -199,10 +195,7 @@ def check(terrain: HeightField, config: MatchingConfig) -> Bounds:
     for _, spacing_m in config.grids():
         check_spacing(terrain, spacing_m, bounds_deg)
     for plan in config.plans:
-        spacing = plan.spacing
-        if plan.budget is not None:
-            spacing = spaced_for(spacing, plan.budget, area)
-        lay_out(terrain, spacing, area, plan.eye_height_m, plan.budget)
+        lay_out(terrain, plan.spacing, area)
     for store in (given_store(terrain, path) for path in config.stores):
         if store.holds not in config.searched():
             raise InputError(
@@ -303,9 +296,10 @@ def _build(bench: _Bench, asked: Grid | PlanConfig) -> list[_Planned]:
     where = bench.terrain, bench.folder
     if not isinstance(asked, PlanConfig):
         holds, spacing_m = asked
-        layout = Layout(spacing_m, bounds_deg=bench.bounds_deg)
-        config = PlaceConfig() if holds == PLACES else RenderConfig()
-        store = laid_out_store(*where, layout, config)
+        if holds == PLACES:
+            store = laid_out_store(*where, PlacePlan(spacing_m, bench.bounds_deg))
+        else:
+            store = uniform_renderings(*where, spacing_m or 0.0, bench.bounds_deg)
         return [(_DEFAULT if spacing_m is None else UNIFORM, store)]
     planned = planned_store(*where, asked, bench.bounds_deg, RenderConfig())
     stores = [planned]

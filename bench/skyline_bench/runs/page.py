@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from skyline.build.cluster import Progress
+from skyline.build.parts import build_places
 from skyline.errors import BuildError
-from skyline.pipeline.build import build_places
-from skyline.pipeline.jobs import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem
 from skyline.terrain.viewpoints import stand_on

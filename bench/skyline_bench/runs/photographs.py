@@ -22,10 +22,9 @@ from skyline import (
     read_query,
 )
 from skyline.arrays import Float64Array
+from skyline.build.grid import map_bounds
+from skyline.build.plans import PlacePlan
 from skyline.geodesy import Bounds
-from skyline.pipeline.config import PlaceConfig
-from skyline.pipeline.layout import Layout
-from skyline.planning.uniform import map_bounds
 from skyline.report.records import describe_claim
 from skyline_bench.measuring.record import Row
 from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph
@@ -99,8 +98,8 @@ def measure(
             raise InputError("photographs are to be located; give the elevation model too")
         place = folder / f"{group[0].name}-area"
         place.mkdir(exist_ok=True)
-        layout = Layout(config.spacing_m, bounds_deg=_area_deg(terrain, group[0], config.side_m))
-        store = laid_out_store(terrain, place, layout, PlaceConfig())
+        plan = PlacePlan(config.spacing_m, _area_deg(terrain, group[0], config.side_m))
+        store = laid_out_store(terrain, place, plan)
         with Matcher(store.path, terrain) as matcher, Viewer(matcher) as viewer:
             for one in group:
                 measured = _located(one, matcher, viewer, config)

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from skyline.arrays import BoolArray, Float64Array
+from skyline.build.cluster import Progress
+from skyline.build.grid import map_bounds
+from skyline.build.spacing import lost_shares, window_losses
 from skyline.geodesy import Bounds
-from skyline.pipeline.jobs import Progress
 from skyline.places import BINS, Places
-from skyline.planning.loss import lost_shares, window_losses
-from skyline.planning.uniform import map_bounds
 from skyline.render.panorama import PanoramaRenderer
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField

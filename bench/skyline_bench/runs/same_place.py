@@ -6,16 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
+from skyline.build.cluster import Progress
+from skyline.build.grid import map_bounds
+from skyline.build.plans import PlacePlan
 from skyline.errors import InputError
 from skyline.geodesy import Bounds
 from skyline.matching.confidence import RIGHT_WITHIN_M
-from skyline.pipeline.config import PlaceConfig
-from skyline.pipeline.jobs import Progress
-from skyline.pipeline.layout import Layout
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import FULL
 from skyline.pipeline.results import JointResult
-from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import unseen
@@ -84,8 +83,7 @@ def measure(
     agree, ``stranger_named`` that where the photo of another place is.
     """
     bounds_deg = config.bounds_deg or middle_deg(terrain)
-    layout = Layout(config.spacing_m, bounds_deg=bounds_deg)
-    store = laid_out_store(terrain, folder, layout, PlaceConfig())
+    store = laid_out_store(terrain, folder, PlacePlan(config.spacing_m, bounds_deg))
     area = map_bounds(terrain, bounds_deg)
     made = make_queries_together(terrain, area, config.places, config.photos, config.seed)
     measured = []

@@ -14,15 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
+from skyline.build.cluster import Progress
+from skyline.build.grid import map_bounds
+from skyline.build.plans import DEFAULT_LOSS, PlacePlan
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Frame, Rectangle
 from skyline.matching.narrowing import Narrowed, Narrowing
-from skyline.pipeline.config import PlaceConfig
-from skyline.pipeline.jobs import Progress
-from skyline.pipeline.layout import DEFAULT_LOSS, Layout
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.rendered_scene import RenderedScene
-from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline_bench.measuring.record import Row
@@ -170,8 +169,8 @@ def outcomes(
         store = given_store(terrain, config.store)
     else:
         check_spacing(terrain, config.spacing_m, config.bounds_deg)
-        layout = Layout(config.spacing_m, bounds_deg=config.bounds_deg, loss=config.loss)
-        store = laid_out_store(terrain, folder, layout, PlaceConfig(), progress)
+        plan = PlacePlan(config.spacing_m, config.bounds_deg, config.loss)
+        store = laid_out_store(terrain, folder, plan, progress)
     reset_peak()
     started = time.perf_counter()
     with Matcher(store.path, terrain, config=MATCHING) as matcher:

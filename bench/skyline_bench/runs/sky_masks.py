@@ -15,10 +15,10 @@ import numpy as np
 from PIL import Image
 
 from skyline.arrays import Float64Array, UInt8Array
+from skyline.build.cluster import Progress
 from skyline.errors import InputError
 from skyline.photo.read import extract_photo
 from skyline.photo.sky_model import topmost_border
-from skyline.pipeline.jobs import Progress
 from skyline_bench.measuring.record import Row
 
 _NEAR_SHARE = 0.01

@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
+from skyline.build.cluster import Progress
+from skyline.build.grid import uniform_grid
 from skyline.camera import DEFAULT_WIDTH, check_width
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.pipeline.jobs import Progress
-from skyline.planning.uniform import uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField

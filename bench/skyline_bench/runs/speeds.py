@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from skyline.build.grid import map_bounds, uniform_grid
+from skyline.build.parts import build_places, build_uniform
 from skyline.features import polyline_keypoints
 from skyline.geodesy import Frame
 from skyline.photo.read import read_query
-from skyline.pipeline.build import build_places, build_uniform
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import MATCHERS
 from skyline.places import BINS, Places
-from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.panorama import PanoramaRenderer
-from skyline.store.header import PLACES, RENDERINGS
+from skyline.store.format import PLACES, RENDERINGS
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_on

@@ -5,29 +5,27 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from skyline.arrays import Float32Array
+from skyline.build.cluster import Progress
+from skyline.build.grid import map_bounds, uniform_grid
+from skyline.build.parts import BuildResult, build_store, build_uniform, finished_store
+from skyline.build.plans import PlacePlan, header_of
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError
-from skyline.geodesy import Bounds, Rectangle
+from skyline.geodesy import Bounds, Curvature, Rectangle
+from skyline.paper.planned import build_planned
 from skyline.paper.planning.plan import PlanConfig
-from skyline.pipeline.build import BuildResult, build_store, render_missing
-from skyline.pipeline.config import BuildConfig, PlaceConfig, RenderConfig, store_header
-from skyline.pipeline.jobs import Progress
-from skyline.pipeline.layout import Layout
-from skyline.pipeline.planned import build_planned
-from skyline.pipeline.row_renderers import place_rows
-from skyline.places import BINS
-from skyline.planning.uniform import map_bounds, uniform_grid
+from skyline.places import BINS, Places
+from skyline.render.horizon import RenderConfig
 from skyline.render.panorama import PanoramaRenderer
-from skyline.store import StoreHeader, open_store
-from skyline.store.header import PLACES
+from skyline.store import StoreHeader, columns_of, open_store, write_store
+from skyline.store.format import PLACES
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -77,18 +75,25 @@ def check_spacing(terrain: HeightField, spacing_m: float | None, bounds_deg: Bou
 
 
 def laid_out_store(
+    terrain: HeightField, folder: Path, plan: PlacePlan, progress: Progress | None = None
+) -> ReferenceStore:
+    """Return a store of places in a folder, built unless it is there."""
+    name = f"planned-{plan.loss:g}" if plan.spacing_m is None else f"places-{plan.spacing_m:g}"
+    path = folder / f"{name}.h5"
+    return _built(name, path, lambda: build_store(terrain, path, plan, progress=progress))
+
+
+def uniform_renderings(
     terrain: HeightField,
     folder: Path,
-    layout: Layout,
-    config: BuildConfig,
-    progress: Progress | None = None,
+    spacing_m: float,
+    bounds_deg: Bounds | None = None,
+    config: RenderConfig | None = None,
 ) -> ReferenceStore:
-    """Return a store of a layout in a folder, built as far as it is not there yet."""
-    kind = "places" if isinstance(config, PlaceConfig) else "uniform"
-    spacing_m = layout.spacing_m
-    name = f"planned-{layout.loss:g}" if spacing_m is None else f"{kind}-{spacing_m:g}"
+    """Return a store of the renderings of a uniform grid, as `laid_out_store`."""
+    name = f"uniform-{spacing_m:g}"
     path = folder / f"{name}.h5"
-    return _built(name, path, lambda: build_store(terrain, path, layout, config, progress))
+    return _built(name, path, lambda: build_uniform(terrain, path, spacing_m, bounds_deg, config))
 
 
 def planned_store(
@@ -98,23 +103,18 @@ def planned_store(
     bounds_deg: Bounds | None,
     config: RenderConfig,
 ) -> ReferenceStore:
-    """Return a planned store in a folder, built as far as it is not there yet.
+    """Return a planned store in a folder, as `laid_out_store`.
 
-    It is named by its strategy and, where it has one, its budget. A plan that was followed to its
-    end is not worked out again.
+    It is named by its strategy and threshold.
     """
-    name = planned.strategy + (f"-{planned.budget}" if planned.budget else "")
+    name = f"{planned.strategy}-{planned.threshold_px:g}px"
     path = folder / f"{name}.h5"
-    settings = [terrain.digest, bounds_deg, asdict(planned), asdict(config)]
-    asked = json.loads(json.dumps(settings))
-    if path.exists() and _noted(path).get("followed") == asked:
-        return _reference(name, path)
-    return _built(
-        name,
-        path,
-        lambda: build_planned(terrain, path, planned, bounds_deg, config).built,
-        followed=asked,
-    )
+
+    def build() -> BuildResult:
+        done = build_planned(terrain, path, planned, bounds_deg, config)
+        return BuildResult(0, 0, 0.0) if done is None else done.built
+
+    return _built(name, path, build)
 
 
 def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) -> ReferenceStore:
@@ -126,23 +126,24 @@ def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) 
         there = store.eyes()
     # The headings of one location share its eye.
     eyes = np.unique(np.stack([there.easting_m, there.northing_m, there.eye_elevation_m]), axis=1)
-    tree = cKDTree(eyes[:2].T)
+    apart_m = np.asarray(cKDTree(eyes[:2].T).query(eyes[:2].T, k=[2])[0])[:, 0]
+    path = folder / f"{planned.name}-places.h5"
 
-    def tolerance(some: Viewpoints) -> Float32Array:
-        apart_m = np.asarray(tree.query(np.stack([some.easting_m, some.northing_m], 1), k=[2])[0])
-        return (apart_m[:, 0] / 2.0).astype(np.float32)
-
-    def render() -> BuildResult:
-        config = PlaceConfig()
-        renderer = PanoramaRenderer(terrain, BINS, config.curvature, config.tolerance_deg)
-        header = store_header(terrain, renderer.description, config, {"planner": "viewpoints"})
-        with place_rows(renderer, header, tolerance) as rows:
+    def build() -> BuildResult:
+        header = header_of(terrain, {"planner": "viewpoints"}, Curvature(), holds=PLACES)
+        if path.exists():
+            return finished_store(path, header)
+        with PanoramaRenderer(terrain, BINS) as renderer:
+            started = time.perf_counter()
             easting_m, northing_m, up_m = np.ascontiguousarray(eyes)
             at = Viewpoints(easting_m=easting_m, northing_m=northing_m, eye_elevation_m=up_m)
-            return render_missing(path, rows, at)
+            rendered = renderer.render(at)
+            places = Places.of(rendered, (apart_m / 2.0).astype(np.float32))
+            header = replace(header, renderer=renderer.description)
+            write_store(path, header, columns_of(header, places))
+        return BuildResult(len(places), len(places), time.perf_counter() - started)
 
-    path = folder / f"{planned.name}-places.h5"
-    built = _built(planned.name, path, render)
+    built = _built(planned.name, path, build)
     return replace(
         built,
         build_s=planned.build_s + built.build_s,
@@ -150,17 +151,15 @@ def planned_places(terrain: HeightField, folder: Path, planned: ReferenceStore) 
     )
 
 
-def _built(
-    name: str, path: Path, build: Callable[[], BuildResult], **about: object
-) -> ReferenceStore:
-    """Build a store, note beside it what it took over all runs and what is given, and return it."""
+def _built(name: str, path: Path, build: Callable[[], BuildResult]) -> ReferenceStore:
+    """Build a store, note beside it the seconds that it took over all runs, and return it."""
     before = _noted(path) if path.exists() else dict.fromkeys(_SECONDS, 0.0)
     cpu = time.process_time()
     built = build()
     now = (built.seconds, time.process_time() - cpu) if built.rendered else (0.0, 0.0)
     taken = {key: before.get(key, math.nan) + new for key, new in zip(_SECONDS, now, strict=True)}
     _log.info("%s: %d of %d rows now", name, built.rendered, built.rows)
-    path.with_suffix(_NOTE).write_text(json.dumps({**taken, **about}) + "\n", encoding="utf-8")
+    path.with_suffix(_NOTE).write_text(json.dumps(taken) + "\n", encoding="utf-8")
     return _reference(name, path)
 
 
@@ -190,7 +189,7 @@ def _reference(name: str, path: Path) -> ReferenceStore:
             name,
             path,
             store.header.holds,
-            store.committed,
+            len(store),
             path.stat().st_size,
             *(noted.get(key, math.nan) for key in _SECONDS),
         )

@@ -12,8 +12,8 @@ import numpy as np
 from scipy import ndimage
 
 from skyline.arrays import Float32Array, UInt8Array
+from skyline.build.cluster import Progress
 from skyline.geodesy import Frame
-from skyline.pipeline.jobs import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.timing import core_count

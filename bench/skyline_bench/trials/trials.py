@@ -18,7 +18,7 @@ from skyline.matching.ranking import Candidate
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.pipeline.results import MatchResult
-from skyline.store.header import RENDERINGS
+from skyline.store.format import RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, Truth
 
