@@ -171,7 +171,9 @@ def _outcome(future: Any) -> Any:
 
 
 def collect(
-    outcomes: Iterator[tuple[int, R | Exception]], names: Sequence[str], finished: Callable[[], None]
+    outcomes: Iterator[tuple[int, R | Exception]],
+    names: Sequence[str],
+    finished: Callable[[], None],
 ) -> list[R]:
     """Return all results in the items' order; ``finished`` is called after each.
 

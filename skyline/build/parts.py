@@ -1,9 +1,9 @@
 """Building a store: its parts are rendered one by one, each a finished file, and merged.
 
-A part is a store of its own in the folder ``STORE.parts``. It is rendered in memory and then written
-under its name at once, so a build that is killed loses at most the part in hand, and the same
-command continues with the parts that are missing. Merging sorts the rows: the number of workers, the
-order of the parts, and how often a build was killed change no byte of the store.
+A part is a store of its own in the folder ``STORE.parts``. It is rendered in memory and then
+written under its name at once, so a build that is killed loses at most the part in hand, and the
+same command continues with the parts that are missing. Merging sorts the rows: the number of
+workers, the order of the parts, and how often a build was killed change no byte of the store.
 
 Every part is rendered over the whole DEM: how far terrain can rise into a skyline has no bound but
 the DEM's own. What is cut is the work.
@@ -262,7 +262,11 @@ _open_here: dict[str, PartRenderer] = {}
 
 
 def _on_workers(
-    runner: Runner, terrain: HeightField, plan: Plan, left: dict[Path, Any], finished: Callable[[], None]
+    runner: Runner,
+    terrain: HeightField,
+    plan: Plan,
+    left: dict[Path, Any],
+    finished: Callable[[], None],
 ) -> Sequence[int]:
     """Render and write parts by a runner; return the number of rows of each."""
     if not terrain.provenance.files:
@@ -277,7 +281,7 @@ def _on_workers(
 
 
 def _remove(folder: Path) -> None:
-    """Remove parts, and files that killed builds left, and their folder if nothing else is in it."""
+    """Remove parts and what killed builds left, and their folder if nothing else is in it."""
     for pattern in ("*-of-*.h5", ".*.partial"):
         for file in folder.glob(pattern):
             file.unlink(missing_ok=True)

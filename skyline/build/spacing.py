@@ -1,13 +1,13 @@
 """Places laid out adaptively: dense where skylines are near, sparse where they are far.
 
-The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. What a
-place's skyline shows whether more places there would pay: whether they save more views than the same
+The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. A place's
+skyline shows whether more places there would pay: whether they save more views than the same
 number would elsewhere. Where they would, the next lattice, twice as dense, is filled in; a place
 that has been rendered stays, so nothing is rendered that is not kept. Blocks of the map are planned
 each on its own, and the result depends neither on the process that plans a block nor on the order.
 
-A view that is taken between places differs from theirs by as much as its skyline moves, which is the
-spacing over the skyline's distance. The odds that a whole search, refinement included, then fails
+A view that is taken between places differs from theirs by as much as its skyline moves, which is
+the spacing over the skyline's distance. The odds that a whole search, refinement included, then fails
 grow with a power of that ratio. The power and the ratio of even odds were fitted to searches for
 made views, 60 degrees wide; docs/method.md has the terrain, and how well the law holds elsewhere.
 """
