@@ -16,6 +16,7 @@ from pyproj.exceptions import CRSError, ProjError
 
 from skyline.arrays import Complex128Array, Float64Array
 from skyline.errors import InputError
+from skyline.text import swapped_in_words
 
 EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13
@@ -98,17 +99,6 @@ def are_bounds(west: float, south: float, east: float, north: float) -> bool:
         and -180.0 <= east <= 180.0
         and width_deg((west, south, east, north)) > 0.0
     )
-
-
-def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:
-    """Return the suspicion that the coordinates of places were given in the wrong order.
-
-    The right order is shown: of each pair of numbers the second first.
-    """
-    right = ",".join(
-        f"{second:.10g},{first:.10g}" for first, second in zip(given[::2], given[1::2], strict=True)
-    )
-    return f"{names} seem to be swapped: give {right}"
 
 
 def width_deg(bounds_deg: Bounds) -> float:

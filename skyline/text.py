@@ -22,3 +22,14 @@ def _escaped(letter: str) -> str:
     # Python keeps a byte that is not UTF-8 as the surrogate U+DC00 plus the byte (PEP 383).
     is_byte = "\udc80" <= letter <= "\udcff"
     return f"\\x{ord(letter) - 0xDC00:02x}" if is_byte else ascii(letter)[1:-1]
+
+
+def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:
+    """Return the suspicion that the coordinates of places were given in the wrong order.
+
+    The right order is shown: of each pair of numbers the second first.
+    """
+    right = ",".join(
+        f"{second:.10g},{first:.10g}" for first, second in zip(given[::2], given[1::2], strict=True)
+    )
+    return f"{names} seem to be swapped: give {right}"

@@ -24,9 +24,8 @@ from typer.core import TyperGroup
 from skyline import __version__
 from skyline.build.cluster import Progress
 from skyline.errors import InputError, SkylineError
-from skyline.geodesy import swapped_in_words
 from skyline.logs import ENVIRONMENT_VARIABLE, JSON, as_json, start_logging
-from skyline.text import printable
+from skyline.text import printable, swapped_in_words
 
 # Typer brings click under one name or another, by its version; this one name is public in all.
 _UsageError: Any = typer.BadParameter.__base__

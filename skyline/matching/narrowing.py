@@ -7,11 +7,12 @@ from numpy.typing import NDArray
 
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
-from skyline.geodesy import Frame, Rectangle, are_bounds, swapped_in_words
+from skyline.geodesy import Frame, Rectangle, are_bounds
 from skyline.matching.claim import Claim
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.screening import turns_within
 from skyline.places import Places
+from skyline.text import swapped_in_words
 
 _CONVERGENCE_DEG = 5.0
 """More than meridians converge within a frame: turns are screened that much more widely."""
