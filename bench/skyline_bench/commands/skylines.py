@@ -121,7 +121,9 @@ def summits(
         p90_sight_m bias_m rms_off_m place_cpu_ms"""
     options.print_rows(rows, columns)
     for name, value in rows[0].items():
-        if name.startswith(("summit_below", "prominent", "anywhere", *summits_kept.STOOD)):
+        if name.startswith(
+            ("summit_below", "prominent", "coarse", "anywhere", *summits_kept.STOOD)
+        ):
             typer.echo(f"{name:<24} {value:g}")
     write_record(json_file, "summits", options.rows_but(json_file, "dem", [rows[0]["dem"]]) + rows)
 

@@ -45,6 +45,7 @@ LOW_DEG = 3.0
 """What a horizon of a summit is below."""
 
 _MOST_RANKED = 2_000_000
+_COARSE_M, _COARSENED = 90.0, 100
 _APART_M = 1000.0
 """A summit is the highest sample so far around."""
 
@@ -175,8 +176,12 @@ def measure(
                 "place_cpu_ms": _place_cpu_ms(surface, config.places),
             }
         )
-    seen = _horizons_beside(field, file, config), _horizons_anywhere(field, config)
-    return [{**rows[0], **seen[0], **seen[1]}, *rows[1:]]
+    seen = {
+        **_horizons_beside(field, file, config),
+        **_horizons_coarsened(field),
+        **_horizons_anywhere(field, config),
+    }
+    return [{**rows[0], **seen}, *rows[1:]]
 
 
 def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> Row:
@@ -207,6 +212,38 @@ def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> 
             f"{name}_off": float(np.mean(off_deg > 1.0)),
             f"{name}_near": float(np.mean(stood.distance_m < field.spacing_m)),
         }
+    return found
+
+
+def _horizons_coarsened(field: HeightField) -> Row:
+    """Return how far horizons at summits' true places are off on a coarser model of the ground.
+
+    Degrees, rms over azimuths and summits; each sample of that model is the mean of the samples of
+    a square. Nothing where the field itself is as coarse.
+    """
+    side = round(_COARSE_M / field.spacing_m)
+    row, col = _prominent(field, _COARSENED)
+    if side < 2 or not row.size:
+        return {}
+    rows, cols = field.rows // side, field.cols // side
+    squares = field.heights_m[: rows * side, : cols * side].reshape(rows, side, cols, side)
+    west, north = field.to_map(0.5 * (side - 1), 0.5 * (side - 1))
+    coarse = HeightField(
+        squares.mean(axis=(1, 3)),
+        float(west),
+        float(north),
+        side * field.spacing_east_m,
+        side * field.spacing_north_m,
+        field.frame,
+    )
+    easting, northing = field.to_map(row, col)
+    true_deg = horizons_of(field, stand_on(field, easting, northing), 1.0).elevation_deg
+    lon, lat = field.frame.to_lonlat(easting, northing)
+    found: dict[str, float] = {"coarsened": row.size}
+    for name, within_m in STOOD.items():
+        stood = horizon(coarse, lon, lat, step_deg=1.0, summit_within_m=within_m)
+        off_deg = stood.elevation_deg - true_deg
+        found[f"coarse_{name}_off_deg"] = float(np.sqrt(np.nanmean(off_deg**2)))
     return found
 
 
