@@ -1,7 +1,7 @@
 """The OpenGL context: one a process, made on first use, shared by every renderer, no display.
 
-The order is EGL on a GPU, EGL on Mesa's software rasterizer, OSMesa; ``SKYLINE_GL=egl`` or
-``SKYLINE_GL=osmesa`` allows one of them alone.
+OpenGL 4.3 is required, for its compute shaders. The order is EGL on a GPU, EGL on Mesa's software
+rasterizer, OSMesa; ``SKYLINE_GL=egl`` or ``SKYLINE_GL=osmesa`` allows one of them alone.
 
 Threads: the context belongs to the thread that first acquired it, and any other is refused.
 Processes: drivers keep threads of their own, which a fork does not copy, so a child forked after
@@ -14,33 +14,26 @@ import logging
 import os
 import re
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import moderngl
 
 from skyline.errors import ContextError, InputError
-from skyline.render.offscreen import (
-    GL_RENDERER,
-    GL_VERSION,
-    Egl,
-    EglContext,
-    EglDisplay,
-    OffscreenContext,
-    OsMesaContext,
-    gl_string,
-)
+from skyline.render.osmesa import OsMesaContext
 
 ENVIRONMENT_VARIABLE = "SKYLINE_GL"
 BACKENDS = ("egl", "osmesa")
 """In the order they are tried."""
 
 _DEBIAN_PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
-_DRIVER_SAYS = ("VENDOR", "RENDERER", "VERSION")
-_MINIMUM_VERSION = 330
-_COMPUTE_VERSION = 430
+_DRIVER_FACTS = ("VENDOR", "RENDERER", "VERSION")
+_VERSION_CODE = 430
+_EGL_LIBRARY = "libEGL.so.1"
+_BEYOND_ALL_DEVICES = 1 << 30
 _SOFTWARE = re.compile(
     r"llvmpipe|softpipe|swrast|\bSWR\b|lavapipe|swiftshader|software", re.IGNORECASE
 )
@@ -53,33 +46,25 @@ class GlContext:
     """The process's OpenGL context, and how it came to be."""
 
     ctx: moderngl.Context
-    native: OffscreenContext
-    """What ``ctx`` was made of."""
+    native: Any
+    """The context of glcontext, or the `OsMesaContext`, that ``ctx`` was made of."""
     backend: str
     """``egl`` or ``osmesa``."""
+    device: str
+    """Name of the backend's device."""
     vendor: str
     renderer: str
     version: str
     """``vendor``, ``renderer``, ``version``: the driver's GL_VENDOR, GL_RENDERER and GL_VERSION."""
-    attempts: tuple[str, ...]
-    """All that was tried, in order: backend, device, and what it said."""
+    attempts: list[str]
+    """All attempts in order: backend, device, and its OpenGL or its error."""
     forced: bool
     """Whether ``SKYLINE_GL`` named the backend."""
-
-    @property
-    def version_code(self) -> int:
-        """OpenGL version, 100 * major + 10 * minor."""
-        return int(self.ctx.version_code)
 
     @property
     def software(self) -> bool:
         """Whether the CPU does the rendering."""
         return is_software(self.renderer)
-
-    @property
-    def has_compute(self) -> bool:
-        """Whether there are compute shaders (OpenGL 4.3)."""
-        return self.version_code >= _COMPUTE_VERSION
 
     @property
     def reason(self) -> str:
@@ -111,8 +96,9 @@ class _SharedContext:
         Raises
         ------
         ContextError
-            Nothing works (the message names what was tried and the packages that mend it), or the
-            context belongs to another thread or to the process that this one was forked from.
+            No backend gives OpenGL 4.3 (the message names all attempts and the packages to
+            install), or the context belongs to another thread or to the process that this one was
+            forked from.
         InputError
             ``SKYLINE_GL`` names no backend.
         """
@@ -140,7 +126,7 @@ class _SharedContext:
         remedy = (
             "render in that thread, or in a process of its own"
             if owner.is_alive()
-            else "that one has ended: call release_context() and make new renderers"
+            else "the owner has ended: call release_context() and make new renderers"
         )
         return ContextError(
             f"thread {caller.name!r} asked for the OpenGL context of thread {owner.name!r}; "
@@ -148,20 +134,19 @@ class _SharedContext:
         )
 
     def release(self) -> None:
-        """Release the context if there is one; whatever was made in it is gone.
+        """Release the context, if there is one, and all that renderers made in it.
 
-        Runs by itself when the process exits. A later `acquire_context` makes a new context.
+        The exit of the process calls this too. A later `acquire_context` makes a new context.
         Raises `ContextError` where the context belongs to another thread that still lives.
         """
-        # What a forked child inherited is the parent's to release.
+        # Only the process that made the context may release it.
         if self._process != os.getpid():
             return
         with self._lock:
             if self._context is not None:
                 if self._thread.is_alive() and self._thread is not threading.current_thread():
                     raise self._refuse_thread()
-                self._context.ctx.release()
-                self._context.native.release()
+                _destroy(self._context)
             self._context = None
 
 
@@ -179,21 +164,20 @@ def _release_at_exit() -> None:
 
 
 def describe_context() -> dict[str, str | bool | list[str]]:
-    """Return what was chosen and why, ready to print or for JSON; makes the context if needed.
+    """Return the facts of the context and why it was chosen, ready to print or for JSON.
 
-    Raises as `acquire_context`.
+    Makes the context if there is none; raises the errors of `acquire_context`.
     """
     context = acquire_context()
     return {
         "backend": context.backend,
-        "device": context.native.device,
+        "device": context.device,
         "vendor": context.vendor,
         "renderer": context.renderer,
         "version": context.version,
         "software": context.software,
-        "compute": context.has_compute,
         "reason": context.reason,
-        "tried": list(context.attempts),
+        "tried": context.attempts,
     }
 
 
@@ -213,86 +197,92 @@ def _choose_context() -> GlContext:
     attempts: list[str] = []
     with _quiet_drivers():
         for backend in backends:
-            native = _try_egl(attempts) if backend == "egl" else _try_osmesa(attempts)
-            if native is not None:
-                return _wrap(native, backend, tuple(attempts), bool(forced))
+            if (found := _best_device(backend, attempts, bool(forced))) is not None:
+                return found
     packages = " ".join(_DEBIAN_PACKAGES[backend] for backend in backends)
     raise ContextError(
-        f"no OpenGL context of version 3.3 or newer; tried {'; '.join(attempts)}; on Debian or "
+        f"no OpenGL context of version 4.3 or newer; tried {'; '.join(attempts)}; on Debian or "
         f"Ubuntu: sudo apt-get install {packages}"
     )
 
 
-def _try_egl(attempts: list[str]) -> OffscreenContext | None:
-    """Return a context on the first GPU, else on the first software rasterizer, else None."""
-    try:
-        egl = Egl()
-    except ContextError as error:
-        attempts.append(f"egl, the library: {error}")
-        return None
-    best = _best_display(egl, egl.device_displays(), attempts)
-    return best or _best_display(egl, egl.plain_displays(), attempts)
-
-
-def _best_display(
-    egl: Egl, displays: Iterator[EglDisplay], attempts: list[str]
-) -> OffscreenContext | None:
-    fallback: OffscreenContext | None = None
-    for display in displays:
+def _best_device(backend: str, attempts: list[str], forced: bool) -> GlContext | None:
+    """Return a context on a backend's first GPU, else on its first software rasterizer."""
+    fallback: GlContext | None = None
+    for device, make in _devices(backend):
         try:
-            native = EglContext(egl, display)
+            found = _wrap(make(), backend, device, attempts, forced)
         except ContextError as error:
-            attempts.append(f"egl, {display.name}: {error}")
+            attempts.append(f"{backend}, {device}: {error}")
             continue
-        attempts.append(f"egl, {display.name}: {_introduce(native)}")
-        if not is_software(gl_string(native, GL_RENDERER)):
+        attempts.append(f"{backend}, {device}: OpenGL {found.version} on {found.renderer}")
+        if not found.software:
             if fallback is not None:
-                fallback.release()
-                native.__enter__()
-            return native
+                _destroy(fallback)
+                found.native.__enter__()
+            return found
         if fallback is None:
-            fallback = native
+            fallback = found
         else:
-            native.release()
+            _destroy(found)
     if fallback is not None:
-        fallback.__enter__()
+        fallback.native.__enter__()
     return fallback
 
 
-def _try_osmesa(attempts: list[str]) -> OffscreenContext | None:
+def _devices(backend: str) -> list[tuple[str, Callable[[], Any]]]:
+    """Return the name of each device of a backend, and a function that makes a context on it."""
+    if backend == "osmesa":
+        return [("Mesa off-screen library", partial(OsMesaContext, _VERSION_CODE))]
+    count = 1
     try:
-        native = OsMesaContext()
+        _egl_context(_BEYOND_ALL_DEVICES)
     except ContextError as error:
-        attempts.append(f"osmesa, the library: {error}")
-        return None
-    attempts.append(f"osmesa, {native.device}: {_introduce(native)}")
-    return native
+        # glcontext names the number of devices only when it refuses an index.
+        if found := re.search(r"found (\d+) devices", str(error)):
+            count = max(int(found[1]), 1)
+    return [(f"device {index}", partial(_egl_context, index)) for index in range(count)]
 
 
-def _introduce(native: OffscreenContext) -> str:
-    return f"OpenGL {gl_string(native, GL_VERSION)} on {gl_string(native, GL_RENDERER)}"
-
-
-def _wrap(
-    native: OffscreenContext, backend: str, attempts: tuple[str, ...], forced: bool
-) -> GlContext:
-    settings: dict[str, Any] = {"context": native}
+def _egl_context(device_index: int) -> Any:
+    """Return glcontext's context on an EGL device; raises `ContextError` where it fails."""
     try:
-        # standalone: there is no default framebuffer for moderngl to look at.
-        ctx = moderngl.create_context(require=_MINIMUM_VERSION, standalone=True, **settings)
+        from glcontext import egl  # noqa: PLC0415  (glcontext has it on Linux alone)
+
+        return egl.create_context(
+            mode="standalone",
+            # EGL finds all functions of OpenGL, so that libGL need not be installed.
+            libgl=_EGL_LIBRARY,
+            libegl=_EGL_LIBRARY,
+            glversion=_VERSION_CODE,
+            device_index=device_index,
+        )
+    except Exception as error:  # glcontext raises nothing narrower.
+        raise ContextError(str(error)) from error
+
+
+def _wrap(native: Any, backend: str, device: str, attempts: list[str], forced: bool) -> GlContext:
+    try:
+        # Standalone: moderngl must not look for a default framebuffer.
+        ctx = moderngl.create_context(require=_VERSION_CODE, standalone=True, context=native)
     except (moderngl.Error, ValueError) as error:
+        native.__exit__(None, None, None)
         native.release()
-        raise ContextError(
-            f"moderngl refuses {attempts[-1]}: {error}; try "
-            f"{ENVIRONMENT_VARIABLE}={' or '.join(set(BACKENDS) - {backend})}"
-        ) from error
-    vendor, renderer, version = (ctx.info[f"GL_{what}"] for what in _DRIVER_SAYS)
-    return GlContext(ctx, native, backend, vendor, renderer, version, attempts, forced)
+        raise ContextError(f"moderngl refuses it: {error}") from error
+    vendor, renderer, version = (ctx.info[f"GL_{key}"] for key in _DRIVER_FACTS)
+    return GlContext(ctx, native, backend, device, vendor, renderer, version, attempts, forced)
+
+
+def _destroy(context: GlContext) -> None:
+    """Destroy a context; none is current afterwards."""
+    # EGL keeps a context alive while it is current.
+    context.native.__exit__(None, None, None)
+    context.ctx.release()
 
 
 @contextmanager
 def _quiet_drivers() -> Iterator[None]:
-    """Keep EGL's warnings about the devices that fail off stderr: the attempts say them."""
+    """Keep EGL's warnings about failing devices off stderr; the attempts hold the errors."""
     before = os.environ.get("EGL_LOG_LEVEL")
     os.environ.setdefault("EGL_LOG_LEVEL", "fatal")
     try:

@@ -116,7 +116,7 @@ class DepthRenderer:
         return images
 
     def release(self) -> None:
-        """Free what this renderer holds on the GPU; the context stays for others."""
+        """Free this renderer's buffers, textures and programs; the context stays for others."""
         # A framebuffer must not be bound after its release.
         self._context.ctx.detect_framebuffer(0).use()
         for held in reversed(vars(self).values()):
@@ -167,7 +167,7 @@ class DepthRenderer:
             for heading in HEADINGS
         ]
         border, over_hole = (np.stack(columns) for columns in zip(*rims, strict=True))
-        # What is entered or stood on must end.
+        # Where a border is met, the column crosses data, which end there.
         meets_data = np.isfinite(border)
         # A skyline no higher than the rim behind which the data end may hide more terrain. A
         # border as high as the skyline may be, given its quantization, may be what it shows.

@@ -1,4 +1,4 @@
-"""The eyes of a batch of views: as the shaders want them, and what they can see at most."""
+"""The eyes of a batch of views as the shader reads them, and bounds on the skylines they see."""
 
 from collections.abc import Iterator
 from typing import TypeVar
@@ -118,12 +118,12 @@ def _needs_double(
     col: Float64Array,
     near_error: float,
 ) -> BoolArray:
-    """Return which eyes see edges so near that float32 would blur v by more than an error, (N,).
+    """Return which eyes see edges so near that float32 blurs v by more than ``near_error``, (N,).
 
     A crossing at depth z among heights up to H above or below the eye has v to within
     ``_ROUNDING`` H / z. An edge nearer than c / (G + 2 H / s) is below what follows it (c the
     eye's height over ground, G the steepest slope around, s the spacing), so that its error
-    cannot show. What is left between these two depths is computed in float64.
+    cannot show. The edges between these two depths are computed in float64.
     """
     steps = np.arange(-1, 3)
     rows = np.clip(np.floor(row).astype(np.int64)[:, None] + steps, 0, field.rows - 1)

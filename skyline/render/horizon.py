@@ -2,7 +2,7 @@
 
 A column's skyline is the greatest v over the edges that its half-plane crosses. The GPU marches
 each column's ray over a tree of upper bounds and evaluates only what can still be the greatest
-(`shaders/horizon_march.glsl`); nothing but v, depth and flags of W columns a view comes back.
+(`shaders/horizon.comp`); only v, depth and flags of W columns a view come back.
 """
 
 import logging
@@ -20,7 +20,7 @@ from skyline.errors import ContextError, InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import acquire_context
 from skyline.render.eyes import Eyes
-from skyline.render.march import NOTHING, ComputeMarcher, FragmentMarcher, RayMarcher, Results
+from skyline.render.march import NOTHING, RayMarcher, Results
 from skyline.render.windows import Window, WindowTextures
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 MAX_SPACING_RATIO = 64.0
 
 NEAR_ERROR_PX = 0.02
-"""What rounding may cost near the eye before float64 is used."""
+"""Largest error of rounding near the eye, in pixels; float64 is used where float32 exceeds it."""
 
 _RESIDENT_SAMPLES = 1 << 25
 """Samples whose windows stay on the GPU, some 43 bytes each."""
@@ -43,14 +43,14 @@ class ColumnRenderer:
     Parameters
     ----------
     u, tolerance : (W,) float64
-        Of the columns: abscissas of magnitude at most 1, and how far v may fall short.
+        Each column's abscissa, of magnitude at most 1, and how far its v may fall short.
     near_error : float
-        What rounding may cost v near the eye before float64 is used.
+        Largest rounding error of v near the eye; float64 is used where float32 exceeds it.
 
     Raises
     ------
     InputError
-        Samples much longer than wide.
+        Samples are much longer than wide.
     ContextError
         No OpenGL context can be made.
     """
@@ -72,16 +72,13 @@ class ColumnRenderer:
                 f"{MAX_SPACING_RATIO:g} times the other: resample the DEM"
             )
         self._context = acquire_context()
-        marcher = ComputeMarcher if self._context.has_compute else FragmentMarcher
-        self._marcher: RayMarcher = marcher(
-            self._context, u, tolerance, spacing_m, curvature.drop_per_m2
-        )
+        self._marcher = RayMarcher(self._context, u, tolerance, spacing_m, curvature.drop_per_m2)
         self._max_views = self._marcher.max_rows
         self._windows = Window.all_of(field)
         self._resident: dict[Window, WindowTextures] = {}
 
     def release(self) -> None:
-        """Free what this renderer holds on the GPU; the context stays for others."""
+        """Free this renderer's buffers, textures and programs; the context stays for others."""
         self._marcher.release()
         for window in self._resident.values():
             window.release()

@@ -1,13 +1,7 @@
-"""GLSL programs from files.
-
-A shader file may hold lines ``#include "other.glsl"``: the other file's text stands there
-instead. One level: an included file includes nothing. GLSL's own ``#line`` directives keep count
-of file and line, so that a driver's message can be given back in those terms.
-"""
+"""Compiles GLSL programs from shader files; an error names the file and line."""
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import moderngl
@@ -16,22 +10,13 @@ from skyline.errors import ContextError, MissingFileError
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 SHADER_FOLDERS = (_PACKAGE / "shaders", _PACKAGE.parent / "shaders")
-"""Where shaders are looked for: in the wheel, then in the repository."""
+"""Where shader files lie: in the wheel, or else in the repository."""
 
-_INCLUDE = re.compile(r'^[ \t]*#[ \t]*include[ \t]+"(?P<name>[^"]+)"[^\n]*$', re.MULTILINE)
 _VERSION = re.compile(r"^[ \t]*#[ \t]*version\b[^\n]*\n", re.MULTILINE)
-# Mesa and Intel "0:12(3): error", NVIDIA "0(12) : error", AMD "ERROR: 0:12: ".
-_PLACE = re.compile(r"\b(?P<file>\d+)(?::(?P<line>\d+)\b(?:\(\d+\))?|\((?P<nvidia_line>\d+)\))")
-# moderngl heads the driver's log with the stage and a ruler.
+# Mesa and Intel write "0:12(3): error", NVIDIA "0(12) : error", AMD "ERROR: 0:12: "; 0 is the file.
+_PLACE = re.compile(r"\b0(?::(?P<line>\d+)\b(?:\(\d+\))?|\((?P<nvidia_line>\d+)\))")
+# moderngl puts the stage and a ruler above the driver's log.
 _STAGE = re.compile(r"^(?P<stage>\w+_shader)\n=+\n", re.MULTILINE)
-
-
-@dataclass(frozen=True, slots=True)
-class ShaderSource:
-    """GLSL text, and the names of the files that its ``#line`` directives number."""
-
-    text: str
-    files: tuple[str, ...]
 
 
 def compile_program(
@@ -52,68 +37,59 @@ def compile_program(
     Raises
     ------
     ContextError
-        The driver refuses a shader: the message has file, line and the driver's words.
+        The driver refuses a shader; the message has the file, the line and the driver's words.
     MissingFileError
-        No such shader.
+        There is no such shader.
     """
-    first, second = load_shader(vertex, defines), load_shader(fragment, defines)
+    texts = load_shader(vertex, defines), load_shader(fragment, defines)
     try:
-        return ctx.program(vertex_shader=first.text, fragment_shader=second.text)
+        return ctx.program(vertex_shader=texts[0], fragment_shader=texts[1])
     except moderngl.Error as error:
-        stages = {"vertex_shader": first, "fragment_shader": second}
+        stages = {"vertex_shader": vertex, "fragment_shader": fragment}
         raise ContextError(_explain(str(error), stages)) from error
 
 
 def compile_compute(
     ctx: moderngl.Context, name: str, defines: Mapping[str, str] | None = None
 ) -> moderngl.ComputeShader:
-    """Compile a compute shader file (OpenGL 4.3); as `compile_program` otherwise."""
-    source = load_shader(name, defines)
+    """Compile a compute shader file; parameters and errors as of `compile_program`."""
+    text = load_shader(name, defines)
     try:
-        return ctx.compute_shader(source.text)
+        return ctx.compute_shader(text)
     except moderngl.Error as error:
-        raise ContextError(_explain(str(error), {"compute_shader": source})) from error
+        raise ContextError(_explain(str(error), {"compute_shader": name})) from error
 
 
-def _explain(log: str, stages: Mapping[str, ShaderSource]) -> str:
-    """Return one line: the driver's message with file names for numbers."""
-    names = " + ".join(source.files[0] for source in stages.values())
+def _explain(log: str, stages: Mapping[str, str]) -> str:
+    """Return the driver's message on one line, with the shader's file name at each place."""
     found = _STAGE.search(log)
     if found is None:
-        return f"shaders {names} do not link: {_one_line(log)}"
-    source = stages[found["stage"]]
+        return f"shaders {' + '.join(stages.values())} do not link: {_one_line(log)}"
+    name = stages[found["stage"]]
 
     def name_place(place: re.Match[str]) -> str:
-        number = int(place["file"])
-        if number >= len(source.files):
-            return place[0]
-        return f"{source.files[number]}:{place['line'] or place['nvidia_line']}"
+        return f"{name}:{place['line'] or place['nvidia_line']}"
 
     message = _one_line(_PLACE.sub(name_place, log[found.end() :]))
-    return f"shader {source.files[0]} does not compile: {message}"
+    return f"shader {name} does not compile: {message}"
 
 
 def _one_line(log: str) -> str:
     return "; ".join(line.strip() for line in log.splitlines() if line.strip())
 
 
-def load_shader(name: str, defines: Mapping[str, str] | None = None) -> ShaderSource:
-    """Return a shader file with what it includes put in place; raises `MissingFileError`."""
-    text, files = _find(name).read_text(encoding="utf-8"), [name]
+def load_shader(name: str, defines: Mapping[str, str] | None = None) -> str:
+    """Return the text of a shader file with macros defined after ``#version``.
 
-    def insert(include: re.Match[str]) -> str:
-        included = include["name"]
-        files.append(included)
-        body = _find(included).read_text(encoding="utf-8").rstrip("\n")
-        next_line = text.count("\n", 0, include.end()) + 2
-        return f"#line 1 {len(files) - 1}\n{body}\n#line {next_line} 0"
-
-    text = _INCLUDE.sub(insert, text)
+    Raises `MissingFileError` where there is no such shader.
+    """
+    text = _find(name).read_text(encoding="utf-8")
     if defines and (version := _VERSION.search(text)):
         end = version.end()
         macros = "".join(f"#define {name} {value}\n" for name, value in defines.items())
-        text = f"{text[:end]}{macros}#line {text.count(chr(10), 0, end) + 1} 0\n{text[end:]}"
-    return ShaderSource(text, tuple(files))
+        # The driver goes on counting lines as in the file.
+        text = f"{text[:end]}{macros}#line {text.count(chr(10), 0, end) + 1}\n{text[end:]}"
+    return text
 
 
 def _find(name: str) -> Path:

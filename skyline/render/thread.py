@@ -1,7 +1,8 @@
-"""One thread that renders for all others: what is urgent goes between two tasks of what is not.
+"""One thread that renders for all others; an urgent task goes before all tasks that wait.
 
 An OpenGL context belongs to one thread. A program of many threads gives all its rendering to a
-`RenderThread`; long work gives it piece by piece, so that nobody waits for more than one piece.
+`RenderThread`; long work gives it piece by piece, so that an urgent task waits for one piece at
+most.
 """
 
 import itertools
@@ -81,12 +82,12 @@ class RenderThread:
         while True:
             _, _, future, task = self._tasks.get()
             if task is None:
-                with suppress(ContextError):  # Nothing was rendered here, but elsewhere.
+                with suppress(ContextError):  # The context belongs to another thread.
                     release_context()
                 return
             try:
                 future.set_result(task())
-            except BaseException as error:  # The asker's to handle.
+            except BaseException as error:  # The caller of `run` handles it.
                 future.set_exception(error)
-            # What was asked for must not live on until the next task.
+            # The result must not live on until the next task.
             del future, task

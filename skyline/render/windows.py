@@ -84,7 +84,7 @@ class Trees:
 
 
 class WindowTextures:
-    """What the shaders read of one window (`horizon_march.glsl`).
+    """The textures of one window that `horizon.comp` reads.
 
     Attributes
     ----------

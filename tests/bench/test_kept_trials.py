@@ -78,5 +78,5 @@ def test_answers_depend_on_code_learned_models_and_shaders():
         assert all((Path(package.__file__).parent / name).exists() for name in names)
     assert len(measured_code_digest()) == 64
     names = {file.name for file in measured_files()}
-    assert {"retrieval.py", "confidence.json", "horizon_march.glsl", "synthetic.py"} <= names
+    assert {"retrieval.py", "confidence.json", "horizon.comp", "synthetic.py"} <= names
     assert not {"adaptive.py", "uniform_adaptive.py"} & names

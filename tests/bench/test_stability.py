@@ -7,8 +7,6 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.geodesy import Curvature
-from skyline.render import horizon
-from skyline.render.march import FragmentMarcher
 from skyline.terrain.viewpoints import stand_on
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
 from skyline_bench.cases.closed_forms import SceneCase
@@ -77,26 +75,6 @@ def test_hard_case(case, path):
     else:
         (row,) = measure(path, cases=[case])
         assert row["ok"], row
-
-
-BELOW_GL_43 = [
-    "eye 1 mm below a crest of 45 degrees",
-    "columns along diagonals",
-    "voids next to the eye",
-    "heading without data",
-    "endless plain, the data's end",
-    "2 x 2 DEM",
-    "1 x 12 DEM",
-    "the same batch in parts",
-]
-
-
-@pytest.mark.parametrize("name", BELOW_GL_43)
-def test_hard_case_without_compute_shaders(name, monkeypatch):
-    monkeypatch.setattr(horizon, "ComputeMarcher", FragmentMarcher)
-    (case,) = (case for case in HARD_CASES if case.name == name)
-    (row,) = measure(HORIZON, quick=True, cases=[case])
-    assert row["ok"], row
 
 
 def rough_scene():

@@ -8,7 +8,7 @@ from skyline.errors import ContextError, InputError
 from skyline.render import horizon, windows
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
-from skyline.render.march import ComputeMarcher, FragmentMarcher
+from skyline.render.march import RayMarcher
 from skyline.terrain.viewpoints import stand_on
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED, Views
 from skyline_bench.truth import oracle
@@ -42,15 +42,6 @@ def test_equals_the_oracle_flags_and_depths_too(rough):
     np.testing.assert_allclose(views.depth_m, truth.depth_m, rtol=1e-5)
 
 
-def test_fragment_and_compute_shaders_agree(rough, monkeypatch):
-    field, eyes = rough
-    with_compute = render(field, eyes)
-    monkeypatch.setattr(horizon, "ComputeMarcher", FragmentMarcher)
-    without = render(field, eyes)
-    assert error_px(without, with_compute) < EXACT_PX
-    np.testing.assert_array_equal(without.flags, with_compute.flags)
-
-
 def test_windows_of_a_large_field_give_the_same_skylines(rough, monkeypatch):
     field, eyes = rough
     whole = render(field, eyes)
@@ -77,7 +68,7 @@ def test_many_columns_a_lane_or_few(rough, monkeypatch):
     field, eyes = rough
     alone = [render(field, eyes[index : index + 1], 640) for index in range(3)]
     together = render(field, eyes, 640)
-    monkeypatch.setattr(ComputeMarcher, "_run", lambda self, eyes: 7)
+    monkeypatch.setattr(RayMarcher, "_columns_a_lane", lambda self, eyes: 7)
     odd = render(field, eyes, 640)
     assert_same(odd, together)
     for index, views in enumerate(alone):
@@ -127,7 +118,7 @@ def test_no_viewpoints_give_no_views(rough):
 
 def test_out_of_memory_halves_the_batch(rough, monkeypatch, caplog):
     field, eyes = rough
-    begin = ComputeMarcher.begin
+    begin = RayMarcher.begin
 
     def full(self, rows):
         if rows > 8:
@@ -135,11 +126,10 @@ def test_out_of_memory_halves_the_batch(rough, monkeypatch, caplog):
         begin(self, rows)
 
     whole = render(field, eyes)
-    monkeypatch.setattr(ComputeMarcher, "begin", full)
-    monkeypatch.setattr(FragmentMarcher, "begin", full)
+    monkeypatch.setattr(RayMarcher, "begin", full)
     assert_same(render(field, eyes), whole)
     assert "out of GPU memory" in caplog.text
-    monkeypatch.setattr(ComputeMarcher, "begin", lambda self, rows: full(self, 9))
+    monkeypatch.setattr(RayMarcher, "begin", lambda self, rows: full(self, 9))
     with pytest.raises(ContextError, match="cannot hold one view"):
         render(field, eyes)
 

@@ -7,8 +7,7 @@ from scenes import at_m, field_of, fractal
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.horizons import bin_azimuths_rad, quadrant_azimuths_rad
-from skyline.render import horizon, windows
-from skyline.render.march import FragmentMarcher
+from skyline.render import windows
 from skyline.render.panorama import PanoramaRenderer
 from skyline.terrain.viewpoints import stand_on
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
@@ -155,18 +154,6 @@ def test_neither_the_batch_nor_its_order_matters(rough, monkeypatch):
 
 TURNS = [None, np.linspace(-8.0, 8.0, 12)]
 """Where bin 0 of each of the twelve eyes lies."""
-
-
-@pytest.mark.parametrize("first_rad", TURNS, ids=["grid north", "turned"])
-def test_fragment_and_compute_shaders_agree(rough, monkeypatch, first_rad):
-    field, eyes = rough
-    with_compute = render(field, eyes, first_rad=first_rad)
-    monkeypatch.setattr(horizon, "ComputeMarcher", FragmentMarcher)
-    without = render(field, eyes, first_rad=first_rad)
-    error = np.abs(without.elevation_tan - with_compute.elevation_tan)
-    bound = bound_of(field, with_compute.elevation_tan, with_compute.distance_m)
-    assert (error <= 2.0 * bound)[np.isfinite(error)].all()
-    np.testing.assert_array_equal(without.flags, with_compute.flags)
 
 
 @pytest.mark.parametrize("first_rad", TURNS, ids=["grid north", "turned"])

@@ -1,4 +1,4 @@
-"""Finding shaders, putting includes in place, and naming a driver's complaints."""
+"""Finding shaders, defining macros, and the place in the file that a driver's error means."""
 
 from pathlib import Path
 
@@ -36,15 +36,15 @@ def test_every_shader_of_the_repository_loads() -> None:
     names = [path.name for path in shaders.SHADER_FOLDERS[1].iterdir()]
     assert names
     for name in names:
-        assert shaders.load_shader(name).text.strip()
+        assert shaders.load_shader(name).strip()
 
 
 def test_the_wheel_is_looked_at_before_the_repository(folder: Path) -> None:
     (folder / "second").mkdir()
     (folder / "second" / "point.vert").write_text("second")
     (folder / "second" / "only.vert").write_text("only")
-    assert shaders.load_shader("point.vert").text == VERTEX
-    assert shaders.load_shader("only.vert").text == "only"
+    assert shaders.load_shader("point.vert") == VERTEX
+    assert shaders.load_shader("only.vert") == "only"
 
 
 def test_a_missing_shader_names_both_folders(folder: Path) -> None:
@@ -55,21 +55,10 @@ def test_a_missing_shader_names_both_folders(folder: Path) -> None:
     assert f"neither {folder} nor {folder / 'second'}" in message
 
 
-def test_a_missing_include_is_named(folder: Path) -> None:
-    (folder / "a.frag").write_text('#version 330 core\n#include "none.glsl"\n')
-    with pytest.raises(MissingFileError, match=r"none\.glsl"):
-        shaders.load_shader("a.frag")
-
-
-def test_an_include_stands_in_place_with_lines_counted(folder: Path) -> None:
-    (folder / "one.glsl").write_text("one\n")
-    (folder / "two.glsl").write_text("two")
-    (folder / "a.frag").write_text('top\n#include "one.glsl"\n  # include "two.glsl"\nend\n')
-    assert shaders.load_shader("a.frag").text.splitlines() == [
-        "top",
-        *("#line 1 1", "one", "#line 3 0"),
-        *("#line 1 2", "two", "#line 4 0"),
-        "end",
+def test_macros_stand_after_the_version_and_lines_are_counted_on(folder: Path) -> None:
+    (folder / "a.comp").write_text("// Heading.\n#version 430\nend\n")
+    assert shaders.load_shader("a.comp", {"ONE": "1", "BARE": ""}).splitlines() == [
+        *("// Heading.", "#version 430", "#define ONE 1", "#define BARE ", "#line 3", "end"),
     ]
 
 
@@ -89,14 +78,13 @@ def test_messages_of_each_driver_name_file_and_line(folder: Path, words: str) ->
         shaders.compile_program(driver, "point.vert", "a.frag")
 
 
-def test_a_message_about_an_include_names_the_include(folder: Path) -> None:
-    (folder / "one.glsl").write_text("one\n")
-    (folder / "a.comp").write_text('#version 430 core\n#include "one.glsl"\n')
-    driver = RefusingDriver("compute_shader", "1:7(3): error: syntax error\n0:9(1): error: more")
+def test_a_message_of_many_lines_becomes_one(folder: Path) -> None:
+    (folder / "a.comp").write_text("#version 430 core\n")
+    driver = RefusingDriver("compute_shader", "0:7(3): error: syntax error\n0:9(1): error: more")
     with pytest.raises(ContextError) as caught:
         shaders.compile_compute(driver, "a.comp")
     assert str(caught.value) == (
-        "shader a.comp does not compile: one.glsl:7: error: syntax error; a.comp:9: error: more"
+        "shader a.comp does not compile: a.comp:7: error: syntax error; a.comp:9: error: more"
     )
 
 
