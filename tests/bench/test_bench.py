@@ -6,7 +6,7 @@ import cv2
 import pytest
 from commands import assert_refused
 
-from skyline_bench.cases import stability
+from skyline_bench.truth import stability
 from skyline_bench.commands import skylines
 from skyline_bench.peers.embree import is_installed
 from skyline_bench.runs import speed_error

@@ -26,8 +26,7 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import peak_bytes
 from skyline_bench.queries.synthetic import make_queries
-from skyline_bench.trials.kept import file_digest
-from skyline_bench.trials.trials import errors
+from skyline_bench.search.trials import errors, file_digest
 
 YOSEMITE = (-119.60, 37.45, -119.00, 37.962)
 """3,000 km2."""

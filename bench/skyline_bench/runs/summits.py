@@ -32,8 +32,7 @@ from skyline.terrain.viewpoints import stand_on
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame
 from skyline_bench.measuring.prominence import prominences
 from skyline_bench.measuring.record import Row
-from skyline_bench.measuring.timing import in_turns
-from skyline_bench.runs.speed_error import central_viewpoints
+from skyline_bench.measuring.timing import central_viewpoints, in_turns
 
 EXACT_M = 1.0
 """How far a summit may be off."""

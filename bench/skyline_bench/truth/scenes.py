@@ -9,7 +9,9 @@ from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, columns_u, ground_directions
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import Viewpoints
-from skyline_bench.cases.closed_forms import (
+from skyline_bench.truth import oracle
+from skyline_bench.truth.agreement import SkylineScene
+from skyline_bench.truth.closed_forms import (
     FLAT,
     HORIZON_ONLY,
     SPACING_M,
@@ -22,8 +24,6 @@ from skyline_bench.cases.closed_forms import (
     rough_heights,
     spots,
 )
-from skyline_bench.truth import oracle
-from skyline_bench.truth.agreement import SkylineScene
 
 MAX_DEPTH_WIDTH = 641
 """A depth image of W x W pixels takes long above this."""

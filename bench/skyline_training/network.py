@@ -23,7 +23,7 @@ from skyline.arrays import Float32Array, UInt8Array
 from skyline.files import write_whole
 from skyline.photo.evidence import levelled
 from skyline.pipeline.jobs import Progress
-from skyline_bench.training.landscapes import UNKNOWN, TrainingPhoto
+from skyline_training.landscapes import UNKNOWN, TrainingPhoto
 
 INPUTS = 4
 """Red, green and blue from -1 to 1, and the row from -1 at the top to 1 at the bottom."""

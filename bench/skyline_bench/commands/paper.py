@@ -1,31 +1,138 @@
-"""How good reprojection errors are on real terrain, held to renderings.
+"""The paper's tables: its simulation (Table 1), and its predictors held to renderings.
 
-Views are rendered at random viewpoints, and again at random displacements from them. What a
-predictor says of a displacement is compared with `true_errors_px`: the stored skyline against the
-rendered one after the best affine warp.
+Of the simulation (section 5.1) its strategies are compared by (A), the viewpoints rendered, corners
+included, and (B), the overlap: all inclusions in tolerance areas less the locations covered. No
+strategy can do with fewer viewpoints than the locations to cover over the mean area of its views;
+``bound`` is that number.
 """
 
 import logging
 import time
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+import typer
+from matplotlib.figure import Figure
 from scipy.stats import spearmanr
+from typer import Option
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
 from skyline.paper.planning.reprojection import PREDICTORS, Reprojection, displacements_m
+from skyline.paper.planning.strategies import STRATEGIES
 from skyline.paper.planning.truth import true_errors_px
 from skyline.render.horizon import HorizonRenderer
+from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import Views
-from skyline_bench.measuring.record import Row
+from skyline_bench.commands import options
+from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.truth.simulation import TABLE_1, Run, Simulation, simulate
 
 _log = logging.getLogger(__name__)
 
 _RESAMPLES = 1000
 _TIMED = 100
+
+
+def table1(
+    seeds: Annotated[int, Option(help="How many seeds, from 0 on.")] = 10,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    quick: options.Quick = False,
+) -> None:
+    """Repeat the paper's simulation: viewpoints and overlap of each of its strategies."""
+    rows = measure_table1(min(seeds, 1) if quick else seeds)
+    options.print_rows(rows, "row strategy A A_std B mean_area bound seconds")
+    for conclusion, holds in conclusions(rows).items():
+        typer.echo(f"{'holds' if holds else 'does not hold':<14} {conclusion}")
+    write_record(json_file, "table1", rows)
+    if plot is not None:
+        save_table1(plot)
+
+
+def measure_table1(seeds: int) -> list[dict[str, Any]]:
+    """Run the strategies on the three rows, each with seeds 0, 1, ...
+
+    Return for each row and strategy: ``row``, ``strategy``, means over seeds of ``A``, ``B``,
+    ``mean_area`` (of the views rendered), ``seconds`` (processor time) and ``coverage`` (reached),
+    standard deviations ``A_std``, ``B_std``, ``mean_area_std``, ``seconds_std``, and ``bound``,
+    ``asked * 10000 / mean_area``.
+    """
+    if seeds < 1:
+        raise InputError(f"seeds is {seeds}; expected at least 1")
+    rows = []
+    for number, row in enumerate(TABLE_1, start=1):
+        simulation = Simulation(row)
+        for name, strategy in STRATEGIES.items():
+            runs = [simulate(simulation, strategy, seed) for seed in range(seeds)]
+            measured = _summary(runs)
+            bound = row.coverage * simulation.grid.valid.size / measured["mean_area"]
+            rows.append({"row": number, "strategy": name, **measured, "bound": bound})
+    return rows
+
+
+def _summary(runs: Sequence[Run]) -> dict[str, float]:
+    figures: dict[str, list[float]] = {
+        "A": [len(run.coverage.viewpoints) for run in runs],
+        "B": [run.coverage.overlap for run in runs],
+        "mean_area": [
+            np.count_nonzero(run.coverage.areas) / len(run.coverage.areas) for run in runs
+        ],
+        "seconds": [run.seconds for run in runs],
+    }
+    summary = {name: float(np.mean(values)) for name, values in figures.items()}
+    summary |= {f"{name}_std": float(np.std(values)) for name, values in figures.items()}
+    summary["coverage"] = float(np.mean([run.coverage.fraction() for run in runs]))
+    return summary
+
+
+def conclusions(rows: Iterable[dict[str, Any]]) -> dict[str, bool]:
+    """Return which of the paper's conclusions (section 5.1) hold for its five strategies."""
+    by_key = {(row["row"], row["strategy"]): row for row in rows}
+    names = np.array(list(STRATEGIES))
+    a, b, seconds = (
+        np.array([[by_key[row, name][figure] for name in names] for row in (1, 2, 3)])
+        for figure in ("A", "B", "seconds")
+    )
+    holds = {
+        "affine needs fewer renderings than non-affine": a[1:].max(axis=0) < a[0],
+        "affine overlaps more than non-affine": b[1:].min(axis=0) > b[0],
+        "more peaks, more renderings": a[2] > a[1],
+        "lpov is best for two peaks": names[a[2].argmin()] == "lpov",
+        "lpov overlaps least with the affine model": names[b[1:].argmin(axis=1)] == "lpov",
+        "sov overlaps most": names[b.argmax(axis=1)] == "sov",
+        "rov costs most": names[seconds.sum(axis=0).argmax()] == "rov",
+        "hov costs least": names[seconds.sum(axis=0).argmin()] == "hov",
+    }
+    return {words: bool(np.all(each)) for words, each in holds.items()}
+
+
+def save_table1(path: Path) -> None:
+    """Save coverage against renderings in the paper's simulation, all strategies, a panel a row."""
+    figure = Figure(figsize=(15, 4.6), layout="constrained")
+    for axis, row in zip(figure.subplots(1, len(TABLE_1)), TABLE_1, strict=True):
+        simulation = Simulation(row)
+        for name, strategy in STRATEGIES.items():
+            progress = simulate(simulation, strategy, seed=0).progress
+            rendered = np.arange(len(progress)) + len(simulation.corners())
+            axis.plot(rendered, 100.0 * progress, linewidth=1.2, label=name)
+        axis.axhline(100.0 * row.coverage, color="black", linewidth=0.8, linestyle=":")
+        axis.set_title(
+            f"{'affine' if row.affine else 'non-affine'}, p = {row.peaks}, "
+            f"t = {row.threshold_px:g} px, c = {row.coverage:.0%}, r = {row.rotation_deg:g}°"
+        )
+        axis.set(xlabel="renderings", ylabel="coverage (%)", ylim=(0, 101))
+        axis.grid(alpha=0.3)
+    axis.legend(loc="lower right")
+    figure.savefig(path, dpi=110)
+
+
+# --- predictors on real terrain -------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +156,21 @@ class QualityPairs:
     true_px: Float32Array  # (N, M)
 
 
+def prediction_quality(
+    dem: options.Dems,
+    viewpoints: Annotated[int, Option(help="Drawn at random.")] = 200,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = 41,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
+) -> None:
+    """Predictors against renderings: which displaced views look alike."""
+    setup = QualitySetup(viewpoints=min(viewpoints, 8) if quick else viewpoints, seed=seed)
+    rows = measure_quality(read_dem(dem, DemOptions(crs=crs)), setup)
+    columns = "predictor precision recall rank_correlation answered ms_per_area"
+    options.tell(json_file, "prediction-quality", rows, columns)
+
+
 def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:
     """Choose eyes and displacements, render both ends and measure the true errors."""
     eyes, others = _choose_eyes(field, setup)
@@ -65,7 +187,7 @@ def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:
     return QualityPairs(stored, moved, true_px.reshape(shape))
 
 
-def prediction_quality(field: HeightField, setup: QualitySetup) -> list[Row]:
+def measure_quality(field: HeightField, setup: QualitySetup) -> list[Row]:
     """Measure every predictor on one terrain.
 
     Return ``precision`` and ``recall`` of "alike within the threshold", with 95 % intervals over

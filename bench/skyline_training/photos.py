@@ -18,10 +18,9 @@ from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.measuring.workers import crew
-from skyline_bench.queries.drawn_photos import CONDITIONS, draw_recipe
 from skyline_bench.queries.made_photos import Scenery, draw_photo
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
-from skyline_bench.training.landscapes import (
+from skyline_training.landscapes import (
     CELL_M,
     COVER,
     GROUND,
@@ -34,6 +33,7 @@ from skyline_bench.training.landscapes import (
     draw_sky,
     fractal,
 )
+from skyline_training.plain_photos import CONDITIONS, draw_recipe
 
 _SIZE_PX = (400, 304)
 _PLAIN_EVERY, _VIEW_EVERY = 8, 8

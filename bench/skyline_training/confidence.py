@@ -1,25 +1,27 @@
 """Learning how far a match can be believed, and showing that it can.
 
 Synthetic queries of many kinds, some taken outside the mapped area, are matched on Sierra, Rofental
-and Everest. For each the figures of the best pose (`matching.confidence`) and whether it is right
-are an example; a logistic model is fitted to them with a small ridge, and its reliability is shown
-on Davos. From examples that were kept another model is learned in seconds.
+and Everest. For each query the figures of the best pose (`skyline.matching.confidence`) and whether
+that pose is right are an example. A logistic model is fitted to the examples with a small ridge,
+and its reliability is shown on Davos. From examples that were kept another model is learned in
+seconds.
 """
 
 import json
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.optimize import minimize
 
-from skyline import MatchConfig, read_dem
+from skyline import MatchConfig, Matcher, build_places, read_dem
 from skyline.arrays import BoolArray, Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
@@ -27,20 +29,16 @@ from skyline.matching import confidence
 from skyline.matching.confidence import DISTANCES_M, Logistic, model_name
 from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.retrieval import Retriever
-from skyline.pipeline.build import build_places
 from skyline.pipeline.jobs import Progress
-from skyline.pipeline.rendered_scene import RenderedScene
-from skyline.store import open_store
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.workers import crew
-from skyline_bench.queries.other_dems import perturbed, resampled
+from skyline_bench.queries.kinds import perturbed, resampled
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
 
 Reliability = tuple[str, Float64Array, BoolArray]
-"""A label, probabilities (N,), and whether the answers were right."""
+"""A label, probabilities (N,), and whether the answers were right (N,)."""
 
 STAGES = ("refined", "retrieved")
 
@@ -50,13 +48,13 @@ _BINS = 10
 
 @dataclass(frozen=True, slots=True)
 class Example:
-    """The best pose of one query: what the match left behind, and how far off it is."""
+    """The figures of the best pose of one query, and how far off it is."""
 
     figures: Mapping[str, float]
     error_m: float  # Infinite for a query from elsewhere
 
 
-def examples(
+def examples_from(
     matcher: FullMatcher, queries: Sequence[SyntheticQuery]
 ) -> Iterator[tuple[str, Example]]:
     """Yield stages and examples of each query; queries that nothing fits give none."""
@@ -82,19 +80,19 @@ def _example(figures: dict[str, Float64Array], poses: Hypotheses, query: Synthet
     )
 
 
-def learn(told: Sequence[Example], within_m: float) -> Logistic:
+def learn(examples: Sequence[Example], within_m: float) -> Logistic:
     """Return the logistic model most likely to have given the examples, right within a distance.
 
     Examples that are all right, or all wrong, raise `InputError`.
     """
-    right = np.array([example.error_m <= within_m for example in told])
+    right = np.array([example.error_m <= within_m for example in examples])
     if not right.any() or right.all():
         raise InputError(
-            f"{int(right.sum())} of {len(told)} examples are right; a confidence is learned from "
-            "both kinds"
+            f"{int(right.sum())} of {len(examples)} examples are right; a confidence is "
+            "learned from both kinds"
         )
-    names = tuple(told[0].figures)
-    figures = np.array([[example.figures[name] for name in names] for example in told])
+    names = tuple(examples[0].figures)
+    figures = np.array([[example.figures[name] for name in names] for example in examples])
     mean, scale = figures.mean(axis=0), np.maximum(figures.std(axis=0), 1e-9)
     unit = (figures - mean) / scale
     sign = np.where(right, 1.0, -1.0)
@@ -112,9 +110,11 @@ def learn(told: Sequence[Example], within_m: float) -> Logistic:
     )
 
 
-def probabilities(model: Logistic, told: Sequence[Example]) -> Float64Array:
-    """Return what a model says of examples, (N,)."""
-    figures = {name: np.array([example.figures[name] for example in told]) for name in model.names}
+def probabilities(model: Logistic, examples: Sequence[Example]) -> Float64Array:
+    """Return the probability that a model gives each example, (N,)."""
+    figures = {
+        name: np.array([example.figures[name] for example in examples]) for name in model.names
+    }
     return model.probability(figures)
 
 
@@ -157,8 +157,8 @@ STRANGERS = {"sierra": "rofental", "rofental": "sierra", "everest": "rofental", 
 STRANGERS_SHARE = 5
 """One stranger to so many queries of a kind."""
 
-Told = dict[str, dict[str, list[Example]]]
-"""Examples by terrain and model."""
+Examples = dict[str, dict[str, list[Example]]]
+"""Examples by terrain and stage."""
 
 KINDS = (
     QueryConfig(fov_deg=(40.0, 90.0), noise_deg=(0.05, 0.3)),
@@ -172,7 +172,7 @@ COARSE_KINDS = (KINDS[0], replace(KINDS[0], eye_height_m=20.0))
 """What is looked for in those: eyes on the ground, and on what a coarse model cuts off."""
 
 
-def _told_by(
+def _examples_on(
     terrain: HeightField, strange: HeightField, folder: Path, queries: int, seed: int
 ) -> dict[str, list[Example]]:
     """Match queries of all kinds in the terrain's middle, and some of another; by model.
@@ -183,17 +183,17 @@ def _told_by(
     own = [(seen, kind) for seen in (terrain, perturbed(terrain, seed=seed)) for kind in KINDS]
     coarse = [(terrain, kind) for kind in COARSE_KINDS]
     strangers = _strangers(strange, max(queries // STRANGERS_SHARE, 1), seed)
-    told: dict[str, list[Example]] = {name: [] for name in STAGES}
+    found: dict[str, list[Example]] = {name: [] for name in STAGES}
     for model, kinds in ((terrain, own), (resampled(terrain, COARSE_M), coarse)):
         with _matcher(model, folder) as matcher:
             for seen, kind in kinds:
                 seed += 1
                 made = make_queries(seen, area, queries, seed, kind)
-                for name, example in examples(matcher, made):
-                    told[name].append(example)
-            for name, example in examples(matcher, strangers):
-                told[name].append(replace(example, error_m=math.inf))
-    return told
+                for name, example in examples_from(matcher, made):
+                    found[name].append(example)
+            for name, example in examples_from(matcher, strangers):
+                found[name].append(replace(example, error_m=math.inf))
+    return found
 
 
 @contextmanager
@@ -204,11 +204,10 @@ def _matcher(terrain: HeightField, folder: Path) -> Iterator[FullMatcher]:
     lon, lat = terrain.frame.to_lonlat([west, east], [south, north])
     bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
     build_places(terrain, store, bounds_deg=bounds_deg)
-    with open_store(store) as opened:
-        scene = RenderedScene.of_store(terrain, opened.header, MatchConfig())
-        places = opened.places()
-        yield FullMatcher(Retriever(places, terrain.height_at, edge=scene.edge), scene)
-        scene.release()
+    with Matcher(store, terrain) as matcher:
+        ranker = matcher._ranker
+        assert isinstance(ranker, FullMatcher)
+        yield ranker
 
 
 def _middle_of(terrain: HeightField, wider: float = 1.0) -> Rectangle:
@@ -228,44 +227,44 @@ def _strangers(terrain: HeightField, queries: int, seed: int) -> list[SyntheticQ
     ]
 
 
-def matched(data: Path, queries: int, seed: int, progress: Progress) -> Told:
-    """Match queries on every terrain, each in a process; examples by terrain and model."""
+def gather(data: Path, queries: int, seed: int, progress: Progress) -> Examples:
+    """Match queries on every terrain, each in a process; return the examples."""
     terrains = LEARNED | HELD_OUT
-    told: Told = {}
+    found: Examples = {}
     with crew((data, queries, seed), os.cpu_count() or 1) as work:
-        for name, one in work(_matched_on, list(terrains)):
-            told[name] = one
-            progress(len(told), len(terrains))
-    return {name: told[name] for name in terrains}
+        for name, examples_of in work(_gathered_on, list(terrains)):
+            found[name] = examples_of
+            progress(len(found), len(terrains))
+    return {name: found[name] for name in terrains}
 
 
-def _matched_on(asked: tuple[Path, int, int], name: str) -> dict[str, list[Example]]:
-    """Match as many queries as asked of a kind, by a seed, on one terrain; examples by model."""
+def _gathered_on(asked: tuple[Path, int, int], name: str) -> dict[str, list[Example]]:
+    """Match so many queries of each kind, drawn by a seed, on one terrain; examples by stage."""
     data, queries, seed = asked
     terrain, strange = (
         read_dem([data / path], options)
         for path, options in ((LEARNED | HELD_OUT)[one] for one in (name, STRANGERS[name]))
     )
     with tempfile.TemporaryDirectory() as folder:
-        return _told_by(terrain, strange, Path(folder), queries, seed)
+        return _examples_on(terrain, strange, Path(folder), queries, seed)
 
 
-def kept(path: Path) -> Told:
-    """Read examples that `keep` wrote."""
+def read_examples(path: Path) -> Examples:
+    """Read what `write_examples` wrote."""
     return {
-        terrain: {model: [Example(**one) for one in some] for model, some in models.items()}
-        for terrain, models in json.loads(path.read_text()).items()
+        terrain: {stage: [Example(**one) for one in some] for stage, some in stages.items()}
+        for terrain, stages in json.loads(path.read_text()).items()
     }
 
 
-def keep(told: Told, path: Path) -> None:
+def write_examples(examples: Examples, path: Path) -> None:
     """Write examples, so that another model can be learned from the same matches."""
-    path.write_text(json.dumps(told, default=asdict))
+    path.write_text(json.dumps(examples, default=asdict))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Learned:
-    """What examples teach."""
+    """The models that examples teach, and how well they do."""
 
     models: dict[str, Logistic]
     about: dict[str, object]  # What they were learned from
@@ -273,10 +272,10 @@ class Learned:
     shown: list[Reliability]  # On the terrains held out
 
 
-def learned(told: Told) -> Learned:
+def learn_all(examples: Examples) -> Learned:
     """Learn a model of each kind, and hold it to every terrain."""
     learned_from = {
-        stage: [one for name in LEARNED for one in told[name][stage]] for stage in STAGES
+        stage: [one for name in LEARNED for one in examples[name][stage]] for stage in STAGES
     }
     models: dict[str, Logistic] = {}
     rows: list[Row] = []
@@ -284,7 +283,7 @@ def learned(told: Told) -> Learned:
     for stage, within_m in product(STAGES, DISTANCES_M):
         model = model_name(stage, within_m)
         models[model] = learn(learned_from[stage], within_m)
-        for name, one in told.items():
+        for name, one in examples.items():
             sure = probabilities(models[model], one[stage])
             right = np.array([example.error_m <= within_m for example in one[stage]])
             answered = sure >= MatchConfig().min_confidence
@@ -304,3 +303,26 @@ def learned(told: Told) -> Learned:
                 shown.append((f"{model}, {name}", sure, right))
     counts = {stage: len(some) for stage, some in learned_from.items()}
     return Learned(models, {"terrain": list(LEARNED), "examples": counts}, rows, shown)
+
+
+def save_reliability(path: Path, shown: Iterable[Reliability]) -> None:
+    """Save the reliability diagram: how often answers are right against their confidence."""
+    figure = Figure(figsize=(6.4, 6.6), layout="constrained")
+    axis = figure.subplots()
+    axis.plot([0, 1], [0, 1], ":", color="black", linewidth=0.8)
+    for name, sure, right in shown:
+        mean, hit, share, spread = np.array(reliability(sure, right)).T
+        error = calibration_error(sure, right)
+        label = f"{name}: {len(sure)} queries, calibration error {error:.3f}"
+        bars = axis.errorbar(mean, hit, spread, marker="o", capsize=2, label=label)
+        colour = bars.lines[0].get_color()
+        for x, y, part in zip(mean, hit, share, strict=True):
+            count = f"{part * len(sure):.0f}"
+            axis.annotate(
+                count, (x, y), (4, -10), textcoords="offset points", fontsize=8, color=colour
+            )
+    axis.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="confidence", ylabel="share right")
+    axis.set_title("Learned on Sierra, Rofental and Everest")
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.1))
+    figure.savefig(path, dpi=110)

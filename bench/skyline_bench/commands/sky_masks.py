@@ -9,16 +9,20 @@ import hashlib
 import tempfile
 import time
 from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
 from PIL import Image
+from typer import Argument
 
 from skyline.arrays import Float64Array, UInt8Array
+from skyline.console import progress_bar
 from skyline.errors import InputError
 from skyline.photo.read import extract_photo
 from skyline.photo.sky_model import topmost_border
 from skyline.pipeline.jobs import Progress
+from skyline_bench.commands import options
 from skyline_bench.measuring.record import Row
 
 _NEAR_SHARE = 0.01
@@ -26,6 +30,19 @@ _NEAR_SHARE = 0.01
 _LARGE_PX = (4000, 3000)
 _LARGE_PHOTOS = 3
 _JPEG_QUALITY = 92
+
+
+def sky_masks(
+    folder: Annotated[
+        Path, Argument(metavar="FOLDER", help="NAME.jpg and NAME.mask.png, white = mountain.")
+    ],
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+) -> None:
+    """Skylines extracted from real photographs, against masks drawn by people."""
+    with progress_bar("photographs") as progress:
+        rows = measure(folder, quick, progress)
+    options.tell(json_file, "sky-masks", rows)
 
 
 def measure(folder: Path, quick: bool, progress: Progress) -> list[Row]:

@@ -12,7 +12,9 @@ from skyline.errors import OffMapError
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
-from skyline_bench.cases.closed_forms import (
+from skyline_bench.measuring.record import Row
+from skyline_bench.truth.agreement import Agreement, RenderPath, SkylineScene, SkylineTruth
+from skyline_bench.truth.closed_forms import (
     HORIZON_ONLY,
     SceneCase,
     eyes_anywhere,
@@ -21,10 +23,8 @@ from skyline_bench.cases.closed_forms import (
     rough_field,
     rough_heights,
 )
-from skyline_bench.cases.frames import FRAME_CASES
-from skyline_bench.cases.scenes import GRID_CASES, STEEP_CASES, WIDE_CASES
-from skyline_bench.measuring.record import Row
-from skyline_bench.truth.agreement import Agreement, RenderPath, SkylineScene, SkylineTruth
+from skyline_bench.truth.frames import FRAME_CASES
+from skyline_bench.truth.scenes import GRID_CASES, STEEP_CASES, WIDE_CASES
 
 
 @dataclass(frozen=True, slots=True)

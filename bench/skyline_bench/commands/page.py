@@ -1,30 +1,41 @@
-"""The page measured: how soon it is ready, how the skyline follows a hand, what matches leave."""
+"""The page measured in a browser, and the README's picture.
+
+How soon the page is ready, how the skyline follows a hand, and what memory matches leave.
+"""
 
 import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 from urllib.error import HTTPError
 from urllib.request import Request, urlopen
 
 import cv2
 import numpy as np
 from PIL import Image
+from typer import Option
 
-from skyline.errors import BuildError
-from skyline.pipeline.build import build_places
+from skyline import Matcher, build_places, read_dem, stand_on
+from skyline.console import progress_bar
+from skyline.errors import BuildError, InputError
 from skyline.pipeline.jobs import Progress
+from skyline.pipeline.reports import matched, report_matches
 from skyline.render.depth import DepthRenderer
-from skyline.terrain.dem import read_dem
-from skyline.terrain.viewpoints import stand_on
+from skyline_bench.commands import options
 from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import Row
-from skyline_bench.measuring.served import ServedPage, browser, served_page
+from skyline_bench.measuring.timing import own_bytes
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 
@@ -52,6 +63,97 @@ _Figure = tuple[str, float, str]
 
 _STROKES = "return performance.getEntriesByName('stroke').map((one) => one.duration)"
 _STATE = "const done = arguments[0]; import('/page/{}.js').then((it) => done({}));"
+_PICTURE_CAMERA = Camera(220.0, pitch_deg=7.0, roll_deg=1.0, fov_deg=60.0)
+_PICTURE_PX = 560
+"""Height of the README's picture."""
+
+
+# --- the page in a process of its own, and a browser ----------------------------------------
+
+_SERVE = "from skyline.cli import main; main()"
+_WINDOW = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+
+
+@dataclass(frozen=True, slots=True)
+class ServedPage:
+    """A page that is being served."""
+
+    address: str
+    ready_s: float  # From the command to the page's first answer
+    process: int  # Its number
+
+    def own_bytes(self) -> int:
+        """Return the memory of the server that lies in no file."""
+        return own_bytes(self.process) or 0
+
+
+@contextmanager
+def served_page(arguments: Sequence[str | Path]) -> Iterator[ServedPage]:
+    """Run ``skyline serve`` with some arguments, on any free port."""
+    command = [sys.executable, "-c", _SERVE, "serve", *map(str, arguments), "--port", "0"]
+    began = time.perf_counter()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
+        try:
+            line = "" if run.stdout is None else run.stdout.readline()
+            found = re.search(r"http://\S+", line)
+            if found is None:
+                raise BuildError("the page was not served; `skyline serve` says why")
+            with urlopen(found[0]) as answer:
+                answer.read()
+            yield ServedPage(found[0], time.perf_counter() - began, run.pid)
+        finally:
+            run.terminate()
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """Start Chromium as `headless` has it; raises likewise."""
+    options, service = headless()
+    from selenium import webdriver  # noqa: PLC0415  (an extra)
+
+    with webdriver.Chrome(options=options, service=service) as running:
+        running.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", _WINDOW)
+        yield running
+
+
+def headless() -> tuple[Any, Any]:
+    """Return Chromium's options and driver, without a screen or a network beyond this machine."""
+    program, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    try:
+        from selenium import webdriver  # noqa: PLC0415  (an extra)
+        from selenium.webdriver.chrome.service import Service  # noqa: PLC0415
+    except ImportError:
+        program = None
+    if program is None or driver is None:
+        raise InputError(
+            "the page is measured in a browser; install chromium, chromium-driver and selenium"
+        )
+    options = webdriver.ChromeOptions()
+    options.binary_location = program
+    for flag in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-dev-shm-usage",
+        "--disable-background-networking",
+        "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+    ):
+        options.add_argument(flag)
+    return options, Service(driver)
+
+
+# --- what a person waits for -----------------------------------------------------------------
+
+
+def page(
+    matches: Annotated[int, Option(help="Over which memory is compared.")] = 50,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+) -> None:
+    """The page in a browser: ready, strokes on 12 megapixels, the live skyline, memory."""
+    with tempfile.TemporaryDirectory() as folder, progress_bar("page") as bar:
+        rows = measure(Path(folder), 3 if quick else matches, 2.0 if quick else 10.0, bar)
+    options.tell(json_file, "page", rows)
 
 
 def measure(folder: Path, matches: int, drag_s: float, progress: Progress) -> list[Row]:
@@ -214,7 +316,7 @@ def _person(served: ServedPage, photo: Path) -> Iterator[str]:
     session = f"session/{_post(served, 'session', b'')['session']}"
     record = _post(served, f"{session}/photos?name=photo.jpg", photo.read_bytes())
     with connect(_channel(served, session)) as onlooker:
-        # What is told must be heard, or the channel takes its listener for dead.
+        # Messages must be received, or the channel takes its listener for dead.
         threading.Thread(target=lambda: [None for _ in onlooker], daemon=True).start()
         yield f"{session}/photos/{record['id']}"
 
@@ -246,3 +348,46 @@ def _until(true: Callable[[], object]) -> None:
         if time.perf_counter() - began > _PATIENCE_S:
             raise BuildError("the page did not get to where it is measured; look at it")
         time.sleep(0.01)
+
+
+# --- the README's picture -------------------------------------------------------------------
+
+
+def readme_picture(
+    out: Annotated[Path, options.new_file("The JPEG to write.", "--out", "-o")],
+    quick: options.Quick = False,
+) -> None:
+    """The README's picture: a photo made of the sample terrain, and where it was put."""
+    options.print_rows([_save_match(out, width=512 if quick else 2048)])
+
+
+def _save_match(path: Path, width: int) -> dict[str, object]:
+    """Save the picture of a photo rendered so wide; return what the match came to."""
+    with tempfile.TemporaryDirectory() as name:
+        terrain = read_dem([write_sample_dem(Path(name) / "sample.tif")])
+        store = Path(name) / "places.h5"
+        build_places(terrain, store, bounds_deg=_BOUNDS_DEG)
+        eye = stand_on(terrain, *terrain.frame.from_lonlat(-84.2790, 36.6029))
+        photo, report = Path(name) / "photo.jpg", Path(name) / "report"
+        with DepthRenderer(terrain, width) as renderer:
+            Image.fromarray(photograph(renderer, eye, 0, _PICTURE_CAMERA, seed=1)).save(
+                photo, quality=92
+            )
+        with Matcher(store, terrain) as matcher:
+            result = matcher.match(photo, fov_deg=_PICTURE_CAMERA.fov_deg)
+            report_matches(report, matcher, [matched(photo, result)], terrain)
+        pictures = [Image.open(path) for path in (report / "01-overlay.jpg", report / "01-map.png")]
+        _side_by_side(pictures).save(path, quality=85, optimize=True)
+    best = result.candidates[0]
+    apart_m = best.easting_m - eye.easting_m[0], best.northing_m - eye.northing_m[0]
+    error_m = float(np.hypot(*apart_m))
+    return {"error_m": error_m, "confidence": best.confidence, "query_s": result.seconds}
+
+
+def _side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
+    """Return pictures in one row, all as high."""
+    parts = [
+        picture.convert("RGB").resize((picture.width * _PICTURE_PX // picture.height, _PICTURE_PX))
+        for picture in pictures
+    ]
+    return Image.fromarray(np.concatenate([np.asarray(part) for part in parts], axis=1))

@@ -16,9 +16,9 @@ from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS, column_azimuths_deg, columns_u
 from skyline.terrain.dem import read_dem
 from skyline.terrain.viewpoints import at_elevation
-from skyline_bench.cases.closed_forms import ClosedForm, SceneCase
 from skyline_bench.measuring.geotiff import write_geotiff
 from skyline_bench.truth.agreement import SkylineScene
+from skyline_bench.truth.closed_forms import ClosedForm, SceneCase
 
 _GEOD = Geod(ellps="WGS84")
 _TO_EARTH_CENTRED = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)

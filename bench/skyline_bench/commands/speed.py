@@ -1,0 +1,497 @@
+"""Speed: every way to a skyline against its error, horizons round places, very large DEMs, stages.
+
+Times are medians after a warm-up, taken in turns, all cores for everyone. They wander on shared
+machines: compare what was timed in one run.
+"""
+
+import logging
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import count
+from math import log
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from PIL import Image
+from typer import Option
+
+from skyline import Matcher, build_places, build_uniform
+from skyline.arrays import Float64Array
+from skyline.camera import DEFAULT_WIDTH, check_width, columns_u, elevation_deg
+from skyline.console import progress_bar
+from skyline.errors import InputError
+from skyline.features import polyline_keypoints
+from skyline.geodesy import Curvature, Frame
+from skyline.photo.read import read_query
+from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG, horizons_of
+from skyline.pipeline.jobs import Progress
+from skyline.pipeline.matchers import MATCHERS
+from skyline.places import BINS, Places
+from skyline.planning.uniform import map_bounds, uniform_grid
+from skyline.render.depth import DepthRenderer
+from skyline.render.horizon import HorizonRenderer
+from skyline.render.panorama import PanoramaRenderer
+from skyline.store.header import PLACES, RENDERINGS
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.views import Views
+from skyline_bench.commands import options
+from skyline_bench.measuring.geotiff import write_sample_dem
+from skyline_bench.measuring.record import Row, machine
+from skyline_bench.measuring.timing import central_viewpoints, in_turns, over_cores, peak_bytes
+from skyline_bench.peers import embree, grass
+from skyline_bench.queries.made_photos import photograph
+from skyline_bench.queries.pinhole import Camera
+from skyline_bench.truth import oracle
+from skyline_bench.truth.agreement import compare
+from skyline_bench.truth.closed_forms import fractal
+
+_log = logging.getLogger(__name__)
+
+_Render = Callable[[Viewpoints], Views]
+
+_SPACING_M = 100.0
+_SLOW = 2
+"""Viewpoints that are timed together for the depth path and the oracle, which take them one by one:
+the time of one does not depend on how many there are."""
+_COMPARED, _SLOW_COMPARED = 24, 8
+"""Viewpoints that are compared with the oracle, and those of the depth path."""
+_STEPS = round(360.0 / DEFAULT_STEP_DEG)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """One way to a skyline with one setting, ready to render viewpoints."""
+
+    path: str
+    width: int
+    setting: str
+    viewpoints: Viewpoints  # Timed together
+    compared: Viewpoints
+    render: _Render
+    first_s: float  # From nothing to the first viewpoint's skyline
+    details: Row = field(default_factory=dict)
+
+
+def speed_error(
+    dem: options.Dems,
+    viewpoints: Annotated[
+        int, Option(help="Viewpoints of a batch, on a 100 m grid in the DEM's middle.")
+    ] = 400,
+    width: Annotated[int, Option(help="Columns of all but the depth path.")] = DEFAULT_WIDTH,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    seed: options.Seed = 0,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
+) -> None:
+    """Every way to a skyline: milliseconds a viewpoint against error from the oracle.
+
+    Errors are over the columns that neither side flags, in px of W = 640 whatever the width.
+    """
+    if viewpoints < 1 or seed < 0:
+        raise InputError(f"viewpoints is {viewpoints}, seed is {seed}; expected 1 and 0 or more")
+    check_width(width)
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    with progress_bar("measuring") as progress:
+        rows = _speed_error(terrain, viewpoints, width, seed, quick, progress)
+    columns = "path setting viewpoints_per_s ms_per_viewpoint ms_alone rms_px max_px missing"
+    options.tell(json_file, "speed-error", rows, columns)
+    if plot is not None:
+        save_speed_error(rows, machine(), plot)
+
+
+def _speed_error(
+    terrain: HeightField, viewpoints: int, width: int, seed: int, quick: bool, progress: Progress
+) -> list[Row]:
+    batch = central_viewpoints(terrain, min(viewpoints, 64) if quick else viewpoints, _SPACING_M)
+    drawn = np.random.default_rng(seed).permutation(len(batch))
+    compared = batch[np.sort(drawn[: 4 if quick else _COMPARED])]
+    repeats = 2 if quick else 3
+    steps = count(1)
+
+    def tick() -> None:
+        progress(next(steps), len(ways) * (3 + 2 * repeats))
+
+    with ExitStack() as held:
+        ways = list(_ways(terrain, batch, compared, width, quick, held))
+        truths: dict[tuple[int, int], Views] = {}
+        errors = []
+        for way in ways:
+            key = way.width, len(way.compared)
+            if key not in truths:
+                truths[key] = _oracle(terrain, way.width)(way.compared)
+            errors.append(compare(way.render(way.compared), truths[key]))
+            tick()
+        batches = in_turns([partial(way.render, way.viewpoints) for way in ways], repeats, tick)
+        alone = in_turns([partial(way.render, compared[:1]) for way in ways], repeats, tick)
+    return [
+        {
+            "path": way.path,
+            "width": way.width,
+            "tolerance_px": None,
+            "setting": way.setting,
+            "ms_per_viewpoint": 1e3 * batch_time.seconds / len(way.viewpoints),
+            **error,
+            "viewpoints_per_s": len(way.viewpoints) / batch_time.seconds,
+            "cpu_ms_per_viewpoint": 1e3 * batch_time.cpu_seconds / len(way.viewpoints),
+            "ms_alone": 1e3 * alone_time.seconds,
+            "first_s": way.first_s,
+            "timed_viewpoints": len(way.viewpoints),
+            "compared_viewpoints": len(way.compared),
+            **way.details,
+        }
+        for way, error, batch_time, alone_time in zip(ways, errors, batches, alone, strict=True)
+    ]
+
+
+def _ways(
+    terrain: HeightField,
+    batch: Viewpoints,
+    compared: Viewpoints,
+    width: int,
+    quick: bool,
+    held: ExitStack,
+) -> Iterator[_Way]:
+    """Yield every way that is compared; renderers are released with ``held``."""
+    few, some = compared[:_SLOW], compared[: 2 if quick else _SLOW_COMPARED]
+
+    def first(make: Callable[[], AbstractContextManager[Any]]) -> tuple[_Render, float]:
+        started = time.perf_counter()
+        render: _Render = held.enter_context(make()).render
+        render(few[:1])
+        return render, time.perf_counter() - started
+
+    for columns in (160, 320) if quick else (160, 320, 640, 1280, 2560):
+        made = first(partial(DepthRenderer, terrain, columns))
+        yield _Way("depth", columns, f"W = {columns}", few, some, *made)
+    for tolerance_px in (0.0, 0.1) if quick else (0.0, 0.05, 0.1, 0.25, 0.5, 1.0):
+        made = first(partial(HorizonRenderer, terrain, width, tolerance_px=tolerance_px))
+        details: Row = {"tolerance_px": tolerance_px}
+        yield _Way("horizon", width, f"{tolerance_px:g} px", batch, compared, *made, details)
+    if embree.is_installed():
+        started = time.perf_counter()
+        peer = embree.EmbreePeer(terrain, width)
+        peer.render(few[:1], embree.Bisection(15))
+        first_s = time.perf_counter() - started
+        for start in ("neighbour",) if quick else embree.STARTS:
+            for depth in (11, 15) if quick else (9, 11, 13, 15, 18):
+                render = partial(peer.render, bisection=embree.Bisection(depth, start))
+                details = {"start": start, "bisections": depth}
+                name = f"{start} {depth}"
+                yield _Way("embree", width, name, batch, compared, render, first_s, details)
+    else:
+        _log.warning("Embree is left out; to have it measured: pip install 'skyline-bench[peers]'")
+    started = time.perf_counter()
+    exact = _oracle(terrain, width)
+    exact(few[:1])
+    yield _Way("oracle", width, "exact", few, some, exact, time.perf_counter() - started)
+
+
+def _oracle(terrain: HeightField, width: int) -> _Render:
+    """Return the oracle as a renderer that uses all cores."""
+    render = partial(oracle.skyline, terrain, width=width)
+    return lambda viewpoints: Views.concatenate(over_cores(render, viewpoints, 1))
+
+
+_SERIES = {
+    "depth": ("depth path", "tab:gray", "s", 8),
+    "horizon": ("horizon path", "crimson", "o", -8),
+    "embree plain": ("Embree, plain bisection", "tab:blue", "^", 8),
+    "embree neighbour": ("Embree, from the neighbouring columns", "tab:cyan", "v", -8),
+}
+"""By path and start: label, colour, marker, and how far aside of it its setting is written."""
+
+
+def save_speed_error(rows: list[Row], machine: Row, path: Path) -> None:
+    """Save milliseconds a viewpoint against rms and greatest error, both on log scales."""
+    figure = Figure(figsize=(13, 6.2), layout="constrained")
+    panels = figure.subplots(1, 2)
+    times_ms = [row["ms_per_viewpoint"] for row in rows]
+    for axis, key, name in zip(
+        panels, ("rms_px", "max_px"), ("rms error", "greatest error"), strict=True
+    ):
+        for series in _SERIES:
+            _draw_series(axis, rows, key, series)
+        for row in rows:
+            if row["path"] == "oracle":
+                label = "oracle (error 0)"
+                axis.axvline(row["ms_per_viewpoint"], color="black", linestyle=":", label=label)
+        axis.set(xscale="log", yscale="log", xlim=(min(times_ms) / 4.0, max(times_ms) * 4.0))
+        axis.set_xlabel("ms per viewpoint (four views), all cores")
+        axis.set_ylabel(f"{name} against the oracle (px of W = 640)")
+        axis.margins(y=0.1)
+        axis.grid(which="major", alpha=0.35)
+        axis.grid(which="minor", alpha=0.12)
+    panels[0].legend(loc="best", fontsize=9)
+    figure.suptitle(
+        f"Skylines: speed against error. {machine['processor']}, {machine['cores']} cores; "
+        f"{machine['renderer']}",
+        fontsize=11,
+    )
+    figure.savefig(path, dpi=110)
+
+
+def _draw_series(axis: Axes, rows: list[Row], key: str, series: str) -> None:
+    path, _, start = series.partition(" ")
+    asked = path, start or None
+    mine = [row for row in rows if row[key] and (row["path"], row.get("start")) == asked]
+    label, colour, marker, aside = _SERIES[series]
+    points = [(row["ms_per_viewpoint"], row[key]) for row in mine]
+    if not points:
+        return
+    axis.plot(*zip(*points, strict=True), color=colour, marker=marker, label=label)
+    # Points too close for labels of their own share one.
+    labels: list[tuple[tuple[float, float], list[str]]] = []
+    for row, point in zip(mine, points, strict=True):
+        setting = row["setting"].removeprefix(f"{row.get('start')} ")
+        for other, settings in labels:
+            if max(abs(log(a / b)) for a, b in zip(point, other, strict=True)) < 0.3:
+                settings.append(setting)
+                break
+        else:
+            labels.append((point, [setting]))
+    side: dict[str, Any] = {"ha": "left" if aside > 0 else "right", "va": "center"}
+    for place, settings in labels:
+        text = ", ".join(settings)
+        axis.annotate(
+            text, place, (aside, 0), textcoords="offset points", fontsize=8, color=colour, **side
+        )
+
+
+# --- horizons all the way round -------------------------------------------------------------
+
+
+def horizon(
+    dem: options.Dems,
+    json_file: options.JsonFile = None,
+    seed: options.Seed = 0,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
+) -> None:
+    """Horizons of 1,000 places every half degree: Skyline, Embree's rays and GRASS.
+
+    Errors are of elevation angles against the oracle, at the azimuths, eyes and curvature that each
+    tool knows: GRASS is compared on a flat Earth, on samples, with angles cut off at zero, and is
+    timed place by place. Embree needs embreex (extra peers), GRASS `grass` on the path; a tool that
+    is not installed is left out.
+    """
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    options.tell(json_file, "horizon", measure_horizons(terrain, seed, quick))
+
+
+def measure_horizons(terrain: HeightField, seed: int, quick: bool) -> list[Row]:
+    """Return time and error of each tool for places drawn from the middle half of a DEM."""
+    west, south, east, north = terrain.bounds_m
+    share = np.random.default_rng(seed).uniform(0.25, 0.75, (2, 40 if quick else 1000))
+    easting, northing = west + share[0] * (east - west), south + share[1] * (north - south)
+    there = ~np.isnan(terrain.height_at(easting, northing))
+    eyes = stand_on(terrain, easting[there], northing[there])
+    some = eyes[: 3 if quick else _COMPARED]
+    convergence = terrain.frame.convergence_deg(eyes.easting_m, eyes.northing_m)
+    to_grid = -np.radians(convergence)
+    started = time.perf_counter()
+    renderer = PanoramaRenderer(terrain, _STEPS, Curvature(), tolerance_deg=0.0)
+    renderer.render(eyes[:1], to_grid[:1])
+    set_up = {"Skyline": time.perf_counter() - started}
+    works: dict[tuple[str, str], Callable[[], object]] = {
+        ("Skyline", "exact"): lambda: renderer.render(eyes, to_grid)
+    }
+    true_deg = _true_deg(terrain, some, -convergence, Curvature())
+    off = {("Skyline", "exact"): horizons_of(terrain, some).elevation_deg - true_deg}
+    if embree.is_installed():
+        started = time.perf_counter()
+        peer = embree.EmbreePeer(terrain, _STEPS // 4)
+        set_up["Embree rays"] = time.perf_counter() - started
+        u = columns_u(_STEPS // 4)
+        truth = oracle.skyline_at(terrain, some, u, Curvature())
+        for depth in (11,) if quick else (9, 11, 13, 15):
+            way = embree.Bisection(depth)
+            key = "Embree rays", f"bisected to {np.degrees(0.5 * way.bracket_tan):.2g} degrees"
+            works[key] = partial(peer.render, eyes, way)
+            off[key] = _angles_deg(peer.render(some, way), u) - _angles_deg(truth, u)
+    taken = in_turns(list(works.values()), 1 if quick else 3)
+    rows: list[Row] = [
+        _horizon_row(key, len(eyes), timing.seconds, timing.cpu_seconds, off[key])
+        | {"set_up_s": set_up[key[0]]}
+        for key, timing in zip(works, taken, strict=True)
+    ]
+    renderer.release()
+    if grass.is_installed():
+        rows.append(_grass(terrain, some))
+    return rows
+
+
+def _grass(terrain: HeightField, eyes: Viewpoints) -> dict[str, object]:
+    row, col = (np.rint(at) for at in terrain.to_grid(eyes.easting_m, eyes.northing_m))
+    stand = stand_on(terrain, *terrain.to_map(row, col), 0.0)
+    found_deg, seconds = grass.horizons(terrain, stand, DEFAULT_STEP_DEG)
+    turn_deg = -terrain.frame.convergence_deg(stand.easting_m, stand.northing_m)
+    true_deg = _true_deg(terrain, stand, turn_deg, Curvature(enabled=False))
+    off = found_deg - np.maximum(true_deg, 0.0)
+    taken_s = len(eyes) * float(np.median(seconds))
+    return _horizon_row(("GRASS r.horizon", "point mode"), len(eyes), taken_s, None, off)
+
+
+def _true_deg(
+    terrain: HeightField, eyes: Viewpoints, turn_deg: Float64Array, curvature: Curvature
+) -> Float64Array:
+    """Return the oracle's elevation angles (N, A) by azimuths from grid azimuths (N,) on."""
+    azimuth_deg = np.arange(_STEPS) * DEFAULT_STEP_DEG
+    true_deg = np.empty((len(eyes), _STEPS))
+    for index in range(len(eyes)):
+        grid_deg = (azimuth_deg + turn_deg[index] + 45.0) % 360.0 - 45.0
+        order = np.argsort(grid_deg)
+        heading = np.floor((grid_deg[order] + 45.0) / 90.0).astype(int)
+        away = np.radians(grid_deg[order] - 90.0 * heading).reshape(4, -1)
+        views = oracle.skyline_at(terrain, eyes[index : index + 1], np.tan(away[0]), curvature)
+        true_deg[index, order] = _angles_deg(views, np.tan(away[0])).ravel()
+    return true_deg
+
+
+def _angles_deg(views: Views, u: Float64Array) -> Float64Array:
+    return elevation_deg(views.elevation_tan.astype(np.float64), u)
+
+
+def _horizon_row(
+    key: tuple[str, str],
+    places: int,
+    seconds: float,
+    cpu_seconds: float | None,
+    off_deg: Float64Array,
+) -> dict[str, object]:
+    thousand = 1000.0 / places
+    return {
+        "tool": key[0],
+        "setting": key[1],
+        "places": places,
+        "seconds_for_1000": thousand * seconds,
+        "cpu_seconds_for_1000": None if cpu_seconds is None else thousand * cpu_seconds,
+        "max_error_deg": float(np.nanmax(np.abs(off_deg))),
+        "rms_error_deg": float(np.sqrt(np.nanmean(off_deg**2))),
+    }
+
+
+def place_speed(
+    dem: options.Dems,
+    eyes: Annotated[int, Option(help="Eyes, on an 80 m grid in the DEM's middle.")] = 2000,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
+) -> None:
+    """Skylines all the way round against four headings: milliseconds an eye, taken in turns."""
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    viewpoints = central_viewpoints(terrain, min(eyes, 100) if quick else eyes, 80.0)
+    with (
+        HorizonRenderer(terrain, 640, tolerance_px=0.05) as headings,
+        PanoramaRenderer(terrain, 720) as fine,
+        PanoramaRenderer(terrain, BINS) as places,
+    ):
+        ways: dict[str, Callable[[], object]] = {
+            "four headings of 640 columns, 0.05 px": lambda: headings.render(viewpoints),
+            "720 azimuths": lambda: fine.render(viewpoints),
+            f"{BINS} azimuths": lambda: places.render(viewpoints),
+            f"{BINS} azimuths, coded as places": lambda: Places.of(places.render(viewpoints), 80.0),
+        }
+        timings = in_turns(list(ways.values()), 5)
+    rows = [
+        {
+            "way": name,
+            "eyes": len(viewpoints),
+            "wall_ms": 1e3 * one.seconds / len(viewpoints),
+            "cpu_ms": 1e3 * one.cpu_seconds / len(viewpoints),
+            "times_the_reference_wall": timings[0].seconds / one.seconds,
+            "times_the_reference_cpu": timings[0].cpu_seconds / one.cpu_seconds,
+        }
+        for name, one in zip(ways, timings, strict=True)
+    ]
+    options.tell(json_file, "place-speed", rows)
+
+
+# --- very large DEMs, and the stages from DEM to match --------------------------------------
+
+
+def large_dem(
+    samples: Annotated[int, Option(help="Rows and columns of the made-up DEM.")] = 20_000,
+    viewpoints: Annotated[int, Option(help="About its middle.")] = 256,
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+) -> None:
+    """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
+    if quick:
+        samples, viewpoints = min(samples, 4000), min(viewpoints, 32)
+    # Rough terrain that repeats every 60 km, in one array and no copies.
+    period, spacing_m = 2000, 30.0
+    tile = (1500.0 + 1500.0 * fractal(period, period, 1, 2.1)).astype(np.float32)
+    again = np.arange(samples) % period
+    heights = tile[np.ix_(again, again)]
+    heights.setflags(write=False)
+    terrain = HeightField(heights, 0.0, 0.0, spacing_m, spacing_m, Frame.local(10.0, 46.0))
+    middle = samples * spacing_m / 2.0
+    place = np.random.default_rng(2).uniform(-5000.0, 5000.0, (2, viewpoints))
+    eyes = stand_on(terrain, middle + place[0], -middle + place[1])
+    with HorizonRenderer(terrain) as renderer:
+        started = time.perf_counter()
+        views = renderer.render(eyes)
+        seconds = time.perf_counter() - started
+    row = {
+        "samples": samples,
+        "viewpoints": viewpoints,
+        "seconds": seconds,
+        "median_depth_m": float(np.nanmedian(views.depth_m)),
+        "greatest_depth_m": float(np.nanmax(views.depth_m)),
+        "dem_bytes": heights.nbytes,
+        "peak_resident_bytes": peak_bytes(),
+    }
+    options.tell(json_file, "large-dem", [row])
+
+
+def pipeline_speed(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
+    """Every stage from DEM to match, on a small DEM that is always at hand."""
+    with tempfile.TemporaryDirectory() as folder:
+        rows = list(_stages(Path(folder), repeats=1 if quick else 3))
+    options.tell(json_file, "pipeline-speed", rows)
+
+
+def _stages(folder: Path, repeats: int) -> Iterator[Row]:
+    """Yield one row a stage, the median of some repeats; files go to a folder."""
+    bounds_deg, stores_m = (-84.29, 36.55, -84.20, 36.62), 500.0
+
+    def timed(
+        stage: str, work: Callable[[], object], count: int, unit: str, repeats: int = repeats
+    ) -> Row:
+        seconds = in_turns([work], repeats)[0].seconds
+        return {"stage": stage, "ms_each": 1e3 * seconds / count, "of": unit}
+
+    dem = write_sample_dem(folder / "dem.tif")
+    yield timed("read and warp DEM", lambda: read_dem([dem]), 1, "DEM")
+    terrain = read_dem([dem])
+    eyes = uniform_grid(terrain, 1000.0, map_bounds(terrain, bounds_deg))[:16]
+    for width in (160, 640, 1280):
+        with DepthRenderer(terrain, width) as renderer:
+            work = partial(renderer.render, eyes)
+            yield timed(f"depth path, W = {width}", work, len(eyes), "viewpoint")
+    few = eyes[:4]
+    yield timed("oracle, W = 640", lambda: oracle.skyline(terrain, few), 4, "viewpoint", 1)
+    with DepthRenderer(terrain) as renderer:
+        views = renderer.render(eyes)
+    yield timed("keypoints", lambda: polyline_keypoints(views, 1.0), len(views), "view")
+    stores = {RENDERINGS: folder / "renderings.h5", PLACES: folder / "places.h5"}
+    build_uniform(terrain, stores[RENDERINGS], stores_m, bounds_deg)
+    build_places(terrain, stores[PLACES], stores_m, bounds_deg)
+    query, camera = folder / "query.jpg", Camera(140.0, fov_deg=60.0)
+    with DepthRenderer(terrain, 2048) as renderer:
+        Image.fromarray(photograph(renderer, eyes, 0, camera, seed=1)).save(query, quality=92)
+    yield timed("photo to skyline", lambda: read_query(query, camera.fov_deg), 1, "photo")
+    for name, kind in MATCHERS.items():
+        with Matcher(stores[kind.searches], terrain, name) as matcher:
+            match = partial(matcher.match, query, camera.fov_deg)
+            yield timed(f"match, {name}", match, len(matcher.viewpoints), "stored location")
