@@ -11,15 +11,24 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from skyline.arrays import Float32Array, UInt8Array
+from skyline.arrays import Float32Array, Float64Array, UInt8Array
 from skyline.geodesy import Frame
 from skyline.pipeline.jobs import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.measuring.timing import core_count
 from skyline_bench.measuring.workers import crew
-from skyline_bench.queries.made_photos import Scenery, draw_photo
-from skyline_bench.queries.synthetic import QueryConfig, make_queries
+from skyline_bench.queries.made_photos import (
+    Scenery,
+    distance_along,
+    exposed,
+    mixed,
+    scene_rgb,
+)
+from skyline_bench.queries.occluders import Occluder
+from skyline_bench.queries.pinhole import Camera
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
 from skyline_training.landscapes import (
     CELL_M,
     COVER,
@@ -395,6 +404,54 @@ def _window(drawing: Drawing) -> None:
     shade = 1.0 + 0.5 * fractal(rng, (height, width), 2.0)[..., np.newaxis]
     colour = np.clip(dark(rng, 60.0) * np.maximum(shade, 0.0), 0, 255)
     drawing.paint(opacity, colour, COVER)
+
+
+_OCCLUDER_RGB = {
+    "tree": np.array([38.0, 52.0, 30.0]),
+    "building": np.array([168.0, 150.0, 128.0]),
+    "person": np.array([150.0, 50.0, 45.0]),
+}
+
+
+def put_before(picture: Float64Array, occluder: Occluder, generator: np.random.Generator) -> None:
+    """Paint something near over a picture (H, W, 3), from its top down."""
+    start, stop = occluder.columns
+    rows = np.arange(len(picture))[:, np.newaxis]
+    covered = np.clip(rows + 0.5 - occluder.row_px, 0.0, 1.0)
+    colour = _OCCLUDER_RGB[occluder.kind] * generator.uniform(0.8, 1.2)
+    # Foliage lets light through; walls and coats do not.
+    rough = 0.35 if occluder.kind == "tree" else 0.05
+    shade = 1.0 + rough * generator.standard_normal((len(picture), stop - start))
+    part = picture[:, start:stop]
+    picture[:, start:stop] = mixed(part, colour * np.maximum(shade, 0.2)[..., np.newaxis], covered)
+
+
+def draw_photo(
+    renderer: DepthRenderer, query: SyntheticQuery, seed: int, scenery: Scenery
+) -> UInt8Array:
+    """Return the RGB photograph (H, W, 3) of a synthetic query, its occluders in front.
+
+    Sky and ground meet exactly at ``query.row_px``, the border pixels mixed from both; the depth
+    images behind decide only what the ground looks like. ``renderer`` must draw the terrain the
+    query was made from.
+    """
+    generator, truth = np.random.default_rng(seed), query.truth
+    size = query.skyline.width_px, query.skyline.height_px
+    camera = Camera(truth.heading_deg, truth.pitch_deg, truth.roll_deg, truth.fov_deg, *size)
+    viewpoint = Viewpoints(
+        *(np.array([x]) for x in (truth.easting_m, truth.northing_m, truth.eye_elevation_m))
+    )
+    rays = camera.rays()
+    distance = distance_along(renderer.depth_images(viewpoint, 0), rays)
+    rows = np.arange(camera.height_px)[:, np.newaxis]
+    # Pixel r spans r - 0.5 to r + 0.5.
+    below = np.clip(rows + 0.5 - query.row_px, 0.0, 1.0)
+    share = np.where(np.isfinite(query.row_px), below, np.isfinite(distance))
+    eye = truth.easting_m, truth.northing_m
+    picture = scene_rgb(renderer, eye, rays, distance, share, scenery, generator)
+    for occluder in query.occluders:
+        put_before(picture, occluder, generator)
+    return exposed(picture, generator)
 
 
 _CELLS = 400

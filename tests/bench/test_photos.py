@@ -1,15 +1,18 @@
-"""Photographs of a manifest measured small: columns, places, and what lost a place."""
+"""Photographs measured small: columns, places, what lost a place, and masks drawn by people."""
 
 import json
 
+import cv2
 import numpy as np
 import pytest
+from photo_scenes import make_scene
 from PIL import Image
 
 from skyline import read_dem, read_query
 from skyline.errors import InputError, MissingFileError
+from skyline_bench.commands.photos import right_columns, summarize
+from skyline_bench.commands.sky_masks import mask_rows, measure
 from skyline_bench.queries.manifest import Photograph, read_manifest
-from skyline_bench.runs.photographs import right_columns, summarize
 
 PLACE_M, HEADING_DEG = (601_800.0, 5_178_000.0), 140.95
 
@@ -112,3 +115,43 @@ def test_a_manifest_that_is_none_is_one_line(tmp_path, text, error, said):
     with pytest.raises(error, match=said) as caught:
         read_manifest(path)
     assert "\n" not in str(caught.value)
+
+
+# --- masks drawn by people ------------------------------------------------------------------------
+
+
+def write_pair(folder, name, scene, shift=0):
+    Image.fromarray(scene.image).save(folder / f"{name}.jpg", quality=92)
+    rows = np.arange(len(scene.image))[:, np.newaxis]
+    white = 255 * (rows + 0.5 > scene.row_px + 0.5 + shift)
+    cv2.imwrite(str(folder / f"{name}.mask.png"), white.astype(np.uint8))
+
+
+def test_masks_say_how_many_trusted_columns_are_right(tmp_path):
+    for seed in (100, 101):
+        write_pair(tmp_path, f"clear{seed}", make_scene("clear", seed, 480, 320))
+    rows = measure(tmp_path, False, lambda *_: None)
+    assert [row["photos"] for row in rows] == [1, 1]
+    for row in rows:
+        assert row["within"] > 0.95
+        assert row["trusted"] > 0.85
+        assert (row["refused"], row["mostly_wrong"]) == (0, 0)
+        assert 0.0 < row["seconds"] < row["seconds_12mp"]
+
+
+def test_a_mask_elsewhere_makes_the_columns_wrong(tmp_path):
+    for seed in (100, 101):
+        write_pair(tmp_path, f"clear{seed}", make_scene("clear", seed, 480, 320), shift=8)
+    rows = measure(tmp_path, True, lambda *_: None)
+    assert all(row["within"] < 0.1 and row["mostly_wrong"] == 1 for row in rows)
+
+
+def test_columns_without_an_edge_have_no_truth():
+    mask = np.zeros((6, 3), np.uint8)
+    mask[2:4, 0] = mask[:, 1] = 255
+    np.testing.assert_array_equal(mask_rows(mask), [1.5, np.nan, np.nan])
+
+
+def test_a_folder_without_masks_is_refused(tmp_path):
+    with pytest.raises(InputError, match="has 0 masks"):
+        measure(tmp_path, False, lambda *_: None)

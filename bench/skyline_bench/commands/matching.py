@@ -286,7 +286,7 @@ def same_place(
         seed=seed,
     )
     rows, _ = _measured(terrain, comparison, quick, folder)
-    options.tell(json_file, "same-place", rows, f"queries group {_FOUND} radius_holds named")
+    options.tell(json_file, "same-place", rows, f"store queries group {_FOUND} radius_holds named")
 
 
 def strangers(

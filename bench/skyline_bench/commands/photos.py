@@ -110,15 +110,14 @@ def photos(
         raise InputError(f"{manifest} has photographs to locate; give their elevation model too")
     terrain = read_dem(dem, DemOptions(crs=crs)) if located and dem else None
     side_m = 1000.0 * side_km
-    sections, rows = list[Section](), list[dict[str, Any]]()
+    sections, found = list[Section](), dict[Photograph, dict[str, Any]]()
     with options.store_folder(folder) as place, progress_bar("photographs") as progress:
         for measured, viewer in measure(wanted, terrain, place, side_m, spacing, use_gps):
-            rows.append(measured.figures)
+            found[measured.photograph] = measured.figures
             if page is not None:
                 sections.append(_section(measured, viewer))
-            progress(len(rows), len(wanted))
-    names = [one.name for one in wanted]
-    rows.sort(key=lambda row: names.index(row["photo"]))
+            progress(len(found), len(wanted))
+    rows = [found[one] for one in wanted]
     summary = summarize(rows)
     options.print_rows(rows, _COLUMNS)
     options.print_rows(summary)

@@ -180,14 +180,12 @@ def _ways(
     if embree.is_installed():
         started = time.perf_counter()
         peer = embree.EmbreePeer(terrain, width)
-        peer.render(few[:1], embree.Bisection(15))
+        peer.render(few[:1], 15)
         first_s = time.perf_counter() - started
-        for start in ("neighbour",) if quick else embree.STARTS:
-            for depth in (11, 15) if quick else (9, 11, 13, 15, 18):
-                render = partial(peer.render, bisection=embree.Bisection(depth, start))
-                details = {"start": start, "bisections": depth}
-                name = f"{start} {depth}"
-                yield _Way("embree", width, name, batch, compared, render, first_s, details)
+        for depth in (11, 15) if quick else (9, 11, 13, 15, 18):
+            render, details = partial(peer.render, depth=depth), {"bisections": depth}
+            name = f"{depth} bisections"
+            yield _Way("embree", width, name, batch, compared, render, first_s, details)
     else:
         _log.warning("Embree is left out; to have it measured: pip install 'skyline-bench[peers]'")
     started = time.perf_counter()
@@ -205,10 +203,9 @@ def _oracle(terrain: HeightField, width: int) -> _Render:
 _SERIES = {
     "depth": ("depth path", "tab:gray", "s", 8),
     "horizon": ("horizon path", "crimson", "o", -8),
-    "embree plain": ("Embree, plain bisection", "tab:blue", "^", 8),
-    "embree neighbour": ("Embree, from the neighbouring columns", "tab:cyan", "v", -8),
+    "embree": ("Embree's rays, from the neighbouring columns", "tab:blue", "^", 8),
 }
-"""By path and start: label, colour, marker, and how far aside of it its setting is written."""
+"""By path: label, colour, marker, and how far aside of it its setting is written."""
 
 
 def save_speed_error(rows: list[Row], machine: Row, path: Path) -> None:
@@ -219,8 +216,8 @@ def save_speed_error(rows: list[Row], machine: Row, path: Path) -> None:
     for axis, key, name in zip(
         panels, ("rms_px", "max_px"), ("rms error", "greatest error"), strict=True
     ):
-        for series in _SERIES:
-            _draw_series(axis, rows, key, series)
+        for way in _SERIES:
+            _draw_series(axis, rows, key, way)
         for row in rows:
             if row["path"] == "oracle":
                 label = "oracle (error 0)"
@@ -240,11 +237,9 @@ def save_speed_error(rows: list[Row], machine: Row, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def _draw_series(axis: Axes, rows: list[Row], key: str, series: str) -> None:
-    path, _, start = series.partition(" ")
-    asked = path, start or None
-    mine = [row for row in rows if row[key] and (row["path"], row.get("start")) == asked]
-    label, colour, marker, aside = _SERIES[series]
+def _draw_series(axis: Axes, rows: list[Row], key: str, way: str) -> None:
+    mine = [row for row in rows if row[key] and row["path"] == way]
+    label, colour, marker, aside = _SERIES[way]
     points = [(row["ms_per_viewpoint"], row[key]) for row in mine]
     if not points:
         return
@@ -252,7 +247,7 @@ def _draw_series(axis: Axes, rows: list[Row], key: str, series: str) -> None:
     # Points too close for labels of their own share one.
     labels: list[tuple[tuple[float, float], list[str]]] = []
     for row, point in zip(mine, points, strict=True):
-        setting = row["setting"].removeprefix(f"{row.get('start')} ")
+        setting = row["setting"]
         for other, settings in labels:
             if max(abs(log(a / b)) for a, b in zip(point, other, strict=True)) < 0.3:
                 settings.append(setting)
@@ -314,10 +309,10 @@ def measure_horizons(terrain: HeightField, seed: int, quick: bool) -> list[Row]:
         u = columns_u(_STEPS // 4)
         truth = oracle.skyline_at(terrain, some, u, Curvature())
         for depth in (11,) if quick else (9, 11, 13, 15):
-            way = embree.Bisection(depth)
-            key = "Embree rays", f"bisected to {np.degrees(0.5 * way.bracket_tan):.2g} degrees"
-            works[key] = partial(peer.render, eyes, way)
-            off[key] = _angles_deg(peer.render(some, way), u) - _angles_deg(truth, u)
+            bracket_deg = np.degrees(0.5 * embree.bracket_tan(depth))
+            key = "Embree rays", f"bisected to {bracket_deg:.2g} degrees"
+            works[key] = partial(peer.render, eyes, depth)
+            off[key] = _angles_deg(peer.render(some, depth), u) - _angles_deg(truth, u)
     taken = in_turns(list(works.values()), 1 if quick else 3)
     rows: list[Row] = [
         _horizon_row(key, len(eyes), timing.seconds, timing.cpu_seconds, off[key])

@@ -79,13 +79,13 @@ class Comparison:
         object.__setattr__(self, "stores", stores)
 
     def quick(self, terrain: HeightField) -> "Comparison":
-        """Return a version of two minutes at most: few queries, the cheapest stores, 3 x 3 km.
+        """Return a version of two minutes at most: three queries, the cheapest stores, 3 x 3 km.
 
         A store that is given keeps its area.
         """
         small = replace(
             self,
-            queries=min(self.queries, 6),
+            queries=min(self.queries, 3),
             areas_km2=tuple(sorted(self.areas_km2)[:1]),
             near_km=(),
         )
