@@ -33,9 +33,9 @@ from skyline.pipeline.jobs import Progress
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
-from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.kinds import perturbed, resampled
 from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
+from skyline_training.workers import crew
 
 Reliability = tuple[str, Float64Array, BoolArray]
 """A label, probabilities (N,), and whether the answers were right (N,)."""

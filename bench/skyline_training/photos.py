@@ -18,7 +18,6 @@ from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.measuring.timing import core_count
-from skyline_bench.measuring.workers import crew
 from skyline_bench.queries.made_photos import (
     Scenery,
     distance_along,
@@ -43,6 +42,7 @@ from skyline_training.landscapes import (
     fractal,
 )
 from skyline_training.plain_photos import CONDITIONS, draw_recipe
+from skyline_training.workers import crew
 
 _SIZE_PX = (400, 304)
 _PLAIN_EVERY, _VIEW_EVERY = 8, 8

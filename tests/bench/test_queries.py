@@ -113,24 +113,23 @@ def test_masks_and_given_fields_of_view(terrain):
     assert 1.03 < ratio.max() <= 1.05
 
 
-@pytest.mark.parametrize("masked", [0.0, 1.0])
-def test_occluders_are_masked_or_left_in(terrain, masked):
-    config = replace(
-        EXACT, fov_deg=(60.0, 60.0), occluded_share=(0.25, 0.25), occluders_masked=masked
-    )
+def test_occluders_are_masked_or_left_in(terrain):
+    config = replace(EXACT, fov_deg=(60.0, 60.0), occluded_share=(0.25, 0.25))
+    noticed = left_in = 0
     for query in make_queries(terrain, AREA, 5, seed=7, config=config):
         hidden = np.zeros(320, dtype=bool)
-        for occluder in query.occluders:
-            hidden[slice(*occluder.columns)] = True
-        assert hidden.sum() == 80
         found, true = query.skyline.row_px, query.row_px
+        for occluder in query.occluders:
+            columns = slice(*occluder.columns)
+            hidden[columns] = True
+            seen = np.isfinite(found[columns])
+            noticed += not seen.any()
+            left_in += int(seen.any())
+            above = seen & np.isfinite(true[columns])
+            assert (found[columns][above] < true[columns][above]).all()
+        assert hidden.sum() == 80
         np.testing.assert_array_equal(found[~hidden], true[~hidden])
-        if masked:
-            assert np.isnan(found[hidden]).all()
-        else:
-            seen = hidden & np.isfinite(true) & np.isfinite(found)
-            assert seen.any()
-            assert (found[seen] < true[seen]).all()
+    assert min(noticed, left_in) > 0
 
 
 def test_bad_requests_are_refused(terrain):

@@ -105,7 +105,7 @@ def test_stores_matchers_and_kinds_are_compared_and_kept(run, dem, kept):
 def test_uniform_and_adaptive_stores_are_compared(run, dem):
     record = run(
         "uniform-adaptive", dem, "--spacing", 600, "--budget", 60, "--loss", 0.4, "--queries", 3,
-        "--workers", 1, "--matcher", "paper", "--matcher", "retrieved",
+        "--matcher", "paper", "--matcher", "retrieved",
     )  # fmt: skip
     rows = [(row["store"], row["matcher"], row["group"]) for row in record["rows"]]
     assert rows == [
@@ -177,7 +177,6 @@ def test_photos_of_one_place_and_strangers(run, dem, store):
         ("matching", ["--kind", "easy"], "kind of queries is 'easy'"),
         ("matching", ["--store", "none.h5"], "none.h5 does not exist"),
         ("matching", ["--store", "DEM"], "dem.tif"),
-        ("uniform-adaptive", ["--workers", "0"], "workers is 0"),
         ("uniform-adaptive", ["--queries", "2"], "queries is 2; expected 3"),
         ("uniform-adaptive", ["--strategy", "best"], "strategy is 'best'"),
         ("uniform-adaptive", ["--spacing", "600", "--budget", "2"], "budget is 2"),

@@ -18,7 +18,6 @@ from skyline.terrain.heightfield import HeightField
 from skyline_bench.commands import options
 from skyline_bench.commands.options import Floats, Names
 from skyline_bench.measuring.record import Row, write_record
-from skyline_bench.measuring.timing import core_count
 from skyline_bench.queries.kinds import OF_ONE_AREA, SAME_PLACE
 from skyline_bench.search.compare import Comparison, measure
 from skyline_bench.search.plots import AGAINST_AREA, AGAINST_COST, save_found
@@ -106,9 +105,6 @@ def uniform_adaptive(
     matcher: Matchers = None,
     kind: Kinds = None,
     queries: Annotated[int, Option(help="Queries, at least 3.")] = 100,
-    workers: Annotated[
-        int, Option(metavar="N", help="Processes at work.", show_default="one a core")
-    ] = core_count(),
     folder: options.Folder = None,
     json_file: options.JsonFile = None,
     plot: options.PlotFile = None,
@@ -143,7 +139,6 @@ def uniform_adaptive(
         bounds_deg=_bounds_or_middle(bounds, terrain),
         by_thirds=True,
         seed=seed,
-        workers=workers,
     )
     rows, _ = _measured(terrain, comparison, quick, folder)
     columns = """store renderings bytes build_s matcher queries close medium far mean_m mean_m_low

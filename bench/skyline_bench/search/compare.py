@@ -1,11 +1,11 @@
 """The comparison: every store is searched by every matcher that can, for the same queries."""
 
-import functools
 import logging
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import product
 from pathlib import Path
 
 from skyline.errors import InputError
@@ -16,11 +16,10 @@ from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import unseen
-from skyline_bench.measuring.workers import Crew, crew
-from skyline_bench.queries.kinds import KINDS, Query, distance_m, make_kind
+from skyline_bench.queries.kinds import KINDS, distance_m, make_kind
 from skyline_bench.search.specs import BuiltStore, StoreSpec, middle_deg, quick_specs
 from skyline_bench.search.summary import groups, summarize
-from skyline_bench.search.trials import ABOUT, PAPER, Area, Searcher, Trial, search, searched_by
+from skyline_bench.search.trials import ABOUT, Area, Searcher, Trial, search, searched_by
 
 _log = logging.getLogger(__name__)
 
@@ -42,14 +41,11 @@ class Comparison:
     near_km: tuple[float, ...] = ()
     by_thirds: bool = False  # Whether queries are grouped by thirds of their distances
     seed: int = 0  # Of the queries
-    # Processes at work, each with one thread; by default this process with all of them.
-    workers: int | None = None
 
     def __post_init__(self) -> None:
         for name, value, least in (
             ("the number of queries", self.queries, 3 if self.by_thirds else 1),
             ("seed", self.seed, 0),
-            ("workers", 1 if self.workers is None else self.workers, 1),
         ):
             if value < least:
                 raise InputError(f"{name} is {value}; expected {least} or more")
@@ -68,7 +64,7 @@ class Comparison:
                 if name not in these:
                     raise InputError(f"{what} is {name!r}; expected one of {', '.join(these)}")
         searched = {searched_by(name) for name in self.matchers}
-        # Two processes must not build one store, and none is built that no matcher searches.
+        # None is built that no matcher searches.
         stores = tuple(
             spec
             for spec in dict.fromkeys(self.stores)
@@ -128,22 +124,6 @@ class Comparison:
         return [*sorted(areas, key=lambda area: (area.km2, area.name)), whole]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Held:
-    """What every worker holds."""
-
-    terrain: HeightField
-    comparison: Comparison
-    folder: Path
-    area_m: Rectangle | None = None
-    queries: Mapping[str, Sequence[Query]] = field(default_factory=dict)
-    progress: Progress | None = None  # Of this process's own work
-
-
-_Job = tuple[BuiltStore, str]
-"""A store, and a matcher that searches it."""
-
-
 def measure(
     terrain: HeightField,
     comparison: Comparison,
@@ -161,103 +141,52 @@ def measure(
     right answers.
     """
     comparison.check(terrain)
-    held = _Held(terrain, comparison, folder)
-    if comparison.workers is None:
-        held = replace(held, progress=progress)
-    with _at_work(held, comparison.workers) as run:
-        # Plans take longest, and are begun first.
-        order = sorted(comparison.stores, key=lambda spec: spec.plan is None)
-        built = dict[StoreSpec, BuiltStore]()
-        for spec, store in run(_build, order):
-            built[spec] = store
-            if held.progress is None:
-                progress(len(built), len(order))
-    stores = [built[spec] for spec in comparison.stores]
+    stores = [
+        spec.build(terrain, folder, comparison.bounds_deg, progress) for spec in comparison.stores
+    ]
     given = next((store for store in stores if store.spec.path is not None), None)
     area_m = map_bounds(terrain, comparison.bounds_deg)
     if given is not None and comparison.bounds_deg is None:
         area_m = given.area_m(terrain)
+    areas = comparison.areas(area_m)
+    miss_m = math.hypot(area_m[2] - area_m[0], area_m[3] - area_m[1]) / 2.0
     queries = {
         kind: make_kind(kind, terrain, area_m, comparison.queries, comparison.seed, strange)
         for kind in comparison.kinds
     }
-    pairs = [
-        (store, name)
-        for store in stores
-        for name in comparison.matchers
-        if searched_by(name) == store.holds
-    ]
-    found: dict[_Job, dict[str, Trial]] = {}
-    with _at_work(replace(held, area_m=area_m, queries=queries), comparison.workers) as run:
-        jobs = sorted(pairs, key=lambda job: (job[1] != PAPER, -job[0].renderings))
-        for job, trials in run(_search, jobs):
-            found[job] = trials
-            if held.progress is None:
-                progress(len(found), len(jobs))
-    return list(_rows(comparison, area_m, queries, pairs, found)), stores
 
+    def trial(searcher: Searcher, kind: str, index: int, area: Area) -> Trial:
+        query, is_strange = queries[kind][index], KINDS[kind].strange
+        about = None
+        if not is_strange:
+            about = area.about(query[0].truth, area_m, terrain, comparison.seed)
+        return searcher.trial(query, about, strange=is_strange)
 
-def _rows(
-    comparison: Comparison,
-    area_m: Rectangle,
-    queries: Mapping[str, Sequence[Query]],
-    pairs: Sequence[_Job],
-    found: Mapping[_Job, Mapping[str, Trial]],
-) -> Iterator[Row]:
-    miss_m = math.hypot(area_m[2] - area_m[0], area_m[3] - area_m[1]) / 2.0
-    for store, name in pairs:
-        for kind, some in queries.items():
-            members = groups([distance_m(query) for query in some], comparison.by_thirds)
-            for area in comparison.areas(area_m):
-                trials = [found[store, name][_key(kind, i, area)] for i in range(len(some))]
-                for group, numbers in members.items():
-                    yield {
-                        "matcher": name,
+    asked = {
+        f"{kind} {index} {area.name}": partial(trial, kind=kind, index=index, area=area)
+        for kind, some in queries.items()
+        for index in range(len(some))
+        for area in areas
+    }
+    rows = list[Row]()
+    for store, matcher in product(stores, comparison.matchers):
+        if searched_by(matcher) != store.holds:
+            continue
+        depends = [area_m, comparison.seed]
+        found = search(store, matcher, asked, depends, folder, terrain, progress)
+        for kind, area in product(queries, areas):
+            members = groups([distance_m(one) for one in queries[kind]], comparison.by_thirds)
+            for group, numbers in members.items():
+                trials = [found[f"{kind} {index} {area.name}"] for index in numbers]
+                rows.append(
+                    {
+                        "matcher": matcher,
                         "queries": kind,
                         "search": area.name,
                         "km2": area.km2,
                         "group": group,
-                        **summarize([trials[i] for i in numbers], miss_m, comparison.seed),
+                        **summarize(trials, miss_m, comparison.seed),
                         **store.figures(),
                     }
-
-
-@contextmanager
-def _at_work(held: _Held, workers: int | None) -> Iterator[Crew]:
-    """Give what does jobs: this process, or so many of its own."""
-    if workers is not None:
-        with crew(held, workers) as run:
-            yield run
-        return
-    yield lambda work, items: ((item, work(held, item)) for item in items)
-
-
-def _build(held: _Held, spec: StoreSpec) -> BuiltStore:
-    return spec.build(held.terrain, held.folder, held.comparison.bounds_deg, held.progress)
-
-
-def _search(held: _Held, job: _Job) -> dict[str, Trial]:
-    """Return a job's trials by their keys."""
-    store, name = job
-    comparison, terrain, area_m = held.comparison, held.terrain, held.area_m
-    assert area_m is not None
-
-    def trial(searcher: Searcher, query: Query, area: Area, kind: str) -> Trial:
-        strange = KINDS[kind].strange
-        narrowing = (
-            None if strange else area.about(query[0].truth, area_m, terrain, comparison.seed)
-        )
-        return searcher.trial(query, narrowing, strange=strange)
-
-    asked = {
-        _key(kind, index, area): functools.partial(trial, query=query, area=area, kind=kind)
-        for kind, queries in held.queries.items()
-        for index, query in enumerate(queries)
-        for area in comparison.areas(area_m)
-    }
-    depends = [area_m, comparison.seed]
-    return search(store, name, asked, depends, held.folder, terrain, held.progress)
-
-
-def _key(kind: str, index: int, area: Area) -> str:
-    return f"{kind} {index} {area.name}"
+                )
+    return rows, stores
