@@ -21,7 +21,6 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
         speed.horizon: "3 minutes",
         speed.place_speed: "a minute",
         speed.large_dem: "2 minutes",
-        speed.pipeline_speed: "a minute",
         skylines.stability: "a minute",
         skylines.summits: "a minute",
     },

@@ -63,7 +63,7 @@ def confidence(
         if examples is not None:
             learning.write_examples(found, examples)
     learned = learning.learn_all(found)
-    options.tell(json_file, "confidence", learned.rows)
+    options.report(json_file, "confidence", learned.rows)
     if model is not None:
         learning.write_models(model, learned.models, learned.about)
     if plot is not None:

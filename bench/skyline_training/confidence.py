@@ -126,7 +126,7 @@ def write_models(path: Path, models: Mapping[str, Logistic], about: Mapping[str,
 
 def calibration_error(sure: Float64Array, right: BoolArray) -> float:
     """Return the expected calibration error: mean |share right - mean probability| over bins."""
-    return float(sum(share * abs(hit - said) for said, hit, share, _ in reliability(sure, right)))
+    return float(sum(share * abs(hit - mean) for mean, hit, share, _ in reliability(sure, right)))
 
 
 def reliability(sure: Float64Array, right: BoolArray) -> list[tuple[float, float, float, float]]:
@@ -169,7 +169,7 @@ KINDS = (
 COARSE_M = 100.0
 """Spacing of the coarse models of the same terrain."""
 COARSE_KINDS = (KINDS[0], replace(KINDS[0], eye_height_m=20.0))
-"""What is looked for in those: eyes on the ground, and on what a coarse model cuts off."""
+"""Queries in those: eyes on the ground, and on what a coarse model cuts off."""
 
 
 def _examples_on(
@@ -267,7 +267,7 @@ class Learned:
     """The models that examples teach, and how well they do."""
 
     models: dict[str, Logistic]
-    about: dict[str, object]  # What they were learned from
+    about: dict[str, object]  # The origin of the examples
     rows: list[Row]  # How well each does on each terrain
     shown: list[Reliability]  # On the terrains held out
 

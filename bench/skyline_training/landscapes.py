@@ -260,7 +260,7 @@ def _surface(
 def draw_sky(
     rng: np.random.Generator, width: int, height: int, skyline_px: float
 ) -> tuple[Float32Array, NDArray[np.float32]]:
-    """Draw a sky with clouds, (H, W, 3), and say which colour haze takes from it."""
+    """Draw a sky with clouds, (H, W, 3), and return the colour that haze takes from it."""
     kind = rng.choice(["blue", "grey", "warm", "dark", "any"], p=[0.36, 0.27, 0.12, 0.1, 0.15])
     base = {
         "blue": ((55, 110, 190), (190, 212, 232)),

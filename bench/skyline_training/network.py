@@ -1,4 +1,4 @@
-"""Train the network that tells where each column's skyline lies, and write it as Skyline reads it.
+"""Train the network that finds each column's skyline, and write it as Skyline reads it.
 
 An encoder down to a thirty-second of the size and a decoder back up to half of it. Of each of
 these pixels it gives four numbers: the log-odds that the column's skyline runs there, against the
@@ -98,7 +98,7 @@ _LEARNING_RATE = 4e-3
 _WEIGHT_DECAY = 1e-3
 _WARM_UP_STEPS = 100
 _AVERAGE = 0.99
-"""What of the averaged weights is kept at each step."""
+"""Share of the averaged weights that is kept at each step."""
 _SEGMENTATION_WEIGHT = 0.5
 _SPREAD_PX = 0.6
 """Deviation over which a true row is spread, pixels of the scores."""

@@ -54,7 +54,7 @@ _FAR_RIDGES_CHANCE = 0.2
 _NEAR_SLOPE_CHANCE = 0.5
 """Of a dark slope before the mountains: it must not be taken for the skyline."""
 _LEAST_CONTRAST = 2.5
-"""Levels between sky and ground below which nobody would see a skyline."""
+"""Levels between sky and ground below which no eye would see a skyline."""
 
 
 def draw_training_photos(count: int, seed: int, progress: Progress) -> list[TrainingPhoto]:

@@ -20,7 +20,7 @@ from skyline.errors import BuildError, InputError
 _ONE_THREAD = ("LP_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 _held: Any = None
-"""In a worker: what it was started with."""
+"""In a worker: the thing that it holds."""
 
 
 Crew = Callable[[Callable[[Any, Any], Any], Sequence[Any]], Iterator[tuple[Any, Any]]]

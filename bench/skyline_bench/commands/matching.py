@@ -199,7 +199,7 @@ def placing(
         for row in rows
     ]
     columns = f"store places bytes build_cpu_s=cpu_s group=skyline {_FOUND} claimed_loss lost"
-    options.tell(json_file, "placing", rows, columns)
+    options.report(json_file, "placing", rows, columns)
     if plot is not None:
         save_found(rows, AGAINST_COST, plot)
 
@@ -268,7 +268,7 @@ def same_place(
     """Photos of one place: how often one of them finds it, and how often all together.
 
     Once more, the last photo of each place is exchanged for a stranger: one of another place. A
-    photo is named that is said not to belong to the others; with a stranger, that counts how often
+    photo is named where the matcher finds that it does not belong to the others; with a stranger, that
     the stranger is.
     """
     terrain = read_dem(dem, DemOptions(crs=crs))
@@ -281,7 +281,9 @@ def same_place(
         seed=seed,
     )
     rows, _ = _measured(terrain, comparison, quick, folder)
-    options.tell(json_file, "same-place", rows, f"store queries group {_FOUND} radius_holds named")
+    options.report(
+        json_file, "same-place", rows, f"store queries group {_FOUND} radius_holds named"
+    )
 
 
 def strangers(
@@ -302,7 +304,7 @@ def strangers(
     rows, _ = _measured(read_dem(dem), comparison, quick, folder, elsewhere)
     columns = "store strange group n answered highest_confidence query_s"
     rows = [{**row, "strange": [Path(path).name for path in strange]} for row in rows]
-    options.tell(json_file, "strangers", rows, columns)
+    options.report(json_file, "strangers", rows, columns)
 
 
 def _measured(

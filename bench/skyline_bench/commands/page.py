@@ -12,8 +12,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -45,9 +44,7 @@ _PHOTO_PX = (4000, 3000)
 _FOCAL_LENGTH_35MM = 31
 _WARM_MATCHES = 5
 _PATIENCE_S = 120.0
-_CROWD = 3
 _KNOWN = b'{"fov": 60}'
-_POSE = {"lon": -84.25, "lat": 36.58, "pitch": 0, "roll": 0, "fov": 60, "eyeHeight": 2}
 _DRAG_HZ = 60.0
 
 _PROMISED: dict[str, Row] = {
@@ -55,11 +52,10 @@ _PROMISED: dict[str, Row] = {
     "stroke to new skyline, median": {"at most": 300},
     "renderings shown a second": {"at least": 10},
     "hand to skyline, 95 %": {"at most": 150},
-    "skyline while 3 match, 95 %": {"at most": 150},
 }
 
 _Figure = tuple[str, float, str]
-"""What was measured, its value and its unit."""
+"""A name, a value and its unit."""
 
 _STROKES = "return performance.getEntriesByName('stroke').map((one) => one.duration)"
 _STATE = "const done = arguments[0]; import('/page/{}.js').then((it) => done({}));"
@@ -153,7 +149,7 @@ def page(
     """The page in a browser: ready, strokes on 12 megapixels, the live skyline, memory."""
     with tempfile.TemporaryDirectory() as folder, progress_bar("page") as bar:
         rows = measure(Path(folder), 3 if quick else matches, 2.0 if quick else 10.0, bar)
-    options.tell(json_file, "page", rows)
+    options.report(json_file, "page", rows)
 
 
 def measure(folder: Path, matches: int, drag_s: float, progress: Progress) -> list[Row]:
@@ -169,7 +165,6 @@ def measure(folder: Path, matches: int, drag_s: float, progress: Progress) -> li
         with browser() as chromium:
             figures += _in_browser(chromium, served, photo, drag_s)
         progress(4, 5)
-        figures += _crowd(served, photo)
         figures += _memory(served, photo, matches)
         progress(5, 5)
     return [
@@ -280,31 +275,6 @@ def _memory(served: ServedPage, photo: Path, matches: int) -> list[_Figure]:
         ("memory before", before / 1e6, "MB"),
         (f"memory after {matches} matches", after / 1e6, "MB"),
         ("memory a match", (after - before) / 1e6 / matches, "MB"),
-    ]
-
-
-def _crowd(served: ServedPage, photo: Path) -> list[_Figure]:
-    """Let three people match at once, and return what a fourth waits for skylines meanwhile."""
-    from websockets.sync.client import connect  # noqa: PLC0415  (an extra)
-
-    with ExitStack() as people:
-        asked = [people.enter_context(_person(served, photo)) for _ in range(_CROWD + 1)]
-        pool = people.enter_context(ThreadPoolExecutor(_CROWD))
-        matches = [pool.submit(_post, served, f"{one}/match", _KNOWN) for one in asked[1:]]
-        session, _, photo_id = asked[0].rpartition("/photos/")
-        waits: list[float] = []
-        with connect(_channel(served, session)) as channel:
-            while not all(match.done() for match in matches):
-                turn = len(waits) % 360
-                pose = {**_POSE, "heading": turn}
-                began = time.perf_counter()
-                channel.send(json.dumps({"type": "look", "photo": photo_id, "pose": pose}))
-                while json.loads(channel.recv())["type"] != "look":
-                    pass
-                waits.append(1000.0 * (time.perf_counter() - began))
-    return [
-        (f"skyline while {_CROWD} match, median", np.median(waits), "ms"),
-        (f"skyline while {_CROWD} match, 95 %", np.percentile(waits, 95), "ms"),
     ]
 
 

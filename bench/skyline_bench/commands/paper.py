@@ -137,7 +137,7 @@ def save_table1(path: Path) -> None:
 
 @dataclass(frozen=True, slots=True)
 class QualitySetup:
-    """What is measured."""
+    """The size of the measurement."""
 
     viewpoints: int = 200  # Random viewpoints; each has four views
     displacements: int = 12  # Other eyes around each, uniform in a disc
@@ -168,7 +168,7 @@ def prediction_quality(
     setup = QualitySetup(viewpoints=min(viewpoints, 8) if quick else viewpoints, seed=seed)
     rows = measure_quality(read_dem(dem, DemOptions(crs=crs)), setup)
     columns = "predictor precision recall rank_correlation answered ms_per_area"
-    options.tell(json_file, "prediction-quality", rows, columns)
+    options.report(json_file, "prediction-quality", rows, columns)
 
 
 def quality_pairs(field: HeightField, setup: QualitySetup) -> QualityPairs:

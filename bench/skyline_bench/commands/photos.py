@@ -139,7 +139,7 @@ def photos(
 
 
 def _section(measured: Measured, viewer: Viewer | None) -> Section:
-    """Return what the page says of a photograph, drawn where its skyline was found."""
+    """Return the section of a photograph, with a drawing where its skyline was found."""
     figures = {name: shown(value) for name, value in measured.figures.items()}
     parts: list[Part] = [Table(("", ""), [[k, str(v)] for k, v in figures.items() if v != "-"])]
     if measured.query is not None:
@@ -200,8 +200,8 @@ def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
                 "answered_200m": sum(row["within_m"] == RIGHT_M for row in answered) / len(some),
                 "answered_right": sum(true) / len(true) if true and kind == LOCATE else None,
             }
-        told = [row.get("right_columns") for row in some]
-        shares = [share for share in told if share is not None]
+        columns = [row.get("right_columns") for row in some]
+        shares = [share for share in columns if share is not None]
         line |= {
             "right_columns": float(np.mean(shares)) if shares else None,
             "mostly_wrong": sum(share < 0.5 for share in shares) if shares else None,

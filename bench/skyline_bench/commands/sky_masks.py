@@ -42,7 +42,7 @@ def sky_masks(
     """Skylines extracted from real photographs, against masks drawn by people."""
     with progress_bar("photographs") as progress:
         rows = measure(folder, quick, progress)
-    options.tell(json_file, "sky-masks", rows)
+    options.report(json_file, "sky-masks", rows)
 
 
 def measure(folder: Path, quick: bool, progress: Progress) -> list[Row]:

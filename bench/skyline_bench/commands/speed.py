@@ -1,14 +1,13 @@
-"""Speed: every way to a skyline against its error, horizons round places, very large DEMs, stages.
+"""Speed: every way to a skyline against its error, horizons round places, very large DEMs.
 
 Times are medians after a warm-up, taken in turns, all cores for everyone. They wander on shared
 machines: compare what was timed in one run.
 """
 
 import logging
-import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
@@ -19,37 +18,27 @@ from typing import Annotated, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from PIL import Image
 from typer import Option
 
-from skyline import Matcher, build_places, build_uniform
 from skyline.arrays import Float64Array
 from skyline.camera import DEFAULT_WIDTH, check_width, columns_u, elevation_deg
 from skyline.console import progress_bar
 from skyline.errors import InputError
-from skyline.features import polyline_keypoints
 from skyline.geodesy import Curvature, Frame
-from skyline.photo.read import read_query
 from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG, horizons_of
 from skyline.pipeline.jobs import Progress
-from skyline.pipeline.matchers import MATCHERS
 from skyline.places import BINS, Places
-from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.panorama import PanoramaRenderer
-from skyline.store.header import PLACES, RENDERINGS
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import Views
 from skyline_bench.commands import options
-from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import Row, machine
 from skyline_bench.measuring.timing import central_viewpoints, in_turns, over_cores, peak_bytes
 from skyline_bench.peers import embree, grass
-from skyline_bench.queries.made_photos import photograph
-from skyline_bench.queries.pinhole import Camera
 from skyline_bench.truth import oracle
 from skyline_bench.truth.agreement import compare
 from skyline_bench.truth.closed_forms import fractal
@@ -77,7 +66,6 @@ class _Way:
     viewpoints: Viewpoints  # Timed together
     compared: Viewpoints
     render: _Render
-    first_s: float  # From nothing to the first viewpoint's skyline
     details: Row = field(default_factory=dict)
 
 
@@ -103,8 +91,8 @@ def speed_error(
     terrain = read_dem(dem, DemOptions(crs=crs))
     with progress_bar("measuring") as progress:
         rows = _speed_error(terrain, viewpoints, width, seed, quick, progress)
-    columns = "path setting viewpoints_per_s ms_per_viewpoint ms_alone rms_px max_px missing"
-    options.tell(json_file, "speed-error", rows, columns)
+    columns = "path setting viewpoints_per_s ms_per_viewpoint rms_px max_px missing"
+    options.report(json_file, "speed-error", rows, columns)
     if plot is not None:
         save_speed_error(rows, machine(), plot)
 
@@ -119,7 +107,7 @@ def _speed_error(
     steps = count(1)
 
     def tick() -> None:
-        progress(next(steps), len(ways) * (3 + 2 * repeats))
+        progress(next(steps), len(ways) * (2 + repeats))
 
     with ExitStack() as held:
         ways = list(_ways(terrain, batch, compared, width, quick, held))
@@ -132,7 +120,6 @@ def _speed_error(
             errors.append(compare(way.render(way.compared), truths[key]))
             tick()
         batches = in_turns([partial(way.render, way.viewpoints) for way in ways], repeats, tick)
-        alone = in_turns([partial(way.render, compared[:1]) for way in ways], repeats, tick)
     return [
         {
             "path": way.path,
@@ -143,13 +130,11 @@ def _speed_error(
             **error,
             "viewpoints_per_s": len(way.viewpoints) / batch_time.seconds,
             "cpu_ms_per_viewpoint": 1e3 * batch_time.cpu_seconds / len(way.viewpoints),
-            "ms_alone": 1e3 * alone_time.seconds,
-            "first_s": way.first_s,
             "timed_viewpoints": len(way.viewpoints),
             "compared_viewpoints": len(way.compared),
             **way.details,
         }
-        for way, error, batch_time, alone_time in zip(ways, errors, batches, alone, strict=True)
+        for way, error, batch_time in zip(ways, errors, batches, strict=True)
     ]
 
 
@@ -164,34 +149,22 @@ def _ways(
     """Yield every way that is compared; renderers are released with ``held``."""
     few, some = compared[:_SLOW], compared[: 2 if quick else _SLOW_COMPARED]
 
-    def first(make: Callable[[], AbstractContextManager[Any]]) -> tuple[_Render, float]:
-        started = time.perf_counter()
-        render: _Render = held.enter_context(make()).render
-        render(few[:1])
-        return render, time.perf_counter() - started
-
     for columns in (160, 320) if quick else (160, 320, 640, 1280, 2560):
-        made = first(partial(DepthRenderer, terrain, columns))
-        yield _Way("depth", columns, f"W = {columns}", few, some, *made)
+        depth = held.enter_context(DepthRenderer(terrain, columns))
+        yield _Way("depth", columns, f"W = {columns}", few, some, depth.render)
     for tolerance_px in (0.0, 0.1) if quick else (0.0, 0.05, 0.1, 0.25, 0.5, 1.0):
-        made = first(partial(HorizonRenderer, terrain, width, tolerance_px=tolerance_px))
-        details: Row = {"tolerance_px": tolerance_px}
-        yield _Way("horizon", width, f"{tolerance_px:g} px", batch, compared, *made, details)
+        exact = held.enter_context(HorizonRenderer(terrain, width, tolerance_px=tolerance_px))
+        name, details = f"{tolerance_px:g} px", {"tolerance_px": tolerance_px}
+        yield _Way("horizon", width, name, batch, compared, exact.render, details)
     if embree.is_installed():
-        started = time.perf_counter()
         peer = embree.EmbreePeer(terrain, width)
-        peer.render(few[:1], 15)
-        first_s = time.perf_counter() - started
-        for depth in (11, 15) if quick else (9, 11, 13, 15, 18):
-            render, details = partial(peer.render, depth=depth), {"bisections": depth}
-            name = f"{depth} bisections"
-            yield _Way("embree", width, name, batch, compared, render, first_s, details)
+        for bisections in (11, 15) if quick else (9, 11, 13, 15, 18):
+            render = partial(peer.render, depth=bisections)
+            name, details = f"{bisections} bisections", {"bisections": bisections}
+            yield _Way("embree", width, name, batch, compared, render, details)
     else:
         _log.warning("Embree is left out; to have it measured: pip install 'skyline-bench[peers]'")
-    started = time.perf_counter()
-    exact = _oracle(terrain, width)
-    exact(few[:1])
-    yield _Way("oracle", width, "exact", few, some, exact, time.perf_counter() - started)
+    yield _Way("oracle", width, "exact", few, some, _oracle(terrain, width))
 
 
 def _oracle(terrain: HeightField, width: int) -> _Render:
@@ -280,7 +253,7 @@ def horizon(
     is not installed is left out.
     """
     terrain = read_dem(dem, DemOptions(crs=crs))
-    options.tell(json_file, "horizon", measure_horizons(terrain, seed, quick))
+    options.report(json_file, "horizon", measure_horizons(terrain, seed, quick))
 
 
 def measure_horizons(terrain: HeightField, seed: int, quick: bool) -> list[Row]:
@@ -408,10 +381,10 @@ def place_speed(
         }
         for name, one in zip(ways, timings, strict=True)
     ]
-    options.tell(json_file, "place-speed", rows)
+    options.report(json_file, "place-speed", rows)
 
 
-# --- very large DEMs, and the stages from DEM to match --------------------------------------
+# --- very large DEMs ------------------------------------------------------------------------
 
 
 def large_dem(
@@ -446,47 +419,4 @@ def large_dem(
         "dem_bytes": heights.nbytes,
         "peak_resident_bytes": peak_bytes(),
     }
-    options.tell(json_file, "large-dem", [row])
-
-
-def pipeline_speed(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
-    """Every stage from DEM to match, on a small DEM that is always at hand."""
-    with tempfile.TemporaryDirectory() as folder:
-        rows = list(_stages(Path(folder), repeats=1 if quick else 3))
-    options.tell(json_file, "pipeline-speed", rows)
-
-
-def _stages(folder: Path, repeats: int) -> Iterator[Row]:
-    """Yield one row a stage, the median of some repeats; files go to a folder."""
-    bounds_deg, stores_m = (-84.29, 36.55, -84.20, 36.62), 500.0
-
-    def timed(
-        stage: str, work: Callable[[], object], count: int, unit: str, repeats: int = repeats
-    ) -> Row:
-        seconds = in_turns([work], repeats)[0].seconds
-        return {"stage": stage, "ms_each": 1e3 * seconds / count, "of": unit}
-
-    dem = write_sample_dem(folder / "dem.tif")
-    yield timed("read and warp DEM", lambda: read_dem([dem]), 1, "DEM")
-    terrain = read_dem([dem])
-    eyes = uniform_grid(terrain, 1000.0, map_bounds(terrain, bounds_deg))[:16]
-    for width in (160, 640, 1280):
-        with DepthRenderer(terrain, width) as renderer:
-            work = partial(renderer.render, eyes)
-            yield timed(f"depth path, W = {width}", work, len(eyes), "viewpoint")
-    few = eyes[:4]
-    yield timed("oracle, W = 640", lambda: oracle.skyline(terrain, few), 4, "viewpoint", 1)
-    with DepthRenderer(terrain) as renderer:
-        views = renderer.render(eyes)
-    yield timed("keypoints", lambda: polyline_keypoints(views, 1.0), len(views), "view")
-    stores = {RENDERINGS: folder / "renderings.h5", PLACES: folder / "places.h5"}
-    build_uniform(terrain, stores[RENDERINGS], stores_m, bounds_deg)
-    build_places(terrain, stores[PLACES], stores_m, bounds_deg)
-    query, camera = folder / "query.jpg", Camera(140.0, fov_deg=60.0)
-    with DepthRenderer(terrain, 2048) as renderer:
-        Image.fromarray(photograph(renderer, eyes, 0, camera, seed=1)).save(query, quality=92)
-    yield timed("photo to skyline", lambda: read_query(query, camera.fov_deg), 1, "photo")
-    for name, kind in MATCHERS.items():
-        with Matcher(stores[kind.searches], terrain, name) as matcher:
-            match = partial(matcher.match, query, camera.fov_deg)
-            yield timed(f"match, {name}", match, len(matcher.viewpoints), "stored location")
+    options.report(json_file, "large-dem", [row])

@@ -121,11 +121,6 @@ def perturbed(
 
     ``correlation_m`` is where their correlation, exp(-(d / L)^2), has dropped to 1/e.
     """
-    if not (0.0 <= height_rms_m < np.inf and 0.0 < correlation_m < np.inf and seed >= 0):
-        raise InputError(
-            f"height error {height_rms_m} m over {correlation_m} m, seed {seed}; expected at least "
-            "0 m over more than 0 m, and a seed of 0 or more"
-        )
     noise = np.random.default_rng(seed).standard_normal(terrain.heights_m.shape)
     # White noise under a Gaussian of deviation s has the correlation exp(-d^2 / (4 s^2)).
     deviation_m = correlation_m / 2.0
@@ -148,11 +143,6 @@ def resampled(
     ``phase`` shifts the new grid's north-western sample east and south of the old one's, in new
     spacings, 0 to below 1.
     """
-    if not (0.0 < spacing_m < np.inf and all(0.0 <= shift < 1.0 for shift in phase)):
-        raise InputError(
-            f"spacing {spacing_m} m at phase {phase}; expected a positive number of metres and "
-            "two phases of 0 to below 1"
-        )
     west, south, east, north = terrain.bounds_m
     new_west, new_north = west + phase[0] * spacing_m, north - phase[1] * spacing_m
     cols = int((east - new_west) // spacing_m) + 1

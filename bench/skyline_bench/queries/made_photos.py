@@ -1,4 +1,4 @@
-"""Photographs that nobody took: a pin-hole camera's view of the terrain, with a known pose.
+"""Made photographs: a pin-hole camera's view of the terrain, with a known pose.
 
 Demos and benchmarks match them. The terrain is looked up in depth images, shaded
 by its slope, veiled by haze and put under a sky; nothing of the pose is left in the picture.
@@ -58,7 +58,7 @@ def ground_rgb(
 ) -> Float64Array:
     """Return RGB (M, 3) of ground at map coordinates (easting, northing), each (M,).
 
-    Distances (M,) are from the camera. The generator says where meadows and forests are.
+    Distances (M,) are from the camera. The generator draws where meadows and forests are.
     """
     height_m, slope_east, slope_north = _sampled(field, *place_m)
     normal = np.stack([-slope_east, np.ones_like(slope_east), -slope_north], axis=-1)

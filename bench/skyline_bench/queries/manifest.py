@@ -1,4 +1,4 @@
-"""Real photographs to measure with: a CSV file that says what is known of each."""
+"""Real photographs to measure with: a CSV file with all that is known of each."""
 
 import csv
 from dataclasses import dataclass, fields
@@ -36,7 +36,7 @@ class Photograph:
     roll_deg: float | None = None
     fov_deg: float | None = None
     elevation_m: float | None = None
-    # What the matcher is told.
+    # Given to the matcher.
     given_fov_deg: float | None = None
     given_eye_height_m: float | None = None
     # The true skyline: a picture of two colours of the photo's proportions, or a trace of it.
@@ -45,7 +45,7 @@ class Photograph:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return self.photo.stem
 
     @property

@@ -29,7 +29,7 @@ from skyline_bench.queries.pinhole import Camera
 _MAX_DRAWS = 10_000
 """Draws of a place before an area counts as a hole."""
 _POSE, _ERRORS, _MASKS, _OCCLUDERS = range(4)
-"""What is drawn, each from a generator of its own."""
+"""Draws, each from a generator of its own."""
 _SMOOTH_DEG = 1.0
 """How far along a skyline the correlation of smooth errors drops to 1/e."""
 _MASKED_RUNS = 2
@@ -40,7 +40,7 @@ the skyline."""
 
 @dataclass(frozen=True, slots=True)
 class QueryConfig:
-    """What queries are like. A pair is a range to draw from evenly."""
+    """How queries are drawn. A pair is a range to draw from evenly."""
 
     fov_deg: tuple[float, float] = (60.0, 60.0)  # True horizontal field of view
     # The field of view given is wrong by up to this share; 0 where it is known.
@@ -90,7 +90,7 @@ class Truth:
 class SyntheticQuery:
     """One query and the truth about it."""
 
-    skyline: QuerySkyline  # What a matcher is given
+    skyline: QuerySkyline  # The matcher's input
     given_fov_deg: float  # The field of view it is given with
     fov_slack: float  # Standard deviation of the true one about that, as a share
     truth: Truth

@@ -1,4 +1,4 @@
-"""The figure of a comparison: what is found against what it costs."""
+"""The figure of a comparison: accuracy against cost."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,7 +39,7 @@ _COLOURS = {
     "hov": "#E69F00",
     "sov": "#56B4E9",
 }
-"""Colours of Okabe and Ito, which every eye tells apart, by planner."""
+"""By planner: colours of Okabe and Ito, which every eye can tell apart."""
 _MARKS = "osDvPX^"
 _PAPERS_UNIFORM = ((182, 665, 2662, 10648), (1587.0, 702.0, 411.0, 123.0))
 _PAPERS_ADAPTIVE = (2800, 117.0)

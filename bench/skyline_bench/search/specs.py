@@ -12,10 +12,8 @@ import numpy as np
 
 from skyline import build_places, build_uniform
 from skyline.camera import HEADINGS
-from skyline.errors import InputError, MissingFileError
+from skyline.errors import InputError
 from skyline.geodesy import Bounds, Rectangle
-from skyline.paper.planning.budget import spaced_for
-from skyline.paper.planning.candidates import lay_out
 from skyline.paper.planning.plan import PlanConfig
 from skyline.pipeline.jobs import Progress
 from skyline.pipeline.layout import DEFAULT_LOSS
@@ -39,15 +37,15 @@ _NOTE = ".build.json"
 class StoreSpec:
     """A store to search: a uniform grid, planned places, a plan of the paper's, or a file."""
 
-    holds: str = PLACES  # What is built, places or renderings
+    holds: str = PLACES  # Places or renderings
     spacing_m: float | None = None  # Of a uniform grid; places are planned without it
-    loss: float = DEFAULT_LOSS  # What places are planned for
+    loss: float = DEFAULT_LOSS  # The share of the views that planned places may lose
     plan: PlanConfig | None = None  # A plan of the paper's, which is of renderings
     path: Path | None = None  # A store that exists already
 
     @property
     def planner(self) -> str:
-        """What chose the viewpoints."""
+        """The planner that chose the viewpoints."""
         if self.path is not None:
             return GIVEN
         if self.plan is not None:
@@ -67,25 +65,9 @@ class StoreSpec:
 
     def check(self, terrain: HeightField, bounds_deg: Bounds | None) -> None:
         """Raise `InputError` unless the store can be built in an area, or opened."""
-        if self.path is not None:
-            if not self.path.is_file():
-                raise MissingFileError(
-                    f"{self.path} does not exist; give a store that `skyline build` made"
-                )
-            with open_store(self.path) as store:
-                frame_wkt = store.header.frame_wkt
-            if frame_wkt != terrain.frame.wkt:
-                raise InputError(
-                    f"{self.path} lies in another frame than the DEM, {terrain.frame.name}; give "
-                    "the DEM that the store was built from"
-                )
-            return
         area = map_bounds(terrain, bounds_deg)
-        if self.plan is not None:
-            spacing = self.plan.spacing
-            if self.plan.budget is not None:
-                spacing = spaced_for(spacing, self.plan.budget, area)
-            lay_out(terrain, spacing, area, self.plan.eye_height_m, self.plan.budget)
+        if self.path is not None:
+            BuiltStore.read(self, self.path)
         elif self.spacing_m is not None:
             uniform_grid(terrain, self.spacing_m, area)
             width, height = area[2] - area[0], area[3] - area[1]
@@ -128,7 +110,7 @@ class StoreSpec:
 
 @dataclass(frozen=True, slots=True)
 class BuiltStore:
-    """A store and what it cost."""
+    """A store and its cost."""
 
     spec: StoreSpec
     path: Path
@@ -153,7 +135,7 @@ class BuiltStore:
         return len(HEADINGS) * self.rows if self.holds == PLACES else self.rows
 
     def figures(self) -> dict[str, object]:
-        """Return what rows say of the store."""
+        """Return the columns of rows that describe the store."""
         return {
             "store": self.spec.name,
             "planner": self.spec.planner,

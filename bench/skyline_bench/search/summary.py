@@ -1,4 +1,4 @@
-"""What trials come to: shares with Wilson's intervals, errors, and what adaptive stores save."""
+"""Figures of trials: shares with Wilson's intervals, errors, and the savings of adaptive stores."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Trials: a store searched by a matcher for queries, and how far off what it finds is.
+"""Trials: a store is searched by a matcher for queries; a trial is how far off the matcher is.
 
 Trials are kept in a file, a line each, so that a comparison that was stopped goes on.
 """

@@ -1,6 +1,6 @@
-"""What a hard case is, and the terrain that hard cases stand on.
+"""Hard cases, and the terrain that they stand on.
 
-Positions are whole multiples of powers of two, so that an eye said to be on a sample, an edge or
+Positions are whole multiples of powers of two, so that an eye that is to be on a sample, an edge or
 a diagonal is there exactly.
 """
 
@@ -49,7 +49,7 @@ class SceneCase:
     """A scene whose skylines are held to the truth."""
 
     name: str
-    breaks: str  # What could break, one sentence
+    breaks: str  # What a renderer could get wrong, one phrase
     scene: Callable[[], SkylineScene]  # Makes the scene
     # Gives the skylines of a scene; without it the oracle does.
     closed_form: Callable[[SkylineScene], ClosedForm] | None = None

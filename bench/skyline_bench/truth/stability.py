@@ -147,7 +147,7 @@ def _dyadic_eyes(field: HeightField) -> Viewpoints:
 # --- refusals -------------------------------------------------------------------------------
 
 
-def _refused(row: float, col: float, says: str, _path: RenderPath, _quick: bool) -> Agreement:
+def _refused(row: float, col: float, words: str, _path: RenderPath, _quick: bool) -> Agreement:
     """Try to stand where no eye can: wrong by inf unless refused in the expected words."""
     heights = rough_heights(32, 32)
     heights[10:20, 10:20] = np.nan
@@ -155,7 +155,7 @@ def _refused(row: float, col: float, says: str, _path: RenderPath, _quick: bool)
     try:
         eyes_at(field_of(heights), row, col, 2.0)
     except OffMapError as error:
-        error_px[says in str(error)] = 0.0
+        error_px[words in str(error)] = 0.0
     return Agreement(error_px, np.zeros((1, 1)), np.ones((1, 1), dtype=bool))
 
 
@@ -186,8 +186,8 @@ SAME_CASES = (
         )
     ),
     *(
-        SameCase(name, breaks, partial(_refused, *place, says))
-        for name, breaks, place, says in (
+        SameCase(name, breaks, partial(_refused, *place, words))
+        for name, breaks, place, words in (
             ("eye in a void", "an eye at NaN renders something", (15.0, 15.5), "on a hole"),
             ("eye off the map", "an eye beyond the border wraps", (-0.5, 3.0), "off the map"),
         )
