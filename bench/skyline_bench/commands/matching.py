@@ -268,8 +268,8 @@ def same_place(
     """Photos of one place: how often one of them finds it, and how often all together.
 
     Once more, the last photo of each place is exchanged for a stranger: one of another place. A
-    photo is named where the matcher finds that it does not belong to the others; with a stranger, that
-    the stranger is.
+    photo is named that does not belong to the others, as the matcher finds; with a stranger, the
+    column is of the stranger.
     """
     terrain = read_dem(dem, DemOptions(crs=crs))
     comparison = Comparison(

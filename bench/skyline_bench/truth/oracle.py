@@ -80,7 +80,7 @@ def skyline_at(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rivals:
-    """Quantities that decide a column's flags, (N, W) each; N views, the four headings of an eye together."""
+    """Quantities that decide a column's flags, (N, W) each; an eye's four headings together."""
 
     # Greatest v over the crossings beyond which the surface goes on, and over those where it ends;
     # -inf where there are none. The greater of the two is the skyline.
