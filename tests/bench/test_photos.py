@@ -5,13 +5,13 @@ import json
 import cv2
 import numpy as np
 import pytest
+from commands import assert_refused
 from photo_scenes import make_scene
 from PIL import Image
 
 from skyline import read_dem, read_query
 from skyline.errors import InputError, MissingFileError
 from skyline_bench.commands.photos import right_columns, summarize
-from skyline_bench.commands.sky_masks import mask_rows, measure
 from skyline_bench.queries.manifest import Photograph, read_manifest
 
 PLACE_M, HEADING_DEG = (601_800.0, 5_178_000.0), 140.95
@@ -95,7 +95,7 @@ def test_a_mask_s_upper_edge_is_the_truth_whichever_colour_is_sky(tmp_path):
         one = Photograph(tmp_path / name, "extract", mask=tmp_path / name)
         trace = tmp_path / "trace.csv"
         trace.write_text("# width=120 height=200\ncolumn_px,row_px\n0,50\n")
-        np.testing.assert_allclose(one.true_row_px(read_query(trace)), 79.5)
+        np.testing.assert_allclose(one.true_row_px(120, 200), 79.5)
 
 
 @pytest.mark.parametrize(
@@ -127,31 +127,17 @@ def write_pair(folder, name, scene, shift=0):
     cv2.imwrite(str(folder / f"{name}.mask.png"), white.astype(np.uint8))
 
 
-def test_masks_say_how_many_trusted_columns_are_right(tmp_path):
+@pytest.mark.parametrize("shift", [0, 8])
+def test_masks_say_how_many_trusted_columns_are_right(run_bench, tmp_path, shift):
     for seed in (100, 101):
-        write_pair(tmp_path, f"clear{seed}", make_scene("clear", seed, 480, 320))
-    rows = measure(tmp_path, False, lambda *_: None)
-    assert [row["photos"] for row in rows] == [1, 1]
+        write_pair(tmp_path, f"clear{seed}", make_scene("clear", seed, 480, 320), shift)
+    done = run_bench("sky-masks", tmp_path, "--json", tmp_path / "record.json")
+    assert done.code == 0, done.err
+    rows = json.loads((tmp_path / "record.json").read_text())["rows"]
+    assert [(row["half"], row["photos"]) for row in rows] == [("development", 1), ("held out", 1)]
     for row in rows:
-        assert row["within"] > 0.95
+        assert row["within"] < 0.1 if shift else row["within"] > 0.95
+        assert row["mostly_wrong"] == (1 if shift else 0)
         assert row["trusted"] > 0.85
-        assert (row["refused"], row["mostly_wrong"]) == (0, 0)
-        assert 0.0 < row["seconds"] < row["seconds_12mp"]
-
-
-def test_a_mask_elsewhere_makes_the_columns_wrong(tmp_path):
-    for seed in (100, 101):
-        write_pair(tmp_path, f"clear{seed}", make_scene("clear", seed, 480, 320), shift=8)
-    rows = measure(tmp_path, True, lambda *_: None)
-    assert all(row["within"] < 0.1 and row["mostly_wrong"] == 1 for row in rows)
-
-
-def test_columns_without_an_edge_have_no_truth():
-    mask = np.zeros((6, 3), np.uint8)
-    mask[2:4, 0] = mask[:, 1] = 255
-    np.testing.assert_array_equal(mask_rows(mask), [1.5, np.nan, np.nan])
-
-
-def test_a_folder_without_masks_is_refused(tmp_path):
-    with pytest.raises(InputError, match="has 0 masks"):
-        measure(tmp_path, False, lambda *_: None)
+        assert row["refused"] == 0
+    assert_refused(run_bench("sky-masks", tmp_path / "none"), "has 0 masks")

@@ -1,5 +1,6 @@
-"""Real photographs: their skylines, their places, and the stage that lost a place."""
+"""Real photographs: their skylines, their places, the stage that lost a place, and masks."""
 
+import hashlib
 import math
 import time
 import zlib
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from PIL import Image
 from typer import Argument, Option
 
 from skyline import (
@@ -223,7 +225,7 @@ def _extracted(one: Photograph) -> Measured:
     figures |= {"seconds": time.perf_counter() - started, "trusted": float(query.trusted.mean())}
     if one.given_eye_height_m is not None:
         query = replace(query, eye_height_m=one.given_eye_height_m)
-    true_px = one.true_row_px(query)
+    true_px = one.true_row_px(query.width_px, query.height_px)
     if true_px is not None:
         figures |= right_columns(query, true_px)
     return Measured(one, figures, query, true_px)
@@ -381,3 +383,62 @@ def _area_deg(terrain: HeightField, first: Photograph, side_m: float) -> Bounds:
     west, south, east, north = (float(value) for value in (*(middle - half), *(middle + half)))
     map_bounds(terrain, (west, south, east, north))
     return west, south, east, north
+
+
+# --- masks drawn by people ------------------------------------------------------------------
+
+
+def sky_masks(
+    folder: Annotated[
+        Path, Argument(metavar="FOLDER", help="NAME.jpg and NAME.mask.png, white = mountain.")
+    ],
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+) -> None:
+    """Skylines extracted from real photographs, against masks drawn by people.
+
+    Names are split in two by their hash: one half to develop on, and one that is only ever
+    measured. Columns whose mask has no edge are left out.
+    """
+    masks = sorted(
+        folder.glob("*.mask.png"),
+        key=lambda mask: hashlib.sha256(mask.name.removesuffix(".mask.png").encode()).hexdigest(),
+    )
+    if len(masks) < 2:
+        raise InputError(f"{folder} has {len(masks)} masks NAME.mask.png; expected two or more")
+    middle = len(masks) // 2
+    rows = list[Row]()
+    with progress_bar("photographs") as progress:
+        for half, some in {"development": masks[:middle], "held out": masks[middle:]}.items():
+            counts, seconds = [], []
+            for mask in some[: 2 if quick else None]:
+                photo = mask.with_name(mask.name.replace(".mask.png", ".jpg"))
+                started = time.process_time()
+                counts.append(_columns(_extracted(Photograph(photo, EXTRACT, mask=mask))))
+                seconds.append(time.process_time() - started)
+                progress(len(rows) * len(some) + len(counts), len(masks))
+            trusted, right, known = np.array(counts).T
+            rows.append(
+                {
+                    "half": half,
+                    "photos": len(counts),
+                    "refused": int((trusted == 0).sum()),
+                    "within": float(right.sum() / max(trusted.sum(), 1)),
+                    "trusted": float(trusted.sum() / max(known.sum(), 1)),
+                    "mostly_wrong": int((2 * right < trusted).sum()),
+                    "seconds": float(np.mean(seconds)),
+                }
+            )
+    options.report(json_file, "sky-masks", rows)
+
+
+def _columns(measured: Measured) -> tuple[int, int, int]:
+    """Return how many columns with a true skyline are trusted, are right as well, and there are."""
+    query, true_px = measured.query, measured.row_px
+    if query is None or true_px is None:
+        with Image.open(measured.photograph.photo) as photo:
+            true_px = measured.photograph.true_row_px(*photo.size)
+        return 0, 0, 0 if true_px is None else int(np.isfinite(true_px).sum())
+    known = np.isfinite(true_px)
+    off = np.abs(query.row_px - true_px)[known & query.trusted] / query.height_px
+    return off.size, int((off <= _RIGHT_ROWS).sum()), int(known.sum())
