@@ -23,7 +23,7 @@ from skyline_bench.search.trials import ABOUT, Area, Searcher, Trial, search, se
 
 _log = logging.getLogger(__name__)
 
-_QUICK_M = 3000.0
+_QUICK_M, _QUICK_KM2 = 3000.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class Comparison:
         small = replace(
             self,
             queries=min(self.queries, 3),
-            areas_km2=tuple(sorted(self.areas_km2)[:1]),
+            areas_km2=(min(_QUICK_KM2, *self.areas_km2),) if self.areas_km2 else (),
             near_km=(),
         )
         if any(spec.path is not None for spec in self.stores):
@@ -134,11 +134,10 @@ def measure(
     """Search every store with every matcher that can search it, for the same queries.
 
     Return a row for each store, matcher, kind of queries, area searched and group of queries, and
-    the stores.
-    Stores and trials are kept in ``folder``: what is there already is not done again. Position
-    errors are those of the best candidate, whether or not the matcher stands by it; a query
-    without any counts as wrong by half of the area's diagonal. Heading errors are those of the
-    right answers.
+    the stores. Stores and trials are kept in ``folder``: what is there already is not done again.
+    Position errors are those of the best candidate, whether or not the matcher stands by it; a
+    query without any counts as wrong by half of the area's diagonal. Heading errors are those of
+    the right answers.
     """
     comparison.check(terrain)
     stores = [
@@ -172,7 +171,7 @@ def measure(
     for store, matcher in product(stores, comparison.matchers):
         if searched_by(matcher) != store.holds:
             continue
-        depends = [area_m, comparison.seed]
+        depends = [area_m, comparison.seed, None if strange is None else strange.digest]
         found = search(store, matcher, asked, depends, folder, terrain, progress)
         for kind, area in product(queries, areas):
             members = groups([distance_m(one) for one in queries[kind]], comparison.by_thirds)
