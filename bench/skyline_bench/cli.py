@@ -18,7 +18,6 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Skylines": {
         speed.speed_error: "9 minutes",
         speed.horizon: "3 minutes",
-        speed.place_speed: "a minute",
         speed.large_dem: "2 minutes",
         skylines.stability: "a minute",
         skylines.summits: "a minute",

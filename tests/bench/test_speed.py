@@ -32,10 +32,7 @@ needs_grass = pytest.mark.skipif(not grass.is_installed(), reason="grass is not 
 def measured(run_bench, dem, tmp_path):
     """Return what ``speed-error`` printed and wrote."""
     record, plot = tmp_path / "record.json", tmp_path / "plot.png"
-    done = run_bench(
-        "speed-error", dem, "--quick", "--viewpoints", 6, "--width", 64, "--seed", 3,
-        "--json", record, "--plot", plot,
-    )  # fmt: skip
+    done = run_bench("speed-error", dem, "--quick", "--seed", 3, "--json", record, "--plot", plot)
     assert done.code == 0, done.err
     assert cv2.imread(str(plot)).std() > 5.0
     return done.out, json.loads(record.read_text())
@@ -50,9 +47,12 @@ def test_speed_error_finds_the_errors_there_are(measured):
     assert ("embree" in paths) == embree.is_installed()
     for row in record["rows"]:
         assert row["path"] in printed
+        assert 0.0 < row["viewpoints_per_s"] == pytest.approx(1000.0 / row["ms_per_viewpoint"])
+        if row["path"] == "all round":
+            assert "max_px" not in row
+            continue
         assert row["missing"] == 0
         assert row["columns"] > 0.3 * row["compared_viewpoints"] * 4 * row["width"]
-        assert 0.0 < row["viewpoints_per_s"] == pytest.approx(1000.0 / row["ms_per_viewpoint"])
         if row["path"] == "oracle":
             assert (row["rms_px"], row["max_px"]) == (0.0, 0.0)
         elif row["path"] == "depth":
@@ -67,21 +67,17 @@ def test_speed_error_finds_the_errors_there_are(measured):
 def test_without_embree_the_rest_is_measured(run_bench, dem, tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(embree, "is_installed", lambda: False)
     record = tmp_path / "record.json"
-    done = run_bench(
-        "speed-error", dem, "--quick", "--viewpoints", 2, "--width", 16, "--json", record
-    )
+    done = run_bench("speed-error", dem, "--quick", "--json", record)
     assert done.code == 0, done.err
     assert "skyline-bench[peers]" in caplog.text
     rows = json.loads(record.read_text())["rows"]
-    assert {row["path"] for row in rows} == {"depth", "horizon", "oracle"}
+    assert {row["path"] for row in rows} == {"depth", "horizon", "all round", "oracle"}
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["none.tif"], "none.tif"),
-        (["DEM", "--viewpoints", "0"], "viewpoints is 0"),
-        (["DEM", "--width", "0"], "width is 0"),
         (["DEM", "--seed", "-1"], "seed is -1"),
         (["DEM", "--plot", "plot.doc"], ".doc"),
         (["DEM", "--plot", "no/plot.png"], "no folder"),
@@ -102,7 +98,7 @@ def test_ctrl_c_ends_in_one_line(run_bench, dem, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(speed, "in_turns", interrupted)
-    done = run_bench("place-speed", dem, "--quick")
+    done = run_bench("speed-error", dem, "--quick")
     assert done.code == 130
     assert done.err == "error: stopped; nothing was written\n"
 

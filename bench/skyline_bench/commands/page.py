@@ -23,7 +23,6 @@ from urllib.request import Request, urlopen
 import cv2
 import numpy as np
 from PIL import Image
-from typer import Option
 
 from skyline import Matcher, build_places, read_dem, stand_on
 from skyline.console import progress_bar
@@ -142,13 +141,12 @@ def headless() -> tuple[Any, Any]:
 
 
 def page(
-    matches: Annotated[int, Option(help="Over which memory is compared.")] = 50,
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
 ) -> None:
     """The page in a browser: ready, strokes on 12 megapixels, the live skyline, memory."""
     with tempfile.TemporaryDirectory() as folder, progress_bar("page") as bar:
-        rows = measure(Path(folder), 3 if quick else matches, 2.0 if quick else 10.0, bar)
+        rows = measure(Path(folder), 1 if quick else 50, 2.0 if quick else 10.0, bar)
     options.report(json_file, "page", rows)
 
 

@@ -13,21 +13,21 @@ from functools import partial
 from itertools import count
 from math import log
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from typer import Option
 
 from skyline.arrays import Float64Array
-from skyline.camera import DEFAULT_WIDTH, check_width, columns_u, elevation_deg
+from skyline.camera import DEFAULT_WIDTH, columns_u, elevation_deg
 from skyline.console import progress_bar
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Frame
+from skyline.horizons import Horizons
 from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG, horizons_of
 from skyline.pipeline.jobs import Progress
-from skyline.places import BINS, Places
+from skyline.places import BINS
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.panorama import PanoramaRenderer
@@ -45,7 +45,7 @@ from skyline_bench.truth.closed_forms import fractal
 
 _log = logging.getLogger(__name__)
 
-_Render = Callable[[Viewpoints], Views]
+_Render = Callable[[Viewpoints], Views | Horizons]
 
 _SPACING_M = 100.0
 _SLOW = 2
@@ -71,10 +71,6 @@ class _Way:
 
 def speed_error(
     dem: options.Dems,
-    viewpoints: Annotated[
-        int, Option(help="Viewpoints of a batch, on a 100 m grid in the DEM's middle.")
-    ] = 400,
-    width: Annotated[int, Option(help="Columns of all but the depth path.")] = DEFAULT_WIDTH,
     json_file: options.JsonFile = None,
     plot: options.PlotFile = None,
     seed: options.Seed = 0,
@@ -83,24 +79,23 @@ def speed_error(
 ) -> None:
     """Every way to a skyline: milliseconds a viewpoint against error from the oracle.
 
-    Errors are over the columns that neither side flags, in px of W = 640 whatever the width.
+    Viewpoints stand on a 100 m grid in the DEM's middle. Errors are over the columns that neither
+    side flags, in px of W = 640 whatever the width; skylines all the way round, as places have
+    them, are timed alone.
     """
-    if viewpoints < 1 or seed < 0:
-        raise InputError(f"viewpoints is {viewpoints}, seed is {seed}; expected 1 and 0 or more")
-    check_width(width)
+    if seed < 0:
+        raise InputError(f"seed is {seed}; expected 0 or more")
     terrain = read_dem(dem, DemOptions(crs=crs))
     with progress_bar("measuring") as progress:
-        rows = _speed_error(terrain, viewpoints, width, seed, quick, progress)
+        rows = _speed_error(terrain, seed, quick, progress)
     columns = "path setting viewpoints_per_s ms_per_viewpoint rms_px max_px missing"
     options.report(json_file, "speed-error", rows, columns)
     if plot is not None:
         save_speed_error(rows, machine(), plot)
 
 
-def _speed_error(
-    terrain: HeightField, viewpoints: int, width: int, seed: int, quick: bool, progress: Progress
-) -> list[Row]:
-    batch = central_viewpoints(terrain, min(viewpoints, 64) if quick else viewpoints, _SPACING_M)
+def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progress) -> list[Row]:
+    batch = central_viewpoints(terrain, 16 if quick else 400, _SPACING_M)
     drawn = np.random.default_rng(seed).permutation(len(batch))
     compared = batch[np.sort(drawn[: 4 if quick else _COMPARED])]
     repeats = 2 if quick else 3
@@ -110,14 +105,14 @@ def _speed_error(
         progress(next(steps), len(ways) * (2 + repeats))
 
     with ExitStack() as held:
-        ways = list(_ways(terrain, batch, compared, width, quick, held))
+        ways = list(_ways(terrain, batch, compared, quick, held))
         truths: dict[tuple[int, int], Views] = {}
-        errors = []
+        errors = list[Row]()
         for way in ways:
-            key = way.width, len(way.compared)
-            if key not in truths:
+            views, key = way.render(way.compared), (way.width, len(way.compared))
+            if isinstance(views, Views) and key not in truths:
                 truths[key] = _oracle(terrain, way.width)(way.compared)
-            errors.append(compare(way.render(way.compared), truths[key]))
+            errors.append(compare(views, truths[key]) if isinstance(views, Views) else {})
             tick()
         batches = in_turns([partial(way.render, way.viewpoints) for way in ways], repeats, tick)
     return [
@@ -142,13 +137,12 @@ def _ways(
     terrain: HeightField,
     batch: Viewpoints,
     compared: Viewpoints,
-    width: int,
     quick: bool,
     held: ExitStack,
 ) -> Iterator[_Way]:
     """Yield every way that is compared; renderers are released with ``held``."""
     few, some = compared[:_SLOW], compared[: 2 if quick else _SLOW_COMPARED]
-
+    width = 160 if quick else DEFAULT_WIDTH
     for columns in (160, 320) if quick else (160, 320, 640, 1280, 2560):
         depth = held.enter_context(DepthRenderer(terrain, columns))
         yield _Way("depth", columns, f"W = {columns}", few, some, depth.render)
@@ -156,6 +150,10 @@ def _ways(
         exact = held.enter_context(HorizonRenderer(terrain, width, tolerance_px=tolerance_px))
         name, details = f"{tolerance_px:g} px", {"tolerance_px": tolerance_px}
         yield _Way("horizon", width, name, batch, compared, exact.render, details)
+    for azimuths in (720, BINS):
+        panorama = held.enter_context(PanoramaRenderer(terrain, azimuths))
+        name = f"{azimuths} azimuths"
+        yield _Way("all round", azimuths, name, batch, compared, panorama.render)
     if embree.is_installed():
         peer = embree.EmbreePeer(terrain, width)
         for bisections in (11, 15) if quick else (9, 11, 13, 15, 18):
@@ -167,7 +165,7 @@ def _ways(
     yield _Way("oracle", width, "exact", few, some, _oracle(terrain, width))
 
 
-def _oracle(terrain: HeightField, width: int) -> _Render:
+def _oracle(terrain: HeightField, width: int) -> Callable[[Viewpoints], Views]:
     """Return the oracle as a renderer that uses all cores."""
     render = partial(oracle.skyline, terrain, width=width)
     return lambda viewpoints: Views.concatenate(over_cores(render, viewpoints, 1))
@@ -211,7 +209,7 @@ def save_speed_error(rows: list[Row], machine: Row, path: Path) -> None:
 
 
 def _draw_series(axis: Axes, rows: list[Row], key: str, way: str) -> None:
-    mine = [row for row in rows if row[key] and row["path"] == way]
+    mine = [row for row in rows if row.get(key) and row["path"] == way]
     label, colour, marker, aside = _SERIES[way]
     points = [(row["ms_per_viewpoint"], row[key]) for row in mine]
     if not points:
@@ -348,54 +346,12 @@ def _horizon_row(
     }
 
 
-def place_speed(
-    dem: options.Dems,
-    eyes: Annotated[int, Option(help="Eyes, on an 80 m grid in the DEM's middle.")] = 2000,
-    json_file: options.JsonFile = None,
-    quick: options.Quick = False,
-    crs: options.Crs = None,
-) -> None:
-    """Skylines all the way round against four headings: milliseconds an eye, taken in turns."""
-    terrain = read_dem(dem, DemOptions(crs=crs))
-    viewpoints = central_viewpoints(terrain, min(eyes, 100) if quick else eyes, 80.0)
-    with (
-        HorizonRenderer(terrain, 640, tolerance_px=0.05) as headings,
-        PanoramaRenderer(terrain, 720) as fine,
-        PanoramaRenderer(terrain, BINS) as places,
-    ):
-        ways: dict[str, Callable[[], object]] = {
-            "four headings of 640 columns, 0.05 px": lambda: headings.render(viewpoints),
-            "720 azimuths": lambda: fine.render(viewpoints),
-            f"{BINS} azimuths": lambda: places.render(viewpoints),
-            f"{BINS} azimuths, coded as places": lambda: Places.of(places.render(viewpoints), 80.0),
-        }
-        timings = in_turns(list(ways.values()), 5)
-    rows = [
-        {
-            "way": name,
-            "eyes": len(viewpoints),
-            "wall_ms": 1e3 * one.seconds / len(viewpoints),
-            "cpu_ms": 1e3 * one.cpu_seconds / len(viewpoints),
-            "times_the_reference_wall": timings[0].seconds / one.seconds,
-            "times_the_reference_cpu": timings[0].cpu_seconds / one.cpu_seconds,
-        }
-        for name, one in zip(ways, timings, strict=True)
-    ]
-    options.report(json_file, "place-speed", rows)
-
-
 # --- very large DEMs ------------------------------------------------------------------------
 
 
-def large_dem(
-    samples: Annotated[int, Option(help="Rows and columns of the made-up DEM.")] = 20_000,
-    viewpoints: Annotated[int, Option(help="About its middle.")] = 256,
-    json_file: options.JsonFile = None,
-    quick: options.Quick = False,
-) -> None:
+def large_dem(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
     """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
-    if quick:
-        samples, viewpoints = min(samples, 4000), min(viewpoints, 32)
+    samples, viewpoints = (1000, 4) if quick else (20_000, 256)
     # Rough terrain that repeats every 60 km, in one array and no copies.
     period, spacing_m = 2000, 30.0
     tile = (1500.0 + 1500.0 * fractal(period, period, 1, 2.1)).astype(np.float32)
