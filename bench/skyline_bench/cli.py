@@ -17,7 +17,6 @@ from skyline_bench.commands import (
 COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Skylines": {
         speed.speed_error: "9 minutes",
-        speed.horizon: "3 minutes",
         speed.large_dem: "2 minutes",
         skylines.stability: "a minute",
         skylines.summits: "a minute",

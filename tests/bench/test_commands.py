@@ -44,7 +44,6 @@ def test_damaged_files_are_answered_or_refused(run_bench, tmp_path):
     [
         (("summits", "DEM", "--quick"), 1, "summits_off"),
         (("large-dem", "--quick"), 1, "seconds"),
-        (("horizon", "DEM", "--quick"), 1, "max_error_deg"),
         pytest.param(("table1", "--seeds", 1), 15, "mean_area", marks=pytest.mark.slow),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",

@@ -1,4 +1,4 @@
-"""Speed: every way to a skyline against its error, horizons round places, very large DEMs.
+"""Speed: every way to a skyline against its error, and very large DEMs.
 
 Times are medians after a warm-up, taken in turns, all cores for everyone. They wander on shared
 machines: compare what was timed in one run.
@@ -20,17 +20,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from skyline.arrays import Float64Array
-from skyline.camera import DEFAULT_WIDTH, columns_u, elevation_deg
+from skyline.camera import DEFAULT_WIDTH, elevation_deg
 from skyline.console import progress_bar
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Frame
 from skyline.horizons import Horizons
-from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG, horizons_of
+from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG
 from skyline.pipeline.jobs import Progress
 from skyline.places import BINS
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
-from skyline.render.panorama import PanoramaRenderer
+from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
@@ -40,7 +40,7 @@ from skyline_bench.measuring.record import Row, machine
 from skyline_bench.measuring.timing import central_viewpoints, in_turns, over_cores, peak_bytes
 from skyline_bench.peers import embree, grass
 from skyline_bench.truth import oracle
-from skyline_bench.truth.agreement import compare
+from skyline_bench.truth.agreement import PIXEL_TAN, compare
 from skyline_bench.truth.closed_forms import fractal
 
 _log = logging.getLogger(__name__)
@@ -80,8 +80,9 @@ def speed_error(
     """Every way to a skyline: milliseconds a viewpoint against error from the oracle.
 
     Viewpoints stand on a 100 m grid in the DEM's middle. Errors are over the columns that neither
-    side flags, in px of W = 640 whatever the width; skylines all the way round, as places have
-    them, are timed alone.
+    side flags, in px of W = 640 whatever the width; of skylines all the way round, as places have
+    them, they are of elevation angles. Embree needs embreex (extra peers), GRASS `grass` on the
+    path: a peer that is not installed is left out.
     """
     if seed < 0:
         raise InputError(f"seed is {seed}; expected 0 or more")
@@ -107,15 +108,20 @@ def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progres
     with ExitStack() as held:
         ways = list(_ways(terrain, batch, compared, quick, held))
         truths: dict[tuple[int, int], Views] = {}
+        true_deg = _true_deg(terrain, compared, np.zeros(len(compared)), Curvature())
         errors = list[Row]()
         for way in ways:
-            views, key = way.render(way.compared), (way.width, len(way.compared))
-            if isinstance(views, Views) and key not in truths:
-                truths[key] = _oracle(terrain, way.width)(way.compared)
-            errors.append(compare(views, truths[key]) if isinstance(views, Views) else {})
+            seen, key = way.render(way.compared), (way.width, len(way.compared))
+            if isinstance(seen, Views):
+                if key not in truths:
+                    truths[key] = _oracle(terrain, way.width)(way.compared)
+                errors.append(compare(seen, truths[key]))
+            else:
+                found_deg = np.degrees(np.arctan(seen.elevation_tan.astype(np.float64)))
+                errors.append(_errors_px(found_deg - true_deg[:, :: _STEPS // seen.bins]))
             tick()
         batches = in_turns([partial(way.render, way.viewpoints) for way in ways], repeats, tick)
-    return [
+    rows: list[Row] = [
         {
             "path": way.path,
             "width": way.width,
@@ -131,6 +137,9 @@ def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progres
         }
         for way, error, batch_time in zip(ways, errors, batches, strict=True)
     ]
+    if grass.is_installed():
+        rows.append(_grass(terrain, compared))
+    return rows
 
 
 def _ways(
@@ -150,10 +159,16 @@ def _ways(
         exact = held.enter_context(HorizonRenderer(terrain, width, tolerance_px=tolerance_px))
         name, details = f"{tolerance_px:g} px", {"tolerance_px": tolerance_px}
         yield _Way("horizon", width, name, batch, compared, exact.render, details)
-    for azimuths in (720, BINS):
-        panorama = held.enter_context(PanoramaRenderer(terrain, azimuths))
-        name = f"{azimuths} azimuths"
-        yield _Way("all round", azimuths, name, batch, compared, panorama.render)
+    for azimuths, tolerance_deg in (
+        (_STEPS, 0.0),
+        (_STEPS, DEFAULT_TOLERANCE_DEG),
+        (BINS, DEFAULT_TOLERANCE_DEG),
+    ):
+        panorama = held.enter_context(
+            PanoramaRenderer(terrain, azimuths, tolerance_deg=tolerance_deg)
+        )
+        name = f"{azimuths} azimuths, {tolerance_deg:g} degrees"
+        yield _Way("all round", azimuths, name, batch, compared, _from_north(panorama))
     if embree.is_installed():
         peer = embree.EmbreePeer(terrain, width)
         for bisections in (11, 15) if quick else (9, 11, 13, 15, 18):
@@ -165,6 +180,68 @@ def _ways(
     yield _Way("oracle", width, "exact", few, some, _oracle(terrain, width))
 
 
+def _from_north(renderer: PanoramaRenderer) -> _Render:
+    """Return a renderer whose azimuths count from grid north on."""
+    return lambda viewpoints: renderer.render(viewpoints, np.zeros(len(viewpoints)))
+
+
+def _grass(terrain: HeightField, eyes: Viewpoints) -> Row:
+    """Return the row of r.horizon, which takes place by place.
+
+    It stands on the nearest sample, knows no curvature and no angle below zero; so does the truth
+    that it is compared with.
+    """
+    row, col = (np.rint(at) for at in terrain.to_grid(eyes.easting_m, eyes.northing_m))
+    stand = stand_on(terrain, *terrain.to_map(row, col), 0.0)
+    found_deg, seconds = grass.horizons(terrain, stand, DEFAULT_STEP_DEG)
+    turn_deg = -terrain.frame.convergence_deg(stand.easting_m, stand.northing_m)
+    true_deg = _true_deg(terrain, stand, turn_deg, Curvature(enabled=False))
+    each_s = float(np.median(seconds))
+    return {
+        "path": "grass",
+        "width": _STEPS,
+        "tolerance_px": None,
+        "setting": "r.horizon",
+        "ms_per_viewpoint": 1e3 * each_s,
+        **_errors_px(found_deg - np.maximum(true_deg, 0.0)),
+        "viewpoints_per_s": 1.0 / each_s,
+        "cpu_ms_per_viewpoint": None,
+        "timed_viewpoints": len(eyes),
+        "compared_viewpoints": len(eyes),
+    }
+
+
+def _true_deg(
+    terrain: HeightField, eyes: Viewpoints, turn_deg: Float64Array, curvature: Curvature
+) -> Float64Array:
+    """Return the oracle's elevation angles (N, A) by azimuths from grid azimuths (N,) on."""
+    azimuth_deg = np.arange(_STEPS) * DEFAULT_STEP_DEG
+    true_deg = np.empty((len(eyes), _STEPS))
+    for index in range(len(eyes)):
+        grid_deg = (azimuth_deg + turn_deg[index] + 45.0) % 360.0 - 45.0
+        order = np.argsort(grid_deg)
+        heading = np.floor((grid_deg[order] + 45.0) / 90.0).astype(int)
+        away = np.radians(grid_deg[order] - 90.0 * heading).reshape(4, -1)
+        views = oracle.skyline_at(terrain, eyes[index : index + 1], np.tan(away[0]), curvature)
+        true_deg[index, order] = _angles_deg(views, np.tan(away[0])).ravel()
+    return true_deg
+
+
+def _angles_deg(views: Views, u: Float64Array) -> Float64Array:
+    return elevation_deg(views.elevation_tan.astype(np.float64), u)
+
+
+def _errors_px(off_deg: Float64Array) -> Row:
+    """Return errors of elevation angles in px of the middle of a view."""
+    off_px = np.tan(np.radians(np.abs(off_deg[np.isfinite(off_deg)]))) / PIXEL_TAN
+    return {
+        "rms_px": float(np.sqrt(np.mean(off_px**2))),
+        "max_px": float(off_px.max()),
+        "columns": off_px.size,
+        "missing": int(np.isnan(off_deg).sum()),
+    }
+
+
 def _oracle(terrain: HeightField, width: int) -> Callable[[Viewpoints], Views]:
     """Return the oracle as a renderer that uses all cores."""
     render = partial(oracle.skyline, terrain, width=width)
@@ -174,7 +251,9 @@ def _oracle(terrain: HeightField, width: int) -> Callable[[Viewpoints], Views]:
 _SERIES = {
     "depth": ("depth path", "tab:gray", "s", 8),
     "horizon": ("horizon path", "crimson", "o", -8),
-    "embree": ("Embree's rays, from the neighbouring columns", "tab:blue", "^", 8),
+    "all round": ("all the way round", "tab:green", "D", -8),
+    "embree": ("Embree's rays", "tab:blue", "^", 8),
+    "grass": ("GRASS r.horizon", "tab:brown", "*", -8),
 }
 """By path: label, colour, marker, and how far aside of it its setting is written."""
 
@@ -193,13 +272,14 @@ def save_speed_error(rows: list[Row], machine: Row, path: Path) -> None:
             if row["path"] == "oracle":
                 label = "oracle (error 0)"
                 axis.axvline(row["ms_per_viewpoint"], color="black", linestyle=":", label=label)
-        axis.set(xscale="log", yscale="log", xlim=(min(times_ms) / 4.0, max(times_ms) * 4.0))
-        axis.set_xlabel("ms per viewpoint (four views), all cores")
+        axis.set(xscale="log", yscale="log", xlim=(min(times_ms) / 40.0, max(times_ms) * 6.0))
+        axis.set_xlabel("ms per viewpoint, all cores")
         axis.set_ylabel(f"{name} against the oracle (px of W = 640)")
         axis.margins(y=0.1)
         axis.grid(which="major", alpha=0.35)
         axis.grid(which="minor", alpha=0.12)
-    panels[0].legend(loc="best", fontsize=9)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9)
     figure.suptitle(
         f"Skylines: speed against error. {machine['processor']}, {machine['cores']} cores; "
         f"{machine['renderer']}",
@@ -231,119 +311,6 @@ def _draw_series(axis: Axes, rows: list[Row], key: str, way: str) -> None:
         axis.annotate(
             text, place, (aside, 0), textcoords="offset points", fontsize=8, color=colour, **side
         )
-
-
-# --- horizons all the way round -------------------------------------------------------------
-
-
-def horizon(
-    dem: options.Dems,
-    json_file: options.JsonFile = None,
-    seed: options.Seed = 0,
-    quick: options.Quick = False,
-    crs: options.Crs = None,
-) -> None:
-    """Horizons of 1,000 places every half degree: Skyline, Embree's rays and GRASS.
-
-    Errors are of elevation angles against the oracle, at the azimuths, eyes and curvature that each
-    tool knows: GRASS is compared on a flat Earth, on samples, with angles cut off at zero, and is
-    timed place by place. Embree needs embreex (extra peers), GRASS `grass` on the path; a tool that
-    is not installed is left out.
-    """
-    terrain = read_dem(dem, DemOptions(crs=crs))
-    options.report(json_file, "horizon", measure_horizons(terrain, seed, quick))
-
-
-def measure_horizons(terrain: HeightField, seed: int, quick: bool) -> list[Row]:
-    """Return time and error of each tool for places drawn from the middle half of a DEM."""
-    west, south, east, north = terrain.bounds_m
-    share = np.random.default_rng(seed).uniform(0.25, 0.75, (2, 40 if quick else 1000))
-    easting, northing = west + share[0] * (east - west), south + share[1] * (north - south)
-    there = ~np.isnan(terrain.height_at(easting, northing))
-    eyes = stand_on(terrain, easting[there], northing[there])
-    some = eyes[: 3 if quick else _COMPARED]
-    convergence = terrain.frame.convergence_deg(eyes.easting_m, eyes.northing_m)
-    to_grid = -np.radians(convergence)
-    started = time.perf_counter()
-    renderer = PanoramaRenderer(terrain, _STEPS, Curvature(), tolerance_deg=0.0)
-    renderer.render(eyes[:1], to_grid[:1])
-    set_up = {"Skyline": time.perf_counter() - started}
-    works: dict[tuple[str, str], Callable[[], object]] = {
-        ("Skyline", "exact"): lambda: renderer.render(eyes, to_grid)
-    }
-    true_deg = _true_deg(terrain, some, -convergence, Curvature())
-    off = {("Skyline", "exact"): horizons_of(terrain, some).elevation_deg - true_deg}
-    if embree.is_installed():
-        started = time.perf_counter()
-        peer = embree.EmbreePeer(terrain, _STEPS // 4)
-        set_up["Embree rays"] = time.perf_counter() - started
-        u = columns_u(_STEPS // 4)
-        truth = oracle.skyline_at(terrain, some, u, Curvature())
-        for depth in (11,) if quick else (9, 11, 13, 15):
-            bracket_deg = np.degrees(0.5 * embree.bracket_tan(depth))
-            key = "Embree rays", f"bisected to {bracket_deg:.2g} degrees"
-            works[key] = partial(peer.render, eyes, depth)
-            off[key] = _angles_deg(peer.render(some, depth), u) - _angles_deg(truth, u)
-    taken = in_turns(list(works.values()), 1 if quick else 3)
-    rows: list[Row] = [
-        _horizon_row(key, len(eyes), timing.seconds, timing.cpu_seconds, off[key])
-        | {"set_up_s": set_up[key[0]]}
-        for key, timing in zip(works, taken, strict=True)
-    ]
-    renderer.release()
-    if grass.is_installed():
-        rows.append(_grass(terrain, some))
-    return rows
-
-
-def _grass(terrain: HeightField, eyes: Viewpoints) -> dict[str, object]:
-    row, col = (np.rint(at) for at in terrain.to_grid(eyes.easting_m, eyes.northing_m))
-    stand = stand_on(terrain, *terrain.to_map(row, col), 0.0)
-    found_deg, seconds = grass.horizons(terrain, stand, DEFAULT_STEP_DEG)
-    turn_deg = -terrain.frame.convergence_deg(stand.easting_m, stand.northing_m)
-    true_deg = _true_deg(terrain, stand, turn_deg, Curvature(enabled=False))
-    off = found_deg - np.maximum(true_deg, 0.0)
-    taken_s = len(eyes) * float(np.median(seconds))
-    return _horizon_row(("GRASS r.horizon", "point mode"), len(eyes), taken_s, None, off)
-
-
-def _true_deg(
-    terrain: HeightField, eyes: Viewpoints, turn_deg: Float64Array, curvature: Curvature
-) -> Float64Array:
-    """Return the oracle's elevation angles (N, A) by azimuths from grid azimuths (N,) on."""
-    azimuth_deg = np.arange(_STEPS) * DEFAULT_STEP_DEG
-    true_deg = np.empty((len(eyes), _STEPS))
-    for index in range(len(eyes)):
-        grid_deg = (azimuth_deg + turn_deg[index] + 45.0) % 360.0 - 45.0
-        order = np.argsort(grid_deg)
-        heading = np.floor((grid_deg[order] + 45.0) / 90.0).astype(int)
-        away = np.radians(grid_deg[order] - 90.0 * heading).reshape(4, -1)
-        views = oracle.skyline_at(terrain, eyes[index : index + 1], np.tan(away[0]), curvature)
-        true_deg[index, order] = _angles_deg(views, np.tan(away[0])).ravel()
-    return true_deg
-
-
-def _angles_deg(views: Views, u: Float64Array) -> Float64Array:
-    return elevation_deg(views.elevation_tan.astype(np.float64), u)
-
-
-def _horizon_row(
-    key: tuple[str, str],
-    places: int,
-    seconds: float,
-    cpu_seconds: float | None,
-    off_deg: Float64Array,
-) -> dict[str, object]:
-    thousand = 1000.0 / places
-    return {
-        "tool": key[0],
-        "setting": key[1],
-        "places": places,
-        "seconds_for_1000": thousand * seconds,
-        "cpu_seconds_for_1000": None if cpu_seconds is None else thousand * cpu_seconds,
-        "max_error_deg": float(np.nanmax(np.abs(off_deg))),
-        "rms_error_deg": float(np.sqrt(np.nanmean(off_deg**2))),
-    }
 
 
 # --- very large DEMs ------------------------------------------------------------------------
