@@ -7,21 +7,17 @@ strategy can do with fewer viewpoints than the locations to cover over the mean 
 """
 
 import logging
-import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import typer
-from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 from typer import Option
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.paper.planning.reprojection import PREDICTORS, Reprojection, displacements_m
+from skyline.paper.planning.reprojection import PREDICTORS, displacements_m
 from skyline.paper.planning.strategies import STRATEGIES
 from skyline.paper.planning.truth import true_errors_px
 from skyline.render.horizon import HorizonRenderer
@@ -30,29 +26,23 @@ from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 from skyline.views import Views
 from skyline_bench.commands import options
-from skyline_bench.measuring.record import Row, write_record
+from skyline_bench.measuring.record import Row
 from skyline_bench.truth.simulation import TABLE_1, Run, Simulation, simulate
 
 _log = logging.getLogger(__name__)
 
 _RESAMPLES = 1000
-_TIMED = 100
 
 
 def table1(
     seeds: Annotated[int, Option(help="How many seeds, from 0 on.")] = 10,
     json_file: options.JsonFile = None,
-    plot: options.PlotFile = None,
     quick: options.Quick = False,
 ) -> None:
     """Repeat the paper's simulation: viewpoints and overlap of each of its strategies."""
     rows = measure_table1(min(seeds, 1) if quick else seeds)
-    options.print_rows(rows, "row strategy A A_std B mean_area bound seconds")
-    for conclusion, holds in conclusions(rows).items():
-        typer.echo(f"{'holds' if holds else 'does not hold':<14} {conclusion}")
-    write_record(json_file, "table1", rows)
-    if plot is not None:
-        save_table1(plot)
+    columns = "row strategy A A_std B mean_area bound seconds"
+    options.report(json_file, "table1", rows, columns)
 
 
 def measure_table1(seeds: int) -> list[dict[str, Any]]:
@@ -91,47 +81,6 @@ def _summary(runs: Sequence[Run]) -> dict[str, float]:
     return summary
 
 
-def conclusions(rows: Iterable[dict[str, Any]]) -> dict[str, bool]:
-    """Return which of the paper's conclusions (section 5.1) hold for its five strategies."""
-    by_key = {(row["row"], row["strategy"]): row for row in rows}
-    names = np.array(list(STRATEGIES))
-    a, b, seconds = (
-        np.array([[by_key[row, name][figure] for name in names] for row in (1, 2, 3)])
-        for figure in ("A", "B", "seconds")
-    )
-    holds = {
-        "affine needs fewer renderings than non-affine": a[1:].max(axis=0) < a[0],
-        "affine overlaps more than non-affine": b[1:].min(axis=0) > b[0],
-        "more peaks, more renderings": a[2] > a[1],
-        "lpov is best for two peaks": names[a[2].argmin()] == "lpov",
-        "lpov overlaps least with the affine model": names[b[1:].argmin(axis=1)] == "lpov",
-        "sov overlaps most": names[b.argmax(axis=1)] == "sov",
-        "rov costs most": names[seconds.sum(axis=0).argmax()] == "rov",
-        "hov costs least": names[seconds.sum(axis=0).argmin()] == "hov",
-    }
-    return {words: bool(np.all(each)) for words, each in holds.items()}
-
-
-def save_table1(path: Path) -> None:
-    """Save coverage against renderings in the paper's simulation, all strategies, a panel a row."""
-    figure = Figure(figsize=(15, 4.6), layout="constrained")
-    for axis, row in zip(figure.subplots(1, len(TABLE_1)), TABLE_1, strict=True):
-        simulation = Simulation(row)
-        for name, strategy in STRATEGIES.items():
-            progress = simulate(simulation, strategy, seed=0).progress
-            rendered = np.arange(len(progress)) + len(simulation.corners())
-            axis.plot(rendered, 100.0 * progress, linewidth=1.2, label=name)
-        axis.axhline(100.0 * row.coverage, color="black", linewidth=0.8, linestyle=":")
-        axis.set_title(
-            f"{'affine' if row.affine else 'non-affine'}, p = {row.peaks}, "
-            f"t = {row.threshold_px:g} px, c = {row.coverage:.0%}, r = {row.rotation_deg:g}°"
-        )
-        axis.set(xlabel="renderings", ylabel="coverage (%)", ylim=(0, 101))
-        axis.grid(alpha=0.3)
-    axis.legend(loc="lower right")
-    figure.savefig(path, dpi=110)
-
-
 # --- predictors on real terrain -------------------------------------------------------------
 
 
@@ -166,7 +115,7 @@ def prediction_quality(
     """Predictors against renderings: which displaced views look alike."""
     setup = QualitySetup(viewpoints=8 if quick else 200, seed=seed)
     rows = measure_quality(read_dem(dem, DemOptions(crs=crs)), setup)
-    columns = "predictor precision recall rank_correlation answered ms_per_area"
+    columns = "predictor precision recall rank_correlation answered"
     options.report(json_file, "prediction-quality", rows, columns)
 
 
@@ -192,8 +141,7 @@ def measure_quality(field: HeightField, setup: QualitySetup) -> list[Row]:
     Return ``precision`` and ``recall`` of "alike within the threshold", with 95 % intervals over
     viewpoints (precision is NaN where nothing was predicted alike); Spearman's
     ``rank_correlation`` of predicted and true errors; ``answered``, the share of displacements the
-    predictor had a finite error for; ``ms_per_area``, processor time for a view and 100
-    displacements.
+    predictor had a finite error for.
     """
     pairs = quality_pairs(field, setup)
     _log.info("alike within the threshold: %.3f", (pairs.true_px <= setup.threshold_px).mean())
@@ -214,18 +162,7 @@ def _row(name: str, pairs: QualityPairs, setup: QualitySetup) -> Row:
         "recall_interval": recall_interval,
         "rank_correlation": float(spearmanr(errors.ravel(), pairs.true_px.ravel()).statistic),
         "answered": float(np.isfinite(errors).mean()),
-        "ms_per_area": _ms_per_area(PREDICTORS[name], pairs),
     }
-
-
-def _ms_per_area(predictor: Reprojection, pairs: QualityPairs) -> float:
-    """Return the processor time of one area of 100 candidates, all of a batch of views."""
-    some = slice(0, _TIMED)
-    candidates = np.resize(np.arange(pairs.displacements_m.shape[1]), 100)
-    moved = pairs.displacements_m[some][:, candidates]
-    started = time.process_time()
-    predictor.errors_px(pairs.views[some], moved)
-    return 1e3 * (time.process_time() - started) / len(moved)
 
 
 def _choose_eyes(field: HeightField, setup: QualitySetup) -> tuple[Viewpoints, Viewpoints]:
