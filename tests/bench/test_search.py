@@ -18,7 +18,7 @@ from skyline_bench.queries.kinds import make_kind
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
 from skyline_bench.search.compare import Comparison, measure
 from skyline_bench.search.specs import StoreSpec, claimed_loss, middle_deg
-from skyline_bench.search.summary import against_uniform, groups, summarize, wilson
+from skyline_bench.search.summary import against_uniform, groups, summarize
 from skyline_bench.search.trials import Area, Trial, trial_of
 
 TIMES = ("query_s", "query_cpu_s", "screen_s", "build_s", "build_cpu_s")
@@ -339,23 +339,12 @@ def test_a_summary_counts_every_query():
     assert row["mean_m"] == pytest.approx(np.mean([30.0, 900.0, 800.0, 5000.0]))
     assert row["median_m"] == 850.0
     assert (row["heading_median_deg"], row["radius_holds"]) == (10.0, 1.0)
+    # Wilson's interval of one in four.
+    assert row["within_200m_low"] == pytest.approx(0.0456, abs=5e-5)
+    assert row["within_200m_high"] == pytest.approx(0.6994, abs=5e-5)
     nothing = summarize(TRIALS[3:], 150.0, seed=0)
     assert (nothing["within_200m"], nothing["mean_m"]) == (0.0, 150.0)
     assert (nothing["precision"], nothing["heading_median_deg"]) == (None, None)
-
-
-@pytest.mark.parametrize(
-    ("successes", "count", "low", "high"),
-    # Brown, Cai and DasGupta (2001), and what R's prop.test(correct = FALSE) says.
-    [
-        (0, 10, 0.0, 0.2775),
-        (10, 10, 0.7225, 1.0),
-        (81, 263, 0.2553, 0.3662),
-        (1, 4, 0.0456, 0.6994),
-    ],
-)
-def test_wilsons_interval(successes, count, low, high):
-    assert wilson(successes, count) == pytest.approx((low, high), abs=5e-5)
 
 
 def test_the_mean_s_interval_shrinks_with_more_queries():

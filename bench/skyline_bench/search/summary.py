@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from scipy.stats import norm
+from scipy.stats import binomtest
 
 from skyline.errors import InputError
 from skyline_bench.measuring.record import Row
@@ -24,15 +24,6 @@ _RIGHT_M, _ROUGHLY_M = 200.0, 1000.0
 _RESAMPLES = 2000
 _LEAST_M = 1e-3
 """Errors below have no logarithm worth speaking of."""
-
-
-def wilson(successes: int, count: int) -> tuple[float, float]:
-    """Return Wilson's 95 % interval of a share."""
-    z = float(norm.ppf(0.975))
-    share, spread = successes / count, z**2 / count
-    middle = (share + spread / 2.0) / (1.0 + spread)
-    half = z / (1.0 + spread) * math.sqrt(share * (1.0 - share) / count + spread / (4.0 * count))
-    return max(middle - half, 0.0), min(middle + half, 1.0)
 
 
 def groups(distance_m: Sequence[float], by_thirds: bool) -> Mapping[str, Sequence[int]]:
@@ -67,7 +58,7 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
     error_m = np.where(np.isfinite(found), found, miss_m)
     within_m = np.array([trial.within_m for trial in trials], dtype=np.float64)
     right, answered = found <= _RIGHT_M, np.isfinite(within_m)
-    low, high = wilson(int(right.sum()), len(trials))
+    share = binomtest(int(right.sum()), len(trials)).proportion_ci(0.95, "wilson")
     draws = np.random.default_rng(seed).integers(0, len(trials), (_RESAMPLES, len(trials)))
     mean_low, mean_high = np.percentile(error_m[draws].mean(axis=1), (2.5, 97.5))
     turn_deg = np.array([trial.heading_error_deg for trial in trials])[right]
@@ -79,8 +70,8 @@ def summarize(trials: Sequence[Trial], miss_m: float, seed: int) -> Row:
         "from_m": min(distance_m),
         "to_m": max(distance_m),
         "within_200m": float(right.mean()),
-        "within_200m_low": low,
-        "within_200m_high": high,
+        "within_200m_low": float(share.low),
+        "within_200m_high": float(share.high),
         "within_1km": float((found <= _ROUGHLY_M).mean()),
         "median_m": float(np.median(error_m)),
         "mean_m": float(error_m.mean()),
