@@ -71,4 +71,4 @@ def confidence(
 
 
 if __name__ == "__main__":
-    run_app(app, "stopped; nothing was written")
+    run_app(app)

@@ -36,7 +36,7 @@ NEAR_M = confidence.RIGHT_WITHIN_M
 @pytest.fixture
 def train(run_main):
     """Return a function that runs ``python -m skyline_training ARGS...``."""
-    return partial(run_main, lambda: run_app(app, "stopped"), "skyline_training")
+    return partial(run_main, lambda: run_app(app), "skyline_training")
 
 
 def test_every_command_is_quick_where_asked(train):

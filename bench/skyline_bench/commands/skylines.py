@@ -1,5 +1,7 @@
 """Skylines held to the truth: the hard cases, and the summits of a DEM's file."""
 
+import typer
+
 from skyline.console import progress_bar
 from skyline.errors import SkylineError
 from skyline_bench.commands import options
@@ -36,7 +38,7 @@ def summits(
     quick: options.Quick = False,
     crs: options.Crs = None,
 ) -> None:
-    """Summits of a DEM's file against those of the surface, how they are seen and what from them.
+    """Summits of a DEM's file and of its surface, how they are seen, and horizons beside them.
 
     A record that is there keeps the rows of other DEMs.
     """
