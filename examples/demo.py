@@ -17,9 +17,8 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
+from skyline.build.parts import build_places, build_uniform
 from skyline.photo.read import write_overlay
-from skyline.pipeline.build import build_places, build_uniform
-from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.labelled_panorama import save_panorama
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.matchers import FULL, MATCHERS
@@ -27,9 +26,10 @@ from skyline.pipeline.renderings import save_depth_pictures
 from skyline.pipeline.reports import matched, report_matches
 from skyline.pipeline.results import MatchResult
 from skyline.render.depth import DepthRenderer
+from skyline.render.horizon import RenderConfig
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import stand_on
+from skyline.terrain.viewpoints import stand_at, stand_on
 from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
@@ -100,10 +100,8 @@ def take_pictures(terrain: HeightField, folder: Path) -> list[Query]:
     folder.mkdir(exist_ok=True)
     random = np.random.default_rng(SEED)
     west, south, east, north = BOUNDS_DEG
-    easting, northing = terrain.frame.from_lonlat(
-        random.uniform(west, east, QUERIES), random.uniform(south, north, QUERIES)
-    )
-    eyes = stand_on(terrain, easting, northing)
+    lon, lat = random.uniform(west, east, QUERIES), random.uniform(south, north, QUERIES)
+    eyes = stand_at(terrain, lon=lon, lat=lat)
     headings = random.uniform(0.0, 360.0, QUERIES)
     exif = Image.Exif()
     exif.get_ifd(0x8769)[0xA405] = FOCAL_LENGTH_35MM
@@ -114,16 +112,17 @@ def take_pictures(terrain: HeightField, folder: Path) -> list[Query]:
             picture = photograph(renderer, eyes, index, camera, seed=SEED + index)
             path = folder / f"query{index + 1}.jpg"
             Image.fromarray(picture).save(path, quality=92, exif=exif)
-            queries.append(Query(path, float(easting[index]), float(northing[index]), heading))
+            place_m = float(eyes.easting_m[index]), float(eyes.northing_m[index])
+            queries.append(Query(path, *place_m, heading))
     return queries
 
 
 def draw(terrain: HeightField, first: Query, out: Path) -> None:
     """Save depth images and the panorama of where the first picture was taken."""
-    eye = stand_on(terrain, first.easting_m, first.northing_m)
+    eye = stand_on(terrain, easting_m=first.easting_m, northing_m=first.northing_m)
     save_depth_pictures(terrain, eye, out / "depth", RenderConfig())
     lon, lat = terrain.frame.to_lonlat(eye.easting_m, eye.northing_m)
-    save_panorama(terrain, float(lon[0]), float(lat[0]), out / "panorama.png")
+    save_panorama(terrain, out / "panorama.png", lon=float(lon[0]), lat=float(lat[0]))
 
 
 def table_of(matcher: str, queries: list[Query], results: list[MatchResult]) -> Table:

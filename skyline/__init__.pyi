@@ -1,3 +1,4 @@
+from .build.parts import BuildResult, build_places, build_uniform, render_to_store
 from .errors import (
     BuildError,
     ContextError,
@@ -22,8 +23,6 @@ from .photo.projection import Projection
 from .photo.query import QuerySkyline
 from .photo.read import Photo, read_photo, read_query
 from .photo.trace import read_trace, write_trace
-from .pipeline.build import BuildResult, build_places, build_uniform, render_to_store
-from .pipeline.config import PlaceConfig, RenderConfig
 from .pipeline.horizon_at import horizon
 from .pipeline.labelled_panorama import PanoramaConfig, save_panorama
 from .pipeline.match import Matcher
@@ -32,6 +31,7 @@ from .pipeline.reports import report_matches
 from .pipeline.results import JointResult, MatchResult, to_geodataframe
 from .pipeline.viewer import SeenPeak, Sight, Viewer
 from .places import Places
+from .render.horizon import RenderConfig
 from .render.thread import RenderThread
 from .report.exports import export_matches
 from .report.located import write_located
@@ -39,7 +39,7 @@ from .report.matched import Matched
 from .report.peaks import Peaks, read_peaks
 from .report.relief_tiles import ReliefTiles
 from .solar.local_horizons import LocalHorizons, sky_view_factor
-from .store import Locations, PlaceMap, RowCoding, Store, StoreHeader, open_store
+from .store import PlaceMap, Store, StoreHeader, open_store
 from .terrain.dem import DemOptions, read_dem
 from .terrain.heightfield import HeightField, Provenance
 from .terrain.viewpoints import Viewpoints, stand_at, stand_on
@@ -64,7 +64,6 @@ __all__ = [
     "JointResult",
     "Lens",
     "LocalHorizons",
-    "Locations",
     "MatchConfig",
     "MatchResult",
     "Matched",
@@ -76,7 +75,6 @@ __all__ = [
     "PanoramaConfig",
     "Peaks",
     "Photo",
-    "PlaceConfig",
     "PlaceMap",
     "Places",
     "Projection",
@@ -87,7 +85,6 @@ __all__ = [
     "RenderConfig",
     "RenderThread",
     "RetrievalConfig",
-    "RowCoding",
     "SeenPeak",
     "Sight",
     "SkylineError",

@@ -7,6 +7,8 @@ code of the command line: 2 for bad input, 1 for a failure.
 from collections.abc import Mapping
 from typing import TypeVar
 
+from skyline.text import printable
+
 T = TypeVar("T")
 
 
@@ -14,6 +16,10 @@ class SkylineError(Exception):
     """Anything Skyline reports on purpose; ``str`` of it is one line for the user."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        # A message names files, whose names may hold anything.
+        return printable(super().__str__())
 
 
 class InputError(SkylineError, ValueError):

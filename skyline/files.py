@@ -46,6 +46,18 @@ def has_locks(path: Path) -> bool:
     return True
 
 
+def for_gdal(name: str) -> str:
+    """Return a path or address that GDAL is to open; `InputError` where it is not UTF-8."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        raise InputError(
+            f"{name} cannot be opened by GDAL, since it is not UTF-8; rename the file or folder, "
+            "or name a link to it"
+        ) from None
+    return name
+
+
 def is_file(path: str | Path) -> bool:
     """Whether there is a file of this name; an address may be longer than any file's name."""
     try:

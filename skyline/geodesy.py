@@ -19,6 +19,8 @@ from skyline.errors import InputError
 
 EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13
+_EDGE_POINTS = 63
+"""Points along each side of a box that is carried to other coordinates, where sides are curved."""
 
 _WGS84 = Geod(ellps="WGS84")
 _STEP_DEG = 1e-4
@@ -82,20 +84,19 @@ def check_bounds(bounds_deg: Bounds) -> Bounds:
         if are_bounds(south, west, north, east):
             hint = f"; {swapped_in_words(*bounds_deg)}"
         raise InputError(
-            f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees with S < N"
-            + hint
+            f"bounds are {west},{south},{east},{north}; expected W,S,E,N in degrees, longitudes "
+            f"from -180 to 180, S < N, and W > E only across the antimeridian{hint}"
         )
     return bounds_deg
 
 
 def are_bounds(west: float, south: float, east: float, north: float) -> bool:
     """Whether numbers can be the bounds of a box in degrees."""
-    return bool(
-        np.isfinite([west, south, east, north]).all()
-        and -90.0 <= south < north <= 90.0
+    return (
+        -90.0 <= south < north <= 90.0
         and -180.0 <= west <= 180.0
         and -180.0 <= east <= 180.0
-        and west != east
+        and width_deg((west, south, east, north)) > 0.0
     )
 
 
@@ -110,8 +111,24 @@ def swapped_in_words(*given: float, names: str = "longitude and latitude") -> st
     return f"{names} seem to be swapped: give {right}"
 
 
+def width_deg(bounds_deg: Bounds) -> float:
+    """Return how many degrees of longitude a box is wide; 360 where it goes all the way round."""
+    west, _, east, _ = bounds_deg
+    return east - west if west <= east else east - west + 360.0
+
+
+def in_turn(lon_deg: ArrayLike, about_deg: float = 0.0) -> Float64Array:
+    """Return longitudes within half a turn of another, [-180, 180) by default."""
+    west_deg = about_deg - 180.0
+    return (np.asarray(lon_deg, dtype=np.float64) - west_deg) % 360.0 + west_deg
+
+
 def degrees_in_words(value: float, names: str, decimals: int = 5) -> str:
-    """Return a longitude or latitude without a sign, with one of two names such as EW instead."""
+    """Return a longitude or latitude without a sign, with one of two names such as EW instead.
+
+    A longitude past the antimeridian has the name of the side that it lies on.
+    """
+    value = float(in_turn(value))
     return f"{abs(value):.{decimals}f}° {names[0] if value >= 0.0 else names[1]}"
 
 
@@ -219,13 +236,13 @@ class Frame:
         return cls(parsed.to_wkt())
 
     @classmethod
-    def local(cls, lon_deg: float, lat_deg: float) -> "Frame":
+    def local(cls, *, lon: float, lat: float) -> "Frame":
         """Make the local conformal frame: transverse Mercator on WGS 84 through a point."""
         definition = CRS.from_proj4(
-            f"+proj=tmerc +lat_0={lat_deg:.9f} +lon_0={lon_deg:.9f} +k=1 +x_0=0 +y_0=0 "
+            f"+proj=tmerc +lat_0={lat:.9f} +lon_0={lon:.9f} +k=1 +x_0=0 +y_0=0 "
             "+ellps=WGS84 +datum=WGS84 +units=m +no_defs"
         ).to_json_dict()
-        definition["name"] = f"local transverse Mercator at {lat_deg:.4f}, {lon_deg:.4f}"
+        definition["name"] = f"local transverse Mercator at {lat:.4f}, {lon:.4f}"
         return cls(CRS.from_json_dict(definition).to_wkt())
 
     @cached_property
@@ -250,16 +267,25 @@ class Frame:
         lon, lat = self._to_lonlat.transform(easting_m, northing_m)
         return np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64)
 
-    def box_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Bounds:
-        """Return the box in degrees around places; none lies across the antimeridian."""
-        lon, lat = self.to_lonlat(easting_m, northing_m)
-        return float(lon.min()), float(lat.min()), float(lon.max()), float(lat.max())
+    def box_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Bounds:
+        """Return the box in degrees around the map rectangle around places.
 
-    def from_lonlat(
-        self, lon_deg: ArrayLike, lat_deg: ArrayLike
-    ) -> tuple[Float64Array, Float64Array]:
+        West is above east where the box lies across the antimeridian. A rectangle that holds a
+        pole has all longitudes, -180 to 180.
+        """
+        west, south, east, north = self._to_lonlat.transform_bounds(
+            np.min(easting_m),
+            np.min(northing_m),
+            np.max(easting_m),
+            np.max(northing_m),
+            densify_pts=_EDGE_POINTS,
+        )
+        # The antimeridian is -180 as a west side and 180 as an east side.
+        return -180.0 if west == 180.0 else west, south, 180.0 if east == -180.0 else east, north
+
+    def from_lonlat(self, lon: ArrayLike, lat: ArrayLike) -> tuple[Float64Array, Float64Array]:
         """Return easting and northing in metres of longitudes and latitudes (WGS 84)."""
-        easting, northing = self._to_lonlat.transform(lon_deg, lat_deg, direction="INVERSE")
+        easting, northing = self._to_lonlat.transform(lon, lat, direction="INVERSE")
         return np.asarray(easting, dtype=np.float64), np.asarray(northing, dtype=np.float64)
 
     def rectangle_m(self, bounds_deg: Bounds) -> Rectangle:
@@ -273,25 +299,32 @@ class Frame:
         InputError
             Bounds that are not numbers in order.
         """
-        west, south, east, north = check_bounds(bounds_deg)
+        west, south, _, north = check_bounds(bounds_deg)
         rectangle: Rectangle = self._to_lonlat.transform_bounds(
-            west, south, west + (east - west) % 360.0, north, densify_pts=31, direction="INVERSE"
+            west,
+            south,
+            west + width_deg(bounds_deg),
+            north,
+            densify_pts=_EDGE_POINTS,
+            direction="INVERSE",
         )
         return rectangle
 
-    def convergence_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+    def convergence_deg(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return grid convergence: true azimuth = grid azimuth + convergence, degrees."""
         _, to_north = self._steps(easting_m, northing_m)
         return np.degrees(np.arctan2(0.0 - to_north.real, to_north.imag))
 
-    def angular_distortion_deg(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+    def angular_distortion_deg(
+        self, *, easting_m: ArrayLike, northing_m: ArrayLike
+    ) -> Float64Array:
         """Return the greatest distortion of an angle at each location; 0 where conformal."""
         to_east, to_north = self._steps(easting_m, northing_m)
         # Sum and difference of the half axes of Tissot's ellipse (Snyder 1987, 4-12 and 4-13).
         sums, differences = np.abs(to_east - 1j * to_north), np.abs(to_east + 1j * to_north)
         return np.degrees(2.0 * np.arcsin(differences / sums))
 
-    def scale(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+    def scale(self, *, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
         """Return map metres per metre on the ground at each location, mean over directions."""
         to_east, to_north = self._steps(easting_m, northing_m)
         return np.sqrt(np.abs((to_east.conj() * to_north).imag))

@@ -19,18 +19,18 @@ class Rows:
         return len(getattr(self, self._names()[0]))
 
     def __getitem__(self, index: Index) -> Self:
-        return type(self)(*(getattr(self, name)[index] for name in self._names()))
+        return type(self)(**{name: getattr(self, name)[index] for name in self._names()})
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
         """Join rows in order; at least one part."""
-        columns = ([getattr(part, name) for part in parts] for name in cls._names())
-        return cls(*map(_concatenated, columns))
+        columns = {name: [getattr(part, name) for part in parts] for name in cls._names()}
+        return cls(**{name: _concatenated(column) for name, column in columns.items()})
 
     def replaced(self, chosen: NDArray[np.bool_], other: Self) -> Self:
         """Return these rows, with another's where ``chosen`` (M,) is true."""
-        columns = ((getattr(other, name), getattr(self, name)) for name in self._names())
-        return type(self)(*(_chosen(chosen, new, old) for new, old in columns))
+        columns = {name: (getattr(other, name), getattr(self, name)) for name in self._names()}
+        return type(self)(**{name: _chosen(chosen, *both) for name, both in columns.items()})
 
     @classmethod
     def _names(cls) -> list[str]:

@@ -8,13 +8,16 @@ from html import escape
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.text import printable
+
 _LONGEST_PX = 240
 
 
 def facts_html(facts: Mapping[str, str], picture: NDArray[np.uint8] | None = None) -> str:
     """Return named facts as HTML, beside a grey picture (H, W) if there is one."""
     rows = "".join(
-        f"<tr><th>{escape(name)}</th><td>{escape(fact)}</td></tr>" for name, fact in facts.items()
+        f"<tr><th>{escape(name)}</th><td>{escape(printable(fact))}</td></tr>"
+        for name, fact in facts.items()
     )
     drawn = ""
     if picture is not None:

@@ -9,8 +9,9 @@ from hypothesis import settings
 from PIL import Image
 from scenes import fractal, write_dem
 
-from skyline import build_places, build_uniform, console, read_dem, stand_on
-from skyline.pipeline.cluster import local_cluster
+from skyline import build_places, build_uniform, read_dem, stand_on
+from skyline.build.cluster import local_cluster
+from skyline.cli import console
 from skyline.render.context import acquire_context
 from skyline.render.depth import DepthRenderer
 from skyline_bench.queries.made_photos import photograph
@@ -100,7 +101,7 @@ def renderings(dem, tmp_path_factory):
 def photo(dem, tmp_path_factory):
     """A photograph from a stored viewpoint, heading 140 degrees."""
     terrain = read_dem([dem])
-    eye = stand_on(terrain, 601_800.0, 5_178_000.0)
+    eye = stand_on(terrain, easting_m=601_800.0, northing_m=5_178_000.0)
     with DepthRenderer(terrain, 1600) as renderer:
         picture = photograph(renderer, eye, 0, Camera(140.0, fov_deg=60.0), seed=3)
     path = tmp_path_factory.mktemp("photo") / "photo.jpg"

@@ -12,7 +12,7 @@ from skyline.matching.ranking import Candidate, Ranking
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.truth import closed_forms
 
-FRAME = Frame.local(9.8, 46.8)
+FRAME = Frame.local(lon=9.8, lat=46.8)
 
 WEST_M, NORTH_M, SPACING_M = 600_000.0, 5_180_000.0, 30.0
 
@@ -31,6 +31,16 @@ def candidate_at(
         None if confidence_1km is None else np.array([confidence_1km]),
     )
     return replace(ranking.candidates(frame)[0], rank=rank)
+
+
+def at_m(place):
+    """Return a pair of eastings and northings as arguments."""
+    return dict(zip(("easting_m", "northing_m"), place, strict=True))
+
+
+def at_deg(place):
+    """Return a pair of longitudes and latitudes as arguments."""
+    return dict(zip(("lon", "lat"), place, strict=True))
 
 
 def field_of(heights_m, spacing_m=30.0, spacing_north_m=None, west_m=0.0, north_m=0.0):

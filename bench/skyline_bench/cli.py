@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable, Mapping
 
-from skyline.console import command_line, run_app
+from skyline.cli.console import command_line, run_app
 from skyline_bench.commands import (
     matching,
     page,
@@ -23,7 +23,6 @@ COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     },
     "The paper's tables": {paper.table1: "a minute", paper.prediction_quality: "a minute"},
     "Builds, stores and files": {
-        stores.sharded_build: "an hour",
         stores.store_durability: "an hour",
         stores.input_fuzz: "a minute",
     },

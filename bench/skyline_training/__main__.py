@@ -5,7 +5,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from skyline.console import command_line, progress_bar, run_app
+from skyline.cli.console import command_line, progress_bar, run_app
 from skyline.errors import InputError
 from skyline_bench.commands import options
 from skyline_training import confidence as learning

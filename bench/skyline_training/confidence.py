@@ -23,13 +23,13 @@ from scipy.optimize import minimize
 
 from skyline import MatchConfig, Matcher, build_places, read_dem
 from skyline.arrays import BoolArray, Float64Array
+from skyline.build.cluster import Progress
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.matching import confidence
 from skyline.matching.confidence import DISTANCES_M, Logistic, model_name
 from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
-from skyline.pipeline.jobs import Progress
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row

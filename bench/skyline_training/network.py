@@ -20,9 +20,9 @@ from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from skyline.arrays import Float32Array, UInt8Array
+from skyline.build.cluster import Progress
 from skyline.files import write_whole
 from skyline.photo.evidence import levelled
-from skyline.pipeline.jobs import Progress
 from skyline_training.landscapes import UNKNOWN, TrainingPhoto
 
 INPUTS = 4

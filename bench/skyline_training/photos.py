@@ -12,8 +12,8 @@ import numpy as np
 from scipy import ndimage
 
 from skyline.arrays import Float32Array, Float64Array, UInt8Array
+from skyline.build.cluster import Progress
 from skyline.geodesy import Frame
-from skyline.pipeline.jobs import Progress
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -439,7 +439,9 @@ def draw_photo(
     size = query.skyline.width_px, query.skyline.height_px
     camera = Camera(truth.heading_deg, truth.pitch_deg, truth.roll_deg, truth.fov_deg, *size)
     viewpoint = Viewpoints(
-        *(np.array([x]) for x in (truth.easting_m, truth.northing_m, truth.eye_elevation_m))
+        easting_m=np.array([truth.easting_m]),
+        northing_m=np.array([truth.northing_m]),
+        eye_elevation_m=np.array([truth.eye_elevation_m]),
     )
     rays = camera.rays()
     distance = distance_along(renderer.depth_images(viewpoint, 0), rays)

@@ -23,7 +23,8 @@ from rasterio.windows import transform as transform_of
 
 from skyline.errors import FetchError, InputError
 from skyline.fetch.remote import AbsentError, HttpOptions, shown, with_remote
-from skyline.geodesy import Bounds, check_bounds
+from skyline.files import for_gdal
+from skyline.geodesy import Bounds, check_bounds, width_deg
 from skyline.terrain.tiles import GRID_TOLERANCE
 
 MAX_TILES = 64
@@ -122,10 +123,10 @@ class TileSource:
         if not self.tiled:
             return [(math.floor(south), math.floor(west))]
         lats = range(math.floor(south), math.ceil(north))
-        lons = range(math.floor(west), math.ceil(west + (east - west) % 360.0))
+        lons = range(math.floor(west), math.ceil(west + width_deg(bounds_deg)))
         count = len(lats) * len(lons)
         if count > MAX_TILES:
-            size_gb = (north - south) * ((east - west) % 360.0) * _ARC_SECOND_BYTES / 1e9
+            size_gb = (north - south) * width_deg(bounds_deg) * _ARC_SECOND_BYTES / 1e9
             raise InputError(
                 f"bounds {west:g},{south:g},{east:g},{north:g} need {count} tiles, about "
                 f"{size_gb:.1f} GB at one arc-second; at most {MAX_TILES} tiles are fetched at a "
@@ -196,6 +197,7 @@ def fetch_dem(
     origin = TileSource.named(source)
     tiles = origin.tiles(bounds_deg)
     folder = Path(folder)
+    for_gdal(str(folder.absolute()))
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder} is not a folder; name a folder to write the tiles to")
     cuts: list[_Cut] = []
@@ -284,8 +286,8 @@ def _check_usable(url: str, file: Any) -> None:
 
 def _window(url: str, file: Any, bounds_deg: Bounds) -> Window:
     """Return the pixels of a file that meet the bounds."""
-    west, south, east, north = bounds_deg
-    east = west + (east - west) % 360.0
+    west, south, _, north = bounds_deg
+    east = west + width_deg(bounds_deg)
     step_east, step_north = file.transform.a, -file.transform.e
     left, top = file.transform.c, file.transform.f
     middle = left + 0.5 * file.width * step_east

@@ -14,6 +14,7 @@ from skyline.errors import FetchError, InputError
 from skyline.fetch.remote import HttpOptions, shown
 from skyline.files import write_whole
 from skyline.geodesy import Bounds, check_bounds
+from skyline.text import printable
 
 _MOST_BYTES = 1 << 26
 _AGAIN = (429, 500, 502, 503, 504)
@@ -147,6 +148,8 @@ def _feature(
             f"{shown(server)}: the answer has {str(element)[:80]!r}, which is no named peak in the "
             "bounds; nothing was written"
         )
-    properties = {"name": name} if height is None else {"name": name, "ele": str(height)}
+    properties = {"name": printable(name)}
+    if height is not None:
+        properties["ele"] = printable(str(height))
     geometry = {"type": "Point", "coordinates": [lon, lat]}
     return {"type": "Feature", "properties": properties, "geometry": geometry}

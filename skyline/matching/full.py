@@ -23,7 +23,7 @@ from skyline.matching.retrieval import Retriever
 from skyline.matching.screening import Alike
 from skyline.matching.threads import one_blas_thread
 from skyline.matching.together import JointRefinement
-from skyline.store.header import PLACES
+from skyline.store.format import PLACES
 
 
 class FullMatcher(Ranker):

@@ -147,7 +147,9 @@ class Narrowed:
         held = self._holds(poses.easting_m, poses.northing_m, poses.eye_elevation_m)
         if self.narrowing.heading_deg is not None and len(poses):
             heading, slack = self.narrowing.heading_deg
-            turn = self.frame.convergence_deg(poses.easting_m, poses.northing_m)
+            turn = self.frame.convergence_deg(
+                easting_m=poses.easting_m, northing_m=poses.northing_m
+            )
             off = (poses.heading_deg + turn - heading + 180.0) % 360.0 - 180.0
             held &= np.abs(off) <= slack
         return held

@@ -267,7 +267,11 @@ class Refinement:
         off = np.abs((turn + 180.0) % 360.0 - 180.0)
         wanted = off < 45.0 + 0.5 * fov_deg[:, np.newaxis] + _SECTOR_MARGIN_DEG
         row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
-        eyes = Viewpoints(easting_m[row], northing_m[row], ground_m[row] + height_m[row])
+        eyes = Viewpoints(
+            easting_m=easting_m[row],
+            northing_m=northing_m[row],
+            eye_elevation_m=ground_m[row] + height_m[row],
+        )
         self._renderings += len(row)
         along = heading.astype(np.uint8)
         views = self._scene.render(eyes, along)

@@ -13,7 +13,7 @@ from skyline.matching.query_rays import QueryRays
 from skyline.matching.ranking import Fits, JointRanking, Ranking, select
 from skyline.matching.screening import Alike
 from skyline.places import PlaceSource
-from skyline.store.header import RENDERINGS
+from skyline.store.format import RENDERINGS
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground
 
@@ -49,7 +49,7 @@ class Ranker(Protocol):
     finds_fov: ClassVar[bool] = False
     """Whether it can match a photo whose field of view is not known."""
     searches: ClassVar[str] = RENDERINGS
-    """What a store must hold for it, `PLACES` or `RENDERINGS` of `skyline.store.header`."""
+    """What a store must hold for it, `PLACES` or `RENDERINGS` of `skyline.store.format`."""
 
     @classmethod
     def open(cls, source: Source) -> Self:

@@ -130,9 +130,11 @@ class Ranking:
 
     def candidates(self, frame: Frame) -> tuple[Candidate, ...]:
         """Return the poses as candidates; ``frame`` is that of their eastings and northings."""
-        place = self.poses.easting_m, self.poses.northing_m
-        lon, lat = frame.to_lonlat(*place)
-        convergence_deg = frame.convergence_deg(*place) if len(self) else np.zeros(0)
+        easting_m, northing_m = self.poses.easting_m, self.poses.northing_m
+        lon, lat = frame.to_lonlat(easting_m, northing_m)
+        convergence_deg = np.zeros(0)
+        if len(self):
+            convergence_deg = frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
         heading_deg = (self.poses.heading_deg + convergence_deg) % 360.0
         columns = {f.name: getattr(self.poses, f.name).tolist() for f in fields(Hypotheses)} | {
             "lon": lon.tolist(),

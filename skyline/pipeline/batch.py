@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+from skyline.build.cluster import Runner, in_order
 from skyline.errors import SkylineError
 from skyline.matching.screening import Alike
 from skyline.photo.query import QuerySkyline
-from skyline.pipeline.jobs import Runner, in_order
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.queries import Query
 from skyline.pipeline.results import MatchResult
 from skyline.store import open_store
-from skyline.store.header import PLACES
+from skyline.store.format import PLACES, PLACES_A_CHUNK
 
 _read: Callable[[Query], QuerySkyline] = lru_cache(maxsize=4)(Query.read)
 """Once for all the parts of a store that a query is compared with."""
@@ -104,8 +104,8 @@ def _parts(store: Path) -> list[slice]:
     """Return parts of a store's blocks of places; one where there is nothing to share."""
     try:
         with open_store(store) as opened:
-            header = opened.header
-            blocks = -(-len(opened) // header.chunk_rows) if header.holds == PLACES else 0
+            holds, rows = opened.header.holds, len(opened)
+            blocks = -(-rows // PLACES_A_CHUNK) if holds == PLACES else 0
     except SkylineError:
         # Each job says so by itself.
         return [slice(None)]

@@ -24,7 +24,7 @@ def claim_of(noted: NotedPlace, frame: Frame) -> Claim | None:
         return None  # Too far from the frame to have a place in it.
     heading_deg = noted.heading_deg
     if heading_deg is not None:
-        heading_deg -= float(frame.convergence_deg(east, north))
+        heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
     sd_m = max(_LEAST_GPS_SD_M, noted.accuracy_m or _GPS_SD_M)
     compass_sd_deg = _COMPASS_SD_DEG if noted.is_magnetic is False else _MAGNETIC_SD_DEG
     elevation_m, elevation_sd_m = None, _LEAST_ALTITUDE_SD_M

@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import Float64Array
+from skyline.build.cluster import Progress
 from skyline.camera import MAX_WIDTH
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.horizons import Horizons
-from skyline.pipeline.jobs import Progress
 from skyline.render.panorama import PanoramaRenderer
 from skyline.solar.local_horizons import LocalHorizons
 from skyline.terrain.heightfield import HeightField
@@ -24,13 +24,13 @@ _LEAST_STEPS = 8
 
 def horizon(  # noqa: PLR0913  (each is a condition of its own)
     terrain: HeightField,
+    *,
     lon: ArrayLike,
     lat: ArrayLike,
     eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
     step_deg: float = DEFAULT_STEP_DEG,
     curvature: Curvature | None = None,
     surface: Dem | None = None,
-    *,
     summit_within_m: float | None = None,
 ) -> LocalHorizons:
     """Return the horizons round places: exact on the surface of the DEM, but for float32.
@@ -58,7 +58,9 @@ def horizon(  # noqa: PLR0913  (each is a condition of its own)
     ContextError
         No OpenGL context can be made.
     """
-    eyes = stand_at(terrain, lon, lat, eye_height_m, summit_within_m)
+    eyes = stand_at(
+        terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
+    )
     over = None if surface is None else read_surface(surface, terrain)
     return horizons_of(terrain, eyes, step_deg, curvature, surface=over)
 
@@ -76,7 +78,9 @@ def horizons_of(
     # The renderer's steps to a turn are a multiple of 8: some are left out.
     every = 8 // math.gcd(steps, 8)
     lon, lat = terrain.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
-    to_grid_rad = -np.radians(terrain.frame.convergence_deg(eyes.easting_m, eyes.northing_m))
+    to_grid_rad = -np.radians(
+        terrain.frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+    )
     bins = steps * every
     rendered = _rendered(terrain, eyes, to_grid_rad, bins, curvature, progress)
     elevation_deg = np.degrees(np.arctan(rendered.elevation_tan[:, ::every]))

@@ -58,9 +58,10 @@ class PanoramaConfig:
 
 def save_panorama(
     terrain: HeightField,
+    path: str | Path,
+    *,
     lon: float,
     lat: float,
-    path: str | Path,
     peaks: Peaks | None = None,
     config: PanoramaConfig | None = None,
     surface: Dem | None = None,
@@ -69,10 +70,10 @@ def save_panorama(
 
     Parameters
     ----------
-    lon, lat : float
-        Degrees (WGS 84).
     path : str or Path
         ``.png``, ``.svg`` or ``.pdf``.
+    lon, lat : float
+        Degrees (WGS 84).
     peaks : Peaks, optional
         `skyline.read_peaks`.
     surface : path, paths or HeightField, optional
@@ -153,7 +154,9 @@ def panorama_view(
     )
     terrain, eye = landscape.terrain, landscape.eye
     seen = [] if peaks is None else visible_peaks(terrain, eye, peaks, Curvature())
-    convergence_deg = float(blocks.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0]))
+    convergence_deg = float(
+        blocks.frame.convergence_deg(easting_m=eye.easting_m[0], northing_m=eye.northing_m[0])
+    )
     inside = [
         one for one in seen if (one.azimuth_deg + convergence_deg - start_deg) % 360.0 < fov_deg
     ]

@@ -1,6 +1,5 @@
 """Matching queries to a store, and to the terrain it was rendered from."""
 
-import logging
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -44,7 +43,6 @@ _WIDE_DEG = 75.0
 """Lenses of a wider field of view may distort: phones correct what their main camera does."""
 _DISTORTION_SD = 0.05
 """Of what those leave."""
-_log = logging.getLogger(__name__)
 
 
 class Matcher:
@@ -67,12 +65,6 @@ class Matcher:
     surface : path, paths or HeightField, optional
         A surface or canopy model: how far trees and houses may rise above the DEM's skyline. For
         the full matcher, which heeds it in refinement.
-
-    Attributes
-    ----------
-    unfinished : str
-        Where the store's build was not finished, which part of the area the store holds, in one
-        line that is logged too; empty otherwise.
 
     Raises
     ------
@@ -110,17 +102,6 @@ class Matcher:
             raise InputError("a surface needs the store's DEM, which is not at hand; give it")
         self.render_thread = render_thread
         self.frame = Frame(self.header.frame_wkt)
-        self.unfinished = ""
-        if opened.built.finished is False:
-            eyes = self.viewpoints
-            sides = ",".join(
-                f"{v:.4f}" for v in self.frame.box_deg(eyes.easting_m, eyes.northing_m)
-            )
-            self.unfinished = (
-                f"store {store}: {opened.built.note}, W,S,E,N {sides}; photos taken elsewhere are "
-                "not found"
-            )
-            _log.warning("%s", self.unfinished)
 
     @cached_property
     def viewpoints(self) -> Viewpoints:

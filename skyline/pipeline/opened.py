@@ -8,18 +8,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from skyline.arrays import Float64Array
 from skyline.errors import InputError, SkylineError
 from skyline.files import is_file
 from skyline.matching.match_config import MatchConfig
 from skyline.matching.profiles import Profiles
-from skyline.pipeline.config import check_dem, curvature_of, read_dem_of
 from skyline.pipeline.rendered_scene import RenderedScene
+from skyline.pipeline.stored_dem import check_dem, curvature_of, read_dem_of
 from skyline.places import PlaceSource
 from skyline.render.thread import RenderThread
 from skyline.store import Store, StoreHeader
-from skyline.store.header import PLACES
+from skyline.store.format import PLACES
 from skyline.terrain.edge import DataEdge
-from skyline.terrain.heightfield import Ground, HeightField
+from skyline.terrain.heightfield import Ground, HeightField, ground_of
 from skyline.terrain.surface import Dem, read_surface
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
@@ -57,10 +58,10 @@ class OpenedSource:
         """
         if self._store.header.holds == PLACES:
             return partial(_spaced, self._places)
-        there = self._store.locations()
+        there = self._store.eyes()
         eyes = np.stack([there.easting_m, there.northing_m, there.eye_elevation_m])
-        eyes = np.ascontiguousarray(np.unique(eyes, axis=1))
-        return lambda: Viewpoints(*eyes)
+        found = _viewpoints(np.ascontiguousarray(np.unique(eyes, axis=1)))
+        return lambda: found
 
     def profiles(self) -> Profiles:
         """Return the renderings of the store, joined."""
@@ -69,7 +70,7 @@ class OpenedSource:
     def ground(self) -> Ground | None:
         """Return the heights of the terrain."""
         terrain = self._found_terrain()
-        return None if terrain is None else terrain.height_at
+        return None if terrain is None else ground_of(terrain)
 
     def edge(self) -> DataEdge | None:
         """Return where the terrain's data end."""
@@ -143,7 +144,12 @@ def _spaced(places: PlaceSource) -> Viewpoints:
         eyes = (block.easting_m, block.northing_m, block.eye_elevation_m)
         some.append(np.stack([column[-first % step :: step] for column in eyes]).astype(np.float64))
         first += len(block)
-    return Viewpoints(*np.concatenate(some, axis=1))
+    return _viewpoints(np.concatenate(some, axis=1))
+
+
+def _viewpoints(eyes: Float64Array) -> Viewpoints:
+    easting_m, northing_m, eye_elevation_m = eyes
+    return Viewpoints(easting_m=easting_m, northing_m=northing_m, eye_elevation_m=eye_elevation_m)
 
 
 def _chunks(store: Store) -> Iterable[tuple[Views, NDArray[np.uint16]]]:

@@ -132,14 +132,15 @@ def _expanded(paths: Iterable[Path]) -> Iterator[Path]:
 def _rows(path: Path) -> list[dict[str, str]] | None:
     """Return the rows of a list; None for another file, such as a trace."""
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        # Names in a list are whatever bytes name the files.
+        with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
             reader = csv.DictReader(file, skipinitialspace=True)
             names = [name.strip() for name in reader.fieldnames or ("",)]
             if names[0] != "path":
                 return None
             reader.fieldnames = names
             rows = list(reader)
-    except (OSError, UnicodeDecodeError, csv.Error):
+    except (OSError, csv.Error):
         return None  # Reading it as a trace says what is wrong.
     unknown = [name for name in names if name not in _COLUMNS]
     if unknown:

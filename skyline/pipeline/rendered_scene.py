@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.matching.match_config import MatchConfig
-from skyline.pipeline.config import RenderConfig, curvature_of, make_renderer
-from skyline.render.horizon import HorizonRenderer
+from skyline.pipeline.stored_dem import curvature_of
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.render.thread import RenderThread
 from skyline.store import StoreHeader
 from skyline.terrain.edge import DataEdge
-from skyline.terrain.heightfield import HeightField
+from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
 
@@ -41,14 +41,14 @@ class RenderedScene:
         thread: RenderThread | None = None,
         surface: HeightField | None = None,
     ) -> None:
-        self.ground_m = terrain.height_at
+        self.ground_m = ground_of(terrain)
         self.height_sd_m = terrain.height_sd_m
         self.edge = DataEdge.of(terrain, config.curvature)
         self._thread = thread
         self._piece = max(1, _PIECE_COLUMNS // config.width)
         fields = [terrain] if surface is None else [terrain, surface]
         self._renderers = self._run(
-            lambda: [make_renderer(field, config) for field in fields], urgent=False
+            lambda: [HorizonRenderer.of(field, config) for field in fields], urgent=False
         )
 
     @classmethod

@@ -6,8 +6,9 @@ import cv2
 
 from skyline import report
 from skyline.camera import HEADINGS
-from skyline.pipeline.config import RenderConfig, make_renderer
+from skyline.files import write_whole
 from skyline.render.depth import DepthRenderer
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import Views
@@ -18,7 +19,7 @@ def render_views(
 ) -> Views:
     """Render the skylines of viewpoints to grid north, east, south, west (4 N views)."""
     config = config or RenderConfig()
-    with make_renderer(terrain, config) as renderer:
+    with HorizonRenderer.of(terrain, config) as renderer:
         return renderer.render(viewpoints)
 
 
@@ -34,6 +35,7 @@ def save_depth_pictures(
         for index in range(len(viewpoints)):
             images = renderer.depth_images(viewpoints, index)
             for heading in HEADINGS:
-                cv2.imwrite(str(folder / f"{index:04d}_heading_{heading}.tif"), images[heading])
+                picture = cv2.imencode(".tif", images[heading])[1].tobytes()
+                write_whole(folder / f"{index:04d}_heading_{heading}.tif", picture)
             views = renderer.render(viewpoints[index : index + 1])
             report.save_depth_images(images, views, folder / f"{index:04d}.png")

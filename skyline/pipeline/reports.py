@@ -5,13 +5,14 @@ from pathlib import Path
 
 from skyline import report
 from skyline.photo.read import read_picture
-from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.rendered_scene import RenderedScene
 from skyline.pipeline.results import MatchResult
+from skyline.pipeline.stored_dem import curvature_of
+from skyline.render.horizon import RenderConfig
 from skyline.report.matched import Matched, Surroundings
 from skyline.report.peaks import Peaks
-from skyline.store.header import package_version
+from skyline.store.format import package_version
 from skyline.terrain.heightfield import HeightField
 
 _PICTURE_WIDTH = 2048

@@ -13,9 +13,10 @@ from skyline.errors import InputError, OffMapError
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.ranking import Candidate, Ranking
 from skyline.photo.query import QuerySkyline
-from skyline.pipeline.config import RenderConfig, curvature_of
 from skyline.pipeline.match import Matcher
 from skyline.pipeline.rendered_scene import RenderedScene
+from skyline.pipeline.stored_dem import curvature_of
+from skyline.render.horizon import RenderConfig
 from skyline.report.matched import Surroundings
 from skyline.report.peaks import Peaks, most_prominent_first, visible_peaks
 from skyline.report.posed_picture import Panorama, PosedPicture
@@ -103,10 +104,10 @@ class Viewer:
 
     def pose(
         self,
+        *,
         lon: float,
         lat: float,
         heading_deg: float,
-        *,
         pitch_deg: float = 0.0,
         roll_deg: float = 0.0,
         fov_deg: float = 60.0,
@@ -122,11 +123,11 @@ class Viewer:
         OffMapError
             The place is off the map or on a hole, or the eye is below the ground.
         """
-        ground = stand_at(self.terrain, lon, lat, 0.0)
+        ground = stand_at(self.terrain, lon=lon, lat=lat, eye_height_m=0.0)
         place = ground.easting_m, ground.northing_m
         eye = at_elevation(self.terrain, *place, ground.eye_elevation_m + eye_height_m)
         easting, northing = float(eye.easting_m[0]), float(eye.northing_m[0])
-        convergence_deg = float(self.frame.convergence_deg(easting, northing))
+        convergence_deg = float(self.frame.convergence_deg(easting_m=easting, northing_m=northing))
         pose = Hypotheses.of_pose(
             easting,
             northing,

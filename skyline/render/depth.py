@@ -189,10 +189,10 @@ class DepthRenderer:
         easting, northing = viewpoints.easting_m[index], viewpoints.northing_m[index]
         elevation = float(viewpoints.eye_elevation_m[index])
         high = float(np.float32(elevation))
-        row, col = (float(place) for place in field.to_grid(easting, northing))
+        row, col = (float(place) for place in field.to_grid(easting_m=easting, northing_m=northing))
         cell_row, cell_col = math.floor(row), math.floor(col)
         near_m = _near_m(field, viewpoints, index)
-        far_m = 1.1 * field.reach_m(easting, northing) + field.spacing_m
+        far_m = 1.1 * field.reach_m(easting_m=easting, northing_m=northing) + field.spacing_m
         program["field_size"] = (field.cols, field.rows)
         program["spacing_m"] = (field.spacing_east_m, field.spacing_north_m)
         program["eye_cell"] = (cell_col, cell_row)
@@ -232,12 +232,14 @@ def _near_m(field: HeightField, viewpoints: Viewpoints, index: int) -> float:
     the plane and inside a 90 degree view lies within sqrt(3) of the plane's distance.
     """
     easting, northing = viewpoints.easting_m[index], viewpoints.northing_m[index]
-    row, col = field.to_grid(easting, northing)
+    row, col = field.to_grid(easting_m=easting, northing_m=northing)
     top, left = max(int(row) - 1, 0), max(int(col) - 1, 0)
     around = field.heights_m[top : top + 4, left : left + 4].astype(np.float64)
     steps = np.concatenate([np.diff(around, axis=0).ravel(), np.diff(around, axis=1).ravel()])
     steepest = np.hypot(*(2 * [np.nanmax(np.abs(steps), initial=0.0) / field.spacing_m]))
-    clearance = float(viewpoints.eye_elevation_m[index] - field.height_at(easting, northing))
+    clearance = float(
+        viewpoints.eye_elevation_m[index] - field.height_at(easting_m=easting, northing_m=northing)
+    )
     nearest = min(clearance / np.hypot(1.0, steepest), field.spacing_m)
     return float(max(nearest / 2.0, 1e-6 * field.spacing_m))
 

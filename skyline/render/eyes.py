@@ -38,7 +38,7 @@ class Eyes:
         turn_rad: Float64Array,
     ) -> None:
         self._spacing_m = np.array([field.spacing_north_m, field.spacing_east_m])
-        row, col = field.to_grid(viewpoints.easting_m, viewpoints.northing_m)
+        row, col = field.to_grid(easting_m=viewpoints.easting_m, northing_m=viewpoints.northing_m)
         double = _needs_double(field, viewpoints, row, col, near_error)
         self._order = np.lexsort((double, heading))
         self._double, self._heading = double[self._order], heading[self._order]
@@ -134,7 +134,7 @@ def _needs_double(
     slopes = [np.abs(np.diff(around, axis=axis)) for axis in (1, 2)]
     steepest_m = np.fmax(*(np.fmax.reduce(slope, axis=(1, 2)) for slope in slopes))
     spacing_m = field.spacing_m
-    ground_m = field.height_at(viewpoints.easting_m, viewpoints.northing_m)
+    ground_m = field.height_at(easting_m=viewpoints.easting_m, northing_m=viewpoints.northing_m)
     clearance_m = viewpoints.eye_elevation_m - ground_m
     shows_from_m = clearance_m / (2.0 * (steepest_m + relief_m) / spacing_m + 1e-9)
     blurred_to_m = _ROUNDING * relief_m / near_error

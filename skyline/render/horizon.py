@@ -7,6 +7,7 @@ each column's ray over a tree of upper bounds and evaluates only what can still 
 
 import logging
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Self
 
 import moderngl
@@ -163,6 +164,24 @@ class ColumnRenderer:
         return self._resident[window]
 
 
+@dataclass(frozen=True, slots=True)
+class RenderConfig:
+    """Settings of views of 90 degrees.
+
+    Attributes
+    ----------
+    width : int
+        Columns W of a view.
+    tolerance_px : float
+        How far a skyline may fall short of the exact one; 0 is exact but for float32.
+    curvature : Curvature
+    """
+
+    width: int = DEFAULT_WIDTH
+    tolerance_px: float = 0.05
+    curvature: Curvature = field(default_factory=Curvature)
+
+
 class HorizonRenderer(ColumnRenderer):
     """Renders the skylines of one height field in views of 90 degrees.
 
@@ -199,6 +218,11 @@ class HorizonRenderer(ColumnRenderer):
             NEAR_ERROR_PX * pixel,
             curvature or Curvature(),
         )
+
+    @classmethod
+    def of(cls, field: HeightField, config: RenderConfig) -> Self:
+        """Return a renderer with the settings of a configuration; raises as the class does."""
+        return cls(field, config.width, config.curvature, config.tolerance_px)
 
     @property
     def description(self) -> str:

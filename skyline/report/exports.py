@@ -9,11 +9,12 @@ photogrammetry start from.
 import io
 import json
 import math
-import re
+import os
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
+from urllib.parse import quote
 from xml.etree import ElementTree as Xml
 
 import cv2
@@ -28,15 +29,14 @@ from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.report.matched import Matched
 from skyline.report.records import describe_candidate, name_of
-from skyline.report.shapes import Ellipse, view_wedge_m
+from skyline.report.shapes import Ellipse, lonlat_rings, view_wedge_m
+from skyline.text import printable
 
 VIEW_REACH_M = 2000.0
 """How far a view's wedge reaches; views see farther, but a map is for telling them apart."""
 
 _DECIMALS = 7
 """A centimetre."""
-_NOT_XML = re.compile(r"[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
-"""What XML 1.0 has no way to say."""
 _KML, _GPX = "http://www.opengis.net/kml/2.2", "http://www.topografix.com/GPX/1/1"
 _QUALITY = [cv2.IMWRITE_JPEG_QUALITY, 90]
 _PHOTO_AT_M = 300.0
@@ -52,7 +52,7 @@ def write_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     (null where no search found the pose), ``origin`` (see `Candidate.origin`) and ``shape`` =
     ``candidate``; a Polygon with ``shape`` = ``view``, the field of view out to
     2 km; and where its covariance is known one with ``shape`` = ``ellipse95``, ``semi_major_m``
-    and ``semi_minor_m``.
+    and ``semi_minor_m``. A shape that the antimeridian cuts is a MultiPolygon.
 
     Raises `InputError` where the file cannot be written.
     """
@@ -60,7 +60,7 @@ def write_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
         feature
         for one in matches
         for candidate in one.candidates
-        for feature in _features(one.name, candidate, frame)
+        for feature in _features(printable(one.name), candidate, frame)
     ]
     collection = {"type": "FeatureCollection", "features": features}
     write_with_folders(path, json.dumps(collection, indent=1, allow_nan=False) + "\n")
@@ -94,15 +94,16 @@ def _features(query: str, candidate: Candidate, frame: Frame) -> list[Json]:
 
 
 def _polygon(outline_m: Float64Array, frame: Frame) -> Json:
-    return {"type": "Polygon", "coordinates": [_lonlat_of(outline_m, frame)]}
+    """Return a shape, which is two or more polygons where the antimeridian cuts it."""
+    rings = _rings(outline_m, frame)
+    if len(rings) == 1:
+        return {"type": "Polygon", "coordinates": rings}
+    return {"type": "MultiPolygon", "coordinates": [[ring] for ring in rings]}
 
 
-def _lonlat_of(places_m: Float64Array, frame: Frame) -> list[list[float]]:
-    """Return longitudes and latitudes to a centimetre of places (P, 2), metres."""
-    lon, lat = frame.to_lonlat(places_m[:, 0], places_m[:, 1])
-    degrees = np.round(np.stack([lon, lat], axis=1), _DECIMALS)
-    pairs: list[list[float]] = degrees.tolist()
-    return pairs
+def _rings(outline_m: Float64Array, frame: Frame) -> list[list[list[float]]]:
+    """Return the rings of an outline (P, 2), metres, in degrees to a centimetre."""
+    return [np.round(ring, _DECIMALS).tolist() for ring in lonlat_rings(outline_m, frame)]
 
 
 def write_cameras(path: Path, matches: Sequence[Matched]) -> None:
@@ -117,7 +118,7 @@ def write_cameras(path: Path, matches: Sequence[Matched]) -> None:
     """
     photos = [
         {
-            "photo": matched.name,
+            "photo": printable(matched.name),
             "width_px": matched.query.width_px,
             "height_px": matched.query.height_px,
             "cameras": [_camera(matched.query, one) for one in matched.candidates],
@@ -132,7 +133,9 @@ def _camera(query: QuerySkyline, candidate: Candidate) -> dict[str, object]:
     crs = f"EPSG:{(32600 if candidate.lat >= 0.0 else 32700) + zone}"
     utm = Frame.from_crs(crs)
     easting_m, northing_m = (float(at) for at in utm.from_lonlat(candidate.lon, candidate.lat))
-    grid_deg = candidate.heading_deg - float(utm.convergence_deg(easting_m, northing_m))
+    grid_deg = candidate.heading_deg - float(
+        utm.convergence_deg(easting_m=easting_m, northing_m=northing_m)
+    )
     return {
         "crs": crs,
         "position_m": [easting_m, northing_m, candidate.eye_elevation_m],
@@ -168,8 +171,9 @@ def _matrix(query: QuerySkyline, fov_deg: float) -> list[list[float]] | None:
 def write_kml(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     """Write matches as KML, or with their photos in it as KMZ where that is the file's suffix.
 
-    Each candidate is a place and a view of 2 km. The first of each query has a PhotoOverlay, whose
-    picture is the photo's file beside the KML, or the photo in the KMZ.
+    Each candidate is a place and a view of 2 km. The first of each photo has a PhotoOverlay. Its
+    picture is the photo in the KMZ, or the photo's file, to which the path from the KML's folder
+    leads; the file of an upload should be put beside the KML.
 
     Raises `InputError` where the file cannot be written.
     """
@@ -179,10 +183,12 @@ def write_kml(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     folder = _child(root, "Document")
     _child(folder, "name", "Where these were taken")
     for number, matched in enumerate(matches, start=1):
-        href = Path(matched.name).name
+        href = None
         if packed and matched.photo is not None:
             href = f"files/{number:02d}.jpg"
             pictures[href] = matched.photo
+        elif not packed and Path(matched.name).suffix.lower() != ".csv":
+            href = _href(matched, path.parent)
         _add_match(folder, matched, frame, href)
     content = Xml.tostring(root, encoding="utf-8", xml_declaration=True)
     if packed:
@@ -196,7 +202,17 @@ def write_kml(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     write_with_folders(path, content)
 
 
-def _add_match(folder: Xml.Element, matched: Matched, frame: Frame, href: str) -> None:
+def _href(matched: Matched, folder: Path) -> str:
+    """Return the address of a photo's file, relative to a folder (RFC 3986, 4.2)."""
+    photo = Path(matched.name)
+    if matched.is_upload:
+        return quote(os.fsencode(photo.name))
+    # A link among the folders would lead `..` elsewhere.
+    file = photo.parent.resolve() / photo.name
+    return quote(os.fsencode(os.path.relpath(file, folder.resolve())))
+
+
+def _add_match(folder: Xml.Element, matched: Matched, frame: Frame, href: str | None) -> None:
     name = Path(matched.name).name
     for candidate in matched.candidates:
         mark = _child(folder, "Placemark")
@@ -204,10 +220,11 @@ def _add_match(folder: Xml.Element, matched: Matched, frame: Frame, href: str) -
         _child(mark, "description", _described(candidate))
         shapes = _child(mark, "MultiGeometry")
         _add_point(shapes, candidate)
-        ring = _child(_child(_child(shapes, "Polygon"), "outerBoundaryIs"), "LinearRing")
-        outline = _lonlat_of(view_wedge_m(candidate, VIEW_REACH_M), frame)
-        _child(ring, "coordinates", " ".join(f"{lon},{lat}" for lon, lat in outline))
-    if matched.candidates and matched.query.projection is Projection.PERSPECTIVE:
+        for outline in _rings(view_wedge_m(candidate, VIEW_REACH_M), frame):
+            ring = _child(_child(_child(shapes, "Polygon"), "outerBoundaryIs"), "LinearRing")
+            _child(ring, "coordinates", " ".join(f"{lon},{lat}" for lon, lat in outline))
+    is_flat = matched.query.projection is Projection.PERSPECTIVE
+    if href is not None and matched.candidates and is_flat:
         _add_photo(folder, name, matched.query, matched.candidates[0], href)
 
 
@@ -281,7 +298,7 @@ def write_gpx(path: Path, matches: Sequence[Matched]) -> None:
 def _child(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
     element = Xml.SubElement(parent, tag, attributes)
     if text:
-        element.text = _NOT_XML.sub("\ufffd", text)
+        element.text = printable(text)
     return element
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from skyline.errors import InputError
 from skyline.files import write_with_folders
+from skyline.text import printable
 
 _MIME_OF_HEAD = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?")
@@ -66,9 +67,9 @@ class Text:
 
     def html(self) -> str:
         """Return the paragraph's HTML."""
-        shown = escape(self.text)
+        shown = _escaped(self.text)
         if self.link is not None:
-            address, words = map(escape, self.link)
+            address, words = map(_escaped, self.link)
             shown += f' <a href="{address}" rel="noreferrer">{words}</a>'
         return f'<p class="result {self.kind}">{shown}</p>' if self.kind else f"<p>{shown}</p>"
 
@@ -86,7 +87,7 @@ class Table:
         """Return the table's HTML."""
         aligned = [_is_numeric([row[at] for row in self.rows]) for at in range(len(self.columns))]
         body = "".join(_row("td", map(_shown, row), aligned) + "\n" for row in self.rows)
-        caption = f"<caption>{escape(self.caption)}</caption>" if self.caption else ""
+        caption = f"<caption>{_escaped(self.caption)}</caption>" if self.caption else ""
         head = _row("th", self.columns, aligned)
         thead = f"<thead>{head}</thead>" if any(self.columns) else ""
         return f"<div class=scroll><table>{caption}{thead}<tbody>\n{body}</tbody></table></div>"
@@ -114,8 +115,8 @@ class Picture:
         data = base64.b64encode(self.data).decode()
         return (
             f"<figure{' class=wide' if self.wide else ''}>"
-            f'<img src="data:{self._mime};base64,{data}" alt="{escape(self.caption)}">'
-            f"<figcaption>{escape(self.caption)}</figcaption></figure>"
+            f'<img src="data:{self._mime};base64,{data}" alt="{_escaped(self.caption)}">'
+            f"<figcaption>{_escaped(self.caption)}</figcaption></figure>"
         )
 
 
@@ -131,7 +132,7 @@ class Section:
 
     def html(self) -> str:
         """Return the section's HTML."""
-        lines = [f"<section><h2>{escape(self.title)}</h2>"]
+        lines = [f"<section><h2>{_escaped(self.title)}</h2>"]
         for are_pictures, parts in groupby(self.parts, lambda part: isinstance(part, Picture)):
             shown = "\n".join(part.html() for part in parts)
             lines.append(f"<div class=figures>\n{shown}\n</div>" if are_pictures else shown)
@@ -156,14 +157,19 @@ class Page:
             '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">\n'
             f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{escape(self.title)}</title>\n<style>{_STYLE}</style></head>\n<body>\n"
-            f"<h1>{escape(self.title)}</h1>\n<p class=lead>{escape(self.lead)}</p>\n{sections}\n"
-            f"<footer>{escape(self.foot)}</footer>\n</body></html>\n"
+            f"<title>{_escaped(self.title)}</title>\n<style>{_STYLE}</style></head>\n<body>\n"
+            f"<h1>{_escaped(self.title)}</h1>\n<p class=lead>{_escaped(self.lead)}</p>\n"
+            f"{sections}\n"
+            f"<footer>{_escaped(self.foot)}</footer>\n</body></html>\n"
         )
 
     def write(self, path: Path) -> None:
         """Write the page to a file; raises `InputError` where it cannot be written."""
-        write_with_folders(path, self.html().encode("utf-8", "replace"))
+        write_with_folders(path, self.html())
+
+
+def _escaped(text: str) -> str:
+    return escape(printable(text))
 
 
 def _is_numeric(values: Sequence[object]) -> bool:
@@ -187,7 +193,7 @@ def _shown(value: object) -> str:
 def _row(tag: str, texts: Iterable[str], aligned: Sequence[bool]) -> str:
     """Return a row of cells; to the right where ``aligned``."""
     cells = (
-        f"<{tag}{' class=n' if right else ''}>{escape(text)}</{tag}>"
+        f"<{tag}{' class=n' if right else ''}>{_escaped(text)}</{tag}>"
         for text, right in zip(texts, aligned, strict=True)
     )
     return f"<tr>{''.join(cells)}</tr>"

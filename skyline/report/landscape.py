@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.report.peaks import HIDDEN_DEG, UNDERFOOT_SAMPLES
 from skyline.terrain.blocks import TerrainBlocks
@@ -62,7 +63,8 @@ class Landscape:
     ) -> Self:
         """Look at the terrain, over the Earth's curvature with k = 0.13.
 
-        Raises `OffMapError` where the place is off the map or on a hole.
+        Raises `OffMapError` where the place is off the map or on a hole, and `InputError` where no
+        terrain is seen.
 
         Parameters
         ----------
@@ -74,12 +76,19 @@ class Landscape:
             From true north, in equal steps, at least two.
         """
         near_m, *farther_m = (samples * blocks.spacing_m for samples in _RINGS_SAMPLES)
+        easting_m, northing_m = place_m
         from_m = np.hypot(*blocks.around_m(*place_m)) - blocks.radius_m
         wanted = from_m <= near_m + (summit_within_m or 0.0)
         terrain = blocks.field(wanted)
-        if np.isnan(terrain.height_at(*place_m)):
+        if np.isnan(terrain.height_at(easting_m=easting_m, northing_m=northing_m)):
             terrain = blocks.field(np.zeros_like(wanted))  # For an error that names all of the map.
-        eye = stand_on(terrain, *place_m, eye_height_m, summit_within_m)
+        eye = stand_on(
+            terrain,
+            easting_m=easting_m,
+            northing_m=northing_m,
+            eye_height_m=eye_height_m,
+            summit_within_m=summit_within_m,
+        )
         from_m = np.hypot(*blocks.around_m(eye.easting_m[0], eye.northing_m[0])) - blocks.radius_m
         look = _Look(blocks, eye, azimuth_deg)
         look.walk(terrain, 0.0, near_m, np.full(len(azimuth_deg), np.inf))
@@ -148,7 +157,9 @@ class _Look:
         self._blocks, self._curvature = blocks, Curvature()
         self._place = float(eye.easting_m[0]), float(eye.northing_m[0])
         self._eye_m = float(eye.eye_elevation_m[0])
-        turn_deg = float(blocks.frame.convergence_deg(*self._place))
+        turn_deg = float(
+            blocks.frame.convergence_deg(easting_m=self._place[0], northing_m=self._place[1])
+        )
         self._grid_rad = np.radians(azimuth_deg - turn_deg)
         self._column_rad = math.radians(azimuth_deg[1] - azimuth_deg[0])
         self._distance_m = _steps_m(blocks, self._place, self._column_rad)
@@ -175,6 +186,10 @@ class _Look:
     ) -> tuple[Int64Array, Float64Array, Float32Array, BoolArray]:
         """Return what was seen, as `Landscape` has it, ridges as high as the surface is there."""
         column, step, up_deg = (np.concatenate(part) for part in zip(*self._seen, strict=True))
+        if not len(column):
+            raise InputError(
+                "no terrain is seen: the DEM has no heights around the place; give a wider DEM"
+            )
         order = np.argsort(column, kind="stable")  # Steps are in order already.
         column, step, up_deg = column[order], step[order], up_deg[order]
         distance_m = self._distance_m[step]
@@ -199,7 +214,7 @@ class _Look:
         """
         last = len(self._distance_m) - 1
         ends_m = self._distance_m[np.stack([np.maximum(step - 1, 0), np.minimum(step + 1, last)])]
-        row, col = terrain.to_grid(*self._place)
+        row, col = terrain.to_grid(easting_m=self._place[0], northing_m=self._place[1])
         down = -np.cos(self._grid_rad[column]) / terrain.spacing_north_m
         right = np.sin(self._grid_rad[column]) / terrain.spacing_east_m
         crossings_m = []
@@ -221,7 +236,8 @@ class _Look:
         """Return the elevation angles of the ground of K columns at distances (D,) or (K, D)."""
         east, north = (turn(self._grid_rad[columns])[:, np.newaxis] for turn in (np.sin, np.cos))
         ground_m = terrain.height_at(
-            self._place[0] + distance_m * east, self._place[1] + distance_m * north
+            easting_m=self._place[0] + distance_m * east,
+            northing_m=self._place[1] + distance_m * north,
         )
         drop_m = self._eye_m + self._curvature.drop_m(distance_m)
         up_deg = np.degrees(np.arctan((ground_m - drop_m) / distance_m))

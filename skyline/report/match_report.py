@@ -129,7 +129,7 @@ def _section(folder: Path, number: int, matched: Matched, surroundings: Surround
     parts.append(
         Text(f"What was done: {done} It took {matched.seconds:.2f} s.".replace(":  ", ": "))
     )
-    return Section(Path(matched.name).name or matched.name, parts)
+    return Section(matched.name, parts)
 
 
 def _keep(path: Path, picture: bytes) -> bytes:

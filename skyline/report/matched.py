@@ -26,7 +26,7 @@ class Matched:
     Attributes
     ----------
     name : str
-        What the user calls the query: its file.
+        The query's file, as the user has named it.
     candidates : sequence of Candidate
         The pose to show first, then others; each has its own rank.
     is_answered : bool
@@ -37,6 +37,8 @@ class Matched:
         What was done to find it, a sentence each.
     within_m : float, optional
         How near the answer is sure to be; None without an answer.
+    is_upload : bool
+        Whether the file lies on another machine, so that its name is no path on this one.
     """
 
     name: str
@@ -47,6 +49,7 @@ class Matched:
     photo: UInt8Array | None = None
     done: Sequence[str] = ()
     within_m: float | None = None
+    is_upload: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +73,12 @@ class Surroundings:
         if self.terrain is None:
             return None
         try:
-            eye = stand_on(self.terrain, candidate.easting_m, candidate.northing_m, 0.0)
+            eye = stand_on(
+                self.terrain,
+                easting_m=candidate.easting_m,
+                northing_m=candidate.northing_m,
+                eye_height_m=0.0,
+            )
         except OffMapError:
             return None
         np.maximum(eye.eye_elevation_m, candidate.eye_elevation_m, out=eye.eye_elevation_m)

@@ -59,7 +59,9 @@ class PanoramaView:
         """Azimuth from true north minus grid azimuth."""
         eye = self.landscape.eye
         return float(
-            self.landscape.terrain.frame.convergence_deg(eye.easting_m[0], eye.northing_m[0])
+            self.landscape.terrain.frame.convergence_deg(
+                easting_m=eye.easting_m[0], northing_m=eye.northing_m[0]
+            )
         )
 
 
@@ -194,7 +196,8 @@ def _colours(view: PanoramaView) -> UInt8Array:
     away_m = landscape.distance_m
     grid = np.radians(landscape.azimuth_deg - view.convergence_deg)[landscape.column]
     place = terrain.to_grid(
-        eye.easting_m[0] + away_m * np.sin(grid), eye.northing_m[0] + away_m * np.cos(grid)
+        easting_m=eye.easting_m[0] + away_m * np.sin(grid),
+        northing_m=eye.northing_m[0] + away_m * np.cos(grid),
     )
     north, east = _slopes(terrain, *place)
     towards = grid + np.pi - _LIGHT_ASIDE
@@ -288,7 +291,9 @@ def _title(view: PanoramaView) -> str:
     lon, lat = (
         float(at[0]) for at in view.landscape.terrain.frame.to_lonlat(eye.easting_m, eye.northing_m)
     )
-    surface_m = float(view.landscape.terrain.height_at(eye.easting_m, eye.northing_m)[0])
+    surface_m = float(
+        view.landscape.terrain.height_at(easting_m=eye.easting_m, northing_m=eye.northing_m)[0]
+    )
     ground_m = view.landscape.ground_m
     beside = ", as high as the summit beside it" if ground_m - surface_m > _LIFTED_M else ""
     return (

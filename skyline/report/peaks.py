@@ -8,6 +8,7 @@ more than a tenth of a degree above it.
 
 import csv
 import json
+import logging
 import math
 import re
 from collections.abc import Sequence
@@ -23,6 +24,7 @@ from skyline.geodesy import Curvature, Frame
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import prominence_m
 from skyline.terrain.viewpoints import Viewpoints
+from skyline.text import printable
 
 SUMMIT_RADIUS_M = 150.0
 """How far from the place named a summit is looked for; terrain this near to it does not hide it."""
@@ -31,16 +33,32 @@ UNDERFOOT_SAMPLES = 0.35
 HIDDEN_DEG = 0.1
 """How far terrain before a peak may stand above it while the peak still counts as seen."""
 _GEOJSON = (".geojson", ".json")
+_FOOT_M, _INCH_M = 0.3048, 0.0254
+_METRES = {
+    **dict.fromkeys(("", "m", "metre", "metres", "meter", "meters"), 1.0),
+    **dict.fromkeys(("km", "kilometre", "kilometres", "kilometer", "kilometers"), 1000.0),
+    **dict.fromkeys(("mi", "mile", "miles"), 1609.344),
+    **dict.fromkeys(("ft", "foot", "feet"), _FOOT_M),
+}
+"""Units of length that OpenStreetMap documents (wiki, Map features/Units), in metres."""
+_NUMBER = r"[0-9]+(?:\.[0-9]+)?"
+_WITH_UNIT = re.compile(rf"([-+]?{_NUMBER})\s?([a-z]*)")
+_FEET_INCHES = re.compile(rf"""({_NUMBER})['\u2019\u2032](?:\s?({_NUMBER})["\u201d\u2033])?""")
+_HEIGHTS_M = -500.0, 9000.0
+"""No ground on Earth is lower or higher: the Dead Sea's shore is at -430 m, Everest at 8849 m."""
 _PLACES = (("lon", "lat"), ("easting", "northing"))
+_log = logging.getLogger(__name__)
 _EXPECTED = "expected a header `name,lon,lat` or `name,easting,northing`, and optionally `height_m`"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Peaks:
     """N named summits in a metric frame.
 
     Attributes
     ----------
+    names : tuple of str
+        Printable: what is not is escaped.
     easting_m, northing_m : (N,) float64
     height_m : (N,) float64
         As the gazetteer has it, for its label; NaN where it does not say.
@@ -50,6 +68,9 @@ class Peaks:
     easting_m: Float64Array
     northing_m: Float64Array
     height_m: Float64Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", tuple(map(printable, self.names)))
 
     def __len__(self) -> int:
         return len(self.names)
@@ -62,9 +83,10 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
     ----------
     path : str or Path
         GeoJSON (``.geojson``, ``.json``) of points with the properties ``name`` and, optionally,
-        ``ele``, as OpenStreetMap has them; features without a name or a point are left out. Else
-        CSV: header ``name,lon,lat`` (degrees, WGS 84) or ``name,easting,northing`` (metres, in
-        ``frame``), and optionally ``height_m``, which may be empty.
+        ``ele``, as OpenStreetMap has them (`height_of_ele`); features without a name or a point
+        are left out, and one warning counts the peaks whose ``ele`` is no height. Else CSV: header
+        ``name,lon,lat`` (degrees, WGS 84) or ``name,easting,northing`` (metres, in ``frame``), and
+        optionally ``height_m``, which may be empty.
 
     Raises
     ------
@@ -95,7 +117,12 @@ def read_peaks(path: str | Path, frame: Frame) -> Peaks:
     )
     if places == ("lon", "lat"):
         first, second = frame.from_lonlat(first, second)
-    return Peaks(tuple(record["name"] for record in records), first, second, height)
+    return Peaks(
+        names=tuple(record["name"] for record in records),
+        easting_m=first,
+        northing_m=second,
+        height_m=height,
+    )
 
 
 def _read_geojson(path: Path, frame: Frame) -> Peaks:
@@ -109,22 +136,55 @@ def _read_geojson(path: Path, frame: Frame) -> Peaks:
     named = [point for point in points if point is not None]
     if not named:
         raise InputError(f"gazetteer {path} has no named point; {expected}")
-    names, lon, lat, height = zip(*named, strict=True)
-    return Peaks(names, *frame.from_lonlat(lon, lat), np.array(height))
+    names, lon, lat, given = zip(*named, strict=True)
+    height_m = np.array([math.nan if ele is None else height_of_ele(ele) for ele in given])
+    unread = [i for i, ele in enumerate(given) if ele is not None and math.isnan(height_m[i])]
+    if unread:
+        _log.warning(
+            "gazetteer %s: `ele` of %d of %d peaks is no height (the first is `%.40s` of %s), so "
+            "these are shown without one; expected metres, such as 4421, or a unit, such as "
+            "4421 m, 14505 ft or 14505'3\"",
+            path,
+            len(unread),
+            len(named),
+            given[unread[0]],
+            names[unread[0]],
+        )
+    easting_m, northing_m = frame.from_lonlat(lon, lat)
+    return Peaks(names=names, easting_m=easting_m, northing_m=northing_m, height_m=height_m)
 
 
-def _named_point(feature: Any) -> tuple[str, float, float, float] | None:
-    """Return name, longitude, latitude and height of a feature, None where it is no named point."""
+def _named_point(feature: Any) -> tuple[str, float, float, object] | None:
+    """Return name, longitude, latitude and ``ele`` of a feature, None unless it is a named point.
+
+    ``ele`` is as the file has it, None where it is empty.
+    """
     try:
         properties, geometry = feature["properties"], feature["geometry"]
         lon, lat = (float(degrees) for degrees in geometry["coordinates"][:2])
         name = " ".join(str(properties["name"] or "").split())
-        height = re.match(r"\s*-?\d+(\.\d+)?", str(properties.get("ele", "")))
+        ele = properties.get("ele")
     except (TypeError, KeyError, ValueError, AttributeError):
         return None
     if not name or geometry.get("type") != "Point" or not (abs(lon) <= 360.0 and abs(lat) <= 90.0):
         return None
-    return name, lon, lat, float(height[0]) if height else math.nan
+    return name, lon, lat, None if ele == "" else ele
+
+
+def height_of_ele(ele: object) -> float:
+    """Return the height in metres that OpenStreetMap's ``ele`` gives; NaN where it gives none.
+
+    A number has a point before its decimals and nothing between its thousands. Without a unit it
+    is metres; with one it is followed by a space and the unit, or written as 14505'3" in feet and
+    inches (wiki, Key:ele and Map features/Units). The space may be missing. Anything else could be
+    read in several ways, as 1,234 can, and a height that no place on Earth has is none.
+    """
+    text, height_m = str(ele).strip().lower(), math.nan
+    if (read := _WITH_UNIT.fullmatch(text)) and read[2] in _METRES:
+        height_m = float(read[1]) * _METRES[read[2]]
+    elif read := _FEET_INCHES.fullmatch(text):
+        height_m = float(read[1]) * _FOOT_M + float(read[2] or 0.0) * _INCH_M
+    return height_m if _HEIGHTS_M[0] <= height_m <= _HEIGHTS_M[1] else math.nan
 
 
 def _record(path: Path, number: int, header: tuple[str, ...], row: list[str]) -> dict[str, str]:
@@ -196,7 +256,7 @@ def most_prominent_first(terrain: HeightField, sightings: Sequence[Sighting]) ->
     """
 
     def rank(sighting: Sighting) -> tuple[float, float]:
-        row, col = terrain.to_grid(sighting.easting_m, sighting.northing_m)
+        row, col = terrain.to_grid(easting_m=sighting.easting_m, northing_m=sighting.northing_m)
         prominent_m = prominence_m(terrain, round(float(row)), round(float(col)))
         return -prominent_m, -sighting.surface_m
 
@@ -231,7 +291,7 @@ def _summit(
     terrain: HeightField, easting_m: float, northing_m: float
 ) -> tuple[float, float, float] | None:
     """Return easting, northing and height of the highest sample near a place, if there is any."""
-    row, col = (float(at) for at in terrain.to_grid(easting_m, northing_m))
+    row, col = (float(at) for at in terrain.to_grid(easting_m=easting_m, northing_m=northing_m))
     if not (0.0 <= row <= terrain.rows - 1 and 0.0 <= col <= terrain.cols - 1):
         return None
     reach_rows = max(1.0, SUMMIT_RADIUS_M / terrain.spacing_north_m)
@@ -257,7 +317,8 @@ def _is_hidden(
     distance = distance[(distance > near_m) & (distance < far_m)]
     turn = math.radians(sighting.azimuth_deg)
     ground = terrain.height_at(
-        eye.easting_m[0] + distance * math.sin(turn), eye.northing_m[0] + distance * math.cos(turn)
+        easting_m=eye.easting_m[0] + distance * math.sin(turn),
+        northing_m=eye.northing_m[0] + distance * math.cos(turn),
     )
     up = ground - eye.eye_elevation_m[0] - curvature.drop_m(distance)
     highest = float(np.fmax.reduce(up / distance, initial=-np.inf))
@@ -271,8 +332,13 @@ def _crossings(terrain: HeightField, eye: Viewpoints, sighting: Sighting) -> Flo
     Between two edges the surface is a plane, so what stands highest as seen from the eye stands
     on one of them.
     """
-    row, col = (float(at[0]) for at in terrain.to_grid(eye.easting_m, eye.northing_m))
-    to_row, to_col = (float(at) for at in terrain.to_grid(sighting.easting_m, sighting.northing_m))
+    row, col = (
+        float(at[0]) for at in terrain.to_grid(easting_m=eye.easting_m, northing_m=eye.northing_m)
+    )
+    to_row, to_col = (
+        float(at)
+        for at in terrain.to_grid(easting_m=sighting.easting_m, northing_m=sighting.northing_m)
+    )
     spans = ((row, to_row), (col, to_col), (col - row, to_col - to_row))
     shares = [
         (np.arange(math.ceil(min(span)), math.floor(max(span)) + 1) - span[0]) / (span[1] - span[0])

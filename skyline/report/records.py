@@ -72,9 +72,8 @@ class MatchRecord(TypedDict):
 
     ``seconds`` count from the file to the candidates, ``loading_seconds`` opened the store and its
     elevation model, once for all queries. ``answer_within_m`` is how near the answer is sure to be,
-    200 or 1000. ``unfinished`` says which part of the area a store holds whose build was not
-    finished. ``exif`` is there where the photo notes a place or a
-    direction, ``lens`` where it notes a lens and no field of view was given.
+    200 or 1000. ``exif`` is there where the photo notes a place or a direction, ``lens`` where it
+    notes a lens and no field of view was given.
     """
 
     query: str
@@ -84,7 +83,6 @@ class MatchRecord(TypedDict):
     seconds: float
     loading_seconds: float
     refusal: NotRequired[str]
-    unfinished: NotRequired[str]
     exif: NotRequired[ExifRecord]
     lens: NotRequired[LensRecord]
 

@@ -11,7 +11,7 @@ from matplotlib.offsetbox import AnchoredText
 from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.geodesy import Frame, degrees_in_words
+from skyline.geodesy import Frame, degrees_in_words, in_turn
 from skyline.report.relief_tiles import DARKEST, TINTS
 from skyline.terrain.heightfield import HeightField
 
@@ -72,9 +72,12 @@ class Area:
         return self.north_m - self.south_m
 
     @property
-    def centre_m(self) -> tuple[float, float]:
-        """Easting and northing of the middle."""
-        return (self.west_m + self.east_m) / 2.0, (self.south_m + self.north_m) / 2.0
+    def centre(self) -> dict[str, float]:
+        """Easting and northing of the middle, by the names that `Frame` takes them by."""
+        return {
+            "easting_m": (self.west_m + self.east_m) / 2.0,
+            "northing_m": (self.south_m + self.north_m) / 2.0,
+        }
 
 
 def draw_relief(axis: Axes, terrain: HeightField | None, area: Area) -> None:
@@ -106,8 +109,12 @@ def _crop(
     terrain: HeightField, area: Area
 ) -> tuple[Float64Array, tuple[float, float, float, float], int] | None:
     """Return the heights in an area, where they lie (west, east, south, north), and their step."""
-    top, left = (math.floor(at) - 1 for at in terrain.to_grid(area.west_m, area.north_m))
-    bottom, right = (math.ceil(at) + 2 for at in terrain.to_grid(area.east_m, area.south_m))
+    top, left = (
+        math.floor(at) - 1 for at in terrain.to_grid(easting_m=area.west_m, northing_m=area.north_m)
+    )
+    bottom, right = (
+        math.ceil(at) + 2 for at in terrain.to_grid(easting_m=area.east_m, northing_m=area.south_m)
+    )
     rows = slice(max(top, 0), min(bottom, terrain.rows))
     cols = slice(max(left, 0), min(right, terrain.cols))
     longest = max(rows.stop - rows.start, cols.stop - cols.start)
@@ -134,6 +141,7 @@ def _draw_degrees(axis: Axes, frame: Frame, area: Area) -> None:
     easting = area.west_m + along * area.width_m
     northing = area.south_m + along * area.height_m
     lon, lat = frame.to_lonlat(*np.meshgrid(easting, northing))
+    lon = in_turn(lon, float(lon[_EDGE_POINTS // 2, _EDGE_POINTS // 2]))
     lines: dict[str, Any] = {"colors": "black", "linewidths": 0.4, "alpha": 0.35}
     for degrees, place, edge, names, way in (
         (lon, easting, lon[0], "EW", axis.set_xticks),
@@ -153,7 +161,7 @@ def _draw_degrees(axis: Axes, frame: Frame, area: Area) -> None:
 
 def _draw_scale(axis: Axes, frame: Frame, area: Area) -> None:
     """Draw a bar whose length is that on the ground, in the lower left."""
-    scale = float(frame.scale(*area.centre_m))
+    scale = float(frame.scale(**area.centre))
     length_m = nice_length(0.28 * area.width_m / scale)
     west, south = area.west_m + 0.05 * area.width_m, area.south_m + 0.045 * area.height_m
     east = west + length_m * scale
@@ -176,7 +184,7 @@ def _draw_scale(axis: Axes, frame: Frame, area: Area) -> None:
 
 def _draw_north(axis: Axes, frame: Frame, area: Area) -> None:
     """Draw an arrow to true north in the upper left."""
-    turn = -math.radians(float(frame.convergence_deg(*area.centre_m)))
+    turn = -math.radians(float(frame.convergence_deg(**area.centre)))
     length = 0.075 * min(area.width_m, area.height_m)
     east = area.west_m + 0.06 * area.width_m
     north = area.north_m - 0.055 * area.height_m - length

@@ -44,9 +44,9 @@ class ReliefTiles:
         low, high = np.nanpercentile(coarse, [0.5, 99.5])
         self._range_m = float(low), max(float(high), float(low) + 1.0)
         west, south, east, north = terrain.bounds_m
-        mesh_m = np.meshgrid(np.linspace(west, east, 33), np.linspace(south, north, 33))
-        self.bounds_deg = terrain.frame.box_deg(*mesh_m)
-        """West, south, east, north of what there is, degrees."""
+        self.bounds_deg = terrain.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
+        """West, south, east, north of what there is, degrees; west above east across the
+        antimeridian."""
 
     def png(self, zoom: int, x: int, y: int) -> bytes:
         """Return a tile as PNG, transparent where there is no terrain.
@@ -68,7 +68,7 @@ class ReliefTiles:
         """Return the heights (T + 2, T + 2) at a tile's pixels and one beyond, and their size."""
         lon, lat = _lonlat(zoom, x, y)
         easting, northing = self._terrain.frame.from_lonlat(lon, lat)
-        row, col = self._terrain.to_grid(easting, northing)
+        row, col = self._terrain.to_grid(easting_m=easting, northing_m=northing)
         # Far away from its middle a frame may have no place for a point.
         row, col = (np.where(np.isfinite(at), at, _NOWHERE) for at in (row, col))
         step = (TILE_PX + 2) / (_MESH - 1)

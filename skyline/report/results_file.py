@@ -16,6 +16,7 @@ from typing import Any
 
 from skyline.errors import InputError
 from skyline.files import has_locks, write_whole
+from skyline.text import printable
 
 Row = dict[str, str | float | int | None]
 
@@ -91,10 +92,12 @@ def row_of(record: Mapping[str, Any], search: str) -> Row:
     ``record`` is a `MatchRecord` or a `FailureRecord`.
     """
     row: Row = dict.fromkeys(_TYPES)
-    row |= {"query": record["query"], "search": search, "answered": 0}
+    said = record.get("error", record.get("refusal"))
+    row |= {"query": printable(record["query"]), "search": search, "answered": 0}
+    row |= {"said": said and printable(said)}
     if "error" in record:
-        return row | {"said": record["error"]}
-    row |= {"seconds": record["seconds"], "said": record.get("refusal")}
+        return row
+    row["seconds"] = record["seconds"]
     for best in record["candidates"][:1]:
         row |= {name: best[name] for name in _OF_CANDIDATE}
         row["answered"] = int(record["answer"] is not None)
@@ -124,8 +127,7 @@ class _Csv:
         line = io.StringIO()
         csv.DictWriter(line, list(_TYPES), lineterminator="\n").writerow(row)
         with _as_input_errors(self._path), self._path.open("a", encoding="utf-8") as file:
-            # A line break within a row would look like its end.
-            file.write(line.getvalue().rstrip("\n").replace("\n", " ") + "\n")
+            file.write(line.getvalue())
             file.flush()
             os.fsync(file.fileno())
 

@@ -5,12 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyline.arrays import Float64Array
+from skyline.geodesy import Frame
 from skyline.matching.ranking import Candidate
 
 _CHI_SQUARE_95 = 5.991464547107979
 """95 % quantile of chi square with two degrees of freedom: -2 ln 0.05."""
 _ARC_STEP_DEG = 2.0
 _ELLIPSE_POINTS = 72
+_ON_EDGE_DEG, _SLIVER_DEG = 1e-9, 2e-7
+"""A corner nearer to the antimeridian is on it; a part narrower than 2 cm is left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +59,8 @@ class Ellipse:
 def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:
     """Return what a candidate looks at, out to ``reach_m``: its field of view from above.
 
-    The outline (P, 2), easting and northing, is counter-clockwise and closed; it begins at the
-    camera.
+    The outline (P, 2), easting and northing, is counter-clockwise and closed. It begins at the
+    camera, unless the view goes all the way round.
     """
     steps = max(2, int(np.ceil(candidate.fov_deg / _ARC_STEP_DEG)) + 1)
     half = candidate.fov_deg / 2.0
@@ -65,4 +68,66 @@ def view_wedge_m(candidate: Candidate, reach_m: float) -> Float64Array:
     azimuth = np.radians(candidate.grid_heading_deg + np.linspace(half, -half, steps))
     camera = np.array([[candidate.easting_m, candidate.northing_m]])
     arc = camera + reach_m * np.stack([np.sin(azimuth), np.cos(azimuth)], axis=1)
+    if candidate.fov_deg >= 360.0:
+        return np.concatenate([arc[:-1], arc[:1]])
     return np.concatenate([camera, arc, camera])
+
+
+def lonlat_rings(outline_m: Float64Array, frame: Frame) -> list[Float64Array]:
+    """Return an outline as rings of longitude and latitude, cut at the antimeridian.
+
+    RFC 7946 (3.1.9) asks for the cut; without it a map draws the shape round the world.
+
+    Parameters
+    ----------
+    outline_m : (P, 2) float64
+        Easting and northing, closed, of a shape that has no hole and holds no pole.
+
+    Returns
+    -------
+    list of (Q, 2) float64
+        Closed, in the outline's sense of turn; longitudes from -180 to 180.
+    """
+    lon, lat = frame.to_lonlat(*outline_m.T)
+    lon = np.unwrap(lon, period=360.0)
+    lon[-1] = lon[0]  # to the bit
+    # A corner on the antimeridian, but for rounding, is on neither side of it: it is moved to one.
+    on_edge = np.abs((lon % 360.0) - 180.0) < _ON_EDGE_DEG
+    ring = np.stack([lon + 2.0 * _ON_EDGE_DEG * on_edge, lat], axis=1)
+    rings = _cut(ring, float(np.copysign(180.0, lon[0])))
+    for ring in rings:
+        middle = 0.5 * (ring[:, 0].min() + ring[:, 0].max())
+        ring[:, 0] -= 360.0 * round(middle / 360.0)
+    return rings
+
+
+def _cut(ring: Float64Array, edge: float) -> list[Float64Array]:
+    """Return the parts of a ring on either side of a longitude; the ring where it crosses none."""
+    count = len(ring) - 1
+    is_east = ring[:-1, 0] > edge
+    crossed = np.flatnonzero(is_east != np.roll(is_east, -1))
+    if not len(crossed):
+        return [ring]
+    start, step = ring[crossed], ring[crossed + 1] - ring[crossed]
+    on_edge = start + step * ((edge - start[:, :1]) / step[:, :1])
+    on_edge[:, 0] = edge
+    # The ring falls into chains from crossing to crossing. Between the crossings by pairs, from
+    # the south, the edge is inside; so a chain goes on along it with the one that begins there.
+    after = np.roll(np.arange(len(crossed)), -1)
+    chains = []
+    for at, to in enumerate(after):
+        inner = np.arange(crossed[at] + 1, crossed[to] + 1 + (count if to <= at else 0)) % count
+        chains.append(np.concatenate([on_edge[[at]], ring[inner], on_edge[[to]]]))
+    order = np.argsort(on_edge[:, 1])
+    goes_on = np.empty_like(order)
+    goes_on[order[::2]], goes_on[order[1::2]] = order[1::2], order[::2]
+    parts, left = [], set(range(len(chains)))
+    while left:
+        chain = first = min(left)
+        joined = []
+        while chain in left:
+            left.remove(chain)
+            joined.append(chains[chain])
+            chain = int(goes_on[after[chain]])
+        parts.append(np.concatenate([*joined, chains[first][:1]]))
+    return [part for part in parts if np.ptp(part[:, 0]) > _SLIVER_DEG]

@@ -1,4 +1,4 @@
-"""What an HDF5 file must hold to be read as a store: damaged and foreign files are told apart."""
+"""Checks that an HDF5 file is a store: damaged, foreign and forged files are told apart."""
 
 import json
 from collections.abc import Iterator
@@ -9,21 +9,16 @@ import h5py
 import numpy as np
 
 from skyline.errors import InputError, StoreError
-from skyline.store.built import Built
-from skyline.store.coding import RowCoding
-from skyline.store.header import (
-    BUILT,
-    COMMITTED,
-    KEYPOINTS,
+from skyline.store.format import (
     PLACE_CODING,
     PLACES,
+    RENDERINGS,
     SCHEMA,
     SCHEMA_VERSION,
-    VIEW_SPECS,
     StoreHeader,
     package_version,
 )
-from skyline.store.lock import REBUILD
+from skyline.store.write import REBUILD
 
 _MAX_CHUNK_BYTES = 1 << 26
 
@@ -33,12 +28,11 @@ _PACKED = _CHECKSUMMED | {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}
 
 def read_header(path: Path, file: h5py.File) -> StoreHeader:
     """Return the header of a store; raises `StoreError` where any of it is not as it must be."""
-    if "schema" not in file.attrs or _text(path, file, "schema") != SCHEMA:
-        raise StoreError(
-            f"{path} is an HDF5 file but not a skyline store; "
-            "name one made by `skyline build` or `skyline render`"
-        )
+    if file.userblock_size or not {"schema", "schema_version"} <= set(file.attrs):
+        raise _foreign(path)
     _check_version(path, file)
+    if _text(path, file, "schema") != SCHEMA:
+        raise _foreign(path)
     config = json.loads(_text(path, file, "config"))
     files = json.loads(_text(path, file, "dem_files"))
     if not isinstance(config, dict):
@@ -46,14 +40,6 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
         raise StoreError(f"store {path} has dem_files that are not a JSON list; {REBUILD}")
     try:
-        rows = _rows(path, file)
-        layout: dict[str, Any] = {"holds": PLACES}
-        if rows.pop("rows") != PLACES:
-            layout = {
-                "width": _row_length(path, file, VIEW_SPECS["elevation_tan"][0]),
-                "max_keypoints": _row_length(path, file, KEYPOINTS),
-                "coding": RowCoding(**rows) if rows else None,
-            }
         header = StoreHeader(
             frame_wkt=_text(path, file, "frame"),
             dem_digest=_text(path, file, "dem_digest"),
@@ -61,7 +47,7 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
             config=config,
             renderer=_text(path, file, "renderer"),
             package_version=_text(path, file, "package_version"),
-            **layout,
+            **_layout(path, file),
         )
     except InputError as error:
         raise StoreError(f"store {path} is damaged: {error}; {REBUILD}") from error
@@ -73,28 +59,35 @@ def read_header(path: Path, file: h5py.File) -> StoreHeader:
     return header
 
 
-def _rows(path: Path, file: h5py.File) -> dict[str, Any]:
-    """Return what the file says of how its rows are held; raises `StoreError` if unreadable."""
-    said = json.loads(_text(path, file, "rows"))
-    kind = said.get("rows") if isinstance(said, dict) else None
-    if kind == PLACES and said != {"rows": PLACES, **PLACE_CODING}:
+def _foreign(path: Path) -> StoreError:
+    return StoreError(
+        f"{path} is an HDF5 file but not a skyline store; "
+        "name one made by `skyline build` or `skyline render`"
+    )
+
+
+def _layout(path: Path, file: h5py.File) -> dict[str, Any]:
+    """Return which kind of rows a file holds, and their width; raises `StoreError`."""
+    rows = json.loads(_text(path, file, "rows"))
+    kind = rows.get("rows") if isinstance(rows, dict) else None
+    if kind == PLACES and rows != {"rows": PLACES, **PLACE_CODING}:
         raise StoreError(
             f"store {path} has places that another release of skyline built, whose bytes mean "
             "something else; build it again"
         )
-    steps = RowCoding.__slots__ if kind == "compact" else ()
-    whole = kind == PLACES or (isinstance(said, dict) and said.keys() == {"rows", *steps})
-    if kind not in ("exact", "compact", PLACES) or not whole:
-        raise StoreError(f"store {path} has rows {said!r}, which skyline does not read; {REBUILD}")
-    return dict(said)
+    if kind == RENDERINGS and rows.keys() == {"rows", "width"} and type(rows["width"]) is int:
+        return {"holds": RENDERINGS, "width": rows["width"]}
+    if kind != PLACES:
+        raise StoreError(f"store {path} has rows {rows!r}, which skyline does not read; {REBUILD}")
+    return {"holds": PLACES}
 
 
 def _check_version(path: Path, file: h5py.File) -> None:
     version = _attribute(path, file, "schema_version")
     if not isinstance(version, np.integer) or version < SCHEMA_VERSION:
         raise StoreError(
-            f"store {path} has schema version {version!r}; expected {SCHEMA_VERSION}; build it "
-            "again"
+            f"store {path} has schema version {version}, of an older skyline; this one "
+            f"({package_version()}) reads version {SCHEMA_VERSION}: build the store again"
         )
     if version > SCHEMA_VERSION:
         raise StoreError(
@@ -103,51 +96,27 @@ def _check_version(path: Path, file: h5py.File) -> None:
         )
 
 
-def read_committed(path: Path, file: h5py.File) -> int:
-    """Return the number of complete rows; raises `StoreError` where there is no such number."""
-    return int(_counts(path, file, COMMITTED, ()))
-
-
-def read_built(path: Path, file: h5py.File) -> Built:
-    """Return how much of its build a store holds; raises `StoreError` where that is nonsense."""
-    if BUILT not in file:
-        return Built()
-    done, total = (int(count) for count in _counts(path, file, BUILT, (2,)))
-    if done > total:
-        raise StoreError(f"store {path}: {done} of {total} parts of it are built; {REBUILD}")
-    return Built(done, total)
-
-
-def _counts(path: Path, file: h5py.File, name: str, shape: tuple[int, ...]) -> Any:
-    """Return the unsigned numbers of a dataset of a shape."""
-    node = _hard_linked(path, file, name)
-    plain = isinstance(node, h5py.Dataset) and node.shape == shape and node.dtype.kind == "u"
-    if not plain or node.external or node.is_virtual:
-        said = "one unsigned number" if shape == () else "two unsigned numbers"
-        raise StoreError(f"store {path}: `{name}` is not {said}; {REBUILD}")
-    return node[()]
-
-
 def _attribute(path: Path, file: h5py.File, name: str) -> object:
-    """Return a single-valued attribute."""
+    """Return an attribute of one value; one of a variable length is not read.
+
+    HDF5 keeps values of variable lengths in a heap without a checksum, and may loop in a damaged
+    one.
+    """
     if name not in file.attrs or file.attrs.get_id(name).shape != ():
         raise StoreError(f"store {path} has no single attribute {name!r}; {REBUILD}")
-    value: object = file.attrs[name]
+    kind = file.attrs.get_id(name).get_type()
+    plain = isinstance(kind, h5py.h5t.TypeIntegerID) or (
+        isinstance(kind, h5py.h5t.TypeStringID) and not kind.is_variable_str()
+    )
+    value: object = file.attrs[name] if plain else None
     return value
 
 
 def _text(path: Path, file: h5py.File, name: str) -> str:
     value = _attribute(path, file, name)
-    if not isinstance(value, str):
+    if not isinstance(value, bytes):
         raise StoreError(f"store {path} has an attribute {name!r} that is not text; {REBUILD}")
-    return value
-
-
-def _row_length(path: Path, file: h5py.File, name: str) -> int:
-    dataset = _hard_linked(path, file, name)
-    if not isinstance(dataset, h5py.Dataset) or dataset.ndim != 2:
-        raise StoreError(f"store {path}: {name} is not a table of rows; {REBUILD}")
-    return int(dataset.shape[1])
+    return value.decode().removesuffix(" " if value == b" " else "")
 
 
 def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
@@ -176,7 +145,7 @@ def checked_dataset(
 
 
 def _faults(dataset: Any, row: np.dtype[Any], header: StoreHeader) -> Iterator[str]:
-    """Yield what is wrong with a dataset; what follows a fault assumes that it is not there."""
+    """Yield the faults of a dataset; each check assumes that those before it found none."""
     if not isinstance(dataset, h5py.Dataset) or dataset.shape[1:] != row.shape or not dataset.shape:
         yield f"is not rows of shape {row.shape}"
     if dataset.dtype != row.base:
@@ -189,7 +158,7 @@ def _faults(dataset: Any, row: np.dtype[Any], header: StoreHeader) -> Iterator[s
     created = dataset.id.get_create_plist()
     filters = {created.get_filter(n)[0] for n in range(created.get_nfilters())}
     mapped = header.holds == PLACES
-    if mapped and dataset.chunks != (header.chunk_rows, *row.shape):
+    if mapped and dataset.chunks != (header.chunk_rows(len(dataset)), *row.shape):
         yield f"has chunks of {dataset.chunks}"
     if filters - (_PACKED if row.shape and not mapped else _CHECKSUMMED):
         yield "is packed by a filter that skyline does not use"

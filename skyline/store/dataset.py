@@ -79,7 +79,11 @@ def _coordinates(
 ) -> dict[str, Any]:
     easting_m, northing_m = eyes.easting_m, eyes.northing_m
     lon, lat = frame.to_lonlat(easting_m, northing_m)
-    convergence_deg = frame.convergence_deg(easting_m, northing_m) if len(rows) else np.zeros(0)
+    convergence_deg = (
+        frame.convergence_deg(easting_m=easting_m, northing_m=northing_m)
+        if len(rows)
+        else np.zeros(0)
+    )
     turn = {"long_name": "grid convergence: true azimuth minus grid azimuth", **_DEGREES}
     return {
         dim: (dim, rows, {"long_name": "row of the store"}),

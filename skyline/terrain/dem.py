@@ -292,7 +292,9 @@ def _warn_of_distortion(grid: Grid, frame: Frame) -> None:
     easting, northing = np.meshgrid(
         np.linspace(grid.west, grid.east, _PROBES), np.linspace(grid.south, grid.north, _PROBES)
     )
-    angle_deg = float(np.nanmax(frame.angular_distortion_deg(easting, northing)))
+    angle_deg = float(
+        np.nanmax(frame.angular_distortion_deg(easting_m=easting, northing_m=northing))
+    )
     if angle_deg > CONFORMAL_DEG:
         _log.warning(
             "%s is not conformal: over this DEM it bends angles by up to %.2f degrees; "
@@ -300,7 +302,7 @@ def _warn_of_distortion(grid: Grid, frame: Frame) -> None:
             frame.name,
             angle_deg,
         )
-    scale = frame.scale(easting, northing)
+    scale = frame.scale(easting_m=easting, northing_m=northing)
     worst = float(scale.flat[np.nanargmax(np.abs(np.log(scale)))])
     if not math.isclose(worst, 1.0, abs_tol=TRUE_SCALE):
         _log.warning(

@@ -15,7 +15,8 @@ _REACH_M = 10_000.0
 _PARTS = 256
 """Parts of each side for which that height is noted."""
 _LEAST_M = 1.0
-"""Who stands on the edge is taken to stand this far inside."""
+"""An eye on the edge is taken to stand this far inside, and a side to be at least this long: a DEM
+may be one sample wide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,8 +93,8 @@ class DataEdge:
         distance_m, is_across = np.fmin(across, along), across <= along
         share = np.where(
             is_across,
-            (from_middle_m[1] + distance_m * cosine) / high_m,
-            (from_middle_m[0] + distance_m * sine) / wide_m,
+            (from_middle_m[1] + distance_m * cosine) / max(high_m, _LEAST_M),
+            (from_middle_m[0] + distance_m * sine) / max(wide_m, _LEAST_M),
         )
         is_far = np.where(is_across, sine, cosine) > 0.0
         parts = self.highest_m.shape[1]

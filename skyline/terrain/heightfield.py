@@ -27,6 +27,8 @@ Ground = Callable[[Float64Array, Float64Array], Float64Array]
 """Heights in metres at eastings and northings, NaN off the map and on holes."""
 
 
+_LEAST_SPACING_M = 0.01
+"""No model of terrain is finer; a second of arc, in degrees, is a fortieth of it."""
 _HEIGHT_SD_PER_ROOT_M = 1.2
 """Deviation of heights, metres, at a spacing of 1 m."""
 
@@ -94,10 +96,11 @@ class HeightField:
             heights = heights.astype(np.float32)
         if np.isinf([np.fmin.reduce(heights, axis=None), np.fmax.reduce(heights, axis=None)]).any():
             raise InputError("heights hold infinite values; mark holes with NaN")
-        if not (0.0 < self.spacing_east_m < np.inf and 0.0 < self.spacing_north_m < np.inf):
+        spacing = self.spacing_east_m, self.spacing_north_m
+        if not all(_LEAST_SPACING_M <= one < np.inf for one in spacing):
             raise InputError(
-                f"sample spacing is {self.spacing_east_m} x {self.spacing_north_m} m; "
-                "expected positive metres"
+                f"sample spacing is {spacing[0]} x {spacing[1]} m; expected a centimetre or more. "
+                "A grid in degrees is read by read_dem, HeightField.from_rasterio or from_xarray"
             )
         # A private copy, so that the field stays what its digest says; an array that is frozen
         # already is taken over as it is, since a large DEM must not need twice its memory.
@@ -114,7 +117,7 @@ class HeightField:
 
     def _repr_html_(self) -> str:
         west, south, east, north = self.bounds_m
-        corners = self.frame.box_deg([west, east, west, east], [south, south, north, north])
+        corners = self.frame.box_deg(easting_m=[west, east], northing_m=[south, north])
         facts = self._facts() | {"W, S, E, N": ", ".join(f"{v:.4f}" for v in corners)}
         if not np.isnan(self.heights_m).all():
             facts["heights"] = "{:.0f} to {:.0f} m".format(*self.height_range_m)
@@ -217,7 +220,7 @@ class HeightField:
             self.north_m,
         )
 
-    def reach_m(self, easting_m: float, northing_m: float) -> float:
+    def reach_m(self, *, easting_m: float, northing_m: float) -> float:
         """Return the distance of the farthest corner from a place, metres."""
         west, south, east, north = self.bounds_m
         return math.hypot(
@@ -249,7 +252,7 @@ class HeightField:
         return sha.hexdigest()
 
     def to_grid(
-        self, easting_m: ArrayLike, northing_m: ArrayLike
+        self, *, easting_m: ArrayLike, northing_m: ArrayLike
     ) -> tuple[Float64Array, Float64Array]:
         """Return fractional (row, column) of map coordinates; samples are at whole numbers."""
         row = (self.north_m - np.asarray(northing_m, dtype=np.float64)) / self.spacing_north_m
@@ -262,18 +265,41 @@ class HeightField:
         northing = self.north_m - np.asarray(row, dtype=np.float64) * self.spacing_north_m
         return easting, northing
 
-    def height_at(self, easting_m: ArrayLike, northing_m: ArrayLike) -> Float64Array:
+    def height_at(
+        self,
+        *,
+        easting_m: ArrayLike | None = None,
+        northing_m: ArrayLike | None = None,
+        lon: ArrayLike | None = None,
+        lat: ArrayLike | None = None,
+    ) -> Float64Array:
         """Return the height of the surface; NaN off the map and over holes.
 
         Parameters
         ----------
-        easting_m, northing_m : array_like, metres, broadcast together
+        easting_m, northing_m : array_like, metres in `frame`, broadcast together
+        lon, lat : array_like, degrees (WGS 84), broadcast together
+            Instead of ``easting_m`` and ``northing_m``.
 
         Returns
         -------
         float64 array of the broadcast shape, metres above the datum
+
+        Raises
+        ------
+        InputError
+            Both pairs of coordinates, or half of one.
         """
-        row, col = np.broadcast_arrays(*self.to_grid(easting_m, northing_m))
+        if lon is not None and lat is not None and easting_m is None and northing_m is None:
+            easting_m, northing_m = self.frame.from_lonlat(*np.broadcast_arrays(lon, lat))
+        elif easting_m is None or northing_m is None or not (lon is None and lat is None):
+            given = {"easting_m": easting_m, "northing_m": northing_m, "lon": lon, "lat": lat}
+            names = [name for name, value in given.items() if value is not None]
+            raise InputError(
+                f"a place is given by {', '.join(names) or 'nothing'}; expected easting_m and "
+                "northing_m (metres of the frame), or lon and lat (degrees, WGS 84)"
+            )
+        row, col = np.broadcast_arrays(*self.to_grid(easting_m=easting_m, northing_m=northing_m))
         inside = (row >= 0.0) & (row <= self.rows - 1) & (col >= 0.0) & (col <= self.cols - 1)
         row, col = np.where(inside, row, 0.0), np.where(inside, col, 0.0)
         top = np.minimum(row.astype(np.int64), max(self.rows - 2, 0))
@@ -294,3 +320,8 @@ class HeightField:
         """Return weight * height, 0 where the weight is 0 even if the sample is a hole."""
         heights = self.heights_m[row, col].astype(np.float64)
         return np.where(weight > 0.0, weight * heights, 0.0)
+
+
+def ground_of(field: HeightField) -> Ground:
+    """Return the heights of a field as a function of eastings and northings."""
+    return lambda easting, northing: field.height_at(easting_m=easting, northing_m=northing)

@@ -83,7 +83,7 @@ def coarser_step(
         Of the blocks, those that could be drawn with it within the tolerance.
     """
     deviation_m = coarser_deviation_m(field, step)
-    row, col = field.to_grid(eye.easting_m[0], eye.northing_m[0])
+    row, col = field.to_grid(easting_m=eye.easting_m[0], northing_m=eye.northing_m[0])
     gaps = [
         np.maximum(np.maximum(first - place, place - first - BLOCK_CELLS), 0.0) * spacing
         for first, place, spacing in (
@@ -98,7 +98,7 @@ def coarser_step(
 
 def share_beyond(field: HeightField, eye: Viewpoints, distance_m: float) -> float:
     """Return the share of the samples that lie farther from one eye."""
-    row, col = field.to_grid(eye.easting_m[0], eye.northing_m[0])
+    row, col = field.to_grid(easting_m=eye.easting_m[0], northing_m=eye.northing_m[0])
     south = (np.arange(field.rows) - row) * field.spacing_north_m
     east = (np.arange(field.cols) - col) * field.spacing_east_m
     half_chord = np.sqrt(np.maximum(distance_m**2 - south**2, 0.0))

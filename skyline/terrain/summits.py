@@ -40,7 +40,7 @@ def highest_within(
     within_m : float
         The disc's radius.
     """
-    row, col = (float(at) for at in field.to_grid(easting_m, northing_m))
+    row, col = (float(at) for at in field.to_grid(easting_m=easting_m, northing_m=northing_m))
     south_m, east_m = field.spacing_north_m, field.spacing_east_m
     rows, cols = (
         np.arange(max(0, math.ceil(at - reach) - 1), min(count, math.floor(at + reach) + 2))
@@ -78,7 +78,9 @@ def highest_within(
     place = (place[:, np.newaxis] + east_m * _BESIDE.real + 1j * south_m * _BESIDE.imag).ravel()
     easting, northing = easting_m + place.real, northing_m - place.imag
     # To the millimetre, since rounding must not prefer one place of level ground to another.
-    height = np.nan_to_num(np.round(field.height_at(easting, northing), 3), nan=-np.inf)
+    height = np.nan_to_num(
+        np.round(field.height_at(easting_m=easting, northing_m=northing), 3), nan=-np.inf
+    )
     best = np.lexsort((np.abs(place), -height))[0]
     return float(easting[best]), float(northing[best])
 
@@ -92,7 +94,7 @@ def summit_heights_m(
     off by twice `HeightField.height_sd_m` on all sides within 16 samples, before it rises by half
     of that deviation. Beyond holes and the border it may rise.
     """
-    row, col = field.to_grid(easting_m, northing_m)
+    row, col = field.to_grid(easting_m=easting_m, northing_m=northing_m)
     near = np.arange(-1, 3)
     rows = np.floor(row).astype(np.int64)[:, np.newaxis] + np.repeat(near, 4)
     cols = np.floor(col).astype(np.int64)[:, np.newaxis] + np.tile(near, 4)

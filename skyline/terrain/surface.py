@@ -66,7 +66,8 @@ def read_surface(paths: Dem, terrain: HeightField) -> HeightField:
     rise = replace(paths, heights_m=above_m)
     heights_m = np.empty_like(terrain.heights_m)
     for rows in strips(heights_m):
-        over_m = rise.height_at(*_samples(terrain, rows, paths))
+        easting, northing = _samples(terrain, rows, paths)
+        over_m = rise.height_at(easting_m=easting, northing_m=northing)
         over_m = np.where(np.isnan(over_m), UNKNOWN_M, np.maximum(over_m, 0.0))
         heights_m[rows] = terrain.heights_m[rows] + over_m
     heights_m.setflags(write=False)
@@ -84,7 +85,9 @@ def _above_ground_m(model: HeightField, terrain: HeightField) -> Float64Array:
         for at, least, most in ((easting, west, east), (northing, south, north)):
             beside = np.clip(at, least, most)
             np.copyto(at, beside, where=np.abs(at - beside) <= reach_m)
-        above_m[rows] = model.heights_m[rows] - terrain.height_at(easting, northing)
+        above_m[rows] = model.heights_m[rows] - terrain.height_at(
+            easting_m=easting, northing_m=northing
+        )
     known = np.isfinite(above_m)
     name = ", ".join(model.provenance.files) or "the surface"
     if not known.any():

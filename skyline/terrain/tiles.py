@@ -24,7 +24,7 @@ from rasterio.windows import Window
 
 from skyline.arrays import Float32Array
 from skyline.errors import FetchError, InputError, MissingFileError
-from skyline.files import is_file
+from skyline.files import for_gdal, is_file
 from skyline.geodesy import horizontal
 from skyline.terrain.cleaning import strips
 from skyline.terrain.conventions import (
@@ -263,18 +263,19 @@ def absolute_name(path: str | Path) -> str:
     MissingFileError
         There is no such file, and it is no address or name of GDAL's.
     InputError
-        A folder.
+        A folder, or a name that is not UTF-8.
     """
     text = str(path)
     if is_file(text):
-        return str(Path(text).absolute())
+        return for_gdal(str(Path(text).absolute()))
     if "://" in text or text.startswith("/vsi"):
-        return text
+        return for_gdal(text)
     if Path(text).is_dir():
         raise InputError(f"{text} is a folder; name the DEM files in it")
     if re.match(r"[A-Za-z][A-Za-z0-9_+]+:", text):
         parts = re.split(r"([:\"])", text)
-        return "".join(str(Path(p).absolute()) if p and is_file(p) else p for p in parts)
+        named = (str(Path(p).absolute()) if p and is_file(p) else p for p in parts)
+        return for_gdal("".join(named))
     raise MissingFileError(f"there is no file {text}; check the path of the DEM")
 
 

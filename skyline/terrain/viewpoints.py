@@ -27,7 +27,7 @@ _EXPECTED = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Viewpoints(Rows):
     """N eyes in a DEM's frame.
 
@@ -45,6 +45,7 @@ class Viewpoints(Rows):
 
 def stand_on(
     field: HeightField,
+    *,
     easting_m: ArrayLike,
     northing_m: ArrayLike,
     eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
@@ -54,7 +55,7 @@ def stand_on(
 
     Parameters
     ----------
-    easting_m, northing_m : array_like, broadcast to (N,), metres
+    easting_m, northing_m : array_like, broadcast to (N,), metres in the field's frame
     eye_height_m : array_like, metres above ground, at least 0
     summit_within_m : float or None
         How far an eye goes, at most, to stand on the highest point around. None leaves eyes where
@@ -81,17 +82,18 @@ def stand_on(
             for place in zip(easting.tolist(), northing.tolist(), strict=True)
         ]
         easting, northing = np.array(highest).reshape(-1, 2).T.copy()
-    ground = field.height_at(easting, northing)
+    ground = field.height_at(easting_m=easting, northing_m=northing)
     _check_ground(field, *asked, ground)
     if summit_within_m is None:
         ground = np.fmax(ground, summit_heights_m(field, easting, northing))
-    return Viewpoints(easting, northing, ground + eye_height)
+    return Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=ground + eye_height)
 
 
 def stand_at(
     field: HeightField,
-    lon_deg: ArrayLike,
-    lat_deg: ArrayLike,
+    *,
+    lon: ArrayLike,
+    lat: ArrayLike,
     eye_height_m: ArrayLike = DEFAULT_EYE_HEIGHT_M,
     summit_within_m: float | None = None,
 ) -> Viewpoints:
@@ -99,8 +101,14 @@ def stand_at(
 
     By default an eye beside a summit of the model stands as high as the summit.
     """
-    place = place_on(field.frame, field.bounds_m, lon_deg, lat_deg)
-    return stand_on(field, *place, eye_height_m, summit_within_m)
+    easting_m, northing_m = place_on(field.frame, field.bounds_m, lon, lat)
+    return stand_on(
+        field,
+        easting_m=easting_m,
+        northing_m=northing_m,
+        eye_height_m=eye_height_m,
+        summit_within_m=summit_within_m,
+    )
 
 
 def place_on(
@@ -117,7 +125,7 @@ def place_on(
     if outside.size:
         first = outside[0]
         west, south, east, north = bounds_m
-        box = frame.box_deg([west, east, west, east], [south, south, north, north])
+        box = frame.box_deg(easting_m=[west, east], northing_m=[south, north])
         is_swapped = is_inside(bounds_m, *frame.from_lonlat(lat[first], lon[first]))
         raise OffMapError(
             f"viewpoint {first} (lon {lon[first]:.5f}, lat {lat[first]:.5f}; {outside.size} such) "
@@ -141,9 +149,11 @@ def stand_where_possible(
     """
     easting, northing, eye_height = _flat(easting_m, northing_m, eye_height_m)
     _check_heights(eye_height)
-    ground = field.height_at(easting, northing)
+    ground = field.height_at(easting_m=easting, northing_m=northing)
     stands = ~np.isnan(ground)
-    return Viewpoints(easting, northing, ground + eye_height)[stands], stands
+    return Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=ground + eye_height)[
+        stands
+    ], stands
 
 
 def at_elevation(
@@ -151,8 +161,11 @@ def at_elevation(
 ) -> Viewpoints:
     """Place eyes at elevations above the datum; as `stand_on` otherwise."""
     easting, northing, eye_elevation = _flat(easting_m, northing_m, eye_elevation_m)
-    _check_heights(eye_elevation - stand_on(field, easting, northing, 0.0).eye_elevation_m)
-    return Viewpoints(easting, northing, eye_elevation)
+    _check_heights(
+        eye_elevation
+        - stand_on(field, easting_m=easting, northing_m=northing, eye_height_m=0.0).eye_elevation_m
+    )
+    return Viewpoints(easting_m=easting, northing_m=northing, eye_elevation_m=eye_elevation)
 
 
 def _check_ground(
@@ -246,7 +259,13 @@ def read_viewpoints(
     if eyes == ["eye_elevation_m"]:
         return at_elevation(field, first, second, columns["eye_elevation_m"])
     eye_height = columns.get("eye_height_m", eye_height_m)
-    return stand_on(field, first, second, eye_height, summit_within_m)
+    return stand_on(
+        field,
+        easting_m=first,
+        northing_m=second,
+        eye_height_m=eye_height,
+        summit_within_m=summit_within_m,
+    )
 
 
 def _read_columns(path: Path) -> dict[str, Float64Array]:

@@ -41,7 +41,7 @@ _Window = tuple[slice, slice]
 def local_frame(grid: Grid, crs: CRS) -> Frame:
     """Return the local conformal frame centred on a grid."""
     lon, lat, _ = to_wgs84(crs, *grid.centre)
-    return Frame.local((lon + 180.0) % 360.0 - 180.0, lat)
+    return Frame.local(lon=(lon + 180.0) % 360.0 - 180.0, lat=lat)
 
 
 def ground_spacing_m(grid: Grid, crs: CRS, frame: Frame) -> tuple[float, float]:

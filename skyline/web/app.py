@@ -17,12 +17,12 @@ from starlette.websockets import WebSocket
 
 from skyline import InputError, SkylineError, read_trace
 from skyline.web.asked import chosen_of, narrowing_of, pose_of, query_of, strokes_of
-from skyline.web.engine import Engine
+from skyline.web.engine import Engine, shown_name
 from skyline.web.live import LiveChannel
 from skyline.web.match_jobs import Match, candidate_json
 from skyline.web.photos import PagePhoto, version_of
 from skyline.web.saving import KINDS, saved
-from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, Session, Sessions, shown_name
+from skyline.web.sessions import MAX_SESSION_BYTES, MAX_UPLOAD_BYTES, Session, Sessions
 
 _PAGE = Path(__file__).parent / "page"
 _MAX_JSON_BYTES = _MAX_TRACE_BYTES = 8_000_000

@@ -79,9 +79,9 @@ def pose_of(asked: Any, viewer: Viewer) -> Candidate:
     if not isinstance(asked, Mapping):
         raise InputError("there is no pose; place the camera on the map")
     pose = viewer.pose(
-        number(asked, "lon"),
-        number(asked, "lat"),
-        number(asked, "heading"),
+        lon=number(asked, "lon"),
+        lat=number(asked, "lat"),
+        heading_deg=number(asked, "heading"),
         pitch_deg=number(asked, "pitch"),
         roll_deg=number(asked, "roll"),
         fov_deg=number(asked, "fov"),

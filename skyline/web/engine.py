@@ -24,6 +24,7 @@ T = TypeVar("T")
 
 _WORKERS = {"photos": 2, "strokes": 2, "matches": 3, "live": 4, "files": 1}
 """Threads by what they do, so that no kind of work waits for another."""
+_NAME_LENGTH = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +72,15 @@ class Engine:
         """Return what a page shows of the store."""
         eyes = self.matcher.viewpoints
         return {
-            "store": self.given.store.name,
+            "store": shown_name(self.given.store.name),
             "places": self.matcher.rows,
-            "unfinished": self.matcher.unfinished,
-            "area": list(self.matcher.frame.box_deg(eyes.easting_m, eyes.northing_m)),
+            "area": list(
+                self.matcher.frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+            ),
             "terrain": self.relief and list(self.relief.bounds_deg),
             "rendering": self.viewer is not None,
             "peaks": self.given.peaks is not None,
-            "given": [path.name for path in self.given.photos],
+            "given": [shown_name(path.name) for path in self.given.photos],
         }
 
     def height_m(self, lon: float, lat: float) -> float | None:
@@ -86,7 +88,7 @@ class Engine:
         terrain = self.matcher.terrain
         if terrain is None:
             return None
-        height = float(terrain.height_at(*self.matcher.frame.from_lonlat(lon, lat)))
+        height = float(terrain.height_at(lon=lon, lat=lat))
         return height if np.isfinite(height) else None
 
     def eye_height_m(self, pose: Candidate) -> float | None:
@@ -97,7 +99,7 @@ class Engine:
         surface_m = self.height_m(pose.lon, pose.lat)
         if surface_m is None or self.matcher.terrain is None:
             return None
-        ground = stand_at(self.matcher.terrain, pose.lon, pose.lat, 0.0)
+        ground = stand_at(self.matcher.terrain, lon=pose.lon, lat=pose.lat, eye_height_m=0.0)
         return max(surface_m, pose.eye_elevation_m) - float(ground.eye_elevation_m[0])
 
     def close(self) -> None:
@@ -108,3 +110,10 @@ class Engine:
             self.viewer.release()
         self.matcher.release()
         self.thread.close()
+
+
+def shown_name(name: str) -> str:
+    """Return a file's name as the page shows it: without folders or control characters."""
+    last = name.replace("\\", "/").rsplit("/", 1)[-1]
+    plain = "".join(letter for letter in last if letter.isprintable()).strip()
+    return plain[-_NAME_LENGTH:] or "photo"

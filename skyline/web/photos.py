@@ -177,7 +177,7 @@ def _read(photo: PagePhoto) -> tuple[Photo, Correction]:
         read = read_photo(photo.path)
         return read, Correction(read)
     except SkylineError as error:
-        said = str(error).replace(str(photo.path), photo.name)
+        said = str(error.args[0]).replace(str(photo.path), photo.name)
         raise InputError(said if photo.name in said else f"{photo.name}: {said}") from error
 
 

@@ -86,4 +86,5 @@ def _matched(opened: Opened, photo: PagePhoto, candidates: Sequence[Candidate]) 
         read.rgb,
         [f"{candidates[0].origin.capitalize()} on the page."],
         of.within_m if is_answer else None,
+        is_upload=True,
     )

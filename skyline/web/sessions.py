@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 from skyline import InputError
+from skyline.web.engine import shown_name
 from skyline.web.match_jobs import Match
 from skyline.web.photos import Opened, PagePhoto
 
@@ -18,7 +19,6 @@ _GONE_S = 900.0
 """How long photos are kept for somebody whose page is closed: it may be opened again."""
 _UNATTENDED_S = 3.0
 """How long a match goes on for nobody."""
-_NAME_LENGTH = 100
 
 
 class Session:
@@ -118,10 +118,3 @@ class Sessions:
             self.opened.forget(photo)
         self._sessions.pop(session.id, None)
         shutil.rmtree(session.folder, ignore_errors=True)
-
-
-def shown_name(name: str) -> str:
-    """Return a file's name as the page shows it: without folders or control characters."""
-    last = name.replace("\\", "/").rsplit("/", 1)[-1]
-    plain = "".join(letter for letter in last if letter.isprintable()).strip()
-    return plain[-_NAME_LENGTH:] or "photo"

@@ -58,17 +58,6 @@ def test_short_ones_write_their_rows(run_bench, dem, tmp_path, command, rows, ke
     assert all(row[key] >= 0.0 for row in written["rows"])
 
 
-def test_a_record_keeps_the_rows_of_what_is_not_run(run_bench, dem, tmp_path):
-    record = tmp_path / "record.json"
-    run = ("store-durability", dem, "--flips", 2, "--cases", 2, "--json", record)
-    assert run_bench(*run, "--test", "flips").code == 0
-    assert run_bench(*run, "--test", "mutated").code == 0
-    rows = json.loads(record.read_text())["rows"]
-    assert [row["test"] for row in rows] == ["flips"] * 3 + ["mutated"] * 3
-    refused = run_bench(*run, "--test", "floods")
-    assert (refused.code, refused.err.count("\n")) == (2, 1)
-
-
 @pytest.fixture
 def three_cases(monkeypatch):
     """Only three hard cases, since all of them are tested one by one elsewhere."""

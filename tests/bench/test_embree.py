@@ -28,8 +28,13 @@ def random_viewpoints(field, count, seed=1, eye_height_m=2.0):
     generator = np.random.default_rng(seed)
     west, south, east, north = field.bounds_m
     easting, northing = generator.uniform(west, east, 99), generator.uniform(south, north, 99)
-    standing = ~np.isnan(field.height_at(easting, northing))
-    return stand_on(field, easting[standing][:count], northing[standing][:count], eye_height_m)
+    standing = ~np.isnan(field.height_at(easting_m=easting, northing_m=northing))
+    return stand_on(
+        field,
+        easting_m=easting[standing][:count],
+        northing_m=northing[standing][:count],
+        eye_height_m=eye_height_m,
+    )
 
 
 def error_tan(field, viewpoints, depth, curvature):
@@ -58,7 +63,9 @@ def test_walls_beyond_the_field_of_view_and_dips_are_found():
         (-262.0, 2.0, 0.1, 27.0),
         (-200.0, 800.0, -6.0, -4.0),
     ]:
-        viewpoints = stand_on(field, [250.0], [northing], eye_height)
+        viewpoints = stand_on(
+            field, easting_m=[250.0], northing_m=[northing], eye_height_m=eye_height
+        )
         truth = oracle.skyline(field, viewpoints, WIDTH).elevation_tan
         assert truth.min() < lowest
         assert truth.max() > highest
@@ -69,7 +76,7 @@ def test_walls_beyond_the_field_of_view_and_dips_are_found():
 @needs_embree
 def test_where_there_is_no_data_there_is_no_value():
     field = field_of(fractal(60, 60, 300.0, seed=9))
-    on_the_border = stand_on(field, [905.0], [0.0])
+    on_the_border = stand_on(field, easting_m=[905.0], northing_m=[0.0])
     views = EmbreePeer(field, WIDTH).render(on_the_border, 14)
     truth = oracle.skyline(field, on_the_border, WIDTH)
     north, south = 0, 2
@@ -98,7 +105,7 @@ def test_columns_clear_of_holes_are_exact():
 @needs_embree
 def test_bad_depths_are_refused():
     field = field_of(fractal(10, 10))
-    none = stand_on(field, [90.0], [-90.0])[:0]
+    none = stand_on(field, easting_m=[90.0], northing_m=[-90.0])[:0]
     assert len(EmbreePeer(field, WIDTH).render(none, 8)) == 0
     with pytest.raises(InputError, match="depth is 0"):
         EmbreePeer(field, WIDTH).render(none, 0)

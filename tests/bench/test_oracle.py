@@ -17,7 +17,9 @@ FLAT = Curvature(enabled=False)
 
 
 def eye(east, north, up):
-    return Viewpoints(np.array([east]), np.array([north]), np.array([up]))
+    return Viewpoints(
+        easting_m=np.array([east]), northing_m=np.array([north]), eye_elevation_m=np.array([up])
+    )
 
 
 def test_step_is_seen_at_its_upper_edge():
@@ -180,8 +182,10 @@ def test_oracle_equals_a_loop_over_every_edge(rows, cols, seed, holes, width):
     field = HeightField(heights, 1e6, 5e6, 30.0, 25.0, FRAME)
     easting = 1e6 + generator.uniform(0, (cols - 1) * 30.0, 20)
     northing = 5e6 - generator.uniform(0, (rows - 1) * 25.0, 20)
-    standing = ~np.isnan(field.height_at(easting, northing))
-    viewpoints = stand_on(field, easting[standing][:1], northing[standing][:1], 1.5)
+    standing = ~np.isnan(field.height_at(easting_m=easting, northing_m=northing))
+    viewpoints = stand_on(
+        field, easting_m=easting[standing][:1], northing_m=northing[standing][:1], eye_height_m=1.5
+    )
     views = oracle.skyline(field, viewpoints, width)
     for index in range(len(viewpoints)):
         for heading in range(4):
@@ -214,8 +218,8 @@ def test_large_false_eastings_change_nothing():
     heights = fractal(40, 40, seed=5)
     near = field_of(heights, 30.0)
     far = field_of(heights, 30.0, west_m=2.0**23, north_m=2.0**23)
-    here = stand_on(near, [500.0], [-600.0])
-    there = stand_on(far, [2.0**23 + 500.0], [2.0**23 - 600.0])
+    here = stand_on(near, easting_m=[500.0], northing_m=[-600.0])
+    there = stand_on(far, easting_m=[2.0**23 + 500.0], northing_m=[2.0**23 - 600.0])
     np.testing.assert_array_equal(
         oracle.skyline(near, here, 64).elevation_tan, oracle.skyline(far, there, 64).elevation_tan
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import field_from, field_of, fractal
+from scenes import at_m, field_from, field_of, fractal
 
 from skyline.errors import InputError
 from skyline.matching.query_rays import level
@@ -47,7 +47,9 @@ def test_an_exact_query_levelled_is_the_oracles_skyline(terrain):
         rays = query.rays()
         azimuth, y = level(rays.u, rays.v, truth.pitch_deg, truth.roll_deg)
         eye = Viewpoints(
-            *(np.array([x]) for x in (truth.easting_m, truth.northing_m, truth.eye_elevation_m))
+            easting_m=np.array([truth.easting_m]),
+            northing_m=np.array([truth.northing_m]),
+            eye_elevation_m=np.array([truth.eye_elevation_m]),
         )
         views = oracle.skyline(terrain, eye, width=4096)
         order = np.argsort(views.azimuth_deg().ravel())
@@ -69,7 +71,7 @@ def test_eyes_stand_on_the_surface_inside_the_area(terrain):
     for truth in (query.truth for query in queries):
         assert 1400.0 <= truth.easting_m <= 1900.0
         assert -1900.0 <= truth.northing_m <= -1400.0
-        ground_m = terrain.height_at(truth.easting_m, truth.northing_m)
+        ground_m = terrain.height_at(easting_m=truth.easting_m, northing_m=truth.northing_m)
         assert truth.eye_elevation_m == pytest.approx(ground_m + 2.0)
 
 
@@ -299,4 +301,6 @@ def test_resampling_samples_the_same_surface():
     assert other.bounds_m[2] <= east < other.bounds_m[2] + 41.0
     assert other.bounds_m[1] >= south > other.bounds_m[1] - 41.0
     places = np.random.default_rng(0).uniform(-700.0, 700.0, (2, 50))
-    np.testing.assert_allclose(other.height_at(*places), terrain.height_at(*places), atol=1e-6)
+    np.testing.assert_allclose(
+        other.height_at(**at_m(places)), terrain.height_at(**at_m(places)), atol=1e-6
+    )

@@ -9,10 +9,10 @@ from commands import assert_refused
 from scenes import candidate_at, field_of, fractal
 
 from skyline import JointResult, MatchResult
+from skyline.build.grid import map_bounds
 from skyline.errors import InputError
 from skyline.geodesy import Bounds
 from skyline.photo.query import QuerySkyline
-from skyline.planning.uniform import map_bounds
 from skyline.store import open_store
 from skyline_bench.queries.kinds import make_kind
 from skyline_bench.queries.synthetic import SyntheticQuery, Truth
@@ -104,22 +104,22 @@ def test_stores_matchers_and_kinds_are_compared_and_kept(run, dem, kept):
 @pytest.mark.usefixtures("refined_once")
 def test_uniform_and_adaptive_stores_are_compared(run, dem):
     record = run(
-        "uniform-adaptive", dem, "--spacing", 600, "--budget", 60, "--loss", 0.4, "--queries", 3,
-        "--matcher", "paper", "--matcher", "retrieved",
+        "uniform-adaptive", dem, "--spacing", 600, "--threshold-px", 40, "--loss", 0.4,
+        "--queries", 3, "--matcher", "paper", "--matcher", "retrieved",
     )  # fmt: skip
     rows = [(row["store"], row["matcher"], row["group"]) for row in record["rows"]]
     assert rows == [
         (store, matcher, group)
         for store, matcher in (
             ("uniform-600", "paper"),
-            ("lpov-60", "paper"),
+            ("lpov-40px", "paper"),
             ("places-600", "retrieved"),
             ("planned-0.4", "retrieved"),
         )
         for group in ("close", "medium", "far", "all")
     ]
     adaptive = [row["store"] for row in record["summary"]["against_uniform"]]
-    assert adaptive == ["lpov-60", "planned-0.4"]
+    assert adaptive == ["lpov-40px", "planned-0.4"]
 
 
 @pytest.mark.slow
@@ -179,7 +179,7 @@ def test_photos_of_one_place_and_strangers(run, dem, store):
         ("matching", ["--store", "DEM"], "dem.tif"),
         ("uniform-adaptive", ["--queries", "2"], "queries is 2; expected 3"),
         ("uniform-adaptive", ["--strategy", "best"], "strategy is 'best'"),
-        ("uniform-adaptive", ["--spacing", "600", "--budget", "2"], "budget is 2"),
+        ("uniform-adaptive", ["--spacing", "600", "--threshold-px", "0"], "threshold is 0"),
         ("scale", ["--area", "0"], "area is 0.0 km2"),
         ("scale", ["--area", "nan"], "area is nan km2"),
         ("scale", ["--near", "-1"], "radius is -1.0 km"),

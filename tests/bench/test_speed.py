@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from commands import assert_refused
-from scenes import FRAME, field_of, fractal
+from scenes import FRAME, at_m, field_of, fractal
 
 from skyline import Curvature, HeightField, SkylineError, horizon, stand_on
 from skyline.errors import InputError
@@ -120,13 +120,14 @@ def field():
 
 @needs_grass
 def test_grass_answers_by_azimuth_from_true_north(field):
-    eyes = stand_on(field, *field.to_map([80.0, 60.0], [70.0, 90.0]), 0.0)
+    eyes = stand_on(field, **at_m(field.to_map([80.0, 60.0], [70.0, 90.0])), eye_height_m=0.0)
     angles, seconds = grass.horizons(field, eyes, 2.0)
     assert angles.shape == (2, 180)
     assert seconds.shape == (1,)
     lon, lat = field.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
     flat = Curvature(enabled=False)
-    found = np.maximum(horizon(field, lon, lat, 0.0, 2.0, flat).elevation_deg, 0.0)
+    seen = horizon(field, lon=lon, lat=lat, eye_height_m=0.0, step_deg=2.0, curvature=flat)
+    found = np.maximum(seen.elevation_deg, 0.0)
     off = [np.abs(np.roll(angles, turn, axis=1) - found).mean() for turn in range(180)]
     assert min(off[0], off[1], off[-1]) == min(off)
 
@@ -135,7 +136,7 @@ def test_grass_answers_by_azimuth_from_true_north(field):
 def test_grass_that_fails_is_one_line(field, monkeypatch):
     monkeypatch.setattr(grass, "_SCRIPT", "echo no such thing >&2; exit 3\n")
     with pytest.raises(SkylineError, match=r"r\.horizon gave 0 angles"):
-        grass.horizons(field, stand_on(field, *field.to_map(80.0, 70.0)), 2.0)
+        grass.horizons(field, stand_on(field, **at_m(field.to_map(80.0, 70.0))), 2.0)
 
 
 # --- errors against the oracle: which columns count, and in which unit ----------------------
@@ -144,7 +145,7 @@ def test_grass_that_fails_is_one_line(field, monkeypatch):
 @pytest.fixture(scope="module")
 def truth():
     terrain = field_of(fractal(60, 60, 300.0, seed=4))
-    views = oracle.skyline(terrain, stand_on(terrain, [900.0], [-900.0]), 16)
+    views = oracle.skyline(terrain, stand_on(terrain, easting_m=[900.0], northing_m=[-900.0]), 16)
     return dataclasses.replace(views, flags=np.zeros_like(views.flags))
 
 
@@ -217,7 +218,7 @@ def test_work_is_done_in_turns_after_a_warm_up():
 
 def test_viewpoints_shared_out_come_back_in_order():
     terrain = field_of(fractal(20, 20))
-    viewpoints = stand_on(terrain, np.linspace(0.0, 500.0, 11), -200.0)
+    viewpoints = stand_on(terrain, easting_m=np.linspace(0.0, 500.0, 11), northing_m=-200.0)
     parts = over_cores(lambda part: part.easting_m, viewpoints, 4)
     assert [len(part) for part in parts] == [4, 4, 3]
     np.testing.assert_array_equal(np.concatenate(parts), viewpoints.easting_m)

@@ -103,7 +103,11 @@ def rough_scene():
     heights = fractal(40, 50, seed=4)
     heights[8:12, 20:30] = np.nan
     field = field_of(heights, 32.0)
-    return SkylineScene(field, stand_on(field, [700.3, 901.7], [-600.9, -800.2], 3.0), 160)
+    return SkylineScene(
+        field,
+        stand_on(field, easting_m=[700.3, 901.7], northing_m=[-600.9, -800.2], eye_height_m=3.0),
+        160,
+    )
 
 
 class Altered:
@@ -168,7 +172,12 @@ def test_a_ray_through_the_corner_of_a_hole_is_undecided():
     heights[4:6, 10:14] = np.nan
     field = field_of(heights, 10.0)
     # The middle column runs along column 9, which the hole's triangles touch and do not cross.
-    scene = SkylineScene(field, stand_on(field, [90.0], [-150.0], 2.0), 3, Curvature(enabled=False))
+    scene = SkylineScene(
+        field,
+        stand_on(field, easting_m=[90.0], northing_m=[-150.0], eye_height_m=2.0),
+        3,
+        Curvature(enabled=False),
+    )
     undecided, _ = undecided_columns(scene, np.zeros((4, 3)))
     assert undecided[0, 1]
 

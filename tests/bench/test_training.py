@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 from scenes import field_of, fractal
 
-from skyline.console import run_app
+from skyline.cli.console import run_app
 from skyline.errors import InputError
 from skyline.matching import confidence
 from skyline.photo.extract import extract_skyline

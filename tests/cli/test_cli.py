@@ -5,18 +5,20 @@ import math
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from commands import assert_refused, csv_of
+from rasterio.transform import Affine
 from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
 
-from skyline import build_cli, build_uniform, read_dem, stand_on
+from skyline import read_dem, stand_on
+from skyline.build import plans
+from skyline.build.parts import build_store
 from skyline.cli import COMMANDS, loaded
-from skyline.pipeline import row_renderers
-from skyline.pipeline.build import build_store
 from skyline.store import open_store
 from skyline_bench.truth import oracle
 
@@ -68,7 +70,7 @@ def test_render_a_list_of_viewpoints(run, dem, viewpoints_csv, tmp_path):
     )  # fmt: skip
     assert done.code == 0, done.err
     terrain = read_dem([dem])
-    eyes = stand_on(terrain, WEST_M + 900 + 300 * np.arange(3), NORTH_M - 1500)
+    eyes = stand_on(terrain, easting_m=WEST_M + 900 + 300 * np.arange(3), northing_m=NORTH_M - 1500)
     truth = oracle.skyline(terrain, eyes, 160)
     with open_store(out) as opened:
         views = opened.views()
@@ -91,8 +93,10 @@ def test_longitudes_and_latitudes_name_the_same_places(run, dem, tmp_path):
     places = csv_of(tmp_path / "a.csv", [f"{lon:.9f},{lat:.9f},12"], "lon,lat,eye_height_m")
     assert run("render", dem, "--viewpoints", places, "-o", tmp_path / "a.h5").code == 0
     with open_store(tmp_path / "a.h5") as opened:
-        place = opened.locations()
-    expected = stand_on(terrain, WEST_M + 1200.0, NORTH_M - 1700.0, 12.0)
+        place = opened.eyes()
+    expected = stand_on(
+        terrain, easting_m=WEST_M + 1200.0, northing_m=NORTH_M - 1700.0, eye_height_m=12.0
+    )
     np.testing.assert_allclose(place.easting_m, expected.easting_m[0], atol=1e-3)
     np.testing.assert_allclose(place.northing_m, expected.northing_m[0], atol=1e-3)
     np.testing.assert_allclose(place.eye_elevation_m, expected.eye_elevation_m[0], atol=1e-2)
@@ -103,7 +107,6 @@ def test_longitudes_and_latitudes_name_the_same_places(run, dem, tmp_path):
     [
         (("--spacing", "80"), 1804, "places"),
         (("--spacing", "300"), 121, "places"),
-        (("--planner", "uniform", "--spacing", "900", "--width", "64"), 4 * 4 * 4, "renderings"),
     ],
 )
 def test_build_then_the_same_again_renders_nothing(run, dem, tmp_path, options, rows, holds):
@@ -113,7 +116,7 @@ def test_build_then_the_same_again_renders_nothing(run, dem, tmp_path, options, 
     assert f"{rows} {holds}, {rows} of them new" in first.out
     again = run("build", dem, "-o", out, *options)
     assert again.code == 0, again.err
-    assert f"{rows} {holds}, 0 of them new" in again.out
+    assert f"{rows} {holds}, complete: nothing was left to render" in again.out
     with open_store(out) as opened:
         assert (len(opened), opened.header.holds) == (rows, holds)
 
@@ -130,31 +133,18 @@ def test_places_of_a_part_of_the_dem(run, dem, tmp_path):
     assert abs(eyes.northing_m - 5_178_350.0).max() < 350.0 + 30.0
 
 
-RENDERED_ALONE = {
-    "--width": 64, "--rows": "exact", "--tolerance-px": 0, "--candidate-spacing": 50,
-    "--threshold-px": 3, "--coverage": 0.9, "--budget": 100, "--seed": 1,
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("option", RENDERED_ALONE)
-def test_places_have_no_options_of_renderings(run, dem, tmp_path, option):
-    done = run("build", dem, "-o", tmp_path / "s.h5", option, RENDERED_ALONE[option])
-    assert_refused(done, "is for a store of renderings; give --planner too")
-    assert f"error: {option} {RENDERED_ALONE[option]}" in done.err
-    assert not list(tmp_path.iterdir())
-
-
 PLANNED_ALONE = {
-    "--candidate-spacing": 50, "--coverage": 0.9, "--budget": 100, "--seed": 1, "--map": "map.png",
-    "--loss": 0.3,
+    "--candidate-spacing": 50, "--coverage": 0.9, "--threshold-px": 3, "--seed": 1,
+    "--map": "map.png",
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("option", PLANNED_ALONE)
 def test_a_uniform_grid_plans_nothing(run, dem, tmp_path, option):
     out = tmp_path / "s.h5"
-    done = run("build", dem, "-o", out, "--planner", "uniform", option, PLANNED_ALONE[option])
-    assert_refused(done, "leave out --planner" if option == "--loss" else "uniform does not")
+    done = run("render", dem, "-o", out, "--grid", 900, option, PLANNED_ALONE[option])
+    assert_refused(done, f"error: {option} {PLANNED_ALONE[option]}")
+    assert "give --planner too" in done.err
     assert not out.exists()
 
 
@@ -168,7 +158,7 @@ def test_places_are_planned_and_drawn(run, dem, tmp_path):
     assert 20.0 <= low <= middle <= high <= 1280.0
     assert_refused(
         run("build", dem, "-o", tmp_path / "no.h5", "--loss", 0.4, "--spacing", 80),
-        "--loss 0.4 is for planned places, --spacing 80 for a grid",
+        "give one of --spacing (a uniform grid) and --loss (planned places)",
     )
     assert_refused(run("build", dem, "-o", tmp_path / "no.h5", "--loss", 1.5), "between 0 and 1")
     assert_refused(run("build", dem, "-o", tmp_path / "no.h5", "--loss", 0.0001), "a larger one")
@@ -179,9 +169,9 @@ def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_
     before = store.read_bytes(), renderings.read_bytes()
     for arguments, kinds in [
         (("build", dem, "-o", renderings), "is 'renderings' there, 'places' here"),
-        (("build", dem, "-o", store, "--planner", "uniform"), "is 'places' there, 'renderings'"),
-        (("build", dem, "-o", store, "--planner", "lpov"), "holds places, not renderings"),
-        (("render", dem, "-o", store, "--viewpoints", viewpoints_csv), "exists already"),
+        (("render", dem, "-o", store, "--grid", 600), "is 'places' there, 'renderings' here"),
+        (("render", dem, "-o", store, "--planner", "lpov"), "is 'places' there, 'renderings' here"),
+        (("render", dem, "-o", store, "--viewpoints", viewpoints_csv), "is 'places' there"),
     ]:
         assert_refused(run(*arguments), kinds)
     done = run("store", "merge", store, renderings, "-o", tmp_path / "both.h5")
@@ -190,57 +180,35 @@ def test_a_store_holds_one_kind_of_rows(run, dem, store, renderings, viewpoints_
     assert not (tmp_path / "both.h5").exists()
 
 
-def test_an_interrupted_build_goes_on_to_the_same_store(dem, tmp_path):
-    terrain = read_dem([dem])
-    whole, broken = tmp_path / "whole.h5", tmp_path / "broken.h5"
-    build_uniform(terrain, whole, 300.0)
-
-    def stop(done, total):
-        if done > total // 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        build_uniform(terrain, broken, 300.0, progress=stop)
-    with open_store(broken) as opened:
-        kept = len(opened)
-    assert 0 < kept < 4 * 110
-    resumed = build_uniform(terrain, broken, 300.0)
-    assert resumed.rendered == resumed.rows - kept
-    with open_store(whole) as first, open_store(broken) as second:
-        assert len(first) == len(second)
-        for name in ("easting_m", "heading", "elevation_tan", "depth_m", "flags"):
-            np.testing.assert_array_equal(
-                getattr(first.views(), name), getattr(second.views(), name)
-            )
-        np.testing.assert_array_equal(first.keypoint_columns(), second.keypoint_columns())
-
-
-def test_a_build_stopped_by_ctrl_c_says_so_in_one_line_and_goes_on(run, dem, tmp_path, monkeypatch):
+@pytest.mark.parametrize("command", ["build", "render"])
+def test_a_build_stopped_by_ctrl_c_is_continued(run, dem, photo, tmp_path, monkeypatch, command):
     out, whole = tmp_path / "store.h5", tmp_path / "all.h5"
-    build = "build", dem, "--spacing", 80, "-o"
+    monkeypatch.setattr(plans, "_PLACES_A_PART", 300)
+    monkeypatch.setattr(plans, "_VIEWPOINTS_A_PART", 3)
+    options = ("--spacing", 80) if command == "build" else ("--grid", 900, "--width", 64)
 
     def stop(done, _total):
-        if done >= 1024:
+        if done == 2:
             raise KeyboardInterrupt
 
+    module = import_module(f"skyline.cli.{command}")
     with monkeypatch.context() as patch:
-        patch.setattr(row_renderers, "PLACES_AT_A_TIME", 512)
-        patch.setattr(
-            build_cli,
-            "build_store",
-            lambda *given: build_store(*given[:-1], stop),
-        )
-        done = run(*build, out)
+        patch.setattr(module, "build_store", lambda *given: build_store(*given[:-1], stop))
+        done = run(command, dem, "-o", out, *options)
     assert done.code == 130
     assert "the same command continues" in done.err
     assert done.err.count("\n") == 1
-    again = run(*build, out)
+    # It is no store yet, and every command that reads one reports how far it is.
+    for reading in (("info", out), ("store", "check", out), ("match", out, photo)):
+        parts = 7 if command == "build" else 6
+        there = f"its build is not finished (2 of {parts} parts are there)"
+        assert_refused(run(*reading), f"{there}; give the same `skyline {command}` command again")
+    again = run(command, dem, "-o", out, *options)
     assert again.code == 0, again.err
-    assert run(*build, whole).code == 0
-    assert "1804 places, 780 of them new" in again.out
-    for name, path in (("whole", whole), ("resumed", out)):
-        assert run("store", "compact", path, "-o", tmp_path / f"{name}.h5").code == 0
-    assert (tmp_path / "resumed.h5").read_bytes() == (tmp_path / "whole.h5").read_bytes()
+    assert run(command, dem, "-o", whole, *options).code == 0
+    assert (" 1204 of them new" if command == "build" else " 40 of them new") in again.out
+    assert out.read_bytes() == whole.read_bytes()
+    assert not (tmp_path / "store.h5.parts").exists()
 
 
 def test_info_of_a_dem_and_of_a_store(run, dem, store, renderings):
@@ -266,6 +234,29 @@ def test_info_of_a_dem_and_of_a_store(run, dem, store, renderings):
     assert facts["config"]["spacing_m"] == 80.0
     assert facts["dem_files"] == [str(dem)]
     assert "places" in run("info", store).out
+
+
+def test_a_dem_across_the_antimeridian_says_its_bounds_and_takes_them(run, tmp_path):
+    # The antimeridian lies at easting 819,450 of UTM 60 S there.
+    grid = Affine(SPACING_M, 0.0, 817_650.0, 0.0, -SPACING_M, 8_119_650.0)
+    dem = write_dem(tmp_path / "dem.tif", fractal(110, 120), "EPSG:32760", transform=grid)
+    west, south, east, north = json.loads(run("info", dem, "--json").out)["bounds_deg"]
+    assert (west, east) == pytest.approx((179.983, -179.983), abs=1e-3)
+    assert (south, north) == pytest.approx((-17.015, -16.985), abs=1e-3)
+    whole, part = tmp_path / "whole.h5", tmp_path / "part.h5"
+    bounds = f"{west!r},{south!r},{east!r},{north!r}"
+    assert run("build", dem, "-o", whole, "--spacing", "300", "--bounds", bounds).code == 0
+    facts = json.loads(run("info", whole, "--json").out)
+    assert facts["places"] == 12 * 11
+    assert facts["bounds_deg"][0] > 179.98
+    assert -180.0 < facts["bounds_deg"][2] < -179.98
+    half = f"{west!r},{south!r},180,{north!r}"
+    assert run("build", dem, "-o", part, "--spacing", "300", "--bounds", half).code == 0
+    assert json.loads(run("info", part, "--json").out)["bounds_deg"][2] == pytest.approx(
+        180.0, abs=0.01
+    )
+    done = run("build", dem, "-o", tmp_path / "no.h5", "--bounds", "-179.9,-17,-179.8,-16.9")
+    assert_refused(done, "which covers 179.9830,-17.0150,-179.9830,-16.9850")
 
 
 def test_info_gl_says_what_was_chosen_and_why(run):
@@ -371,11 +362,10 @@ def test_viewpoint_on_a_hole_is_refused(run, tmp_path):
 def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
     out = tmp_path / "out.h5"
     for arguments, message in [
-        (["render", dem, "-o", out], "--viewpoints FILE.csv and --grid"),
+        (["render", dem, "-o", out], "give one of --viewpoints FILE.csv, --grid"),
+        (["render", dem, "-o", out, "--planner", "lpov", "--workers", "2"], "--workers 2 does not"),
         (["render", dem, "-o", out, "--grid", "0"], "spacing is 0.0"),
         (["render", dem, "-o", out, "--grid", "500", "--width", "0"], "width is 0"),
-        (["build", dem, "-o", out, "--planner", "uniform", "--width", "0"], "width is 0"),
-        (["build", dem, "-o", out, "--planner", "uniform", "--rows", "packed"], "packed"),
         (["build", dem, "-o", out, "--k", "2"], "refraction k is 2.0"),
         (["build", dem, "-o", out, "--spacing", "nan"], "spacing is nan"),
         (["build", dem, "-o", out, "--spacing", "1e9"], "choose a smaller spacing"),
@@ -386,7 +376,7 @@ def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
             "longitude and latitude seem to be swapped: give 10.32,46.74,10.34,46.75",
         ),
         (["build", dem, "-o", out, "--bounds", "36,-119,37,-118"], "give -119,36,-118,37"),
-        (["build", dem, "-o", out, "--planner", "best"], "planner is 'best'"),
+        (["render", dem, "-o", out, "--planner", "best"], "strategy is 'best'"),
         (["build", dem], "--output"),
         (["match", renderings, photo, "--matcher", "paper"], "--fov-deg"),
         (["match", store, photo, "--fov-deg", "0"], "0"),
@@ -408,8 +398,8 @@ def test_a_store_of_another_dem_is_refused_and_kept(run, kind, tmp_path, request
     other = write_dem(tmp_path / "other.tif", fractal(110, 120, seed=99))
     store = request.getfixturevalue(kind)
     before = store.read_bytes()
-    planner = () if kind == "store" else ("--planner", "uniform", "--spacing", "600")
-    done = run("build", other, "-o", store, *planner)
+    command = ("build",) if kind == "store" else ("render", "--grid", 600)
+    done = run(*command, other, "-o", store)
     assert_refused(done, "digest")
     assert store.read_bytes() == before
 

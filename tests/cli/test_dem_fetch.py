@@ -55,3 +55,6 @@ def test_bounds_that_are_no_bounds(run, tmp_path):
     done = run("dem", "fetch", "--bbox", "9.4,46.4", "-o", tmp_path)
     assert done.code == 2
     assert "expected four numbers" in done.err
+    done = run("dem", "fetch", "--bbox", "-180,80,180,90", "-o", tmp_path)
+    assert done.code == 2
+    assert "need 3600 tiles" in done.err

@@ -18,7 +18,6 @@ from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import rasterio
@@ -42,11 +41,11 @@ from rasterio.transform import from_origin
 from scenes import fractal
 
 import skyline
-from skyline import cli, read_dem, stand_on
+from skyline import cli, read_dem, stand_at
+from skyline.build.plans import DEFAULT_LOSS
 from skyline.fetch.dem_tiles import SOURCES
 from skyline.matching.full import FullMatcher
 from skyline.matching.match_config import FullConfig
-from skyline.pipeline.layout import DEFAULT_LOSS
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
 from skyline_bench import cli as bench
@@ -54,7 +53,6 @@ from skyline_bench.queries.made_photos import photograph
 from skyline_bench.queries.pinhole import Camera
 
 README, *DOCS = DOCUMENTS
-STORE_DOC = ROOT / "docs" / "store.md"
 ARCHITECTURE = ROOT / "docs" / "architecture.md"
 """What counts as `cli` where the architecture speaks of imports."""
 
@@ -200,17 +198,13 @@ def world(tmp_path_factory):
             for part in ("skyline extract", "--planner lpov"):
                 run_command(shown(part))
             shutil.copy("davos.h5", "other.h5")
-            run_command(
-                "skyline build alps/*.tif -o exact.h5 --planner uniform --rows exact "
-                "--spacing 6000 --bounds 9.80,46.70,9.90,46.80"
-            )
     return folder
 
 
 def make_queries():
     """Write the photos and lists that the documents name."""
     terrain = read_dem(matching("alps/*.tif"))
-    eye = stand_on(terrain, *terrain.frame.from_lonlat(9.85, 46.75))
+    eye = stand_at(terrain, lon=9.85, lat=46.75, summit_within_m=0.0)
     with DepthRenderer(terrain, 1024) as renderer:
         picture = photograph(renderer, eye, 0, Camera(140.0, fov_deg=60.0), seed=3)
     exif = Image.Exif()
@@ -249,59 +243,6 @@ def test_what_the_docs_show_runs(world, document):
     if document.name == "scripts.md":
         told = [json.loads(line) for line in (world / "matches.jsonl").read_text().splitlines()]
         assert [each["query"] for each in told] == ["photos/a.jpg"]
-
-
-def test_decoded_as_the_docs_say_a_store_is_what_its_reader_returns(world):
-    block = next(block for block in blocks_of(STORE_DOC) if "zigzag" in block.text)
-    with chdir(world):
-        names = run_block(block)
-    with open_store(world / "planned.h5") as store:
-        views = store.views()
-    np.testing.assert_allclose(names["elevation_tan"], views.elevation_tan, rtol=1e-6, atol=1e-7)
-    np.testing.assert_allclose(names["depth_m"], views.depth_m, rtol=1e-6)
-
-
-def test_a_store_holds_what_the_docs_say_and_no_more(world):
-    attributes = {row["attribute"] for row in table_under(STORE_DOC, "attribute")}
-    datasets = {row["dataset"]: row for row in table_under(STORE_DOC, "dataset")}
-    assert len(attributes) == 10
-    for name, rows in (("exact.h5", "exact rows"), ("planned.h5", "compact rows")):
-        with h5py.File(world / name) as file:
-            found = datasets_of(file)
-            assert set(file.attrs) == attributes
-            assert found.keys() == datasets.keys()
-            sizes = {"N": int(file["committed"][()]), "W": 640, "P": 128, "2": 2}
-            for path, row in datasets.items():
-                shape = tuple(sizes[size] for size in re.findall(r"\w", row["shape"]))
-                assert found[path].shape == shape, path
-                assert found[path].dtype == np.dtype(row[rows]), path
-            assert file.attrs["schema"] == "skyline-store"
-            assert file.attrs["schema_version"] == 3
-
-
-def test_a_store_of_places_holds_what_the_docs_say_and_no_more(world):
-    attributes = {row["attribute"] for row in table_under(STORE_DOC, "attribute")}
-    said = {row["places"]: row for row in table_under(STORE_DOC, "places")}
-    with h5py.File(world / "davos.h5") as file:
-        found = datasets_of(file)
-        assert set(file.attrs) == attributes
-        assert found.keys() == said.keys() | {"committed", "built"}
-        coding = json.loads(file.attrs["rows"])
-        for path, row in said.items():
-            count, *sizes = row["shape"].replace("`", "").split(", ")
-            assert count == "N"
-            wanted = [int(file["committed"][()]), *(coding[size] for size in sizes)]
-            assert list(found[path].shape) == wanted, path
-            assert found[path].dtype == np.dtype(row["type"]), path
-        assert file.attrs["schema_version"] == 3
-
-
-def datasets_of(file):
-    found = {}
-    file.visititems(
-        lambda path, item: found.update({path: item}) if isinstance(item, h5py.Dataset) else None
-    )
-    return found
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=page_id)

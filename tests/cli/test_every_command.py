@@ -16,30 +16,30 @@ from skyline.fetch.dem_tiles import FetchResult
 from skyline.store import open_store
 
 COMMANDS = {
-    "info": (("{dem}",), "info_cli.read_dem"),
-    "explain": (("{dem}", "--at", "601800,5178000"), "info_cli.read_dem"),
-    "horizon": (("{dem}", "--at", "{at}"), "views_cli.read_dem"),
-    "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views_cli.read_dem"),
-    "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views_cli.read_blocks"),
-    "match": (("{store}", "{trace}", "--no-refine"), "photo_cli.Matcher"),
-    "extract": (("{photo}", "-o", "{out}.csv"), "photo_cli.extract_photo"),
-    "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build_cli.read_dem"),
-    "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "build_cli.read_dem"),
-    "store check": (("{store}",), "store_cli.check_store"),
-    "store repair": (("{store}", "-o", "{out}.h5"), "store_cli.repair_store"),
-    "store merge": (("{store}", "-o", "{out}.h5"), "store_cli.merge_stores"),
-    "store compact": (("{store}", "-o", "{out}.h5"), "store_cli.compact_store"),
-    "store export": (("{store}", "-o", "{out}.gpkg"), "store_cli.open_store"),
-    "dem fetch": (("--bbox", "9,46,10,47", "-o", "{tmp}"), "fetch_cli.fetch_dem"),
+    "info": (("{dem}",), "info.read_dem"),
+    "explain": (("{dem}", "--at", "601800,5178000"), "info.read_dem"),
+    "horizon": (("{dem}", "--at", "{at}"), "views.read_dem"),
+    "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views.read_dem"),
+    "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views.read_blocks"),
+    "match": (("{store}", "{trace}", "--no-refine"), "photo.Matcher"),
+    "extract": (("{photo}", "-o", "{out}.csv"), "photo.extract_photo"),
+    "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_dem"),
+    "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "render.read_dem"),
+    "store check": (("{store}",), "store.check_store"),
+    "store repair": (("{store}", "-o", "{out}.h5"), "store.repair_store"),
+    "store merge": (("{store}", "-o", "{out}.h5"), "store.merge_stores"),
+    "store export": (("{store}", "-o", "{out}.gpkg"), "store.open_store"),
+    "dem fetch": (("--bbox", "9,46,10,47", "-o", "{tmp}"), "fetch.fetch_dem"),
     "peaks": (
         ("--bbox", "9,46,10,47", "--server", "http://localhost/", "-o", "{out}.geojson"),
-        "fetch_cli.fetch_peaks",
+        "fetch.fetch_peaks",
     ),
 }
 """Each command's arguments, and a function of the package that it calls."""
 
 KEPT = {
     "build": "; what was built is kept, and the same command continues from there",
+    "render": "; what was built is kept, and the same command continues from there",
     "dem fetch": "; the tiles that were fetched are kept, and the same command continues with the "
     "others",
 }
@@ -104,7 +104,7 @@ def test_after_ctrl_c_it_says_what_is_kept(run, command, tmp_path, monkeypatch, 
 
     arguments = command(name)
     before = sorted(tmp_path.iterdir())
-    monkeypatch.setattr(f"skyline.{COMMANDS[name][1]}", interrupted)
+    monkeypatch.setattr(f"skyline.cli.{COMMANDS[name][1]}", interrupted)
     done = run(*arguments)
     assert (done.code, done.out) == (130, "")
     assert done.err == f"error: stopped{KEPT.get(name, '')}\n"
@@ -117,7 +117,7 @@ def test_a_match_that_is_stopped_keeps_what_it_has_written(
     second = tmp_path / "second.csv"
     second.write_bytes(trace.read_bytes())
     match = partial(run, "match", store, trace, second, "--no-refine", "--results")
-    matched = cli.loaded("match") and sys.modules["skyline.photo_cli"].Query.match
+    matched = cli.loaded("match") and sys.modules["skyline.cli.photo"].Query.match
 
     def stopping(query, *arguments):
         if query.path == str(second):
@@ -125,7 +125,7 @@ def test_a_match_that_is_stopped_keeps_what_it_has_written(
         return matched(query, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr("skyline.photo_cli.Query.match", stopping)
+        patch.setattr("skyline.cli.photo.Query.match", stopping)
         done = match(tmp_path / "r.csv")
     assert done.code == 130
     said = f"error: stopped; {tmp_path / 'r.csv'} has the answers so far, and the same command"
@@ -136,23 +136,10 @@ def test_a_match_that_is_stopped_keeps_what_it_has_written(
     assert "trace.csv" not in again.out
 
 
-def test_a_render_that_is_stopped_leaves_no_store(run, command, tmp_path, monkeypatch):
-    """The same command would not go on with one."""
-
-    def stop(_writer, _built):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("skyline.store.StoreWriter.note_built", stop)
-        assert run(*command("render")).err == "error: stopped\n"
-    assert not list(tmp_path.glob("out*"))
-    assert run(*command("render")).code == 0
-
-
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_closed_pipe_is_no_failure(run, command, tmp_path, monkeypatch, unread, name):
-    monkeypatch.setattr("skyline.fetch_cli.fetch_dem", lambda *_: FetchResult((), 0, ()))
-    monkeypatch.setattr("skyline.fetch_cli.fetch_peaks", lambda *_: 0)
+    monkeypatch.setattr("skyline.cli.fetch.fetch_dem", lambda *_: FetchResult((), 0, ()))
+    monkeypatch.setattr("skyline.cli.fetch.fetch_peaks", lambda *_: 0)
     arguments = command(name)
     unread()
     done = run(*arguments)
@@ -180,9 +167,9 @@ def test_files_are_written_all_the_same(run, store, trace, tmp_path, monkeypatch
     second = tmp_path / "second.csv"
     second.write_bytes(trace.read_bytes())
     matched = []
-    match = sys.modules["skyline.photo_cli"].Query.match
+    match = sys.modules["skyline.cli.photo"].Query.match
     monkeypatch.setattr(
-        "skyline.photo_cli.Query.match", lambda *asked: matched.append(1) or match(*asked)
+        "skyline.cli.photo.Query.match", lambda *asked: matched.append(1) or match(*asked)
     )
     arguments = "match", store, trace, second, "--no-refine"
     unread()
@@ -224,6 +211,6 @@ def test_in_a_shell(dem, tmp_path):
     build = f"{skyline} build {dem} --spacing 1500 -o {tmp_path / 's.h5'}"
     assert end_of(f"{build} <&- >&- 2>&-") == (0, "", "")
     with open_store(tmp_path / "s.h5") as store:
-        assert store.built.finished
+        assert len(store)
     said = "error: the system said: [Errno 28] No space left on device\n"
     assert end_of(f"{skyline} --version >/dev/full") == (1, "", said)

@@ -9,7 +9,8 @@ import pytest
 from commands import assert_refused, csv_of
 from scenes import fractal, write_dem
 
-from skyline import console, horizon, read_dem
+from skyline import horizon, read_dem
+from skyline.cli import console
 
 AT = "10.3224,46.7484"
 
@@ -41,7 +42,7 @@ def test_csv_is_printed_and_is_what_python_gives(run, dem, places):
     assert list(rows[0]) == ["lon", "lat", "azimuth_deg", "elevation_deg", "distance_m"]
     assert len(rows) == 2 * 720
     lon, lat = np.array([place.split(",") for place in places[:2]], dtype=float).T
-    found = horizon(read_dem([dem]), lon, lat)
+    found = horizon(read_dem([dem]), lon=lon, lat=lat)
     for name, values in (
         ("azimuth_deg", found.azimuth_deg),
         ("elevation_deg", found.elevation_deg),
@@ -98,7 +99,7 @@ def test_the_file_of_pvgis_has_one_angle_a_line_from_north(run, dem, places, tmp
     assert run("horizon", dem, "--at", places[0], "--step-deg", "7.5", "-o", target).code == 0
     angles = [float(line) for line in target.read_text().splitlines()]
     lon, lat = (float(part) for part in places[0].split(","))
-    found = horizon(read_dem([dem]), lon, lat, step_deg=7.5)
+    found = horizon(read_dem([dem]), lon=lon, lat=lat, step_deg=7.5)
     np.testing.assert_allclose(angles, np.maximum(found.elevation_deg[0], 0.0), atol=0.0051)
 
 

@@ -12,7 +12,8 @@ from commands import assert_refused, csv_of, lonlat_of, off_m
 from PIL import Image
 from scenes import SPACING_M, fractal, write_dem
 
-from skyline import Matcher, Narrowing, console
+from skyline import Matcher, Narrowing
+from skyline.cli import console
 
 
 def test_extract_then_match_the_trace(run, store, photo, tmp_path):

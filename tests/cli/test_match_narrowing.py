@@ -7,6 +7,7 @@ import pytest
 from commands import assert_refused, lonlat_of, off_m
 
 from skyline import read_dem
+from skyline.terrain.heightfield import ground_of
 
 CELL_M = 40.0 * math.sqrt(2.0)
 """No place of a grid of 80 m is farther off than this."""
@@ -52,7 +53,7 @@ def test_match_along_a_heading(run, store, photo, heading):
 
 
 def test_match_between_elevations(run, store, dem, photo):
-    ground_m = read_dem([dem]).height_at
+    ground_m = ground_of(read_dem([dem]))
     true_m = float(ground_m(601_800.0, 5_178_000.0))
     found = retrieved(run, store, photo, "--elevation", f"{true_m - 20},{true_m + 20}")
     assert off_m(found[0]) < CELL_M

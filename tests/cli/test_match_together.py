@@ -5,6 +5,7 @@ import json
 import pytest
 from commands import assert_refused, off_m
 from PIL import Image
+from scenes import at_m
 
 from skyline import read_dem, stand_on
 from skyline.render.depth import DepthRenderer
@@ -22,7 +23,7 @@ def photos_of_one_place(dem, photo, tmp_path_factory):
     }
     with DepthRenderer(terrain, 1600) as renderer:
         for name, (*place, heading_deg) in looks.items():
-            eye = stand_on(terrain, *place)
+            eye = stand_on(terrain, **at_m(place))
             picture = photograph(renderer, eye, 0, Camera(heading_deg, fov_deg=60.0), seed=3)
             Image.fromarray(picture).save(folder / name, quality=92)
     return [photo, *(folder / name for name in looks)]

@@ -75,7 +75,7 @@ def test_peaks_are_fetched_and_read(run, tmp_path):
     assert "2 peaks" in done.out
     assert '"natural"~"^(peak|volcano)$"' in queries[0]
     assert "(46.5,9.6,46.7,9.8)" in queries[0]
-    frame = Frame.local(9.7, 46.6)
+    frame = Frame.local(lon=9.7, lat=46.6)
     peaks = read_peaks(path, frame)
     assert peaks.names == ("Piz Ela", "Tinzenhorn")
     lon, lat = frame.to_lonlat(peaks.easting_m, peaks.northing_m)

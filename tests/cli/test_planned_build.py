@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scenes import field_of, fractal
 
-from skyline.errors import InputError
+from skyline.errors import InputError, StoreMismatchError
+from skyline.paper.planned import build_planned
 from skyline.paper.planning.candidates import Spacing
 from skyline.paper.planning.plan import PlanConfig
-from skyline.pipeline.config import RenderConfig
-from skyline.pipeline.planned import build_planned
+from skyline.render.horizon import RenderConfig
 from skyline.store import open_store
 
 SMALL = Spacing(coarse_m=400.0, candidate_m=100.0, reach_m=200.0)
@@ -43,21 +43,22 @@ def test_covers_what_was_asked_and_says_what_holds(valley, tmp_path, strategy):
     assert len(places) == len(set(places)) == result.built.rows
 
 
-@pytest.mark.parametrize("strategy", ["lpov", "rov"])
-def test_a_stopped_build_goes_on_to_the_same_store(valley, tmp_path, strategy):
-    whole, broken = tmp_path / "whole.h5", tmp_path / "broken.h5"
-    build_planned(valley, whole, planned(strategy), config=NARROW)
+def test_a_store_is_there_at_the_end_of_a_plan_or_not_at_all(valley, tmp_path):
+    path = tmp_path / "s.h5"
 
     def stop(now):
         if now.batches == 3:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        build_planned(valley, broken, planned(strategy), config=NARROW, progress=stop)
-    kept = len(rows_of(broken))
-    again = build_planned(valley, broken, planned(strategy), config=NARROW)
-    assert again.built.rendered == again.built.rows - kept
-    assert rows_of(broken) == rows_of(whole)
+        build_planned(valley, path, planned("lpov"), config=NARROW, progress=stop)
+    assert list(tmp_path.iterdir()) == []
+    build_planned(valley, path, planned("lpov"), config=NARROW)
+    before = path.read_bytes()
+    assert build_planned(valley, path, planned("lpov"), config=NARROW) is None
+    with pytest.raises(StoreMismatchError, match="config planner is 'lpov' there, 'rov' here"):
+        build_planned(valley, path, planned("rov"), config=NARROW)
+    assert path.read_bytes() == before
 
 
 def test_a_plain_needs_a_handful_and_a_narrow_valley_many(tmp_path):
@@ -88,7 +89,7 @@ def test_seeds_decide_and_nothing_else(valley, tmp_path):
 
 def test_command_line(dem, run, tmp_path):
     told = run(
-        *("build", dem, "-o", tmp_path / "s.h5", "--planner", "lpov", "--spacing", 1000),
+        *("render", dem, "-o", tmp_path / "s.h5", "--planner", "lpov", "--grid", 1000),
         *("--candidate-spacing", 250, "--threshold-px", 3, "--coverage", 0.9, "--width", 64),
         *("--map", tmp_path / "map.png"),
     )
@@ -102,15 +103,15 @@ def test_command_line(dem, run, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--planner", "best"], "planner is 'best'"),
+        (["--planner", "best"], "strategy is 'best'"),
         (["--planner", "lpov", "--coverage", 1.5], "coverage is 1.5"),
         (["--planner", "lpov", "--threshold-px", 0], "threshold is 0"),
-        (["--coverage", 0.9], "give --planner too"),
-        (["--planner", "lpov", "--spacing", 50_000], "larger than the area"),
+        (["--grid", 900, "--coverage", 0.9], "give --planner too"),
+        (["--planner", "lpov", "--grid", 50_000], "larger than the area"),
     ],
 )
 def test_bad_plans_are_refused(dem, run, tmp_path, options, said):
-    told = run("build", dem, "-o", tmp_path / "s.h5", *options)
+    told = run("render", dem, "-o", tmp_path / "s.h5", *options)
     assert told.code == 2
     assert said in told.err
     assert not (tmp_path / "s.h5").exists()

@@ -4,8 +4,6 @@ import json
 
 import pytest
 
-from skyline.store import check_store
-
 KINDS = [("store", "places"), ("renderings", "renderings")]
 
 
@@ -36,7 +34,7 @@ def test_check(run, kind, tmp_path):
     assert run("store", "check", tmp_path / "absent.h5").code == 2
 
 
-def test_repair_merge_compact(run, kind, tmp_path):
+def test_repair_and_merge(run, kind, tmp_path):
     store, _ = kind
     data = bytearray(store.read_bytes())
     data[len(data) // 2] ^= 4
@@ -48,25 +46,5 @@ def test_repair_merge_compact(run, kind, tmp_path):
     done = run("store", "merge", tmp_path / "saved.h5", store, "-o", tmp_path / "merged.h5")
     assert done.code == 0, done.err
     assert "duplicates left out" in done.out
-    assert run("store", "compact", store, "-o", tmp_path / "compact.h5").code == 0
-    assert (tmp_path / "merged.h5").read_bytes() == (tmp_path / "compact.h5").read_bytes()
-    assert run("store", "compact", store, "-o", tmp_path / "compact.h5").code == 2
-    assert run("store", "compact", store, "--quantize", "-o", tmp_path / "no.h5").code == 2
-    assert not (tmp_path / "no.h5").exists()
-
-
-def test_exact_rows_are_quantized(run, dem, tmp_path):
-    uniform = "--planner", "uniform", "--spacing", 900
-    built = run("build", dem, "-o", tmp_path / "s.h5", *uniform, "--rows", "exact")
-    assert built.code == 0, built.err
-    done = run(
-        "store", "compact", tmp_path / "s.h5", "--quantize", "--depth-error", 0.01,
-        "-o", tmp_path / "q.h5",
-    )  # fmt: skip
-    assert done.code == 0, done.err
-    assert (tmp_path / "q.h5").stat().st_size < 0.6 * (tmp_path / "s.h5").stat().st_size
-    assert check_store(tmp_path / "q.h5").whole
-    facts = json.loads(run("info", tmp_path / "q.h5", "--json").out)
-    assert facts["rows"] == "compact"
-    assert abs(facts["depth_error"] - 0.01) < 1e-9
-    assert run("build", dem, "-o", tmp_path / "t.h5", *uniform, "--rows", "packed").code == 2
+    assert (tmp_path / "merged.h5").read_bytes() == store.read_bytes()
+    assert run("store", "merge", store, "-o", tmp_path / "merged.h5").code == 2

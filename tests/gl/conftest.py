@@ -23,5 +23,5 @@ def rough():
     place = np.random.default_rng(5)
     row, col = place.uniform(2, 80, 40), place.uniform(10, 66, 40)
     easting, northing = field.to_map(row, col)
-    there = np.flatnonzero(~np.isnan(field.height_at(easting, northing)))[:12]
-    return field, stand_on(field, easting[there], northing[there])
+    there = np.flatnonzero(~np.isnan(field.height_at(easting_m=easting, northing_m=northing)))[:12]
+    return field, stand_on(field, easting_m=easting[there], northing_m=northing[there])

@@ -26,8 +26,13 @@ def scattered(field, count, seed, eye_height_m=2.0):
     west, south, east, north = field.bounds_m
     easting = generator.uniform(west, east, 4 * count)
     northing = generator.uniform(south, north, 4 * count)
-    standing = ~np.isnan(field.height_at(easting, northing))
-    return stand_on(field, easting[standing][:count], northing[standing][:count], eye_height_m)
+    standing = ~np.isnan(field.height_at(easting_m=easting, northing_m=northing))
+    return stand_on(
+        field,
+        easting_m=easting[standing][:count],
+        northing_m=northing[standing][:count],
+        eye_height_m=eye_height_m,
+    )
 
 
 @pytest.mark.parametrize("width", [64, 161, 640])
@@ -58,7 +63,7 @@ def test_out_of_image_exactly_where_the_oracle_leaves_it():
     heights = np.zeros((81, 81), dtype=np.float32)
     heights[:30] = 900.0
     field = field_of(heights, 10.0, north_m=400.0, west_m=-400.0)
-    viewpoints = stand_on(field, [1.0, 3.0], [-40.0, 60.0], 2.0)
+    viewpoints = stand_on(field, easting_m=[1.0, 3.0], northing_m=[-40.0, 60.0], eye_height_m=2.0)
     truth = oracle.skyline(field, viewpoints, 64, FLAT)
     with DepthRenderer(field, 64, FLAT) as renderer:
         views = renderer.render(viewpoints)
@@ -72,7 +77,7 @@ def test_out_of_image_exactly_where_the_oracle_leaves_it():
 def test_depth_of_a_plane_is_good_to_a_ten_thousandth(eye_height_m):
     """Inverse depth in 32-bit floats keeps its digits from the feet to the horizon."""
     field = field_from(lambda e, n: 0.0 * e + 0.0 * n, 401, 250.0)
-    viewpoints = stand_on(field, [17.0], [-35.0], eye_height_m)
+    viewpoints = stand_on(field, easting_m=[17.0], northing_m=[-35.0], eye_height_m=eye_height_m)
     with DepthRenderer(field, 320, FLAT) as renderer:
         images = renderer.depth_images(viewpoints, 0)
     v = (319.0 - 2.0 * np.arange(320)) / 320.0
@@ -89,7 +94,7 @@ def test_depth_of_a_plane_is_good_to_a_ten_thousandth(eye_height_m):
 
 def test_depth_of_a_slope_far_away():
     field = field_from(lambda e, n: np.maximum(n - 30_000.0, 0.0) * 0.5 + 0.0 * e, 401, 250.0)
-    viewpoints = stand_on(field, [17.0], [-35.0], 2.0)
+    viewpoints = stand_on(field, easting_m=[17.0], northing_m=[-35.0], eye_height_m=2.0)
     with DepthRenderer(field, 640, FLAT) as renderer:
         north = renderer.depth_images(viewpoints, 0)[0]
     v = (639.0 - 2.0 * np.arange(640)) / 640.0
@@ -106,7 +111,7 @@ def test_heights_that_encode_position_come_out_where_they_are():
     for place, height in spikes.items():
         heights[place] = height
     field = field_of(heights, 30.0, west_m=-1500.0, north_m=1500.0)
-    viewpoints = stand_on(field, [0.0], [0.0], 2.0)
+    viewpoints = stand_on(field, easting_m=[0.0], northing_m=[0.0], eye_height_m=2.0)
     with DepthRenderer(field, 641, FLAT) as renderer:
         views = renderer.render(viewpoints)
     distance = [900.0, 1050.0, 1200.0, 1350.0]
@@ -166,7 +171,11 @@ def test_large_false_eastings_change_nothing():
     shift = 2.0**23
     near, far = field_of(heights), field_of(heights, west_m=shift, north_m=shift)
     here = scattered(near, 3, seed=6)
-    there = Viewpoints(here.easting_m + shift, here.northing_m + shift, here.eye_elevation_m)
+    there = Viewpoints(
+        easting_m=here.easting_m + shift,
+        northing_m=here.northing_m + shift,
+        eye_elevation_m=here.eye_elevation_m,
+    )
     with DepthRenderer(near, 64) as first, DepthRenderer(far, 64) as second:
         np.testing.assert_allclose(
             first.render(here).elevation_tan,

@@ -67,9 +67,9 @@ def test_windows_that_cannot_rise_are_not_loaded(monkeypatch):
     heights[2:19, [2, 18]] = heights[[2, 18], 2:19] = 500.0
     field = field_of(heights, 30.0)
     with HorizonRenderer(field, 64) as renderer:
-        renderer.render(stand_on(field, 300.0, -300.0))
+        renderer.render(stand_on(field, easting_m=300.0, northing_m=-300.0))
         assert [(window.row, window.col) for window in renderer._resident] == [(0, 0)]
-        renderer.render(stand_on(field, 1200.0, -1200.0))
+        renderer.render(stand_on(field, easting_m=1200.0, northing_m=-1200.0))
         assert len(renderer._resident) > 10
 
 
@@ -97,7 +97,9 @@ def test_falls_short_by_no_more_than_the_tolerance(tolerance_px):
     for seed in range(6):
         field = field_of(fractal(120, 120, relief_m=200.0 * (1 + seed), seed=seed), 30.0)
         place = np.random.default_rng(seed)
-        eyes = stand_on(field, place.uniform(100, 3400, 8), place.uniform(-3400, -100, 8))
+        eyes = stand_on(
+            field, easting_m=place.uniform(100, 3400, 8), northing_m=place.uniform(-3400, -100, 8)
+        )
         truth = oracle.skyline(field, eyes, 320)
         views = render(field, eyes, 320, tolerance_px=tolerance_px)
         short = (truth.elevation_tan - views.elevation_tan) * 160.0

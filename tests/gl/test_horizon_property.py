@@ -82,8 +82,13 @@ def scene_of(recipe):
     )
     row, col = (np.round(place * 2**18) / 2**18 for place in (row, col))
     easting, northing = field.to_map(np.minimum(row, recipe.rows - 1), col)
-    standing = ~np.isnan(field.height_at(easting, northing))
-    viewpoints = stand_on(field, easting[standing][:2], northing[standing][:2], recipe.eye_height_m)
+    standing = ~np.isnan(field.height_at(easting_m=easting, northing_m=northing))
+    viewpoints = stand_on(
+        field,
+        easting_m=easting[standing][:2],
+        northing_m=northing[standing][:2],
+        eye_height_m=recipe.eye_height_m,
+    )
     return SkylineScene(field, viewpoints, recipe.width, recipe.curvature)
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import field_of, fractal
+from scenes import at_m, field_of, fractal
 
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -112,7 +112,7 @@ def test_a_peak_is_in_the_bin_of_its_azimuth(azimuth_deg, bins):
     row, col = np.rint(60.0 + 50.0 * np.array([-np.cos(azimuth), np.sin(azimuth)])).astype(int)
     heights[row - 8 : row + 9, col - 8 : col + 9] = 400.0
     field = field_of(heights, 30.0)
-    eyes = stand_on(field, *field.to_map(np.array([60.0]), np.array([60.0])))
+    eyes = stand_on(field, **at_m(field.to_map(np.array([60.0]), np.array([60.0]))))
     horizons = render(field, eyes, bins)
     high = horizons.elevation_tan[0] > 0.05
     rows, cols = np.mgrid[row - 8 : row + 9, col - 8 : col + 9]
@@ -130,7 +130,9 @@ def test_falls_short_by_no_more_than_the_tolerance(tolerance_deg):
     for seed in range(3):
         field = field_of(fractal(120, 120, relief_m=200.0 * (1 + seed), seed=seed), 30.0)
         place = np.random.default_rng(seed)
-        eyes = stand_on(field, place.uniform(100, 3400, 8), place.uniform(-3400, -100, 8))
+        eyes = stand_on(
+            field, easting_m=place.uniform(100, 3400, 8), northing_m=place.uniform(-3400, -100, 8)
+        )
         tan, distance_m, _ = true_horizons(field, eyes, 480)
         horizons = render(field, eyes, 480, tolerance_deg)
         short = np.degrees(np.arctan(tan) - np.arctan(horizons.elevation_tan))
@@ -186,7 +188,7 @@ def test_the_largest_window_sees_its_holes():
     field = field_of(heights, 30.0)
     assert len(windows.Window.all_of(field)) == 1
     with PanoramaRenderer(field, BINS) as renderer:
-        horizons = renderer.render(stand_on(field, *field.to_map(cells / 2, cells / 2)))
+        horizons = renderer.render(stand_on(field, **at_m(field.to_map(cells / 2, cells / 2))))
     assert (horizons.flags & FLAG_HOLE == FLAG_HOLE).all()
 
 

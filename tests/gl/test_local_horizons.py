@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from pyproj import Geod
-from scenes import field_from, fractal
+from scenes import at_deg, at_m, field_from, fractal
 
 from skyline import (
     Curvature,
@@ -45,12 +45,12 @@ def places_on(field, count, seed=4):
 @pytest.mark.parametrize("step_deg", [0.5, 7.5, 10.0])
 def test_equals_the_oracle_at_azimuths_from_true_north(rough, step_deg):
     lon, lat = places_on(rough, 6)
-    found = horizon(rough, lon, lat, 2.0, step_deg)
+    found = horizon(rough, lon=lon, lat=lat, eye_height_m=2.0, step_deg=step_deg)
     steps = round(360.0 / step_deg)
     assert found.elevation_deg.shape == (6, steps)
     np.testing.assert_array_equal(found.azimuth_deg[3], np.arange(steps) * step_deg)
     easting, northing = UTM.from_lonlat(lon, lat)
-    turn = UTM.convergence_deg(easting, northing)
+    turn = UTM.convergence_deg(easting_m=easting, northing_m=northing)
     assert turn.min() > 6.0
     for index in range(6):
         grid_deg = (found.azimuth_deg[index] - turn[index]) % 360.0
@@ -59,7 +59,7 @@ def test_equals_the_oracle_at_azimuths_from_true_north(rough, step_deg):
         for side in range(4):
             columns = np.flatnonzero(heading == side)
             columns = columns[np.argsort(away[columns])]
-            eye = stand_on(rough, easting[index], northing[index])
+            eye = stand_on(rough, easting_m=easting[index], northing_m=northing[index])
             truth = oracle.skyline_at(rough, eye, np.tan(away[columns]), Curvature())
             cosine = np.cos(away[columns])
             true_deg = np.degrees(np.arctan(truth.elevation_tan[side] * cosine))
@@ -80,9 +80,9 @@ def test_a_tower_is_at_its_geodesic_azimuth(azimuth_deg):
     field = far_east(heights)
     lon, lat = (float(at) for at in UTM.to_lonlat(*field.to_map(200.0, 200.0)))
     there = Geod(ellps="WGS84").fwd(lon, lat, azimuth_deg, 4000.0)
-    row, col = (int(np.rint(at)) for at in field.to_grid(*UTM.from_lonlat(*there[:2])))
+    row, col = (int(np.rint(at)) for at in field.to_grid(**at_m(UTM.from_lonlat(*there[:2]))))
     heights[row, col] = 900.0
-    found = horizon(far_east(heights), lon, lat, step_deg=0.1)
+    found = horizon(far_east(heights), lon=lon, lat=lat, step_deg=0.1)
     peak = np.flatnonzero(found.elevation_deg[0] > 11.0)
     off_deg = (found.azimuth_deg[0, peak] - azimuth_deg + 180.0) % 360.0 - 180.0
     # A sample lies up to 21 m beside the tower: 0.3 degrees.
@@ -92,13 +92,13 @@ def test_a_tower_is_at_its_geodesic_azimuth(azimuth_deg):
 
 def test_one_turn_does_not_matter_to_another(rough):
     lon, lat = places_on(rough, 40)
-    together = horizon(rough, lon, lat)
-    alone = horizon(rough, lon[7], lat[7])
+    together = horizon(rough, lon=lon, lat=lat)
+    alone = horizon(rough, lon=lon[7], lat=lat[7])
     np.testing.assert_array_equal(together.elevation_deg[7:8], alone.elevation_deg)
 
 
 def test_a_dataset_and_a_series(rough):
-    found = horizon(rough, *places_on(rough, 3))
+    found = horizon(rough, **at_deg(places_on(rough, 3)))
     data = found.to_xarray()
     assert data.elevation_deg.dims == ("point", "azimuth_deg")
     at_east = data.sel(azimuth_deg=90.0).elevation_deg.to_numpy()
@@ -121,7 +121,9 @@ def test_a_dataset_and_a_series(rough):
 def test_sky_view_factors_of_rendered_scenes(heights, expected):
     field = field_from(heights, 2001, 10.0)
     flat = Curvature(enabled=False)
-    found = horizon(field, *field.frame.to_lonlat(0.0, 0.0), 0.001, curvature=flat)
+    found = horizon(
+        field, **at_deg(field.frame.to_lonlat(0.0, 0.0)), eye_height_m=0.001, curvature=flat
+    )
     # The valley is 20 km long and not endless, and a grid cuts the crater's circle.
     assert found.sky_view_factor()[0] == pytest.approx(expected, abs=0.002)
 
@@ -133,7 +135,7 @@ def test_the_sun_rises_behind_a_ridge_when_another_ephemeris_says_so():
         + 0.05 * north, 401, 30.0,
     )  # fmt: skip
     lon, lat = (float(at) for at in ridge.frame.to_lonlat(0.0, 0.0))
-    found = horizon(ridge, lon, lat)
+    found = horizon(ridge, lon=lon, lat=lat)
     for day in (date(2026, 3, 20), date(2026, 6, 21), date(2026, 12, 21)):
         ((rise, set_),) = found.sun_above(day)
         noon = datetime(day.year, day.month, day.day, 12, tzinfo=UTC) - timedelta(hours=lon / 15.0)
@@ -151,8 +153,8 @@ def test_the_sun_rises_behind_a_ridge_when_another_ephemeris_says_so():
 
 def test_the_sun_of_a_polar_summer_never_sets_and_of_a_polar_winter_never_rises():
     plain = field_from(lambda east, north: 0.0 * east * north, 101, 30.0)
-    far_north = HeightField(plain.heights_m, 0.0, 0.0, 30.0, 30.0, Frame.local(20.0, 75.0))
-    found = horizon(far_north, *far_north.frame.to_lonlat(1500.0, -1500.0))
+    far_north = HeightField(plain.heights_m, 0.0, 0.0, 30.0, 30.0, Frame.local(lon=20.0, lat=75.0))
+    found = horizon(far_north, **at_deg(far_north.frame.to_lonlat(1500.0, -1500.0)))
     ((begin, end),) = found.sun_above(date(2026, 6, 21))
     assert end - begin == timedelta(days=1)
     assert found.sun_above(date(2026, 12, 21)) == []
@@ -161,12 +163,12 @@ def test_the_sun_of_a_polar_summer_never_sets_and_of_a_polar_winter_never_rises(
 @pytest.mark.parametrize("step_deg", [0.0, -1.0, 7.0, 90.0, 0.001, np.nan])
 def test_steps_that_are_no_share_of_a_turn(rough, step_deg):
     with pytest.raises(InputError, match="expected a whole share of 360"):
-        horizon(rough, *places_on(rough, 1), step_deg=step_deg)
+        horizon(rough, **at_deg(places_on(rough, 1)), step_deg=step_deg)
 
 
 def test_places_off_the_map_are_named_in_degrees(rough):
     with pytest.raises(OffMapError, match=r"lon 9\.00000, lat 47\.00000; .*off the map"):
-        horizon(rough, 9.0, 47.0)
+        horizon(rough, lon=9.0, lat=47.0)
 
 
 MOUNTAIN = field_from(lambda east, north: 3000.0 - 0.8 * np.hypot(east, north), 101, 90.0)
@@ -175,13 +177,13 @@ BESIDE_DEG = MOUNTAIN.frame.to_lonlat(-38.0, 30.0)
 
 def test_a_summit_does_not_stand_before_who_stands_on_it():
     """True coordinates lie up to half a sample beside the model's summit."""
-    slope = horizon(MOUNTAIN, *BESIDE_DEG, summit_within_m=0.0)
+    slope = horizon(MOUNTAIN, **at_deg(BESIDE_DEG), summit_within_m=0.0)
     towards = 2 * 128
     assert slope.elevation_deg[0, towards] > 30.0
     assert slope.distance_m[0, towards] < 60.0
     for found in (
-        horizon(MOUNTAIN, *BESIDE_DEG),
-        horizon(MOUNTAIN, *BESIDE_DEG, summit_within_m=100.0),
+        horizon(MOUNTAIN, **at_deg(BESIDE_DEG)),
+        horizon(MOUNTAIN, **at_deg(BESIDE_DEG), summit_within_m=100.0),
     ):
         assert found.eye_elevation_m[0] == pytest.approx(3002.0, abs=1e-3)
         assert found.elevation_deg.max() < 0.0
@@ -191,7 +193,10 @@ def test_elsewhere_a_horizon_is_what_it_was():
     place = np.random.default_rng(2).uniform(-4000.0, 4000.0, (2, 200))
     place = place[:, np.hypot(*place) > 128.0]
     lonlat = MOUNTAIN.frame.to_lonlat(*place)
-    found, as_is = (horizon(MOUNTAIN, *lonlat, 2.0, 7.5, summit_within_m=m) for m in (None, 0.0))
+    found, as_is = (
+        horizon(MOUNTAIN, **at_deg(lonlat), eye_height_m=2.0, step_deg=7.5, summit_within_m=m)
+        for m in (None, 0.0)
+    )
     np.testing.assert_array_equal(found.eye_elevation_m, as_is.eye_elevation_m)
     np.testing.assert_array_equal(found.elevation_deg, as_is.elevation_deg)
 
@@ -203,9 +208,9 @@ def test_from_real_summits_nothing_near_stands_above_the_eye(shared_data, place)
         "Half Dome": ("N37W120", -119.5332, 37.7461),
     }[place]
     terrain = read_dem(shared_data / "california" / f"{tile}.hgt.gz")
-    assert horizon(terrain, lon, lat, summit_within_m=0.0).elevation_deg.max() > 25.0
+    assert horizon(terrain, lon=lon, lat=lat, summit_within_m=0.0).elevation_deg.max() > 25.0
     for within_m in (None, 100.0):
-        found = horizon(terrain, lon, lat, summit_within_m=within_m)
+        found = horizon(terrain, lon=lon, lat=lat, summit_within_m=within_m)
         assert (found.elevation_deg < 3.0).mean() > 0.92
         # Clouds Rest and the ridges beyond it stand above Half Dome.
         assert found.distance_m[found.elevation_deg > 3.0].min(initial=np.inf) > 4000.0
@@ -214,4 +219,4 @@ def test_from_real_summits_nothing_near_stands_above_the_eye(shared_data, place)
 @pytest.mark.parametrize("swapped", [(46.8, 9.8), (np.array([9.8, 46.8]), np.array([46.8, 9.8]))])
 def test_swapped_longitudes_and_latitudes_are_suspected(swapped):
     with pytest.raises(OffMapError, match=r"lat 46\.[78].*seem to be swapped: give 9\.8,46\.8$"):
-        horizon(MOUNTAIN, *swapped)
+        horizon(MOUNTAIN, **at_deg(swapped))

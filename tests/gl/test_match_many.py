@@ -7,12 +7,11 @@ import pytest
 from scenes import NORTH_M, WEST_M, fractal, write_dem
 
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
-from skyline.errors import InputError
+from skyline.build.cluster import remote_runner
+from skyline.errors import InputError, SkylineError
 from skyline.photo.trace import write_trace
 from skyline.pipeline import batch
 from skyline.pipeline.batch import match_many
-from skyline.pipeline.cluster import remote_runner
-from skyline.pipeline.jobs import run_here
 from skyline.pipeline.matchers import FULL
 from skyline.pipeline.queries import Query
 from skyline.store import open_store
@@ -54,6 +53,15 @@ def traces(tmp_path_factory, terrain):
 def small_parts(monkeypatch):
     """Screen a block at a time."""
     monkeypatch.setattr(batch, "_PART_BLOCKS", 1)
+
+
+def run_here(work, items, _names):
+    """Run jobs one after another in this process."""
+    for index, item in enumerate(items):
+        try:
+            yield index, work(item)
+        except SkylineError as error:
+            yield index, error
 
 
 def queries_of(paths, narrowing=None):

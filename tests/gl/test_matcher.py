@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import NORTH_M, SPACING_M, WEST_M, fractal, write_dem
+from scenes import NORTH_M, SPACING_M, WEST_M, at_deg, fractal, write_dem
 
 from skyline import (
     MatchConfig,
@@ -25,9 +25,10 @@ from skyline.matching.retrieval import Retriever
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.pipeline.batch import _opened
-from skyline.pipeline.config import curvature_of
 from skyline.pipeline.rendered_scene import RenderedScene
+from skyline.pipeline.stored_dem import curvature_of
 from skyline.store import open_store
+from skyline.terrain.heightfield import ground_of
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 
 MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
@@ -120,7 +121,7 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
     rays = [query.rays() for query in queries[:2]]
     with open_store(store) as opened:
         scene = RenderedScene.of_store(terrain, opened.header, BOLD)
-        retriever = Retriever(opened.places(), terrain.height_at)
+        retriever = Retriever(opened.places(), ground_of(terrain))
         retrieved = [retriever.shortlist(one, FullConfig().shortlist) for one in rays]
 
     def refined(sure_margin):
@@ -150,7 +151,7 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
 def test_places_find_where_a_photo_was_taken_and_which_way_it_looks(store, terrain, queries):
     with open_store(store) as opened:
         places = opened.places()
-    retriever = Retriever(places, terrain.height_at)
+    retriever = Retriever(places, ground_of(terrain))
     assert len(places) == pytest.approx((1200.0 / PLACES_M) ** 2, rel=0.1)
     off_m, turn_deg = [], []
     for query in queries:
@@ -169,7 +170,9 @@ def test_places_find_where_a_photo_was_taken_and_which_way_it_looks(store, terra
 def test_a_narrowed_search_looks_nowhere_else(store, terrain, queries):
     query, truth = queries[0].skyline, queries[0].truth
     lon, lat = terrain.frame.to_lonlat(truth.easting_m, truth.northing_m)
-    turn = float(terrain.frame.convergence_deg(truth.easting_m, truth.northing_m))
+    turn = float(
+        terrain.frame.convergence_deg(easting_m=truth.easting_m, northing_m=truth.northing_m)
+    )
     with Matcher(store, terrain, config=replace(BOLD, refine=False)) as matcher:
         right = Narrowing(
             near=(float(lon), float(lat), 0.2),
@@ -281,7 +284,7 @@ def test_a_panorama_needs_its_field_of_view(store, terrain, queries):
 def test_a_panorama_that_sees_behind_is_found(store, terrain, fov_deg, said_deg):
     width, heading_deg, raised_deg = 1800, 250.0, 3.0
     east, north = 0.5 * (MIDDLE[0] + MIDDLE[2]) + 137.0, 0.5 * (MIDDLE[1] + MIDDLE[3]) - 211.0
-    seen = horizon(terrain, *terrain.frame.to_lonlat(east, north))[0]
+    seen = horizon(terrain, **at_deg(terrain.frame.to_lonlat(east, north)))[0]
     turn_deg = fov_deg * ((np.arange(width) + 0.5) / width - 0.5)
     elevation_deg = np.interp(
         heading_deg + turn_deg, seen.azimuth_deg, seen.elevation_deg, period=360.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rasterio.transform import Affine
-from scenes import FRAME, HeightField, field_from, fractal, write_dem
+from scenes import FRAME, HeightField, at_deg, field_from, fractal, write_dem
 from scipy.ndimage import maximum_filter
 
 from skyline import PanoramaConfig, Peaks, horizon, read_dem, save_panorama
@@ -66,7 +66,7 @@ def test_ridges_are_where_the_terrain_drops_out_of_sight(two_walls):
 def test_the_skyline_is_the_exact_horizon_within_half_a_step(mountains, share):
     field, _ = mountains
     place = tuple(float(at) for at in field.to_map(300.0 * share[0], 300.0 * share[1]))
-    exact = horizon(field, *field.frame.to_lonlat(*place), 20.0, 0.1)
+    exact = horizon(field, **at_deg(field.frame.to_lonlat(*place)), eye_height_m=20.0, step_deg=0.1)
     seen = Landscape.of(TerrainBlocks.of(field), place, 20.0, exact.azimuth_deg[0])
     distance_m, resolved = exact.distance_m[0], exact.distance_m[0] > 0.35 * field.spacing_m
     short_deg = exact.elevation_deg[0] - seen.skyline_deg
@@ -109,7 +109,12 @@ def mountains():
     row, col = np.nonzero(field.heights_m == maximum_filter(field.heights_m, 7))
     easting, northing = field.to_map(row, col)
     names = tuple(f"{'Great ' * (index % 3)}Peak {index}" for index in range(len(row)))
-    return field, Peaks(names, easting, northing, field.heights_m[row, col].astype(np.float64))
+    return field, Peaks(
+        names=names,
+        easting_m=easting,
+        northing_m=northing,
+        height_m=field.heights_m[row, col].astype(np.float64),
+    )
 
 
 def view_from(field, row, col, peaks, **config):
@@ -175,7 +180,12 @@ def test_only_peaks_that_are_seen_are_named_and_they_stand_on_the_landscape(moun
 def test_a_peak_below_the_picture_has_no_name(mountains):
     field, _ = mountains
     east, north = field.to_map(150.0, 150.0)
-    below = Peaks(("Below",), np.array([east + 400.0]), np.array([north]), np.array([np.nan]))
+    below = Peaks(
+        names=("Below",),
+        easting_m=np.array([east + 400.0]),
+        northing_m=np.array([north]),
+        height_m=np.array([np.nan]),
+    )
     view = view_from(field, 150.0, 150.0, below)
     assert len(view.sightings) == 1
     assert not draw_panorama(view).findobj(lambda one: one.get_gid() == SUMMIT)
@@ -214,7 +224,7 @@ def test_a_surface_is_a_line_over_the_skyline(mountains, tmp_path):
     line = draw_panorama(view).axes[0].lines[0]
     np.testing.assert_array_equal(line.get_ydata(), view.surface_deg)
     path = tmp_path / "both.svg"
-    save_panorama(field, *lonlat, path, config=config, surface=trees)
+    save_panorama(field, path, lon=lonlat[0], lat=lonlat[1], config=config, surface=trees)
     assert "how far trees and houses may rise" in path.read_text("utf-8")
 
 
@@ -223,7 +233,10 @@ def test_pictures_are_of_their_kind(mountains, tmp_path, suffix):
     field, peaks = mountains
     path = tmp_path / f"panorama{suffix}"
     lon, lat = (float(at) for at in field.frame.to_lonlat(*field.to_map(150.0, 150.0)))
-    assert save_panorama(field, lon, lat, path, peaks, PanoramaConfig(90.0, 40.0)) >= 0
+    assert (
+        save_panorama(field, path, lon=lon, lat=lat, peaks=peaks, config=PanoramaConfig(90.0, 40.0))
+        >= 0
+    )
     begins = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[suffix]
     assert path.read_bytes().startswith(begins)
 
@@ -252,7 +265,10 @@ def test_the_most_prominent_peak_has_its_name_where_higher_knolls_crowd_it():
     field = field_from(height, 701, 40.0)
     names = (*(f"Knoll {index}" for index in range(6)), "Lonely Mountain")
     peaks = Peaks(
-        names, np.append(row_m, 0.0), np.array([9000.0] * 6 + [5000.0]), np.full(7, np.nan)
+        names=names,
+        easting_m=np.append(row_m, 0.0),
+        northing_m=np.array([9000.0] * 6 + [5000.0]),
+        height_m=np.full(7, np.nan),
     )
     lonlat = tuple(float(at) for at in FRAME.to_lonlat(0.0, 0.0))
     view = panorama_view(
@@ -284,3 +300,9 @@ def test_a_panorama_from_a_summit_shows_no_wall():
     moved, said = skyline_deg(100.0)
     assert moved.max() < 0.0
     assert "3000 m, seen from 2.0 m above ground" in said
+
+
+def test_where_no_terrain_is_seen_it_says_so():
+    field = HeightField(np.array([[500.0]]), 0.0, 0.0, 30.0, 30.0, FRAME)
+    with pytest.raises(InputError, match="no terrain is seen: the DEM has no heights around"):
+        Landscape.of(TerrainBlocks.of(field), (0.0, 0.0), 2.0, AZIMUTH_DEG)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from query_scenes import photographed, poses, rays_of
-from scenes import field_of, fractal
+from scenes import at_m, field_of, fractal
 
 from skyline.errors import InputError
 from skyline.matching.hypotheses import Hypotheses
@@ -38,7 +38,7 @@ class _Scene:
         return None
 
     def ground_m(self, easting_m, northing_m):
-        return self.field.height_at(easting_m, northing_m)
+        return self.field.height_at(easting_m=easting_m, northing_m=northing_m)
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def scene():
 def rays(scene):
     """Return u, v of the true view, columns as fine as a photo's."""
     with HorizonRenderer(scene.field, 1280) as renderer:
-        views = renderer.render(stand_on(scene.field, PLACE[0], PLACE[1]))
+        views = renderer.render(stand_on(scene.field, easting_m=PLACE[0], northing_m=PLACE[1]))
     tangent = np.tan(np.radians(views.elevation_deg()))
     return photographed(
         np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), fov_deg=60.0, **TRUTH
@@ -104,7 +104,9 @@ def test_the_pose_is_recovered_where_nothing_is_noisy(scene, rays):
 @pytest.mark.parametrize(("above_m", "known"), [(2.0, True), (2.0, False), (45.0, False)])
 def test_the_eye_s_height_above_the_ground_is_found_or_held(scene, above_m, known):
     with HorizonRenderer(scene.field, 1280) as renderer:
-        views = renderer.render(stand_on(scene.field, PLACE[0], PLACE[1], above_m))
+        views = renderer.render(
+            stand_on(scene.field, easting_m=PLACE[0], northing_m=PLACE[1], eye_height_m=above_m)
+        )
     tangent = np.tan(np.radians(views.elevation_deg()))
     seen = photographed(
         np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), fov_deg=60.0, **TRUTH
@@ -162,7 +164,9 @@ def test_the_derivatives_foretell_the_next_rendering(scene):
     place = np.stack([PLACE, PLACE + step_m])
     ground = scene.ground_m(place[:, 0], place[:, 1])
     slope = (ground[1] - ground[0]) * step_m / (step_m @ step_m)
-    views = scene.renderer.render(Viewpoints(place[:, 0], place[:, 1], ground + 2.0))
+    views = scene.renderer.render(
+        Viewpoints(easting_m=place[:, 0], northing_m=place[:, 1], eye_elevation_m=ground + 2.0)
+    )
     seen = Panoramas.from_views(views, np.repeat([0, 1], 4), 2, 1440)
     channels = Curves.of(
         seen[:1], np.zeros(1, complex), ground[:1], slope[np.newaxis], np.full(1, 2.0)
@@ -235,7 +239,7 @@ def test_impossible_configurations_are_refused(wrong):
 
 def _seen_from(scene, place_m, heading_deg):
     with HorizonRenderer(scene.field, 1280) as renderer:
-        views = renderer.render(stand_on(scene.field, *place_m))
+        views = renderer.render(stand_on(scene.field, **at_m(place_m)))
     tangent = np.tan(np.radians(views.elevation_deg()))
     u, v = photographed(
         np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), heading_deg, 1.0, -1.0, 60.0

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import rasterio
 from rasterio.transform import from_origin
+from scenes import at_m
 
+from skyline.build.grid import map_bounds
 from skyline.geodesy import Curvature, Frame
-from skyline.planning.uniform import map_bounds
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
@@ -23,8 +24,10 @@ def random_viewpoints(field, count, bounds_deg=None):
     west, south, east, north = map_bounds(field, bounds_deg)
     easting = generator.uniform(west, east, 3 * count)
     northing = generator.uniform(south, north, 3 * count)
-    standing = ~np.isnan(field.height_at(easting, northing))
-    return stand_on(field, easting[standing][:count], northing[standing][:count])
+    standing = ~np.isnan(field.height_at(easting_m=easting, northing_m=northing))
+    return stand_on(
+        field, easting_m=easting[standing][:count], northing_m=northing[standing][:count]
+    )
 
 
 @pytest.mark.slow
@@ -65,7 +68,7 @@ def test_lakes_horizons_agree_with_published_ones(lakes):
     generator = np.random.default_rng(SEED)
     row = generator.integers(20, field.rows - 20, 300)
     col = generator.integers(20, field.cols - 20, 300)
-    viewpoints = stand_on(field, *field.to_map(row, col), eye_height_m=0.0)
+    viewpoints = stand_on(field, **at_m(field.to_map(row, col)), eye_height_m=0.0)
     flat = Curvature(enabled=False)
     # An odd width has a column straight ahead, where the ordinate is the elevation's tangent.
     truth = oracle.skyline(field, viewpoints, 3, flat).elevation_tan[:, 1].reshape(-1, 4)
@@ -127,7 +130,7 @@ def test_a_skyline_across_a_seam_is_that_of_the_merged_raster(shared_data, tmp_p
     mosaic, whole = read_dem(tiles), read_dem([path])
     np.testing.assert_array_equal(mosaic.heights_m, whole.heights_m)
     easting, northing = mosaic.frame.from_lonlat([-119.01], [37.6])
-    viewpoints = stand_on(mosaic, easting, northing)
+    viewpoints = stand_on(mosaic, easting_m=easting, northing_m=northing)
     with DepthRenderer(mosaic) as first, DepthRenderer(whole) as second:
         np.testing.assert_array_equal(
             first.render(viewpoints).elevation_tan, second.render(viewpoints).elevation_tan

@@ -3,16 +3,15 @@
 import numpy as np
 import pytest
 from query_scenes import photographed, poses, rays_of
-from scenes import field_from, field_of, fractal
+from scenes import at_m, field_from, field_of, fractal
 
-from skyline import horizon, stand_on
+from skyline import horizon, stand_at, stand_on
 from skyline.errors import InputError
 from skyline.geodesy import Frame
 from skyline.matching.match_config import RefineConfig
 from skyline.matching.pose import refine
-from skyline.pipeline.config import RenderConfig
 from skyline.pipeline.rendered_scene import RenderedScene
-from skyline.render.horizon import HorizonRenderer
+from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import UNKNOWN_M, read_surface
 
@@ -62,7 +61,7 @@ def test_the_highest_of_a_fine_model_counts_and_tall_trees_where_there_is_none(b
 
 def test_a_surface_in_another_frame_lies_where_it_is():
     bare = field_from(lambda east, north: 1000.0 + 0.0 * east * north, 101, 30.0)
-    frame = Frame.local(9.83, 46.79)
+    frame = Frame.local(lon=9.83, lat=46.79)
     east_m, north_m = frame.from_lonlat(*bare.frame.to_lonlat(600.0, -300.0))
     row, col = np.mgrid[0:301, 0:301]
     off_m = np.hypot(col * 30.0 - 4500.0 - east_m, 4500.0 - row * 30.0 - north_m)
@@ -83,15 +82,18 @@ def test_a_surface_of_elsewhere_or_of_another_datum_is_refused(bare, forest):
 def test_a_horizon_lies_between_the_bare_one_and_the_surface_s(bare, forest):
     # Easting and northing of the scenes' frame, in open ground and under trees.
     lon, lat = bare.frame.to_lonlat([4000.0, 6200.0, 8000.0], [-6000.0, -5000.0, -8000.0])
-    found = horizon(bare, lon, lat, surface=forest)
-    eyes = stand_on(bare, *bare.frame.from_lonlat(lon, lat))
+    found = horizon(bare, lon=lon, lat=lat, surface=forest)
+    eyes = stand_at(bare, lon=lon, lat=lat, summit_within_m=0.0)
     assert (found.surface_deg >= found.elevation_deg).all()
     assert (found.surface_deg > found.elevation_deg + 0.05).any(axis=1).all()
     assert "surface_deg" in found.to_xarray()
-    plain = horizon(bare, lon, lat)
+    plain = horizon(bare, lon=lon, lat=lat)
     np.testing.assert_array_equal(plain.elevation_deg, found.elevation_deg)
     assert not plain.has_surface
-    under = forest.height_at(eyes.easting_m, eyes.northing_m) > eyes.eye_elevation_m
+    under = (
+        forest.height_at(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+        > eyes.eye_elevation_m
+    )
     assert under.tolist() == [False, False, True]
     assert found.surface_deg[2].min() > 30.0
 
@@ -99,7 +101,7 @@ def test_a_horizon_lies_between_the_bare_one_and_the_surface_s(bare, forest):
 def _photo(forest, bare, place_m, camera):
     """Return the rays of a camera that stands on the ground and sees the forest."""
     with HorizonRenderer(forest, 1280) as renderer:
-        views = renderer.render(stand_on(bare, *place_m))
+        views = renderer.render(stand_on(bare, **at_m(place_m)))
     tangent = np.tan(np.radians(views.elevation_deg()))
     u, v = photographed(np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), **camera)
     noise = np.random.default_rng(0).normal(0.0, np.radians(0.05), len(v))
@@ -113,7 +115,9 @@ def _open_places(bare, canopy, count):
     places = []
     while len(places) < count:
         place = generator.uniform((3000.0, -9000.0), (9000.0, -3000.0))
-        if not canopy.height_at(place[0] + ring.real, place[1] + ring.imag).any():
+        if not canopy.height_at(
+            easting_m=place[0] + ring.real, northing_m=place[1] + ring.imag
+        ).any():
             places.append(place)
     return np.array(places)
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes import at_m
 
 from skyline import (
     InputError,
@@ -22,7 +23,7 @@ from skyline import (
 )
 from skyline.camera import HEADINGS
 from skyline.photo.projection import Projection
-from skyline.pipeline.config import curvature_of
+from skyline.pipeline.stored_dem import curvature_of
 from skyline.render.horizon import HorizonRenderer
 from skyline.report.posed_picture import Panorama, PosedPicture
 from skyline.terrain.summits import summit_heights_m
@@ -47,12 +48,12 @@ def query(photo):
 
 def true_pose(viewer, frame, **other):
     lon, lat = (float(one) for one in frame.to_lonlat(EASTING_M, NORTHING_M))
-    turn = float(frame.convergence_deg(EASTING_M, NORTHING_M))
-    return viewer.pose(lon, lat, 140.0 + turn, **other)
+    turn = float(frame.convergence_deg(easting_m=EASTING_M, northing_m=NORTHING_M))
+    return viewer.pose(lon=lon, lat=lat, heading_deg=140.0 + turn, **other)
 
 
 def test_a_pose_says_where_the_eye_stands(matcher, dem):
-    ground_m = float(read_dem([dem]).height_at(EASTING_M, NORTHING_M))
+    ground_m = float(read_dem([dem]).height_at(easting_m=EASTING_M, northing_m=NORTHING_M))
     with Viewer(matcher) as viewer:
         pose = true_pose(viewer, matcher.frame, eye_height_m=7.0, pitch_deg=3.0)
         assert pose.easting_m == pytest.approx(EASTING_M, abs=1e-3)
@@ -62,7 +63,7 @@ def test_a_pose_says_where_the_eye_stands(matcher, dem):
         assert (pose.pitch_deg, pose.confidence, pose.refined) == (3.0, None, False)
         assert pose.origin == "set by hand"
         with pytest.raises(OffMapError):
-            viewer.pose(9.0, 40.0, 0.0)
+            viewer.pose(lon=9.0, lat=40.0, heading_deg=0.0)
 
 
 def test_a_pose_beside_a_summit_stands_as_high_as_it(matcher):
@@ -72,16 +73,18 @@ def test_a_pose_beside_a_summit_stands_as_high_as_it(matcher):
     first = np.nanargmax(tops_m)
     place = terrain.to_map(row[first] + 0.3, col[first] + 0.4)
     lon, lat = (float(one) for one in matcher.frame.to_lonlat(*place))
-    ground_m = float(terrain.height_at(*place))
+    ground_m = float(terrain.height_at(**at_m(place)))
     assert ground_m < tops_m[first]
     with Viewer(matcher) as viewer:
-        assert viewer.pose(lon, lat, 0.0).eye_elevation_m == pytest.approx(tops_m[first] + 2.0)
+        assert viewer.pose(lon=lon, lat=lat, heading_deg=0.0).eye_elevation_m == pytest.approx(
+            tops_m[first] + 2.0
+        )
         # Down to the surface, heights above the summit may be negative.
         below_m = ground_m - tops_m[first]
-        low = viewer.pose(lon, lat, 0.0, eye_height_m=below_m)
+        low = viewer.pose(lon=lon, lat=lat, heading_deg=0.0, eye_height_m=below_m)
         assert low.eye_elevation_m == pytest.approx(ground_m)
         with pytest.raises(OffMapError, match="below the ground"):
-            viewer.pose(lon, lat, 0.0, eye_height_m=below_m - 1.0)
+            viewer.pose(lon=lon, lat=lat, heading_deg=0.0, eye_height_m=below_m - 1.0)
 
 
 def test_the_skyline_at_the_true_pose_is_the_photos(matcher, query):
@@ -108,7 +111,7 @@ def test_a_sight_is_what_four_fine_views_show(
         )  # fmt: skip
         sight = viewer.look(pose, query)
     terrain = matcher.terrain
-    eye = stand_on(terrain, pose.easting_m, pose.northing_m, 2.0)
+    eye = stand_on(terrain, easting_m=pose.easting_m, northing_m=pose.northing_m, eye_height_m=2.0)
     with HorizonRenderer(terrain, 4096, curvature_of(matcher.header)) as renderer:
         fine = Panorama.of(renderer.render(eye[np.zeros(4, int)], HEADINGS))
     ahead = fine.from_azimuth(pose.grid_heading_deg + 180.0)
@@ -223,10 +226,14 @@ def test_a_match_tells_how_far_it_is_and_ends_when_told(matcher, query):
 
 def test_an_eye_stands_as_high_as_is_known(matcher, query):
     high = matcher.match(query, narrowing=Narrowing(eye_height_m=25.0)).candidates[0]
-    ground_m = float(matcher.terrain.height_at(high.easting_m, high.northing_m))
+    ground_m = float(
+        matcher.terrain.height_at(easting_m=high.easting_m, northing_m=high.northing_m)
+    )
     assert high.eye_elevation_m == pytest.approx(ground_m + 25.0, abs=1e-6)
     fitted = matcher.fit(query, high).answer
-    ground_m = float(matcher.terrain.height_at(fitted.easting_m, fitted.northing_m))
+    ground_m = float(
+        matcher.terrain.height_at(easting_m=fitted.easting_m, northing_m=fitted.northing_m)
+    )
     assert fitted.eye_elevation_m == pytest.approx(ground_m + 25.0, abs=1e-6)
     with pytest.raises(InputError, match="expected 0 or more"):
         Narrowing(eye_height_m=-1.0)
@@ -241,7 +248,7 @@ query = read_query(sys.argv[2], 60.0)
 with RenderThread() as thread, Matcher(sys.argv[1], render_thread=thread) as matcher:
     with Viewer(matcher) as viewer, ThreadPoolExecutor(4) as pool:
         matches = [pool.submit(matcher.match, query) for _ in range(2)]
-        pose = viewer.pose(10.3327, 46.7478, 141.0)
+        pose = viewer.pose(lon=10.3327, lat=46.7478, heading_deg=141.0)
         looks = [pool.submit(viewer.look, pose, query) for _ in range(30)]
         found = [[one.easting_m, one.northing_m, one.score] for match in matches
                  for one in match.result().candidates]
@@ -258,5 +265,5 @@ def test_many_threads_get_what_one_gets(store, photo, matcher, query):
     plain = [[c.easting_m, c.northing_m, c.score] for c in matcher.match(query).candidates]
     assert found == [*plain, *plain]
     with Viewer(matcher) as viewer:
-        pose = viewer.pose(10.3327, 46.7478, 141.0)
+        pose = viewer.pose(lon=10.3327, lat=46.7478, heading_deg=141.0)
         assert gaps == [viewer.look(pose, query).median_gap_deg]

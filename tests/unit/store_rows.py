@@ -1,31 +1,38 @@
-"""Rows that say which row they are; imported by the processes that the store's tests kill."""
+"""Stores whose rows show which row they are."""
 
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from pathlib import Path
+
+import h5py
 import numpy as np
 
-from skyline.features import NO_KEYPOINT
+from skyline.features import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
 from skyline.geodesy import Frame
-from skyline.store import StoreHeader
+from skyline.places import BINS, DISTANCE_BINS, PHASE_BINS, Places
+from skyline.store import Store, StoreHeader, columns_of, write_store
+from skyline.store.format import PLACES, RENDERINGS
 from skyline.views import Views
 
 WIDTH = 24
-KEYPOINTS = 6
-HEADER = StoreHeader(
+VIEWS_HEADER = StoreHeader(
     frame_wkt=Frame.from_crs("EPSG:32632").wkt,
     dem_digest="a1" * 32,
     dem_files=("/dem/davos.tif", "/dem/näfels.tif"),
     config={"planner": "uniform", "spacing_m": 500.0, "bounds": [1, 2, 3, 4]},
     renderer="depth 640 on Mesa",
     width=WIDTH,
-    max_keypoints=KEYPOINTS,
 )
+PLACES_HEADER = replace(VIEWS_HEADER, width=0, holds=PLACES)
+HEADERS = {RENDERINGS: VIEWS_HEADER, PLACES: PLACES_HEADER}
 
 
-def rows(start: int, stop: int) -> tuple[Views, np.ndarray]:
-    """Return rows ``start`` to ``stop``; some columns are NaN."""
+def numbered_views(start: int, stop: int) -> tuple[Views, np.ndarray]:
+    """Return views and keypoints of rows ``start`` to ``stop``; some columns are NaN."""
     number = np.arange(start, stop)
     skyline = np.sin(0.1 * np.arange(WIDTH) + number[:, np.newaxis]).astype(np.float32)
     skyline[number % 5 == 0, 3:7] = np.nan
-    keypoints = np.full((len(number), KEYPOINTS), NO_KEYPOINT, dtype=np.uint16)
+    keypoints = np.full((len(number), DEFAULT_MAX_KEYPOINTS), NO_KEYPOINT, dtype=np.uint16)
     keypoints[:, 0] = number % WIDTH
     views = Views(
         easting_m=7.5e5 + number,
@@ -37,3 +44,65 @@ def rows(start: int, stop: int) -> tuple[Views, np.ndarray]:
         flags=((number[:, np.newaxis] + np.arange(WIDTH)) % 8).astype(np.uint8),
     )
     return views, keypoints
+
+
+def numbered_places(start: int, stop: int) -> Places:
+    """Return places of rows ``start`` to ``stop``."""
+    number = np.arange(start, stop)
+    place, row = number.astype(np.float64), number[:, np.newaxis]
+    return Places(
+        easting_m=7.5e5 + place,
+        northing_m=5.2e6 - place / 3.0,
+        eye_elevation_m=(1500.0 + place / 7.0).astype(np.float32),
+        tolerance_m=np.full(len(number), 25.0, dtype=np.float32),
+        first_tan=np.sin(place).astype(np.float32),
+        rise=((row * 7 + np.arange(BINS) * 3) % 256).astype(np.uint8).view(np.int8),
+        distance=((row + np.arange(DISTANCE_BINS)) % 256).astype(np.uint8),
+        phase=((row * 5 + np.arange(PHASE_BINS)) % 256).astype(np.uint8),
+    )
+
+
+def write_rows(path: Path, start: int, stop: int, header: StoreHeader = VIEWS_HEADER) -> Path:
+    """Write a store of rows ``start`` to ``stop`` of the header's kind."""
+    if header.holds == PLACES:
+        columns = columns_of(header, numbered_places(start, stop))
+    else:
+        columns = columns_of(header, *numbered_views(start, stop))
+    write_store(path, header, columns)
+    return path
+
+
+def assert_holds(store: Store, rows: np.ndarray, index: object = slice(None)) -> None:
+    """Assert that rows of a store, read in every way there is, are those numbered ``rows``."""
+    wanted, last = np.atleast_1d(rows[index]), int(rows.max(initial=-1)) + 1
+    if store.header.holds == PLACES:
+        got, whole = store.places().take(np.atleast_1d(np.arange(len(store))[index])), None
+        whole = numbered_places(0, last)
+    else:
+        whole, keypoints = numbered_views(0, last)
+        got = store.views(index)
+        np.testing.assert_array_equal(store.keypoint_columns(index), keypoints[wanted])
+    for field in fields(whole):
+        expected, actual = getattr(whole, field.name)[wanted], getattr(got, field.name)
+        np.testing.assert_array_equal(actual, expected, err_msg=field.name)
+        assert actual.dtype == expected.dtype, field.name
+
+
+@contextmanager
+def edited(path: Path):
+    """Open a store's file to change it."""
+    with h5py.File(path, "r+", libver=("v110", "v110")) as file:
+        yield file
+
+
+def flip(path: Path, position: int) -> None:
+    """Flip a bit of a file."""
+    data = bytearray(path.read_bytes())
+    data[position] ^= 16
+    path.write_bytes(data)
+
+
+def chunk_of(path: Path, name: str, chunk: int) -> int:
+    """Return the byte at which a chunk of a dataset begins."""
+    with h5py.File(path) as file:
+        return int(file[name].id.get_chunk_info(chunk).byte_offset)

@@ -107,7 +107,7 @@ def test_what_is_left_aside_is_said_with_the_reason():
     assert (record["distance_m"], record["heading_is_magnetic"]) == (None, None)
     assert record["left_aside"] == reason
     assert claim_in_words(NotedPlace(left_aside=reason), None, False) == reason
-    assert claim_of(noted, Frame.local(9.8, 46.7)) is None
+    assert claim_of(noted, Frame.local(lon=9.8, lat=46.7)) is None
 
 
 def test_disagreement_is_said():
@@ -118,7 +118,7 @@ def test_disagreement_is_said():
 
 
 def test_a_claim_in_a_frame_is_as_good_as_the_photo_says():
-    frame = Frame.local(9.8, 46.7)
+    frame = Frame.local(lon=9.8, lat=46.7)
     plain = claim_of(NotedPlace((9.8, 46.7), heading_deg=10.0), frame)
     assert (plain.easting_m, plain.northing_m) == pytest.approx((0.0, 0.0), abs=1e-6)
     assert (plain.sd_m, plain.heading_deg, plain.heading_sd_deg) == (30.0, 10.0, 20.0)
@@ -134,7 +134,7 @@ def test_a_claim_in_a_frame_is_as_good_as_the_photo_says():
     assert claim_of(NotedPlace(heading_deg=10.0), frame) is None
     beside = frame.to_lonlat(40_000.0, 0.0)
     east = claim_of(NotedPlace((float(beside[0]), float(beside[1])), heading_deg=0.0), frame)
-    turn_deg = float(frame.convergence_deg(40_000.0, 0.0))
+    turn_deg = float(frame.convergence_deg(easting_m=40_000.0, northing_m=0.0))
     assert abs(turn_deg) > 0.1
     assert east.heading_deg == pytest.approx(-turn_deg)
 

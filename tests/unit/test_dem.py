@@ -11,6 +11,7 @@ import rasterio
 from dem_files import UTM, AnyArray, plane, plane_grid, write
 from pyproj import CRS, Transformer
 from rasterio.transform import Affine, from_origin
+from scenes import at_m
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
@@ -41,7 +42,7 @@ def test_heights_are_where_the_file_puts_them(
     x = np.random.default_rng(0).uniform(west, east, 200)
     y = np.random.default_rng(1).uniform(south, north, 200)
     np.testing.assert_allclose(
-        field.height_at(x, y), plane(x - 500_000.0, y - 5_200_000.0), atol=1e-3
+        field.height_at(easting_m=x, northing_m=y), plane(x - 500_000.0, y - 5_200_000.0), atol=1e-3
     )
     assert field.provenance.files == (str(path.absolute()),)
     assert field.provenance.resampling == "none"
@@ -86,9 +87,9 @@ def test_degrees_are_warped_to_where_they_belong(
     easting, northing = field.frame.from_lonlat(west + lon, south + lat)
     # What is left is the curvature of the plane within a cell of the target.
     np.testing.assert_allclose(
-        field.height_at(easting, northing), degree_plane(lon, lat), atol=0.02
+        field.height_at(easting_m=easting, northing_m=northing), degree_plane(lon, lat), atol=0.02
     )
-    centre = Frame.local((west + 0.5 * len(names) + 180.0) % 360.0 - 180.0, south + 0.5)
+    centre = Frame.local(lon=(west + 0.5 * len(names) + 180.0) % 360.0 - 180.0, lat=south + 0.5)
     assert field.frame == centre
     # Samples stand at whole multiples of the spacing.
     assert field.west_m % spacing_m == 0.0
@@ -101,7 +102,7 @@ def test_a_tile_at_the_pole(tmp_path: Path) -> None:
     field = read_dem(tmp_path / "N89E010.hgt")
     easting, northing = field.frame.from_lonlat([10.3, 10.5, 10.8], [89.3, 89.6, 89.9])
     np.testing.assert_allclose(
-        field.height_at(easting, northing), [460.0, 820.0, 1180.0], atol=0.02
+        field.height_at(easting_m=easting, northing_m=northing), [460.0, 820.0, 1180.0], atol=0.02
     )
 
 
@@ -138,7 +139,9 @@ def test_small_dems_are_dems(tmp_path: Path, shape: tuple[int, int], degrees: bo
     path = write(tmp_path / "dem.tif", heights, transform, "EPSG:4326" if degrees else UTM)
     field = read_dem(path)
     if degrees:
-        assert field.height_at(0.0, 0.0) == pytest.approx(heights.mean(), abs=1e-3)
+        assert field.height_at(easting_m=0.0, northing_m=0.0) == pytest.approx(
+            heights.mean(), abs=1e-3
+        )
     else:
         np.testing.assert_array_equal(field.heights_m, heights)
 
@@ -165,7 +168,9 @@ def test_a_crs_in_feet_is_warped(tmp_path: Path) -> None:
     assert field.spacing_m == 30.0
     to_frame = Transformer.from_crs("EPSG:2227", field.frame.crs, always_xy=True)
     easting, northing = to_frame.transform(x + 1234.0, y - 2345.0)
-    assert field.height_at(easting, northing) == pytest.approx(plane(1234.0, -2345.0), abs=0.05)
+    assert field.height_at(easting_m=easting, northing_m=northing) == pytest.approx(
+        plane(1234.0, -2345.0), abs=0.05
+    )
 
 
 @pytest.mark.parametrize(
@@ -197,7 +202,7 @@ def test_blocks_have_the_samples_of_the_whole_and_nothing_above_their_bound(
     heights = rng.uniform(0.0, 1000.0, (300, 260)).astype(np.float32)
     heights[40:60, 100:180] = np.nan
     grid = Grid(west, north, 1.0 / 1200.0, 1.0 / 1200.0, 300, 260)
-    frame = Frame.local(west + 0.1, north - 0.1)
+    frame = Frame.local(lon=west + 0.1, lat=north - 0.1)
     warp = Warp(heights, grid, CRS.from_epsg(4326), frame, 40.0)
     whole, highest = warp.heights_m(), warp.highest_m()
     # Each to the edge that it shares with the next.
@@ -224,7 +229,7 @@ def test_warp_is_keys_cubic_convolution_between_the_samples_around() -> None:
     heights = rng.uniform(0.0, 1000.0, (50, 60)).astype(np.float32)
     step = 1.0 / 1200.0
     grid = Grid(9.0, 47.0, step, step, 50, 60)
-    frame = Frame.local(9.0 + 29.5 * step, 47.0 - 24.5 * step)
+    frame = Frame.local(lon=9.0 + 29.5 * step, lat=47.0 - 24.5 * step)
     warp = Warp(heights, grid, CRS.from_epsg(4326), frame, 70.0)
     warped, target = warp.heights_m(), warp.target
     row, col = np.mgrid[5 : target.rows - 5, 5 : target.cols - 5]
@@ -269,9 +274,7 @@ def test_davos_is_20_m(shared_data: Path) -> None:
     places = np.random.default_rng(0).integers(20, 2140, (400, 2))
     lon = transform.c + (places[:, 1] + 0.5) * transform.a
     lat = transform.f + (places[:, 0] + 0.5) * transform.e
-    difference = (
-        field.height_at(*field.frame.from_lonlat(lon, lat)) - raw[places[:, 0], places[:, 1]]
-    )
+    difference = field.height_at(lon=lon, lat=lat) - raw[places[:, 0], places[:, 1]]
     assert abs(difference.mean()) < 0.1
     assert np.sqrt((difference**2).mean()) < 1.2
 
@@ -305,10 +308,14 @@ def test_albers_is_used_with_a_warning_or_warped(
     warped = read_dem(path, DemOptions(reproject=True))
     assert caplog.text == ""
     assert warped.spacing_m == 30.0
-    assert float(warped.frame.angular_distortion_deg(0.0, 0.0)) < 1e-5
+    assert float(warped.frame.angular_distortion_deg(easting_m=0.0, northing_m=0.0)) < 1e-5
     easting, northing = own.to_map([300.0, 600.0], [500.0, 200.0])
     there = warped.frame.from_lonlat(*own.frame.to_lonlat(easting, northing))
-    np.testing.assert_allclose(warped.height_at(*there), own.height_at(easting, northing), atol=5.0)
+    np.testing.assert_allclose(
+        warped.height_at(**at_m(there)),
+        own.height_at(easting_m=easting, northing_m=northing),
+        atol=5.0,
+    )
 
 
 def test_web_mercator_has_metres_that_are_none(

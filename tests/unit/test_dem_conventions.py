@@ -119,11 +119,11 @@ def test_a_summit_is_where_gdal_puts_it_and_north_is_true(tmp_path: Path, crs: s
     rng = np.random.default_rng(0)
     aside = rng.uniform(-0.7, 0.7, (2, 400)) * REACH_DEG
     lon, lat = place[0] + aside[0] / math.cos(math.radians(place[1])), place[1] + aside[1]
-    apart = field.height_at(*field.frame.from_lonlat(lon, lat)) - heights_m(lon, lat, place)
+    apart = field.height_at(lon=lon, lat=lat) - heights_m(lon, lat, place)
     assert np.sqrt(np.mean(apart**2)) < 3.0
     east, north = (float(value) for value in field.frame.from_lonlat(*place))
-    turn = float(field.frame.convergence_deg(east, north))
-    bent = float(field.frame.angular_distortion_deg(east, north))
+    turn = float(field.frame.convergence_deg(easting_m=east, northing_m=north))
+    bent = float(field.frame.angular_distortion_deg(easting_m=east, northing_m=north))
     for azimuth in (0.0, 123.0):
         off = true_azimuth_deg(field.frame, east, north, azimuth) - azimuth - turn
         assert abs((off + 180.0) % 360.0 - 180.0) < 0.01 + bent

@@ -8,6 +8,7 @@ import pytest
 from dem_files import CALIFORNIA, UTM, AnyArray, write
 from pyproj import CRS
 from rasterio.transform import Affine, from_origin
+from scenes import at_m
 
 from skyline.errors import InputError
 from skyline.terrain.dem import read_dem
@@ -120,6 +121,6 @@ def test_six_californian_tiles_have_no_seam(shared_data: Path, tmp_path: Path) -
     assert six.spacing_m == 70.0
     easting, northing = six.frame.from_lonlat(-118.2925, 36.5783)
     around = six.height_at(
-        *np.meshgrid(easting + np.arange(-200, 201, 20), northing + np.arange(-200, 201, 20))
+        **at_m(np.meshgrid(easting + np.arange(-200, 201, 20), northing + np.arange(-200, 201, 20)))
     )
     assert 4380.0 < around.max() < 4430.0  # Mount Whitney

@@ -2,7 +2,7 @@
 
 import sqlite3
 import sys
-from dataclasses import fields, replace
+from dataclasses import fields
 from xml.etree import ElementTree
 
 import geopandas
@@ -10,15 +10,13 @@ import numpy as np
 import pyogrio
 import pytest
 from scenes import candidate_at
-from store_rows import HEADER, rows
+from store_rows import PLACES_HEADER, VIEWS_HEADER, numbered_places, numbered_views, write_rows
 
 import skyline
 from skyline import Candidate, Frame, InputError, MatchResult, QuerySkyline, open_store
 from skyline.report.geopackage import write_geopackage
-from skyline.store import create_store
-from skyline_bench.stores.durability import numbered_places
 
-UTM = Frame(HEADER.frame_wkt)
+UTM = Frame(VIEWS_HEADER.frame_wkt)
 BEST = candidate_at(
     750_000.0, 5_180_000.0, 300.0, confidence=0.9, confidence_1km=0.95, frame=UTM,
     covariance_m2=((400.0, 100.0), (100.0, 900.0)),
@@ -63,19 +61,13 @@ def test_results_keep_their_number_and_files_hold_them(tmp_path):
 
 @pytest.fixture
 def place_store(tmp_path):
-    header = replace(HEADER, width=0, holds="places")
-    with create_store(tmp_path / "places.h5", header) as writer:
-        writer.append_places(numbered_places(0, 50))
-    with open_store(tmp_path / "places.h5") as store:
+    with open_store(write_rows(tmp_path / "places.h5", 0, 50, PLACES_HEADER)) as store:
         yield store
 
 
 @pytest.fixture
 def view_store(tmp_path):
-    views, keypoints = rows(0, 12)
-    with create_store(tmp_path / "views.h5", HEADER) as writer:
-        writer.append(views, keypoints)
-    with open_store(tmp_path / "views.h5") as store:
+    with open_store(write_rows(tmp_path / "views.h5", 0, 12)) as store:
         yield store
 
 
@@ -94,7 +86,7 @@ def test_places_are_a_dataset_by_azimuth(place_store):
 
 
 def test_views_are_a_dataset_of_the_same_terms(view_store):
-    data, (views, _) = view_store.to_xarray(slice(2, 9)), rows(2, 9)
+    data, (views, _) = view_store.to_xarray(slice(2, 9)), numbered_views(2, 9)
     assert list(data["view"]) == list(range(2, 9))
     np.testing.assert_allclose(data.elevation_deg, views.elevation_deg(), rtol=1e-5)
     along = np.linalg.norm(views.skyline_points_m()[..., [0, 2]], axis=-1)

@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from pyproj import Geod
 
 from skyline.errors import InputError
-from skyline.geodesy import Curvature, Frame, is_metric
+from skyline.geodesy import Curvature, Frame, check_bounds, degrees_in_words, is_metric, width_deg
 
 WGS84 = Geod(ellps="WGS84")
 FRAMES = {
     "utm": (Frame.from_crs("EPSG:32632"), 9.9, 46.8),
-    "local": (Frame.local(9.6, 46.5), 9.9, 46.8),
-    "local south": (Frame.local(170.2, -44.1), 170.9, -44.8),
-    "local far north": (Frame.local(15.0, 84.0), 16.0, 84.3),
+    "local": (Frame.local(lon=9.6, lat=46.5), 9.9, 46.8),
+    "local south": (Frame.local(lon=170.2, lat=-44.1), 170.9, -44.8),
+    "local far north": (Frame.local(lon=15.0, lat=84.0), 16.0, 84.3),
     "albers": (Frame.from_crs("ESRI:102003"), -119.2, 37.7),
     "swiss": (Frame.from_crs("EPSG:21781"), 9.9, 46.8),
     "polar": (Frame.from_crs("EPSG:3413"), 15.0, 78.0),
@@ -27,7 +27,9 @@ def test_true_azimuth_is_grid_azimuth_plus_convergence(name: str) -> None:
     easting, northing = frame.from_lonlat([lon, lon], [lat - 1e-4, lat + 1e-4])
     # Walking north along the meridian: true azimuth 0.
     grid_azimuth_deg = math.degrees(math.atan2(np.diff(easting)[0], np.diff(northing)[0]))
-    convergence_deg = float(frame.convergence_deg(easting.mean(), northing.mean()))
+    convergence_deg = float(
+        frame.convergence_deg(easting_m=easting.mean(), northing_m=northing.mean())
+    )
     turn_deg = (grid_azimuth_deg + convergence_deg + 180.0) % 360.0 - 180.0
     # The factors are of the CRS's own ellipsoid; Bessel's north is 2e-4 degrees off WGS 84's.
     assert turn_deg == pytest.approx(0.0, abs=1e-3)
@@ -35,10 +37,12 @@ def test_true_azimuth_is_grid_azimuth_plus_convergence(name: str) -> None:
 
 
 def test_convergence_is_positive_east_of_the_central_meridian_in_the_north() -> None:
-    frame = Frame.local(9.0, 46.0)
+    frame = Frame.local(lon=9.0, lat=46.0)
     expected_deg = math.degrees(math.atan(math.tan(math.radians(0.5)) * math.sin(math.radians(46))))
     easting, northing = frame.from_lonlat(9.5, 46.0)
-    assert float(frame.convergence_deg(easting, northing)) == pytest.approx(expected_deg, abs=1e-3)
+    assert float(frame.convergence_deg(easting_m=easting, northing_m=northing)) == pytest.approx(
+        expected_deg, abs=1e-3
+    )
 
 
 @given(
@@ -50,14 +54,14 @@ def test_convergence_is_positive_east_of_the_central_meridian_in_the_north() -> 
 def test_round_trip_through_longitude_and_latitude(
     lon: float, lat: float, east: float, north: float
 ) -> None:
-    frame = Frame.local(lon, lat)
+    frame = Frame.local(lon=lon, lat=lat)
     back = frame.from_lonlat(*frame.to_lonlat(east, north))
     np.testing.assert_allclose(back, (east, north), atol=1e-4)
 
 
 @given(lon=st.floats(-180.0, 180.0), lat=st.floats(-84.0, 84.0), azimuth=st.floats(0.0, 360.0))
 def test_local_frame_is_true_at_its_centre(lon: float, lat: float, azimuth: float) -> None:
-    frame = Frame.local(lon, lat)
+    frame = Frame.local(lon=lon, lat=lat)
     there_lon, there_lat, _ = WGS84.fwd(lon, lat, azimuth, 1000.0)
     easting, northing = frame.from_lonlat(there_lon, there_lat)
     assert float(easting) == pytest.approx(1000.0 * math.sin(math.radians(azimuth)), abs=0.01)
@@ -68,10 +72,10 @@ def test_local_frame_is_true_at_its_centre(lon: float, lat: float, azimuth: floa
 def test_factors_hold_at_a_pole(crs: str, sign: float) -> None:
     frame = Frame.from_crs(crs)
     easting, northing = np.array([0.0, 3.0, -400.0, 5000.0]), np.array([0.0, 4.0, 300.0, 0.0])
-    assert np.ptp(frame.scale(easting, northing)[:3]) < 1e-6
-    assert frame.angular_distortion_deg(easting, northing).max() < 0.002
+    assert np.ptp(frame.scale(easting_m=easting, northing_m=northing)[:3]) < 1e-6
+    assert frame.angular_distortion_deg(easting_m=easting, northing_m=northing).max() < 0.002
     # All ways from the pole lead south, or north.
-    convergence_deg = frame.convergence_deg(easting, northing)[1:]
+    convergence_deg = frame.convergence_deg(easting_m=easting, northing_m=northing)[1:]
     outward_deg = np.degrees(np.arctan2(easting, northing))[1:] + (180.0 if sign > 0.0 else 0.0)
     off_deg = (outward_deg + convergence_deg + 180.0) % 360.0 - 180.0
     np.testing.assert_allclose(off_deg, 0.0, atol=1e-3)
@@ -79,8 +83,8 @@ def test_factors_hold_at_a_pole(crs: str, sign: float) -> None:
 
 def test_local_frame_is_conformal_and_albers_is_not() -> None:
     local, albers = FRAMES["local"][0], FRAMES["albers"][0]
-    assert float(local.angular_distortion_deg(50e3, 50e3)) < 1e-5
-    assert float(albers.angular_distortion_deg(-2.03e6, 0.25e6)) > 0.5
+    assert float(local.angular_distortion_deg(easting_m=50e3, northing_m=50e3)) < 1e-5
+    assert float(albers.angular_distortion_deg(easting_m=-2.03e6, northing_m=0.25e6)) > 0.5
 
 
 def test_scale_is_map_metres_per_metre_on_the_ground() -> None:
@@ -88,12 +92,15 @@ def test_scale_is_map_metres_per_metre_on_the_ground() -> None:
     easting, northing = mercator.from_lonlat([9.9, 9.901], [46.8, 46.8])
     ground_m = WGS84.inv(9.9, 46.8, 9.901, 46.8)[2]
     expected = np.diff(easting)[0] / ground_m
-    assert float(mercator.scale(easting[0], northing[0])) == pytest.approx(expected, rel=1e-6)
-    assert float(Frame.local(9.9, 46.8).scale(0.0, 0.0)) == pytest.approx(1.0, abs=1e-9)
+    scale = mercator.scale(easting_m=easting[0], northing_m=northing[0])
+    assert float(scale) == pytest.approx(expected, rel=1e-6)
+    assert float(
+        Frame.local(lon=9.9, lat=46.8).scale(easting_m=0.0, northing_m=0.0)
+    ) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_local_frame_says_where_it_is_and_keeps_its_origin() -> None:
-    frame = Frame.local(9.9, 46.8)
+    frame = Frame.local(lon=9.9, lat=46.8)
     assert frame.name == "local transverse Mercator at 46.8000, 9.9000"
     assert is_metric(frame.crs)
     np.testing.assert_allclose(frame.to_lonlat(0.0, 0.0), (9.9, 46.8), atol=1e-9)
@@ -121,3 +128,74 @@ def test_curvature_drop() -> None:
 def test_curvature_refuses_nonsense(wrong: dict[str, float]) -> None:
     with pytest.raises(InputError):
         Curvature(**wrong)
+
+
+BOXES = {
+    "west of the antimeridian": ("EPSG:32660", (780e3, 1000e3, 810e3, 1030e3)),
+    "across, UTM 60": ("EPSG:32660", (810e3, 1000e3, 900e3, 1100e3)),
+    "across, UTM 1": ("EPSG:32601", (100e3, 1000e3, 250e3, 1100e3)),
+    "across, Chatham": ("EPSG:3793", (3000e3, 4900e3, 3900e3, 5300e3)),
+    "across, beside the pole": ("EPSG:3413", (-500e3, 400e3, -300e3, 600e3)),
+    "up to the antimeridian": ("local", (-20e3, -20e3, 0.0, 20e3)),
+    "from the antimeridian": ("local", (0.0, -20e3, 20e3, 20e3)),
+    "bent sides": ("ESRI:102003", (-2100e3, 200e3, -1800e3, 400e3)),
+}
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_a_box_in_degrees_holds_its_rectangle_and_no_more(name: str) -> None:
+    crs, (west_m, south_m, east_m, north_m) = BOXES[name]
+    frame = Frame.local(lon=180.0, lat=-17.0) if crs == "local" else Frame.from_crs(crs)
+    west, south, east, north = box = frame.box_deg(
+        easting_m=[west_m, east_m], northing_m=[south_m, north_m]
+    )
+    edge = np.meshgrid(np.linspace(west_m, east_m, 301), np.linspace(south_m, north_m, 301))
+    lon, lat = frame.to_lonlat(*edge)
+    east_of_west = (lon - west + 1e-7) % 360.0 - 1e-7
+    assert (east_of_west.min(), east_of_west.max()) == pytest.approx(
+        (0.0, width_deg(box)), abs=1e-4 * (1.0 + width_deg(box))
+    )
+    assert (lat.min(), lat.max()) == pytest.approx((south, north), abs=1e-4)
+    assert (west > east) is name.startswith("across")
+    assert -180.0 <= west < 180.0
+    assert -180.0 < east <= 180.0
+    back_m = frame.rectangle_m(check_bounds(box))
+    assert (np.array(back_m[:2]) <= np.array([west_m, south_m]) + 1.0).all()
+    assert (np.array(back_m[2:]) >= np.array([east_m, north_m]) - 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("frame", "pole"),
+    [
+        (Frame.from_crs("EPSG:3413"), 90.0),
+        (Frame.from_crs("EPSG:3031"), -90.0),
+        (Frame.local(lon=30.0, lat=89.9), 90.0),
+    ],
+)
+def test_a_box_round_a_pole_has_all_longitudes(frame: Frame, pole: float) -> None:
+    sides_m = [-50e3, 50e3]
+    box = frame.box_deg(easting_m=sides_m, northing_m=sides_m)
+    assert (box[0], box[2]) == (-180.0, 180.0)
+    assert pole in (box[1], box[3])
+    assert width_deg(check_bounds(box)) == 360.0
+    west, south, east, north = frame.rectangle_m(box)
+    assert max(west, south) <= -49_999.0
+    assert min(east, north) >= 49_999.0
+
+
+def test_a_box_round_one_place_is_that_place() -> None:
+    box = Frame.local(lon=9.8, lat=46.8).box_deg(easting_m=[0.0], northing_m=[0.0])
+    assert box == pytest.approx((9.8, 46.8, 9.8, 46.8))
+
+
+@pytest.mark.parametrize(
+    "bounds", [(180.0, 1, -180.0, 2), (9, 1, 9, 2), (179, 1, 181, 2), (math.nan, 1, 2, 3)]
+)
+def test_bounds_that_are_no_box_are_refused(bounds: tuple[float, float, float, float]) -> None:
+    with pytest.raises(InputError, match="longitudes from -180 to 180"):
+        check_bounds(bounds)
+
+
+def test_longitudes_past_the_antimeridian_have_the_name_of_their_side() -> None:
+    said = [degrees_in_words(lon, "EW", 1) for lon in (179.5, 180.5, -180.5, -179.5)]
+    assert said == ["179.5° E", "179.5° W", "179.5° E", "179.5° W"]

@@ -6,13 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
+from scenes import at_m
 
 from skyline.errors import InputError, OffMapError
 from skyline.geodesy import Frame
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import stand_on
+from skyline.terrain.viewpoints import stand_at, stand_on
 
-FRAME = Frame.local(9.9, 46.8)
+FRAME = Frame.local(lon=9.9, lat=46.8)
 WEST_M, NORTH_M, EAST_STEP_M, NORTH_STEP_M = 1000.0, 2000.0, 25.0, 30.0
 
 
@@ -42,23 +43,28 @@ def test_height_is_the_triangle_s(data: st.DataObject) -> None:
     south, east = data.draw(st.tuples(part, part).filter(lambda p: abs(p[0] - p[1]) > 1e-3))
     row = data.draw(st.integers(0, shape[0] - 2)) + south
     col = data.draw(st.integers(0, shape[1] - 2)) + east
-    height = float(field_of(heights).height_at(*field_of(heights).to_map(row, col)))
+    height = float(field_of(heights).height_at(**at_m(field_of(heights).to_map(row, col))))
     assert height == pytest.approx(on_triangle(heights, row, col), abs=1e-6, nan_ok=True)
 
 
 def test_diagonal_joins_north_west_and_south_east() -> None:
     field = field_of(np.array([[0.0, 9.0], [3.0, 0.0]]))
-    assert float(field.height_at(*field.to_map(0.5, 0.5))) == 0.0
-    assert float(field.height_at(*field.to_map(0.25, 0.75))) == pytest.approx(4.5)
-    assert float(field.height_at(*field.to_map(0.75, 0.25))) == pytest.approx(1.5)
+    assert float(field.height_at(**at_m(field.to_map(0.5, 0.5)))) == 0.0
+    assert float(field.height_at(**at_m(field.to_map(0.25, 0.75)))) == pytest.approx(4.5)
+    assert float(field.height_at(**at_m(field.to_map(0.75, 0.25)))) == pytest.approx(1.5)
 
 
 def test_samples_are_at_their_coordinates() -> None:
     heights = np.arange(20, dtype=np.float32).reshape(4, 5)
     field = field_of(heights)
     rows, cols = np.mgrid[0:4, 0:5]
-    np.testing.assert_array_equal(field.height_at(*field.to_map(rows, cols)), heights)
-    assert float(field.height_at(WEST_M + EAST_STEP_M, NORTH_M - 2 * NORTH_STEP_M)) == 11.0
+    np.testing.assert_array_equal(field.height_at(**at_m(field.to_map(rows, cols))), heights)
+    assert (
+        float(
+            field.height_at(easting_m=WEST_M + EAST_STEP_M, northing_m=NORTH_M - 2 * NORTH_STEP_M)
+        )
+        == 11.0
+    )
     assert field.bounds_m == (1000.0, 1910.0, 1100.0, 2000.0)
     assert field.spacing_m == 25.0
 
@@ -68,14 +74,14 @@ def test_single_rows_and_columns_have_their_samples(shape: tuple[int, int]) -> N
     heights = np.arange(4, dtype=np.float32)[: max(shape)].reshape(shape)
     field = field_of(heights)
     rows, cols = np.indices(shape)
-    np.testing.assert_array_equal(field.height_at(*field.to_map(rows, cols)), heights)
-    assert np.isnan(field.height_at(WEST_M - 1.0, NORTH_M))
+    np.testing.assert_array_equal(field.height_at(**at_m(field.to_map(rows, cols))), heights)
+    assert np.isnan(field.height_at(easting_m=WEST_M - 1.0, northing_m=NORTH_M))
 
 
 def test_off_the_map_there_is_no_height() -> None:
     field = field_of(np.zeros((3, 3)))
     for row, col in ((-0.01, 1.0), (2.01, 1.0), (1.0, -0.01), (1.0, 2.01)):
-        assert np.isnan(field.height_at(*field.to_map(row, col)))
+        assert np.isnan(field.height_at(**at_m(field.to_map(row, col))))
 
 
 @pytest.mark.parametrize(
@@ -86,17 +92,17 @@ def test_an_eye_without_ground_is_told_why(east_m: float, south_m: float, said: 
     heights = np.zeros((6, 6))
     heights[2, 2] = np.nan
     with pytest.raises(OffMapError, match=said):
-        stand_on(field_of(heights), WEST_M + east_m, NORTH_M - south_m)
+        stand_on(field_of(heights), easting_m=WEST_M + east_m, northing_m=NORTH_M - south_m)
 
 
 def test_a_hole_takes_its_triangles_and_no_more() -> None:
     heights = np.ones((3, 3))
     heights[0, 1] = np.nan
     field = field_of(heights)
-    assert np.isnan(field.height_at(*field.to_map(0.2, 0.8)))
-    assert float(field.height_at(*field.to_map(0.8, 0.2))) == 1.0
-    assert float(field.height_at(*field.to_map(0.0, 0.0))) == 1.0
-    assert np.isnan(field.height_at(*field.to_map(0.0, 1.0)))
+    assert np.isnan(field.height_at(**at_m(field.to_map(0.2, 0.8))))
+    assert float(field.height_at(**at_m(field.to_map(0.8, 0.2)))) == 1.0
+    assert float(field.height_at(**at_m(field.to_map(0.0, 0.0)))) == 1.0
+    assert np.isnan(field.height_at(**at_m(field.to_map(0.0, 1.0))))
     assert field.has_holes
     assert field.height_range_m == (1.0, 1.0)
 
@@ -130,7 +136,7 @@ def test_digest_is_of_samples_grid_and_frame() -> None:
         field_of(heights.astype(np.float64)).digest,
         HeightField(heights, WEST_M + 1, NORTH_M, 25.0, 30.0, FRAME).digest,
         HeightField(heights, WEST_M, NORTH_M, 30.0, 25.0, FRAME).digest,
-        HeightField(heights, WEST_M, NORTH_M, 25.0, 30.0, Frame.local(9.9, 46.9)).digest,
+        HeightField(heights, WEST_M, NORTH_M, 25.0, 30.0, Frame.local(lon=9.9, lat=46.9)).digest,
     }
     assert len(digests) == 7
     assert field_of(heights).digest in digests
@@ -153,3 +159,45 @@ def test_a_field_of_holes_alone_has_no_range() -> None:
     assert field.has_holes
     with pytest.raises(InputError, match="hole"):
         _ = field.height_range_m
+
+
+def test_a_place_is_metres_or_degrees_by_name() -> None:
+    slope = np.arange(12.0)[np.newaxis, :] + np.zeros((9, 1))
+    field = HeightField(slope, -550.0, 400.0, 100.0, 100.0, FRAME)
+    lon, lat = FRAME.to_lonlat(230.0, -120.0)
+    assert float(field.height_at(lon=lon, lat=lat)) == pytest.approx(7.8, abs=1e-6)
+    assert float(field.height_at(easting_m=230.0, northing_m=-120.0)) == pytest.approx(7.8)
+    many = field.height_at(lon=[lon, lon, 8.0], lat=lat)
+    np.testing.assert_allclose(many, [7.8, 7.8, np.nan], atol=1e-6)
+    eye = stand_at(field, lon=lon, lat=lat, eye_height_m=1.5, summit_within_m=0.0)
+    assert float(eye.easting_m[0]) == pytest.approx(230.0, abs=1e-6)
+    assert float(eye.eye_elevation_m[0]) == pytest.approx(9.3, abs=1e-6)
+    # The middle of a frame of our own is at 0, 0, so that degrees would be near it.
+    for call in (field.height_at, field.to_grid, field.reach_m, FRAME.convergence_deg, FRAME.scale):
+        with pytest.raises(TypeError, match="positional argument"):
+            call(9.85, 46.75)
+    for stand in (stand_on, stand_at):
+        with pytest.raises(TypeError, match="positional argument"):
+            stand(field, 9.85, 46.75)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"lon": 9.9},
+        {"easting_m": 1.0},
+        {"easting_m": 1.0, "lat": 46.8},
+        {"easting_m": 1.0, "northing_m": 1.0, "lon": 9.9, "lat": 46.8},
+    ],
+)
+def test_half_a_place_or_two_are_refused(given: dict[str, float]) -> None:
+    field = field_of(np.zeros((3, 3)))
+    names = ", ".join(given) or "nothing"
+    with pytest.raises(InputError, match=f"a place is given by {names}; expected easting_m"):
+        field.height_at(**given)
+
+
+def test_a_grid_in_degrees_is_no_height_field() -> None:
+    with pytest.raises(InputError, match="grid in degrees is read by read_dem"):
+        HeightField(np.zeros((3, 3)), 9.0, 47.0, 1.0 / 3600.0, 1.0 / 3600.0, FRAME)

@@ -7,6 +7,7 @@ import pytest
 from query_scenes import equally_trusted
 from scenes import FRAME, field_of, fractal
 
+from skyline.build.grid import uniform_grid
 from skyline.errors import InputError
 from skyline.features import polyline_keypoints
 from skyline.matching.correlation import CorrelationMatcher
@@ -15,7 +16,6 @@ from skyline.matching.query_rays import Attitudes, QueryCurves, QueryRays, level
 from skyline.paper.alignment import align_curves
 from skyline.paper.chamfer import chamfer_px
 from skyline.paper.matcher import PaperMatcher
-from skyline.planning.uniform import uniform_grid
 from skyline_bench.truth import oracle
 
 LEVEL = Attitudes(pitch_deg=(0.0,))

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from skyline.errors import InputError, MissingFileError
-from skyline.photo.exif import Lens
+from skyline.photo.lens import Lens
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_query, write_overlay
 from skyline.photo.trace import read_trace, write_trace

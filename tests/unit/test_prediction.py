@@ -30,7 +30,7 @@ ALONE = np.array([NO_VIEW, NO_VIEW])
 
 def eyes(*east_up_north):
     east, up, north = np.array(east_up_north, dtype=np.float64).T
-    return Viewpoints(east, north, up)
+    return Viewpoints(easting_m=east, northing_m=north, eye_elevation_m=up)
 
 
 def zeros(count):
@@ -222,12 +222,14 @@ def peaks(east, north):
 @pytest.mark.parametrize("move", [(200.0, 0.0), (0.0, 250.0), (-150.0, -150.0)])
 def test_prediction_agrees_with_the_oracle_in_every_heading(move):
     field = field_from(peaks, 181, 100.0)
-    here, there = (stand_on(field, 130.0 + e, -70.0 + n) for e, n in ((0.0, 0.0), move))
+    here, there = (
+        stand_on(field, easting_m=130.0 + e, northing_m=-70.0 + n) for e, n in ((0.0, 0.0), move)
+    )
     stored, truth = (oracle.skyline(field, eye, WIDTH) for eye in (here, there))
     four = Viewpoints(
-        np.repeat(there.easting_m, 4),
-        np.repeat(there.northing_m, 4),
-        np.repeat(there.eye_elevation_m, 4),
+        easting_m=np.repeat(there.easting_m, 4),
+        northing_m=np.repeat(there.northing_m, 4),
+        eye_elevation_m=np.repeat(there.eye_elevation_m, 4),
     )
     predicted = predict(stored, np.arange(4), four)
     error_px = np.abs(predicted.elevation_tan - truth.elevation_tan) / PX

@@ -6,7 +6,7 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 from hypothesis import given
-from scenes import candidate_at
+from scenes import at_m, candidate_at
 
 from skyline.geodesy import Frame
 from skyline.matching.hypotheses import Hypotheses
@@ -53,7 +53,7 @@ def test_the_same_place_in_two_frames_is_one_candidate():
     found = []
     for name in ("EPSG:32632", "EPSG:2056"):
         place = FRAMES[name].from_lonlat(lon, lat)
-        grid = heading_deg - float(FRAMES[name].convergence_deg(*place))
+        grid = heading_deg - float(FRAMES[name].convergence_deg(**at_m(place)))
         found.append(candidate_at(*place, grid, frame=FRAMES[name]))
     for one in found:
         # Swiss coordinates are of another datum, whose north differs by an arc-second or two.

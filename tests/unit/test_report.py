@@ -24,7 +24,7 @@ def crimson(pixels):
 
 
 def test_depth_images_are_not_blank(tmp_path):
-    views = oracle.skyline(FIELD, stand_on(FIELD, 1800.0, 1800.0), 64)
+    views = oracle.skyline(FIELD, stand_on(FIELD, easting_m=1800.0, northing_m=1800.0), 64)
     images = np.full((4, 64, 64), np.inf, dtype=np.float32)
     images[:, 40:] = 100.0
     save_depth_images(images, views, tmp_path / "depth.png")

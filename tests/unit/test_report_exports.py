@@ -3,12 +3,15 @@
 import io
 import json
 import math
+import os
 import shutil
 import struct
 import subprocess
 import xml.etree.ElementTree as Xml
 import zipfile
 from dataclasses import replace
+from pathlib import Path
+from urllib.parse import unquote_to_bytes, urljoin, urlsplit
 
 import geopandas
 import numpy as np
@@ -48,7 +51,7 @@ def test_kml_has_places_views_and_the_photo_in_the_landscape(tmp_path):
     export_matches(path, matches(), FRAME)
     kml = Xml.parse(path)
     names = [mark.findtext("{*}name") for mark in kml.iterfind(".//{*}Placemark")]
-    assert names == ["Horn & <Tal>\ufffd.jpg: candidate 1", "Horn & <Tal>\ufffd.jpg: candidate 2"]
+    assert names == [r"Horn & <Tal>\x07.jpg: candidate 1", r"Horn & <Tal>\x07.jpg: candidate 2"]
     (overlay,) = kml.findall(".//{*}PhotoOverlay")
     camera = {one.tag.split("}")[1]: one.text for one in overlay.find("{*}Camera")}
     assert float(camera["longitude"]) == pytest.approx(BEST.lon, abs=1e-6)
@@ -64,6 +67,59 @@ def test_kml_has_places_views_and_the_photo_in_the_landscape(tmp_path):
     assert volume["bottomFov"] == -volume["topFov"]
     ring = kml.findtext(".//{*}LinearRing/{*}coordinates").split()
     assert ring[0] == ring[-1]
+
+
+@pytest.mark.parametrize("folder", ["", "out", "out/deeper", "photos"])
+@pytest.mark.parametrize(
+    "name",
+    [b"photo.jpg", b"photos/Horn 1.jpg", b"photos/100%#?&<a>;+.jpg", b"photos/a:b.jpg",
+     "photos/Zürich.jpg".encode(), b"photos/b\xe4r.jpg", b"absolute/photo.jpg"],
+)  # fmt: skip
+def test_kml_leads_to_the_photo_s_file(tmp_path, monkeypatch, folder, name):
+    monkeypatch.chdir(tmp_path)
+    photo = Path(os.fsdecode(name))
+    photo.parent.mkdir(exist_ok=True)
+    photo.touch()
+    called = photo.absolute() if photo.parts[0] == "absolute" else photo
+    path = Path(folder, "answer.kml")
+    export_matches(path, [replace(matches()[0], name=str(called))], FRAME)
+    href = Xml.parse(path).findtext(".//{*}PhotoOverlay/{*}Icon/{*}href")
+    address = urlsplit(urljoin(path.absolute().as_uri(), href))
+    assert (address.scheme, address.query, address.fragment) == ("file", "", "")
+    assert photo.samefile(os.fsdecode(unquote_to_bytes(address.path)))
+    assert not href.startswith(("/", "file:"))
+
+
+def test_kml_leads_out_of_a_linked_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("photo.jpg").touch()
+    Path("far/away").mkdir(parents=True)
+    Path("link").symlink_to("far/away")
+    export_matches("link/answer.kml", [replace(matches()[0], name="photo.jpg")], FRAME)
+    href = Xml.parse("link/answer.kml").findtext(".//{*}PhotoOverlay/{*}Icon/{*}href")
+    assert Path("link", href).samefile("photo.jpg")
+
+
+def test_kml_names_an_upload_as_the_file_beside_it(tmp_path):
+    upload = replace(matches()[0], name="Horn 1.jpg", is_upload=True)
+    export_matches(tmp_path / "answer.kml", [upload], FRAME)
+    kml = Xml.parse(tmp_path / "answer.kml")
+    assert kml.findtext(".//{*}PhotoOverlay/{*}Icon/{*}href") == "Horn%201.jpg"
+
+
+@pytest.mark.parametrize("suffix", [".kml", ".kmz"])
+def test_a_trace_has_no_picture_in_the_landscape(tmp_path, suffix):
+    trace = replace(matches()[0], name="trace.csv", photo=None)
+    path = tmp_path / f"answer{suffix}"
+    export_matches(path, [trace], FRAME)
+    content = path.read_bytes()
+    if suffix == ".kmz":
+        with zipfile.ZipFile(path) as archive:
+            assert archive.namelist() == ["doc.kml"]
+            content = archive.read("doc.kml")
+    kml = Xml.fromstring(content)
+    assert kml.find(".//{*}PhotoOverlay") is None
+    assert len(kml.findall(".//{*}Placemark")) == 2
 
 
 def test_kmz_holds_the_photo(tmp_path):

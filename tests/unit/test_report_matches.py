@@ -8,19 +8,22 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scenes import candidate_at, field_of, fractal
 
+from skyline.build.grid import uniform_grid
+from skyline.geodesy import Frame
 from skyline.photo.query import QuerySkyline
-from skyline.planning.uniform import uniform_grid
 from skyline.report import Matched, Peaks, Surroundings, write_match_report
 from skyline.report.overlay import Overlay
 from skyline.report.peaks import Sighting
 from skyline.report.posed_picture import Panorama, PosedPicture, median_gap_deg
+from skyline.report.relief import Area, draw_bearings
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 
 FIELD = field_of(fractal(120, 120, seed=1), west_m=0.0, north_m=3600.0)
-EYE = stand_on(FIELD, 1800.0, 1800.0)
+EYE = stand_on(FIELD, easting_m=1800.0, northing_m=1800.0)
 EYE_M = float(EYE.eye_elevation_m[0])
 BEST = candidate_at(
     1800.0, 1800.0, 350.0, 12.0, 4.0, 70.0, eye_elevation_m=EYE_M, confidence=0.9,
@@ -128,7 +131,12 @@ def report(folder, matches, surroundings=AROUND):
 
 
 def test_a_report_says_where_and_shows_it(tmp_path):
-    peaks = Peaks(("<i>Top</i> $",), np.array([1500.0]), np.array([3000.0]), np.array([np.nan]))
+    peaks = Peaks(
+        names=("<i>Top</i> $",),
+        easting_m=np.array([1500.0]),
+        northing_m=np.array([3000.0]),
+        height_m=np.array([np.nan]),
+    )
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 120, np.uint8)
     found = Matched(
         "a/<script>.jpg", QUERY, [BEST, OTHER], 1.5, True, photo, ["Matched & refined."]
@@ -158,6 +166,16 @@ def test_a_report_without_terrain_says_so(tmp_path):
     html = report(tmp_path, [Matched("trace.csv", QUERY, [BEST], 0.1)], bare)
     assert "no elevation model" in html
     assert "no skyline was rendered" in html
+
+
+def test_a_map_across_the_antimeridian_counts_on():
+    axis = Figure().subplots()
+    area = Area(-2000.0, -2000.0, 2000.0, 2000.0)
+    draw_bearings(axis, Frame.local(lon=180.0, lat=-17.0), area)
+    labels = [label.get_text() for label in axis.get_xticklabels()]
+    assert labels == ["179.99° E", "180.00° W", "179.99° W"]
+    place_m = [label.get_position()[0] for label in axis.get_xticklabels()]
+    assert place_m == pytest.approx([-1065.0, 0.0, 1065.0], abs=2.0)
 
 
 def test_a_report_tells_abstention_from_failure(tmp_path):

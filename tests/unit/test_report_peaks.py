@@ -1,5 +1,8 @@
 """Which peaks an eye sees, and what a gazetteer must look like."""
 
+import json
+import logging
+
 import numpy as np
 import pytest
 from scenes import FRAME, field_from
@@ -31,7 +34,9 @@ def field(wall_m):
 
 def named(**places):
     east, north = np.array(list(places.values()), dtype=float).T
-    return Peaks(tuple(places), east, north, np.full(len(places), np.nan))
+    return Peaks(
+        names=tuple(places), easting_m=east, northing_m=north, height_m=np.full(len(places), np.nan)
+    )
 
 
 # Named 50 m beside their summits, as gazetteers do.
@@ -40,7 +45,7 @@ TWO = named(west=(-860.0, 3030.0), east=(930.0, 2960.0))
 
 def names_seen(wall_m, peaks=TWO):
     terrain = field(wall_m)
-    eye = stand_on(terrain, 0.0, -900.0, 2.0)
+    eye = stand_on(terrain, easting_m=0.0, northing_m=-900.0, eye_height_m=2.0)
     return [peak.label for peak in visible_peaks(terrain, eye, peaks, FLAT)]
 
 
@@ -54,7 +59,7 @@ def test_a_peak_is_seen_unless_something_before_it_stands_higher():
 
 def test_a_sighting_has_the_summit_s_direction():
     terrain = field(0.0)
-    eye = stand_on(terrain, 0.0, -900.0, 2.0)
+    eye = stand_on(terrain, easting_m=0.0, northing_m=-900.0, eye_height_m=2.0)
     west, east = visible_peaks(terrain, eye, TWO, FLAT)
     away = np.hypot(900.0, 3900.0)
     assert east.distance_m == pytest.approx(away)
@@ -71,7 +76,7 @@ def test_peaks_off_the_terrain_or_under_the_eye_are_not_named():
 
 def test_the_curve_of_the_earth_hides_what_is_far():
     terrain = field_from(lambda east, north: cone(east, north, 0.0, 50_000.0, 150.0, 0.1), 241, 500)
-    eye = stand_on(terrain, 0.0, -50_000.0, 2.0)
+    eye = stand_on(terrain, easting_m=0.0, northing_m=-50_000.0, eye_height_m=2.0)
     far = named(far=(0.0, 50_000.0))
     assert [peak.label for peak in visible_peaks(terrain, eye, far, FLAT)] == ["far"]
     assert visible_peaks(terrain, eye, far, Curvature()) == []
@@ -90,6 +95,67 @@ def test_a_gazetteer_in_degrees_or_metres(tmp_path):
     np.testing.assert_array_equal(first.height_m, [3738.0, np.nan])
     np.testing.assert_array_equal(second.easting_m, [1200.0])
     assert np.isnan(second.height_m).all()
+
+
+def geojson_of(path, heights):
+    """Write points with these `ele` (None: the property is not there), and return the path."""
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"name": name} | ({} if ele is None else {"ele": ele}),
+            "geometry": {"type": "Point", "coordinates": [9.0 + 0.01 * at, 46.0]},
+        }
+        for at, (ele, name) in enumerate(zip(heights, "ABCD", strict=False))
+    ]
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("ele", "height_m"),
+    [
+        ("4421", 4421.0),
+        (4421, 4421.0),
+        (4421.5, 4421.5),
+        (" 1234.5 ", 1234.5),
+        ("-28", -28.0),
+        ("1234 m", 1234.0),
+        ("1234m", 1234.0),
+        ("1234 metres", 1234.0),
+        ("1.25 km", 1250.0),
+        ("0.5 mi", 804.672),
+        ("14505 ft", 4421.124),
+        ("14505 Feet", 4421.124),
+        ("14505'", 4421.124),
+        ("432'1\"", 131.699),
+        ("432\u20321\u2033", 131.699),
+        ("432' 1.5\"", 131.7117),
+    ],
+)
+def test_ele_is_read_by_openstreetmap_s_conventions(tmp_path, caplog, ele, height_m):
+    peaks = read_peaks(geojson_of(tmp_path / "peaks.geojson", [ele]), FRAME)
+    np.testing.assert_allclose(peaks.height_m, [height_m], rtol=0.0, atol=1e-9)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    "ele",
+    [
+        "14,505 ft", "1,234 m", "1 234 m", "1.234,5", "1'234", "~1200", "ca. 1200", "1200;1210",
+        "1200 ft (366 m)", "1200-1210", "1200 m NN", "1200 fathoms", "432''", "12\"", "1.", ".5",
+        "1e3", "nan", "inf", "yes", "18941", "9" * 400, True, [1200], {"m": 1200}, float("nan"),
+    ],
+)  # fmt: skip
+def test_any_other_ele_is_counted_and_its_peak_has_a_place_alone(tmp_path, caplog, ele):
+    path = geojson_of(tmp_path / "peaks.geojson", ["1200", ele, "", None])
+    with caplog.at_level(logging.WARNING):
+        peaks = read_peaks(path, FRAME)
+    assert peaks.names == ("A", "B", "C", "D")
+    np.testing.assert_array_equal(peaks.height_m, [1200.0, np.nan, np.nan, np.nan])
+    assert np.isfinite(peaks.easting_m).all()
+    [record] = caplog.records
+    assert "`ele` of 1 of 4 peaks is no height" in record.getMessage()
+    assert "of B)" in record.getMessage()
 
 
 @pytest.mark.parametrize(

@@ -44,8 +44,8 @@ def test_a_search_goes_on_where_it_was_stopped(path):
         kept.add(row_of(record, "one"))
     kept, had = open_results(path, "one")
     assert had == {"a,b.jpg", "c.jpg", "d.jpg"}
-    kept.add(row_of(FOUND | {"query": "e.jpg"}, "one"))
-    assert open_results(path, "one")[1] == had | {"e.jpg"}
+    kept.add(row_of(FOUND | {"query": "e\n\udce4.jpg"}, "one"))
+    assert open_results(path, "one")[1] == had | {r"e\n\xe4.jpg"}
 
 
 def test_results_of_another_search_are_not_mixed(path):
@@ -106,5 +106,5 @@ def test_a_geopackage_is_one_for_others(tmp_path):
     assert table.crs.to_epsg() == 4326
     np.testing.assert_allclose([table.geometry[0].x, table.geometry[0].y], [9.8, 46.7])
     assert list(table["query"]) == ["a,b.jpg", "c.jpg"]
-    assert table["said"][1] == "no\nplace"
+    assert table["said"][1] == r"no\nplace"
     assert table.geometry[1] is None

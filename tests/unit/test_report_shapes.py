@@ -1,16 +1,20 @@
 """Wedges, ellipses and GeoJSON say where a candidate is and where it looks."""
 
 import json
+import xml.etree.ElementTree as Xml
 
 import numpy as np
 import pytest
-from scenes import FRAME, candidate_at
+from pyproj import Geod
+from scenes import FRAME, at_m, candidate_at
+from shapely import MultiPolygon, Polygon
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.photo.query import QuerySkyline
 from skyline.report import Matched
-from skyline.report.exports import VIEW_REACH_M, write_geojson
-from skyline.report.shapes import Ellipse, view_wedge_m
+from skyline.report.exports import VIEW_REACH_M, export_matches, write_geojson
+from skyline.report.shapes import Ellipse, lonlat_rings, view_wedge_m
 
 UTM = Frame.from_crs("EPSG:32632")
 PLACE = UTM.from_lonlat(10.78277, 46.79586)
@@ -89,7 +93,7 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
     ]
     point, view, ellipse, *_ = collection["features"]
     np.testing.assert_allclose(point["geometry"]["coordinates"], [10.78277, 46.79586], atol=1e-7)
-    convergence_deg = float(UTM.convergence_deg(*PLACE))
+    convergence_deg = float(UTM.convergence_deg(**at_m(PLACE)))
     assert point["properties"]["heading_deg"] == pytest.approx(275.0 + convergence_deg)
     assert {"lon", "lat", "easting_m", "northing_m", "pitch_deg", "roll_deg", "fov_deg", "score",
             "confidence", "refined"} <= point["properties"].keys()  # fmt: skip
@@ -102,6 +106,46 @@ def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
     back = UTM.from_lonlat(*np.array(view["geometry"]["coordinates"][0][1:-1]).T)
     away = np.hypot(back[0] - BEST.easting_m, back[1] - BEST.northing_m)
     np.testing.assert_allclose(away, VIEW_REACH_M, atol=0.05)
+
+
+GEOD = Geod(ellps="WGS84")
+FIJI = Frame.local(lon=180.0, lat=-17.0)
+
+
+@pytest.mark.parametrize("fov_deg", [1.0, 60.0, 200.0, 300.0, 359.0, 360.0])
+@pytest.mark.parametrize("east_m", [-3000.0, -1999.0, -300.0, 0.0, 1e-4, 300.0, 1999.0, 3000.0])
+def test_a_view_is_cut_at_the_antimeridian(east_m, fov_deg):
+    for heading_deg in range(0, 360, 15):
+        held = candidate_at(east_m, 0.0, heading_deg, fov_deg=fov_deg, frame=FIJI)
+        wedge = view_wedge_m(held, 2000.0)
+        rings = lonlat_rings(wedge, FIJI)
+        polygons = [Polygon(ring) for ring in rings]
+        assert MultiPolygon(polygons).is_valid
+        assert all(one.exterior.is_ccw for one in polygons)
+        assert np.abs(np.concatenate(rings)[:, 0]).max() <= 180.0
+        assert max(np.ptp(ring[:, 0]) for ring in rings) < 0.05
+        area_m2 = sum(GEOD.geometry_area_perimeter(one)[0] for one in polygons)
+        assert area_m2 == pytest.approx(Polygon(wedge).area, rel=1e-3)
+        sides = {bool(np.mean(ring[:, 0]) > 0.0) for ring in rings}
+        assert sides == {bool(side) for side in wedge[np.abs(wedge[:, 0]) > 0.05, 0] < 0.0}
+
+
+def test_geojson_and_kml_cut_what_crosses_the_antimeridian(tmp_path):
+    covariance_m2 = ((400.0, 100.0), (100.0, 900.0))
+    held = candidate_at(-5.0, 0.0, 90.0, covariance_m2=covariance_m2, frame=FIJI)
+    matches = [Matched("q.jpg", QuerySkyline(np.full(9, 4.0), np.ones(9), 9, 6), [held], 0.0)]
+    export_matches(tmp_path / "a.geojson", matches, FIJI)
+    point, *shapes = json.loads((tmp_path / "a.geojson").read_text())["features"]
+    assert point["geometry"]["coordinates"][0] == pytest.approx(179.99995, abs=1e-5)
+    for one in shapes:
+        assert one["geometry"]["type"] == "MultiPolygon"
+        sides = [np.array(ring)[:, 0] for (ring,) in one["geometry"]["coordinates"]]
+        assert sorted((side.min(), side.max()) for side in sides) == [
+            (-180.0, pytest.approx(-179.99, abs=0.02)),
+            (pytest.approx(179.9999, abs=1e-3), 180.0),
+        ]
+    export_matches(tmp_path / "a.kml", matches, FIJI)
+    assert len(Xml.parse(tmp_path / "a.kml").findall(".//{*}Polygon")) == 2
 
 
 def test_geojson_has_no_word_for_infinity(tmp_path):

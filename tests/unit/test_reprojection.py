@@ -109,7 +109,9 @@ def test_a_straight_skyline_has_an_answer(name, tan):
 def test_many_views_and_eyes_at_once_are_as_one_by_one(name):
     generator = np.random.default_rng(5)
     field = field_from(lambda e, n: 300.0 * np.sin(e / 310.0) * np.cos(n / 270.0), 61, 40.0)
-    stored = oracle.skyline(field, stand_on(field, [0.0, 150.0], [30.0, -90.0]), 96)
+    stored = oracle.skyline(
+        field, stand_on(field, easting_m=[0.0, 150.0], northing_m=[30.0, -90.0]), 96
+    )
     moved = generator.uniform(-150.0, 150.0, (len(stored), 7, 3)) * [1.0, 0.2, 1.0]
     together = PREDICTORS[name].errors_px(stored, moved)
     assert together.shape == (len(stored), 7)

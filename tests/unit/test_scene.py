@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import field_from, field_of, fractal
+from scenes import at_m, field_from, field_of, fractal
 
 from skyline.camera import pixel_size
 from skyline.geodesy import Curvature
@@ -23,9 +23,11 @@ from skyline_bench.truth import oracle
 def test_leaving_curvature_out_costs_no_more_than_its_bound():
     for seed in range(5):
         field = field_of(fractal(64, 64, relief_m=900.0, seed=seed), 300.0)
-        eyes = stand_on(field, 9000.0, -9000.0)
+        eyes = stand_on(field, easting_m=9000.0, northing_m=-9000.0)
         mars = Curvature(radius_m=3_389_500.0, refraction_k=0.0)
-        bound_px = curvature_bound_px(field.reach_m(9000.0, -9000.0), mars.drop_per_m2, 160)
+        bound_px = curvature_bound_px(
+            field.reach_m(easting_m=9000.0, northing_m=-9000.0), mars.drop_per_m2, 160
+        )
         curved = oracle.skyline(field, eyes, 160, mars)
         flat = oracle.skyline(field, eyes, 160, Curvature(enabled=False))
         cost_px = np.abs(curved.elevation_tan - flat.elevation_tan).max() / pixel_size(160)
@@ -42,7 +44,7 @@ def test_nothing_beyond_sight_shows(eye_height_m):
         field = field_of(heights, 100.0)
         sight_m = sight_range_m(field, eye_height_m, moon.drop_per_m2)
         easting = (field.cols - 1) * 100.0 - share * sight_m
-        eye = stand_on(field, easting, -200.0, eye_height_m)
+        eye = stand_on(field, easting_m=easting, northing_m=-200.0, eye_height_m=eye_height_m)
         view = oracle.skyline(field, eye, 65, moon)
         assert (view.depth_m[1, 32] > 0.97 * share * sight_m) == shows
 
@@ -54,7 +56,7 @@ def test_no_sight_range_without_curvature():
 
 def test_share_beyond_sight_is_counted_right():
     field = field_of(fractal(60, 50, seed=2), 2000.0)
-    eye = stand_on(field, 20_000.0, -30_000.0)
+    eye = stand_on(field, easting_m=20_000.0, northing_m=-30_000.0)
     moon = Curvature(radius_m=200_000.0, refraction_k=0.0)
     sight_m = sight_range_m(field, float(eye.eye_elevation_m[0]), moon.drop_per_m2)
     beyond = share_beyond(field, eye, sight_m)
@@ -77,7 +79,7 @@ def test_deviation_is_that_of_the_thinned_surface(step):
         field.frame,
     )
     row, col = np.mgrid[: 2 * BLOCK_CELLS, : 3 * BLOCK_CELLS]
-    deviation = np.abs(thin.height_at(*field.to_map(row, col)) - field.heights_m[row, col])
+    deviation = np.abs(thin.height_at(**at_m(field.to_map(row, col))) - field.heights_m[row, col])
     blocks = deviation.reshape(2, BLOCK_CELLS, 3, BLOCK_CELLS).max(axis=(1, 3))
     np.testing.assert_allclose(found, blocks, rtol=1e-12, atol=1e-9)
 
@@ -85,4 +87,9 @@ def test_deviation_is_that_of_the_thinned_surface(step):
 def test_a_plane_needs_no_fine_steps():
     field = field_from(lambda east, north: 0.1 * east - 0.2 * north, 65, 30.0)
     for step in COARSER_STEPS:
-        assert coarser_step(field, stand_on(field, 0.0, 0.0), step, 0.1 * pixel_size(640))[1] == 1.0
+        assert (
+            coarser_step(
+                field, stand_on(field, easting_m=0.0, northing_m=0.0), step, 0.1 * pixel_size(640)
+            )[1]
+            == 1.0
+        )

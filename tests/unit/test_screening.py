@@ -192,7 +192,7 @@ def test_a_sample_is_even_and_small(places):
     assert 2048 <= len(sample) <= 4096
 
 
-FRAME = Frame.local(10.0, 46.0)
+FRAME = Frame.local(lon=10.0, lat=46.0)
 
 
 def narrowed(**known):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from dem_files import AnyArray, write
 from rasterio.transform import from_origin
-from scenes import FRAME, field_from, field_of
+from scenes import FRAME, at_m, field_from, field_of
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from skyline.errors import InputError, OffMapError
@@ -75,7 +75,7 @@ def test_every_local_maximum_is_as_high_within_a_cell(
     country = Country.written(tmp_path, peaks(seed), north)
     field, (row, col) = country.field, local_maxima(country.heights)
     assert row.size > 100
-    at_row, at_col = field.to_grid(*country.place(row, col, north))
+    at_row, at_col = field.to_grid(**at_m(country.place(row, col, north)))
     top, left = np.floor(at_row).astype(int), np.floor(at_col).astype(int)
     corners = np.stack([field.heights_m[top + i, left + j] for i in (0, 1) for j in (0, 1)])
     off = corners.max(axis=0) - country.heights[row, col]
@@ -148,11 +148,13 @@ def test_the_highest_point_of_a_disc_is_higher_than_all_others_of_it(seed):
     # Everywhere in the disc, and on its edge.
     away_m = within_m * np.append(np.sqrt(rng.uniform(0.0, 1.0, 3000)), np.ones(3000))
     turn = rng.uniform(0.0, 2.0 * np.pi, away_m.size)
-    others_m = surface.height_at(easting + away_m * np.sin(turn), northing + away_m * np.cos(turn))
+    others_m = surface.height_at(
+        easting_m=easting + away_m * np.sin(turn), northing_m=northing + away_m * np.cos(turn)
+    )
     if np.isnan(others_m).all():
         assert np.hypot(highest[0] - easting, highest[1] - northing) < 1e-5
     else:
-        assert surface.height_at(*highest) >= np.nanmax(others_m) - 2e-3
+        assert surface.height_at(**at_m(highest)) >= np.nanmax(others_m) - 2e-3
 
 
 def test_of_equally_high_points_the_nearest_is_taken():
@@ -242,21 +244,24 @@ def test_eyes_stand_where_they_are_told_to():
     mountain = cone()
     beside = 40.0, -35.0
     as_is, lifted, moved = (
-        stand_on(mountain, *beside, 2.0, within_m) for within_m in (0.0, None, 100.0)
+        stand_on(mountain, **at_m(beside), eye_height_m=2.0, summit_within_m=within_m)
+        for within_m in (0.0, None, 100.0)
     )
-    assert as_is.eye_elevation_m[0] == mountain.height_at(*beside) + 2.0 < 565.0
+    assert as_is.eye_elevation_m[0] == mountain.height_at(**at_m(beside)) + 2.0 < 565.0
     assert (lifted.easting_m[0], lifted.northing_m[0]) == beside
     assert lifted.eye_elevation_m[0] == 602.0
     assert (moved.easting_m[0], moved.northing_m[0]) == pytest.approx((0.0, 0.0), abs=1e-5)
     assert moved.eye_elevation_m[0] == pytest.approx(602.0, abs=1e-5)
-    slope = stand_on(mountain, 450.0, 0.0, 2.0, 100.0)
+    slope = stand_on(
+        mountain, easting_m=450.0, northing_m=0.0, eye_height_m=2.0, summit_within_m=100.0
+    )
     assert slope.easting_m[0] == pytest.approx(350.0, abs=1e-5)
 
 
 @pytest.mark.parametrize("within_m", [-1.0, 10_001.0, np.nan])
 def test_summits_are_looked_for_within_a_distance(within_m):
     with pytest.raises(InputError, match="expected 0 to 10000"):
-        stand_on(cone(), 0.0, 0.0, 2.0, within_m)
+        stand_on(cone(), easting_m=0.0, northing_m=0.0, eye_height_m=2.0, summit_within_m=within_m)
 
 
 def test_a_place_on_a_hole_may_have_a_summit_beside_it():
@@ -264,5 +269,10 @@ def test_a_place_on_a_hole_may_have_a_summit_beside_it():
     heights[34, 30] = np.nan
     mountain = field_from(lambda *_: heights, 61, 90.0)
     with pytest.raises(OffMapError, match="on a hole"):
-        stand_on(mountain, 0.0, -360.0)
-    assert stand_on(mountain, 0.0, -360.0, 2.0, 400.0).eye_elevation_m[0] > 600.0
+        stand_on(mountain, easting_m=0.0, northing_m=-360.0)
+    assert (
+        stand_on(
+            mountain, easting_m=0.0, northing_m=-360.0, eye_height_m=2.0, summit_within_m=400.0
+        ).eye_elevation_m[0]
+        > 600.0
+    )

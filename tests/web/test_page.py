@@ -10,13 +10,23 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from pages import SIZES, Page
+from pages import SIZES, Page, serving
 from PIL import Image
 from PIL.ExifTags import GPS, IFD, Base
-from scenes import candidate_at
+from rasterio.transform import Affine
+from scenes import SPACING_M, candidate_at, fractal, write_dem
 from selenium.webdriver.common.keys import Keys
 
-from skyline import Matcher, Narrowing, read_dem, read_photo, read_trace, web, write_located
+from skyline import (
+    Matcher,
+    Narrowing,
+    build_places,
+    read_dem,
+    read_photo,
+    read_trace,
+    web,
+    write_located,
+)
 
 NAMED = "({0}.id || {0}.name || {0}.className || {0}.textContent)".format
 
@@ -488,6 +498,42 @@ def within(page, outer, inner):
         page.find(outer),
         inner,
     )
+
+
+def test_a_store_across_the_antimeridian_is_one_map(chromium, tmp_path):
+    grid = Affine(SPACING_M, 0.0, 817_650.0, 0.0, -SPACING_M, 8_119_650.0)
+    heights = fractal(110, 120, 250.0, seed=11)
+    dem = write_dem(tmp_path / "dem.tif", heights, "EPSG:32760", transform=grid)
+    terrain, store = read_dem([dem]), tmp_path / "store.h5"
+    build_places(terrain, store, 300.0)
+    lon, lat = (float(one) for one in terrain.frame.to_lonlat(819_440.0, 8_118_000.0))
+    told = tmp_path / "told.jpg"
+    place = candidate_at(819_440.0, 8_118_000.0, 90.0, frame=terrain.frame)
+    photo = tmp_path / "plain.jpg"
+    sky = np.full((60, 90, 3), 210, np.uint8)
+    sky[30:] = 40
+    Image.fromarray(sky).save(photo)
+    write_located(photo, told, place)
+    with serving(store) as server:
+        page = Page(chromium, server)
+        middle = page.of("map", "it.middle()")
+        assert abs(middle["lng"]) == pytest.approx(180.0, abs=0.01)
+        box = page.find("#map path").rect
+        assert 100 < box["width"] < 1000  # the store's frame is not drawn round the world
+        tiles = "return document.querySelectorAll('.leaflet-tile-loaded').length"
+        page.until(lambda: page.script(tiles) > 1)
+        page.open(told)
+        page.click("#known summary")
+        page.click("#near-known")
+        near = page.of("known", "it.known().near")
+        assert (near["lon"], near["lat"]) == pytest.approx((lon, lat), abs=1e-5)
+        page.click("#place-here")
+        page.drag(".camera", 60, 0)
+        east = page.state("state.pose")["lon"]
+        assert -180.0 <= east < -179.9
+        page.drag(".camera", -120, 0)
+        assert 179.9 < page.state("state.pose")["lon"] <= 180.0
+        assert page.alerts() == []
 
 
 _CONFUSED = {

@@ -16,7 +16,6 @@ from PIL.ExifTags import IFD, Base
 
 from skyline import Matcher, Narrowing, cli, read_query
 from skyline.render.context import release_context
-from skyline.store import Built, open_for_append, open_store
 
 
 @pytest.fixture
@@ -51,18 +50,6 @@ def test_ctrl_c_ends_it_without_a_word(store):
         server.process.send_signal(signal.SIGINT)
         assert server.process.wait(20) == 0
         assert server.process.stderr.read() == ""
-
-
-def test_of_an_unfinished_store_it_says_how_much_is_there(store, tmp_path):
-    part = tmp_path / "part.h5"
-    part.write_bytes(store.read_bytes())
-    with open_store(part) as opened, open_for_append(part, opened.header) as writer:
-        writer.note_built(Built(1, 2))
-    with serving(part) as server:
-        _, state = server.ask("GET", "/state")
-        server.process.send_signal(signal.SIGINT)
-        assert "its build is not finished: 50 % of the area is there" in state["unfinished"]
-        assert state["unfinished"] in server.process.stderr.read()
 
 
 def test_without_the_stores_dem_it_matches_and_says_what_is_missing(run, dem, photo, tmp_path):

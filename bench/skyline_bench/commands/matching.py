@@ -1,18 +1,16 @@
 """Stores x queries: matchers, uniform and adaptive stores, planned places, size, strangers."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from typer import Option
 
-from skyline.console import progress_bar
-from skyline.paper.planning.candidates import Spacing
+from skyline.cli.console import progress_bar
 from skyline.paper.planning.plan import PlanConfig
 from skyline.paper.planning.strategies import STRATEGIES
 from skyline.pipeline.matchers import FULL
-from skyline.store.header import RENDERINGS
+from skyline.store.format import RENDERINGS
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.commands import options
@@ -95,8 +93,8 @@ def uniform_adaptive(
     strategy: Annotated[
         Names, Option(help=f"Of the paper's planner, of {', '.join(STRATEGIES)} [lpov].")
     ] = None,
-    budget: Annotated[
-        list[int] | None, Option(help="Renderings of the paper's plans [800 1600 2800].")
+    threshold_px: Annotated[
+        Floats, Option(help="Pixels to which the paper's plans cover [12 6 3].")
     ] = None,
     loss: Annotated[
         Floats,
@@ -121,9 +119,9 @@ def uniform_adaptive(
     """
     grids = spacing or _SPACINGS_M
     plans = [
-        PlanConfig(name, replace(Spacing(), candidate_m=50.0), seed=seed, budget=renderings)
+        PlanConfig(name, threshold_px=pixels, seed=seed)
         for name in strategy or ("lpov",)
-        for renderings in sorted(budget or (800, 1600, 2800))
+        for pixels in sorted(threshold_px or (12.0, 6.0, 3.0), reverse=True)
     ]
     terrain = read_dem(dem, DemOptions(crs=crs))
     comparison = Comparison(

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from typer import Argument, CallbackParam, Option
 
-from skyline.console import parse_bounds
+from skyline.cli.console import parse_bounds
 from skyline.errors import InputError
 from skyline_bench.measuring.record import Row, shown, write_record
 

@@ -24,10 +24,10 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from skyline import Matcher, build_places, read_dem, stand_on
-from skyline.console import progress_bar
+from skyline import Matcher, build_places, read_dem, stand_at
+from skyline.build.cluster import Progress
+from skyline.cli.console import progress_bar
 from skyline.errors import BuildError, InputError
-from skyline.pipeline.jobs import Progress
 from skyline.pipeline.reports import matched, report_matches
 from skyline.render.depth import DepthRenderer
 from skyline_bench.commands import options
@@ -176,8 +176,7 @@ def _made(folder: Path) -> tuple[Path, Path]:
     terrain = read_dem([write_sample_dem(folder / "sample.tif")])
     store, photo = folder / "places.h5", folder / "photo.jpg"
     build_places(terrain, store, _SPACING_M, _BOUNDS_DEG)
-    easting, northing = terrain.frame.from_lonlat(-84.25, 36.58)
-    eye = stand_on(terrain, easting, northing)
+    eye = stand_at(terrain, lon=-84.25, lat=36.58, summit_within_m=0.0)
     fov_deg = float(2.0 * np.degrees(np.arctan(18.0 / _FOCAL_LENGTH_35MM)))
     with DepthRenderer(terrain, 2048) as renderer:
         picture = photograph(renderer, eye, 0, Camera(60.0, fov_deg=fov_deg), seed=1)
@@ -335,7 +334,7 @@ def _save_match(path: Path, width: int) -> dict[str, object]:
         terrain = read_dem([write_sample_dem(Path(name) / "sample.tif")])
         store = Path(name) / "places.h5"
         build_places(terrain, store, bounds_deg=_BOUNDS_DEG)
-        eye = stand_on(terrain, *terrain.frame.from_lonlat(-84.2790, 36.6029))
+        eye = stand_at(terrain, lon=-84.2790, lat=36.6029, summit_within_m=0.0)
         photo, report = Path(name) / "photo.jpg", Path(name) / "report"
         with DepthRenderer(terrain, width) as renderer:
             Image.fromarray(photograph(renderer, eye, 0, _PICTURE_CAMERA, seed=1)).save(

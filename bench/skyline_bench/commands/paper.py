@@ -181,16 +181,18 @@ def _choose_eyes(field: HeightField, setup: QualitySetup) -> tuple[Viewpoints, V
     radius = setup.reach_m * np.sqrt(generator.random((tried, setup.displacements)))
     bearing = generator.uniform(0.0, 2.0 * np.pi, radius.shape)
     there = easting + radius * np.sin(bearing), northing + radius * np.cos(bearing)
-    on_ground = ~np.isnan(field.height_at(*there)).any(axis=1)
-    on_ground &= ~np.isnan(field.height_at(easting, northing))[:, 0]
+    on_ground = ~np.isnan(field.height_at(easting_m=there[0], northing_m=there[1])).any(axis=1)
+    on_ground &= ~np.isnan(field.height_at(easting_m=easting, northing_m=northing))[:, 0]
     chosen = np.flatnonzero(on_ground)[: setup.viewpoints]
     if len(chosen) < setup.viewpoints:
         raise InputError(
             f"only {len(chosen)} of {tried} random viewpoints have ground all around; the map is "
             "mostly holes: choose another"
         )
-    eyes = stand_on(field, easting[chosen, 0], northing[chosen, 0])
-    return eyes, stand_on(field, there[0][chosen].ravel(), there[1][chosen].ravel())
+    eyes = stand_on(field, easting_m=easting[chosen, 0], northing_m=northing[chosen, 0])
+    return eyes, stand_on(
+        field, easting_m=there[0][chosen].ravel(), northing_m=there[1][chosen].ravel()
+    )
 
 
 def _share(right: BoolArray, among: BoolArray, seed: int) -> tuple[float, tuple[float, float]]:

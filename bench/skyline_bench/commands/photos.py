@@ -26,10 +26,10 @@ from skyline import (
     read_query,
 )
 from skyline.arrays import Float64Array
-from skyline.console import progress_bar
+from skyline.build.grid import map_bounds
+from skyline.cli.console import progress_bar
 from skyline.geodesy import Bounds
 from skyline.photo.read import read_picture
-from skyline.planning.uniform import map_bounds
 from skyline.report.html import Page, Part, Picture, Section, Table
 from skyline.report.overlay import Overlay
 from skyline.report.records import describe_claim
@@ -334,10 +334,11 @@ def _fitted(
     if one.heading_deg is None:
         return None
     fov_deg = one.fov_deg or query.fov_deg or 60.0
-    east, north = (float(value) for value in matcher.frame.from_lonlat(*one.lonlat))
-    ground_m = float(viewer.terrain.height_at(east, north))
+    lon, lat = one.lonlat
+    ground_m = float(viewer.terrain.height_at(lon=lon, lat=lat))
     above_m = 2.0 if one.elevation_m is None else max(0.0, one.elevation_m - ground_m)
-    pose = viewer.pose(*one.lonlat, one.heading_deg, pitch_deg=one.pitch_deg or 0.0,
+    pose = viewer.pose(
+        lon=lon, lat=lat, heading_deg=one.heading_deg, pitch_deg=one.pitch_deg or 0.0,
         roll_deg=one.roll_deg or 0.0, fov_deg=fov_deg, eye_height_m=above_m,
     )  # fmt: skip
     fitted = next(iter(matcher.fit(query, pose).candidates), None)

@@ -2,7 +2,7 @@
 
 import typer
 
-from skyline.console import progress_bar
+from skyline.cli.console import progress_bar
 from skyline.errors import SkylineError
 from skyline_bench.commands import options
 from skyline_bench.measuring.record import Row, write_record

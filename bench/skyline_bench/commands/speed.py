@@ -20,13 +20,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from skyline.arrays import Float64Array
+from skyline.build.cluster import Progress
 from skyline.camera import DEFAULT_WIDTH, elevation_deg
-from skyline.console import progress_bar
+from skyline.cli.console import progress_bar
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Frame
 from skyline.horizons import Horizons
 from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG
-from skyline.pipeline.jobs import Progress
 from skyline.places import BINS
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
@@ -191,10 +191,15 @@ def _grass(terrain: HeightField, eyes: Viewpoints) -> Row:
     It stands on the nearest sample, knows no curvature and no angle below zero; so does the truth
     that it is compared with.
     """
-    row, col = (np.rint(at) for at in terrain.to_grid(eyes.easting_m, eyes.northing_m))
-    stand = stand_on(terrain, *terrain.to_map(row, col), 0.0)
+    row, col = (
+        np.rint(at) for at in terrain.to_grid(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+    )
+    easting_m, northing_m = terrain.to_map(row, col)
+    stand = stand_on(terrain, easting_m=easting_m, northing_m=northing_m, eye_height_m=0.0)
     found_deg, seconds = grass.horizons(terrain, stand, DEFAULT_STEP_DEG)
-    turn_deg = -terrain.frame.convergence_deg(stand.easting_m, stand.northing_m)
+    turn_deg = -terrain.frame.convergence_deg(
+        easting_m=stand.easting_m, northing_m=stand.northing_m
+    )
     true_deg = _true_deg(terrain, stand, turn_deg, Curvature(enabled=False))
     each_s = float(np.median(seconds))
     return {
@@ -325,10 +330,10 @@ def large_dem(json_file: options.JsonFile = None, quick: options.Quick = False) 
     again = np.arange(samples) % period
     heights = tile[np.ix_(again, again)]
     heights.setflags(write=False)
-    terrain = HeightField(heights, 0.0, 0.0, spacing_m, spacing_m, Frame.local(10.0, 46.0))
+    terrain = HeightField(heights, 0.0, 0.0, spacing_m, spacing_m, Frame.local(lon=10.0, lat=46.0))
     middle = samples * spacing_m / 2.0
     place = np.random.default_rng(2).uniform(-5000.0, 5000.0, (2, viewpoints))
-    eyes = stand_on(terrain, middle + place[0], -middle + place[1])
+    eyes = stand_on(terrain, easting_m=middle + place[0], northing_m=-middle + place[1])
     with HorizonRenderer(terrain) as renderer:
         started = time.perf_counter()
         views = renderer.render(eyes)

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from skyline.planning.uniform import uniform_grid
+from skyline.build.grid import uniform_grid
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -110,4 +110,4 @@ def _kilobytes(name: str, process: int | str = "self") -> int | None:
 
 
 def unseen(_done: int, _total: int) -> None:
-    """Ignore progress; a `skyline.pipeline.jobs.Progress`."""
+    """Ignore progress; a `skyline.build.cluster.Progress`."""

@@ -154,7 +154,9 @@ def resampled(
         )
     easting = new_west + spacing_m * np.arange(cols)
     northing = new_north - spacing_m * np.arange(rows)
-    heights = terrain.height_at(easting[np.newaxis, :], northing[:, np.newaxis])
+    heights = terrain.height_at(
+        easting_m=easting[np.newaxis, :], northing_m=northing[:, np.newaxis]
+    )
     return HeightField(
         heights.astype(terrain.heights_m.dtype),
         new_west,

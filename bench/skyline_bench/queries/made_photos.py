@@ -106,7 +106,7 @@ def _sampled(
     field: HeightField, easting_m: Float64Array, northing_m: Float64Array
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
     """Return heights and slopes towards east and north, smooth between samples."""
-    row, col = field.to_grid(easting_m, northing_m)
+    row, col = field.to_grid(easting_m=easting_m, northing_m=northing_m)
     top = int(np.clip(np.floor(row.min()) - 1, 0, field.rows - 2))
     left = int(np.clip(np.floor(col.min()) - 1, 0, field.cols - 2))
     bottom = int(np.clip(np.ceil(row.max()) + 2, top + 2, field.rows))

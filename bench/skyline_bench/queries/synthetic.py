@@ -151,7 +151,9 @@ def _queries(
     """Yield the queries of each place, which is drawn with the first of them."""
     held = [[_hold(terrain, bounds_m, each, config) for each in some] for some in entropies]
     easting_m, northing_m = np.array([some[0][0] for some in held]).T
-    eyes = stand_on(terrain, easting_m, northing_m, config.eye_height_m)
+    eyes = stand_on(
+        terrain, easting_m=easting_m, northing_m=northing_m, eye_height_m=config.eye_height_m
+    )
     with PanoramaRenderer(terrain, config.azimuths, Curvature(), 0.0) as renderer:
         rendered = renderer.render(eyes)
     for index, (some, drawn) in enumerate(zip(held, entropies, strict=True)):
@@ -179,9 +181,10 @@ def _hold(
         height_px=config.height_px,
     )
     for _ in range(_MAX_DRAWS):
-        place = float(generator.uniform(west, east)), float(generator.uniform(south, north))
-        if np.isfinite(terrain.height_at(*place)):
-            return place, camera
+        easting_m = float(generator.uniform(west, east))
+        northing_m = float(generator.uniform(south, north))
+        if np.isfinite(terrain.height_at(easting_m=easting_m, northing_m=northing_m)):
+            return (easting_m, northing_m), camera
     raise InputError(
         f"no place on the surface was found in easting {west:.0f} to {east:.0f}, northing "
         f"{south:.0f} to {north:.0f}; choose an area that is not all hole"

@@ -19,7 +19,7 @@ from skyline import cli
 from skyline.errors import SkylineError
 from skyline_bench.measuring.geotiff import write_geotiff
 from skyline_bench.measuring.record import Row
-from skyline_bench.stores.durability import mutated
+from skyline_bench.runs.store_durability import mutated
 
 LIMIT_S = 60
 WEST, NORTH, SPACING_M = 600_000.0, 5_180_000.0, 30.0

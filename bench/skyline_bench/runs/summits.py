@@ -192,14 +192,14 @@ def _horizons_beside(field: HeightField, file: _File, config: SummitsConfig) -> 
         rng.uniform(-0.5, 0.5, (2, config.beside, row.size)).T * np.array(file.spacing_m)
     ).T
     easting, northing = field.to_map(row, col)
-    seen = horizons_of(field, stand_on(field, easting, northing)).elevation_deg
+    seen = horizons_of(field, stand_on(field, easting_m=easting, northing_m=northing)).elevation_deg
     found: dict[str, float] = {
         "prominent": row.size,
         "summit_below": float(np.mean(seen < LOW_DEG)),
     }
     lon, lat = field.frame.to_lonlat(easting + east_m, northing + north_m)
     for name, within_m in STOOD.items():
-        stood = horizon(field, lon.ravel(), lat.ravel(), summit_within_m=within_m)
+        stood = horizon(field, lon=lon.ravel(), lat=lat.ravel(), summit_within_m=within_m)
         off_deg = np.abs(stood.elevation_deg - np.tile(seen, (config.beside, 1)))
         found |= {
             f"{name}_below": float(np.mean(stood.elevation_deg < LOW_DEG)),
@@ -240,9 +240,11 @@ def _horizons_anywhere(field: HeightField, config: SummitsConfig) -> Row:
     rng = np.random.default_rng(config.seed)
     west, south, east, north = field.bounds_m
     drawn = rng.uniform((west, south), (east, north), (4 * config.anywhere, 2))
-    easting, northing = drawn[np.isfinite(field.height_at(*drawn.T))][: config.anywhere].T
-    before = stand_on(field, easting, northing)
-    after = stand_on(field, easting, northing, summit_within_m=None)
+    easting, northing = drawn[
+        np.isfinite(field.height_at(easting_m=drawn[:, 0], northing_m=drawn[:, 1]))
+    ][: config.anywhere].T
+    before = stand_on(field, easting_m=easting, northing_m=northing)
+    after = stand_on(field, easting_m=easting, northing_m=northing, summit_within_m=None)
     lifted = after.eye_elevation_m > before.eye_elevation_m
     was, now = (horizons_of(field, eyes[~lifted], 1.0) for eyes in (before, after))
     changed = (was.elevation_deg != now.elevation_deg) | (was.distance_m != now.distance_m)
@@ -272,7 +274,9 @@ def _bilinear(file: _File, field: HeightField) -> HeightField:
 
 def _surface_around(surface: HeightField, easting: Float64Array, northing: Float64Array) -> _Places:
     """Return places of the surface around a summit, its samples among them, and their heights."""
-    sides = surface.to_grid([easting.min(), easting.max()], [northing.max(), northing.min()])
+    sides = surface.to_grid(
+        easting_m=[easting.min(), easting.max()], northing_m=[northing.max(), northing.min()]
+    )
     rows, cols = np.meshgrid(
         *(
             np.arange(max(np.ceil(first), 0.0), min(np.floor(last) + 1.0, count))
@@ -282,7 +286,7 @@ def _surface_around(surface: HeightField, easting: Float64Array, northing: Float
     )
     nodes = surface.to_map(rows.reshape(-1), cols.reshape(-1))
     easting, northing = np.append(easting, nodes[0]), np.append(northing, nodes[1])
-    return easting, northing, surface.height_at(easting, northing)
+    return easting, northing, surface.height_at(easting_m=easting, northing_m=northing)
 
 
 def _summit_errors(
@@ -329,7 +333,8 @@ def _sample_errors(surface: HeightField, file: _File) -> Row:
     row, col = np.meshgrid(
         np.arange(0, file.grid.rows, 10), np.arange(file.grid.cols), indexing="ij"
     )
-    off = surface.height_at(*file.place(row, col)) - file.heights_m[row, col]
+    east, north = file.place(row, col)
+    off = surface.height_at(easting_m=east, northing_m=north) - file.heights_m[row, col]
     return {
         "bias_m": float(np.nanmean(off)),
         "median_off_m": float(np.nanmedian(np.abs(off))),

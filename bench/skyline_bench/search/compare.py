@@ -8,11 +8,11 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 
+from skyline.build.cluster import Progress
+from skyline.build.grid import map_bounds
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Rectangle
-from skyline.pipeline.jobs import Progress
 from skyline.pipeline.matchers import FULL
-from skyline.planning.uniform import map_bounds
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import unseen
@@ -89,10 +89,9 @@ class Comparison:
             return small
         west, south, east, north = map_bounds(terrain, self.bounds_deg)
         size_m = min(east - west, _QUICK_M), min(north - south, _QUICK_M)
-        share = size_m[0] * size_m[1] / ((east - west) * (north - south))
         return replace(
             small,
-            stores=quick_specs(self.stores, share),
+            stores=quick_specs(self.stores),
             bounds_deg=middle_deg(terrain, size_m, self.bounds_deg),
         )
 

@@ -4,25 +4,26 @@ import json
 import logging
 import math
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from skyline import build_places, build_uniform
+from skyline.build.cluster import Progress
+from skyline.build.grid import map_bounds, uniform_grid
+from skyline.build.plans import DEFAULT_LOSS
+from skyline.build.spacing import lost_shares
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Rectangle
+from skyline.paper.planned import build_planned
 from skyline.paper.planning.plan import PlanConfig
-from skyline.pipeline.jobs import Progress
-from skyline.pipeline.layout import DEFAULT_LOSS
-from skyline.pipeline.planned import build_planned
 from skyline.places import Places
-from skyline.planning.loss import lost_shares
-from skyline.planning.uniform import map_bounds, uniform_grid
 from skyline.store import open_store
-from skyline.store.header import PLACES, RENDERINGS
+from skyline.store.format import PLACES, RENDERINGS
+from skyline.store.read import parts_folder
 from skyline.terrain.heightfield import HeightField
 
 _log = logging.getLogger(__name__)
@@ -58,7 +59,7 @@ class StoreSpec:
         if self.path is not None:
             return self.path.stem
         if self.plan is not None:
-            return f"{self.plan.strategy}-{self.plan.budget}"
+            return f"{self.plan.strategy}-{self.plan.threshold_px:g}px"
         if self.spacing_m is None:
             return f"planned-{self.loss:g}"
         return f"{'places' if self.holds == PLACES else 'uniform'}-{self.spacing_m:g}"
@@ -90,15 +91,14 @@ class StoreSpec:
         path = folder / f"{self.name}.h5"
         settings = json.loads(json.dumps([terrain.digest, bounds_deg, asdict(self)], default=str))
         if not path.exists() or _noted(path).get("settings") != settings:
-            resumed, wall, cpu = path.exists(), time.perf_counter(), time.process_time()
+            resumed = path.exists() or parts_folder(path).exists()
+            wall, cpu = time.perf_counter(), time.process_time()
             if self.plan is not None:
                 build_planned(terrain, path, self.plan, bounds_deg)
             elif self.holds == RENDERINGS and self.spacing_m is not None:
                 build_uniform(terrain, path, self.spacing_m, bounds_deg, progress=progress)
             else:
-                build_places(
-                    terrain, path, self.spacing_m, bounds_deg, None, progress, loss=self.loss
-                )
+                build_places(terrain, path, self.spacing_m, bounds_deg, progress, loss=self.loss)
             taken = time.perf_counter() - wall, time.process_time() - cpu
             note = dict(zip(("build_s", "build_cpu_s"), taken, strict=True))
             if resumed:
@@ -185,26 +185,19 @@ def middle_deg(
     return float(lon[0]), float(lat[2]), float(lon[1]), float(lat[3])
 
 
-def quick_specs(specs: tuple[StoreSpec, ...], area_share: float) -> tuple[StoreSpec, ...]:
-    """Return the cheapest store of each planner, budgets for a share of the area alone."""
+def quick_specs(specs: tuple[StoreSpec, ...]) -> tuple[StoreSpec, ...]:
+    """Return the cheapest store of each planner."""
     chosen: dict[tuple[str, str], StoreSpec] = {}
     for spec in specs:
         best = chosen.setdefault((spec.planner, spec.holds), spec)
         if _cost(spec) < _cost(best):
             chosen[spec.planner, spec.holds] = spec
-    return tuple(_shrunk(spec, area_share) for spec in chosen.values())
-
-
-def _shrunk(spec: StoreSpec, area_share: float) -> StoreSpec:
-    if spec.plan is None or spec.plan.budget is None:
-        return spec
-    budget = max(math.ceil(area_share * spec.plan.budget), len(HEADINGS))
-    return replace(spec, plan=replace(spec.plan, budget=budget))
+    return tuple(chosen.values())
 
 
 def _cost(spec: StoreSpec) -> float:
     if spec.plan is not None:
-        return float(spec.plan.budget or math.inf)
+        return -spec.plan.threshold_px
     return -spec.loss if spec.spacing_m is None else -spec.spacing_m
 
 

@@ -20,16 +20,16 @@ import skyline
 import skyline_bench
 from skyline import Candidate, JointResult, Matcher, MatchResult, Narrowing
 from skyline.arrays import Float64Array
+from skyline.build.cluster import Progress
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.matching.full import FullMatcher
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.match_config import MatchConfig
-from skyline.pipeline.jobs import Progress
 from skyline.pipeline.matchers import FULL, MATCHERS
 from skyline.render.shaders import SHADER_FOLDERS
 from skyline.store import open_store
-from skyline.store.header import RENDERINGS
+from skyline.store.format import RENDERINGS
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.queries.kinds import Query, distance_m
 from skyline_bench.queries.synthetic import QueryConfig, Truth

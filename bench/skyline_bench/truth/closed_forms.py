@@ -25,7 +25,7 @@ from skyline_bench.truth.agreement import (
 )
 
 FLAT = Curvature(enabled=False)
-FRAME = Frame.local(9.8, 46.8)
+FRAME = Frame.local(lon=9.8, lat=46.8)
 WEST_M, NORTH_M = 2.0**19, 2.0**22
 SPACING_M = 32.0
 
@@ -113,7 +113,8 @@ def eyes_at(
     field: HeightField, row: ArrayLike, col: ArrayLike, eye_height_m: ArrayLike
 ) -> Viewpoints:
     """Stand at fractional rows and columns of a field."""
-    return stand_on(field, *field.to_map(row, col), eye_height_m)
+    east_m, north_m = field.to_map(row, col)
+    return stand_on(field, easting_m=east_m, northing_m=north_m, eye_height_m=eye_height_m)
 
 
 def spots(field: HeightField, count: int) -> tuple[Float64Array, Float64Array]:

@@ -55,7 +55,11 @@ class _Country:
     def skyline(self, scene: SkylineScene) -> ClosedForm:
         """Return the skylines along geodesics."""
         eyes = scene.viewpoints
-        convergence = float(scene.field.frame.convergence_deg(eyes.easting_m, eyes.northing_m)[0])
+        convergence = float(
+            scene.field.frame.convergence_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)[
+                0
+            ]
+        )
         rows = [
             self._skyline(column_azimuths_deg(heading, scene.width) + convergence, scene)
             for heading in HEADINGS

@@ -129,7 +129,9 @@ class _Scene:
     ) -> None:
         self.field = field
         self.triangles = triangles
-        row, col = field.to_grid(viewpoints.easting_m[index], viewpoints.northing_m[index])
+        row, col = field.to_grid(
+            easting_m=viewpoints.easting_m[index], northing_m=viewpoints.northing_m[index]
+        )
         self.eye_row, self.eye_col = float(row), float(col)
         north = (self.eye_row - np.arange(field.rows)) * field.spacing_north_m
         east = (np.arange(field.cols) - self.eye_col) * field.spacing_east_m

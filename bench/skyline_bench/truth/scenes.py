@@ -144,7 +144,9 @@ def _pyramid_skyline(scene: SkylineScene) -> ClosedForm:
     # y(z) = -h - slope z (1 + |u|), so v is greatest where the data ends, 64 cells ahead.
     u = np.abs(columns_u(scene.width))
     eyes = scene.viewpoints
-    above = eyes.eye_elevation_m - scene.field.height_at(eyes.easting_m, eyes.northing_m)
+    above = eyes.eye_elevation_m - scene.field.height_at(
+        easting_m=eyes.easting_m, northing_m=eyes.northing_m
+    )
     return ClosedForm(
         -np.repeat(above, len(HEADINGS))[:, np.newaxis] / (64.0 * SPACING_M) - 0.5 * (1.0 + u)
     )
@@ -465,7 +467,11 @@ def _same_at_origin(scene: SkylineScene) -> ClosedForm:
     """Return the oracle's skylines of the same place, moved to the origin."""
     moved = replace(scene.field, west_m=0.0, north_m=0.0)
     eyes = scene.viewpoints
-    near = Viewpoints(eyes.easting_m - 1e7, eyes.northing_m - 1e7, eyes.eye_elevation_m)
+    near = Viewpoints(
+        easting_m=eyes.easting_m - 1e7,
+        northing_m=eyes.northing_m - 1e7,
+        eye_elevation_m=eyes.eye_elevation_m,
+    )
     # The difference of two numbers within a factor of 2 is exact, so nothing is lost.
     views = oracle.skyline(moved, near, scene.width, scene.curvature)
     return ClosedForm(views.elevation_tan.astype(np.float64))

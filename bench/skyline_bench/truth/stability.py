@@ -101,7 +101,7 @@ def turned_scene(scene: SkylineScene, turn: Turn) -> SkylineScene:
     signs = np.sum(turn, axis=1)
     heights = heights[:: signs[0], :: signs[1]]
     turned = HeightField(heights, field.west_m, field.north_m, *spacings_m, field.frame)
-    place = np.array(turn) @ field.to_grid(eyes.easting_m, eyes.northing_m)
+    place = np.array(turn) @ field.to_grid(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
     place += np.where(signs < 0, np.array(heights.shape) - 1, 0)[:, np.newaxis]
     easting, northing = turned.to_map(*place)
     moved = replace(eyes, easting_m=easting, northing_m=northing)

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, Int64Array
-from skyline.camera import HEADINGS
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.paper.planning.coverage import CandidateGrid
 from skyline.terrain.heightfield import HeightField
-from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_on
+from skyline.terrain.viewpoints import Viewpoints, stand_on
 
 _MOST_CANDIDATES = 20_000_000
 
@@ -67,25 +66,21 @@ class CandidateMap:
     """(rows, cols) int64. A number for each square of the coarse grid that candidates lie in."""
     coarse: Int64Array
     """(N,) int64. The valid candidates on the coarse grid."""
-    eye_height_m: float
 
     def viewpoints(self, candidates: Int64Array) -> Viewpoints:
         """Return viewpoints at candidates (N)."""
         row, col = self.grid.row_col(candidates)
-        return stand_on(self.field, self.easting_m[col], self.northing_m[row], self.eye_height_m)
+        return stand_on(self.field, easting_m=self.easting_m[col], northing_m=self.northing_m[row])
 
 
 def lay_out(
     field: HeightField,
     spacing: Spacing,
     bounds_m: Rectangle | None = None,
-    eye_height_m: float = DEFAULT_EYE_HEIGHT_M,
-    budget: int | None = None,
 ) -> CandidateMap:
     """Lay candidates over an area.
 
-    Raises `InputError` for a spacing larger than the area, an area wholly in holes, or a coarse
-    grid that alone is beyond the budget of renderings.
+    Raises `InputError` for a spacing larger than the area, or an area wholly in holes.
     """
     west, south, east, north = bounds_m or field.bounds_m
     if spacing.coarse_m > max(east - west, north - south):
@@ -112,24 +107,17 @@ def lay_out(
             "spacing or a larger area"
         )
     coarse = np.flatnonzero(on_coarse)
-    needed = len(HEADINGS) * len(coarse)
-    if budget is not None and needed > budget:
-        raise InputError(
-            f"budget is {budget} renderings, the coarse grid alone takes {needed}; give a larger "
-            "budget, a larger spacing or a smaller area"
-        )
     # Ascending from south to north, and in a row from west to east.
     square = (row // stride)[:, None] * len(col) + col // stride
-    return CandidateMap(
-        field, grid, col * apart, row * apart, square.astype(np.int64), coarse, eye_height_m
-    )
+    return CandidateMap(field, grid, col * apart, row * apart, square.astype(np.int64), coarse)
 
 
 def _can_stand(field: HeightField, easting: Float64Array, northing: Float64Array) -> BoolArray:
     """Return where the surface goes on for a sample to every side."""
-    ground = field.height_at(easting, northing)
+    ground = field.height_at(easting_m=easting, northing_m=northing)
     for east, north in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         ground = ground + field.height_at(
-            easting + east * field.spacing_east_m, northing + north * field.spacing_north_m
+            easting_m=easting + east * field.spacing_east_m,
+            northing_m=northing + north * field.spacing_north_m,
         )
     return ~np.isnan(ground)

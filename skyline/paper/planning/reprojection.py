@@ -248,15 +248,13 @@ class ToleranceMeter:
     """Measures how far around views their skylines serve: a call returns reprojection errors."""
 
     ground: Ground
-    """Heights at map coordinates: `HeightField.height_at`."""
+    """Heights at map coordinates: `skyline.terrain.heightfield.ground_of`."""
     size: int = 10
     """K: rows and columns of the locations around a view, which is at [K // 2, K // 2]; 10 in the
     paper."""
     spacing_m: float = 30.0
     """Distance between neighbouring locations."""
     predictor: Reprojection = PREDICTORS["affine-mean"]
-    eye_height_m: float = DEFAULT_EYE_HEIGHT_M
-    """Of the eyes at the other locations, above the ground."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.size <= 1001:
@@ -268,8 +266,6 @@ class ToleranceMeter:
             raise InputError(
                 f"neighbourhood has a spacing of {self.spacing_m} m; expected a positive number"
             )
-        if not (np.isfinite(self.eye_height_m) and self.eye_height_m >= 0.0):
-            raise InputError(f"eye height is {self.eye_height_m} m; expected at least 0")
 
     def __call__(self, views: Views) -> Float32Array:
         """Return the reprojection errors of the neighbourhoods of N views.
@@ -284,7 +280,7 @@ class ToleranceMeter:
         steps = (np.arange(size) - centre) * self.spacing_m
         easting = views.easting_m[:, np.newaxis] + np.tile(steps, size)
         northing = views.northing_m[:, np.newaxis] - np.repeat(steps, size)
-        eye_elevation = self.ground(easting, northing) + self.eye_height_m
+        eye_elevation = self.ground(easting, northing) + DEFAULT_EYE_HEIGHT_M
         moved = displacements_m(views, easting, northing, eye_elevation)
         errors = self.predictor.errors_px(views, moved).reshape(len(views), size, size)
         errors[:, centre, centre] = 0.0

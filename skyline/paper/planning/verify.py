@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skyline.arrays import Int64Array
 from skyline.errors import InputError
 from skyline.paper.planning.coverage import Coverage
-from skyline.paper.planning.plan import Headings, Plan, Render, as_asked, places
+from skyline.paper.planning.plan import Headings, Plan, Render
 from skyline.views import Views
 
 TrueErrors = Callable[[Views, Views], NDArray[np.floating]]
@@ -98,6 +98,6 @@ def _covering(coverage: Coverage, location: int) -> Int64Array:
 
 def _views(render: Render, plan: Plan, candidates: Int64Array, heading: Headings) -> Views:
     """Return views at candidates along headings, in that order; each is asked for once."""
-    once = np.unique(np.stack([heading, candidates]), axis=1)
+    once, row = np.unique(np.stack([heading, candidates]), axis=1, return_inverse=True)
     views = render(plan.candidates.viewpoints(once[1]), once[0].astype(np.uint8))
-    return as_asked(views, places(plan.candidates.viewpoints(candidates), heading))
+    return views[row.reshape(-1)]

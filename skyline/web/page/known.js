@@ -82,7 +82,7 @@ function fromPhoto(photo) {
   $("eye").value = "";
   if (asked.eyeHeight !== null) set("eye", asked.eyeHeight);
   const { lon, lat } = asked.near ?? { lon: photo.lonlat?.[0], lat: photo.lonlat?.[1] };
-  circle(lon === undefined ? null : [lat, lon]);
+  circle(lon === undefined ? null : { lat, lng: lon });
 }
 
 export function start() {

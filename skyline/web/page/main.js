@@ -12,8 +12,7 @@ import * as view from "./view.js";
 
 try {
   state.store = await server.about();
-  const { store, places, unfinished } = state.store;
-  $("store").textContent = unfinished || `${store}: ${places} places`;
+  $("store").textContent = `${state.store.store}: ${state.store.places} places`;
   const kept = await server.begin();
   for (const part of [view, hand, map, known, find, saving, brush]) part.start();
   document.documentElement.dataset.ready = "yes";

@@ -6,7 +6,11 @@ import { standing } from "./known.js";
 
 const L = window.L;
 const REACH_M = 2000, HANDLE_PX = 74, EARTH_M = 6371008.8;
-let map, camera, handle, cone, noted, spots, circle, centre, where;
+let map, camera, handle, cone, noted, spots, circle, centre, where, middleLon = 0;
+
+// The map runs half a turn either way from the store, so that it may cross the antimeridian.
+const onMap = (lat, lon) => [lat, lon + 360 * Math.round((middleLon - lon) / 360)];
+const offMap = ({ lat, lng }) => ({ lat, lng: lng - 360 * Math.round(lng / 360) });
 
 const icon = (name, size, text = "") =>
   L.divIcon({ className: name, iconSize: [size, size], html: text });
@@ -18,7 +22,7 @@ function away([lat, lon], headingDeg, metres) {
 }
 
 function view(pose, reach) {
-  const from = [pose.lat, pose.lon], points = [from];
+  const from = onMap(pose.lat, pose.lon), points = [from];
   for (let k = 0; k <= 16; k++) points.push(away(from, pose.heading + pose.fov * (k / 16 - 0.5), reach));
   return points;
 }
@@ -32,7 +36,7 @@ function ellipse(candidate) {
     const [p, q] = [long * Math.cos((k * Math.PI) / 24), short * Math.sin((k * Math.PI) / 24)];
     const [east, north] = [p * Math.cos(turn) - q * Math.sin(turn), p * Math.sin(turn) + q * Math.cos(turn)];
     const heading = (Math.atan2(east, north) * 180) / Math.PI + candidate.convergence;
-    points.push(away([candidate.lat, candidate.lon], heading, Math.hypot(east, north)));
+    points.push(away(onMap(candidate.lat, candidate.lon), heading, Math.hypot(east, north)));
   }
   return points;
 }
@@ -47,7 +51,7 @@ function showCandidates() {
     L.polygon(view(one, REACH_M), { color: best ? "#ffd23f" : "#cfe8f5", weight: 1.5, opacity: 0.4 + 0.6 * share,
       fillOpacity: 0.06 + 0.22 * share, interactive: false }).addTo(spots);
     if (one.covariance && chosen) L.polygon(ellipse(one), { color: "#fff", weight: 1.5, fill: false, interactive: false }).addTo(spots);
-    L.marker([one.lat, one.lon], { icon: icon(`spot${best ? " best" : ""}${chosen ? " chosen" : ""}`, 26, String(index + 1)),
+    L.marker(onMap(one.lat, one.lon), { icon: icon(`spot${best ? " best" : ""}${chosen ? " chosen" : ""}`, 26, String(index + 1)),
       title: `Candidate ${index + 1}${sure}`, alt: `Candidate ${index + 1}${sure}`, zIndexOffset: 1000 - 10 * index })
       .on("click keypress", () => tell("choose", index)).addTo(spots);
   });
@@ -57,7 +61,7 @@ function showCandidates() {
 function showNoted(photo) {
   noted.clearLayers();
   if (!photo?.lonlat) return;
-  const at = [photo.lonlat[1], photo.lonlat[0]], about = "Where the photo says that it was taken";
+  const at = onMap(photo.lonlat[1], photo.lonlat[0]), about = "Where the photo says that it was taken";
   if (photo.accuracy) L.circle(at, { radius: photo.accuracy, color: "#f2a7ff", weight: 1.5, fillOpacity: 0.08, interactive: false }).addTo(noted);
   L.marker(at, { icon: icon("noted", 16), title: about, alt: about, keyboard: false, zIndexOffset: 500 }).addTo(noted);
 }
@@ -73,7 +77,7 @@ function showCamera() {
   const pose = state.pose;
   for (const layer of [camera, handle, cone]) pose ? layer.addTo(map) : layer.remove();
   if (!pose) return;
-  const at = L.latLng(pose.lat, pose.lon);
+  const at = L.latLng(onMap(pose.lat, pose.lon));
   camera.setLatLng(at);
   const turn = (pose.heading * Math.PI) / 180;
   const end = map.latLngToContainerPoint(at).add([HANDLE_PX * Math.sin(turn), -HANDLE_PX * Math.cos(turn)]);
@@ -103,7 +107,7 @@ function keys(marker, moved) {
 }
 
 function nudged(marker, by) {
-  return map.containerPointToLatLng(map.latLngToContainerPoint(marker.getLatLng()).add(by));
+  return offMap(map.containerPointToLatLng(map.latLngToContainerPoint(marker.getLatLng()).add(by)));
 }
 
 function makeCamera() {
@@ -112,7 +116,10 @@ function makeCamera() {
   handle = L.marker([0, 0], { icon: icon("turn", 20), draggable: true, zIndexOffset: 3000,
     title: "Where it looks: drag, or left and right arrow keys", alt: "Where the camera looks" });
   cone = L.polygon([], { color: "#35d0ff", weight: 2, fillOpacity: 0.15, interactive: false });
-  camera.on("drag", () => moveTo({ lon: camera.getLatLng().lng, lat: camera.getLatLng().lat }, true));
+  camera.on("drag", () => {
+    const at = offMap(camera.getLatLng());
+    moveTo({ lon: at.lng, lat: at.lat }, true);
+  });
   handle.on("drag", turning);
   for (const marker of [camera, handle]) marker.on("dragend", release);
   keys(camera, (by) => {
@@ -123,13 +130,15 @@ function makeCamera() {
 }
 
 // The circle that a search keeps to; null where there is none.
-export const circled = () =>
-  circle && map.hasLayer(circle) ? { lon: circle.getLatLng().lng, lat: circle.getLatLng().lat } : null;
+export function circled() {
+  if (!circle || !map.hasLayer(circle)) return null;
+  const at = offMap(circle.getLatLng());
+  return { lon: at.lng, lat: at.lat };
+}
 
 export function showCircle(km, place = null) {
   if (place) {
-    circle.setLatLng(place);
-    centre.setLatLng(place);
+    for (const one of [circle, centre]) one.setLatLng(onMap(place.lat, place.lng));
   }
   if (km === null) {
     circle.remove();
@@ -140,11 +149,10 @@ export function showCircle(km, place = null) {
   centre.addTo(map);
 }
 
-export const middle = () => map.getCenter();
+export const middle = () => offMap(map.getCenter());
 
 function makeCircle() {
-  const area = state.store.area;
-  const place = [(area[1] + area[3]) / 2, (area[0] + area[2]) / 2];
+  const place = box(state.store.area).getCenter();
   circle = L.circle(place, { radius: 3000, color: "#ff9f6b", weight: 2, dashArray: "6 4", fillOpacity: 0.05, interactive: false });
   centre = L.marker(place, { icon: icon("centre", 18), draggable: true, title: "Middle of the circle: drag it, or arrow keys", alt: "Middle of the circle" });
   const moved = () => {
@@ -153,7 +161,8 @@ function makeCircle() {
   };
   centre.on("drag", moved);
   keys(centre, (by) => {
-    centre.setLatLng(nudged(centre, by));
+    const at = nudged(centre, by);
+    centre.setLatLng(onMap(at.lat, at.lng));
     moved();
   });
 }
@@ -163,7 +172,8 @@ function showWhere() {
   const control = L.control({ position: "bottomright" });
   control.onAdd = () => (where = element("div", { class: "where" }));
   control.addTo(map);
-  const at = (place) => {
+  const at = (shown) => {
+    const place = offMap(shown);
     where.textContent = degrees(place.lng, place.lat);
     if (!waiting) waiting = server.send({ type: "height", lon: place.lng, lat: place.lat, seq: 0 });
   };
@@ -176,11 +186,17 @@ function showWhere() {
   });
 }
 
+const eastOf = (west, east) => (east < west ? east + 360 : east);
+const box = ([west, south, east, north]) => L.latLngBounds([south, west], [north, eastOf(west, east)]);
+
 export function start() {
   const { area, terrain } = state.store;
-  const box = ([west, south, east, north]) => L.latLngBounds([south, west], [north, east]);
+  const [west, , east] = area;
+  middleLon = (west + eastOf(west, east)) / 2;
   map = L.map("map", { attributionControl: false, maxZoom: 18, minZoom: 3, zoomSnap: 0.5 });
-  if (terrain) L.tileLayer("relief/{z}/{x}/{y}.png", { bounds: box(terrain), maxZoom: 18, noWrap: true }).addTo(map);
+  // Leaflet compares tiles with bounds within one turn alone.
+  const noWrap = Boolean(terrain && terrain[0] < terrain[2]), bounds = noWrap ? box(terrain) : undefined;
+  if (terrain) L.tileLayer("relief/{z}/{x}/{y}.png", { bounds, maxZoom: 18, noWrap }).addTo(map);
   else say("The store's DEM is not at hand: no relief, and nothing can be rendered (--dem).");
   L.rectangle(box(area), { color: "#fff", weight: 1.5, dashArray: "2 5", fill: false, interactive: false }).addTo(map);
   L.control.scale({ imperial: false }).addTo(map);
@@ -197,6 +213,7 @@ export function start() {
   on("photo", showNoted);
   on("result", goToResult);
   on("chosen", () => {
-    if (state.pose && !map.getBounds().pad(-0.1).contains([state.pose.lat, state.pose.lon])) map.panTo([state.pose.lat, state.pose.lon]);
+    const at = state.pose && onMap(state.pose.lat, state.pose.lon);
+    if (at && !map.getBounds().pad(-0.1).contains(at)) map.panTo(at);
   });
 }

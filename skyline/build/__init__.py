@@ -1,0 +1,1 @@
+"""Building stores: grids and spacing of places, parts of the work, and workers."""

@@ -1,0 +1,234 @@
+"""Independent jobs on a dask.distributed cluster (extra ``cluster``): processes or machines.
+
+Jobs are few and long, so all that is asked of the engine is to run each of them somewhere, again
+where a worker died or a job failed, and to return its result or its error.
+"""
+
+import logging
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from functools import partial
+from typing import Any, Protocol, TypeVar
+from uuid import uuid4
+
+from skyline.errors import BuildError, InputError, SkylineError
+from skyline.extras import library
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+Progress = Callable[[int, int], None]
+"""Called with the number of steps that are done, and the number of all."""
+
+
+class Runner(Protocol):
+    """Does the same work on many items, in any order and anywhere.
+
+    Work and items must be picklable. The runner yields the index of each item as it is done, with
+    the result of the work or the exception that it raised in the end.
+    """
+
+    def __call__(
+        self, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
+    ) -> Iterator[tuple[int, R | Exception]]:
+        """Run ``work`` on every item; ``names`` are the items' names, each of them once."""
+        ...
+
+
+RETRIES = 2
+"""How often a job that raised an error is tried again. A job whose worker died is tried again on
+another; after `distributed.scheduler.allowed-failures` deaths (3) it counts as their cause."""
+
+_CONNECT_S = 10
+_NAMED = 5
+"""Failed jobs that an error names."""
+
+# A terminal sends Ctrl-C to workers as well, which are stopped by the one process that answers it.
+_IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+_LOG = "from skyline.logs import start_logging; start_logging()"
+
+_log = logging.getLogger(__name__)
+
+# One thread a process does all jobs: an OpenGL context belongs to the thread that made it, and
+# dask may run tasks on several.
+_job_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="skyline-jobs")
+
+
+def runner_of(workers: int | None, scheduler: str | None) -> AbstractContextManager[Runner | None]:
+    """Return the context of a `Runner` on new processes, or on a cluster; of None without either.
+
+    Raises `InputError` for both, and as `local_runner` and `remote_runner` do.
+    """
+    if workers is not None and scheduler is not None:
+        raise InputError("give one of --workers and --scheduler: a cluster has its own workers")
+    if workers is not None:
+        return local_runner(workers)
+    return remote_runner(scheduler) if scheduler is not None else nullcontext()
+
+
+@contextmanager
+def local_runner(workers: int) -> Iterator[Runner]:
+    """Start worker processes on this machine for the block; yields a `Runner`.
+
+    Raises `InputError` for fewer than one worker, or where dask is not installed.
+    """
+    with local_cluster(workers) as cluster, _distributed().Client(cluster) as client:
+        yield partial(_run, client)
+
+
+@contextmanager
+def local_cluster(workers: int) -> Iterator[Any]:
+    """Start worker processes for the block; yields dask's `LocalCluster`. Raises as above."""
+    if workers < 1:
+        raise InputError(f"workers is {workers}; expected 1 or more")
+    threads = max((os.cpu_count() or 1) // workers, 1)
+    cluster = _distributed().LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        processes=True,
+        # Any free port, this machine alone: the usual one may be another cluster's.
+        dashboard_address="127.0.0.1:0",
+        # A worker holds one DEM and one part, whatever their number: nothing to guard.
+        memory_limit=0,
+        silence_logs=logging.CRITICAL,
+        preload=[_IGNORE_CTRL_C, _LOG],
+        # Mesa's software rasterizer takes all cores unless a variable limits it.
+        env={"LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", str(threads))},
+    )
+    try:
+        yield cluster
+    finally:
+        # On a busy machine dask may give up waiting for workers to end; they end with this process,
+        # and what they did is done.
+        with suppress(TimeoutError):
+            cluster.close()
+
+
+@contextmanager
+def remote_runner(address: str) -> Iterator[Runner]:
+    """Connect to a scheduler for the block; yields a `Runner`.
+
+    What dask sends is pickled, both ways: connect to a scheduler that you trust alone.
+
+    Raises `InputError` where nothing answers at the address, or dask is not installed.
+    """
+    distributed = _distributed()
+    try:
+        client = distributed.Client(address, timeout=_CONNECT_S)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"no dask scheduler answers at {address!r} ({' '.join(str(error).split())}); start "
+            "one with `dask scheduler`, and give the address it prints, e.g. tcp://10.0.0.1:8786"
+        ) from error
+    with client:
+        if not client.scheduler_info()["workers"]:
+            _log.warning("the scheduler at %s has no workers yet; waiting for one", address)
+        yield partial(_run, client)
+
+
+def _distributed() -> Any:
+    distributed = library("distributed", "cluster", "a run on workers")
+    # It logs every step; `_outcome` returns the errors that matter to a user.
+    logging.getLogger("distributed").setLevel(logging.ERROR)
+    return distributed
+
+
+def _run(
+    client: Any, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
+) -> Iterator[tuple[int, R | Exception]]:
+    """Do jobs on a cluster; a `Runner` but for the client."""
+    run = uuid4().hex[:8]
+    with warnings.catch_warnings():
+        # A large graph is what many viewpoints are; it is sent once.
+        warnings.filterwarnings("ignore", message="Sending large graph")
+        futures = [
+            client.submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)
+            for name, item in zip(names, items, strict=True)
+        ]
+    place = {future.key: index for index, future in enumerate(futures)}
+    # Jobs that nobody waits for any more are forgotten by the scheduler when the client leaves.
+    for future in _distributed().as_completed(futures):
+        yield place[future.key], _outcome(future)
+
+
+def _do_alone(work: Callable[[T], R], item: T) -> R:
+    return _job_thread.submit(work, item).result()
+
+
+def _outcome(future: Any) -> Any:
+    try:
+        error = future.exception()
+    except CancelledError:
+        return BuildError("lost with the scheduler")
+    if error is None:
+        return future.result()
+    if type(error).__name__ == "KilledWorker":
+        return BuildError("its worker died, again and again: out of memory, or a fault of OpenGL")
+    return error if isinstance(error, Exception) else BuildError(repr(error))
+
+
+def collect(
+    outcomes: Iterator[tuple[int, R | Exception]],
+    names: Sequence[str],
+    finished: Callable[[], None],
+) -> list[R]:
+    """Return all results in the items' order; ``finished`` is called after each.
+
+    Raises
+    ------
+    SkylineError
+        The error of all jobs, where it is the same one.
+    BuildError
+        Some jobs failed; the first few are named with their reasons.
+    """
+    results: dict[int, R] = {}
+    failures: dict[int, Exception] = {}
+    for index, outcome in outcomes:
+        if isinstance(outcome, Exception):
+            failures[index] = outcome
+            _log.warning("%s failed: %s", names[index], _line(outcome))
+        else:
+            results[index] = outcome
+            finished()
+    if failures:
+        raise _failure(failures, names)
+    return [results[index] for index in range(len(names))]
+
+
+def in_order(outcomes: Iterator[tuple[int, R | Exception]]) -> Iterator[R | SkylineError]:
+    """Yield results in the items' order, each as soon as those before it are there.
+
+    In the place of a job that failed comes its error; `BuildError` for one that is no
+    `SkylineError`.
+    """
+    waiting: dict[int, R | Exception] = {}
+    due = 0
+    for index, outcome in outcomes:
+        waiting[index] = outcome
+        while due in waiting:
+            result = waiting.pop(due)
+            if isinstance(result, Exception) and not isinstance(result, SkylineError):
+                result = BuildError(f"a worker failed: {_line(result)}")
+            yield result
+            due += 1
+
+
+def _failure(failures: dict[int, Exception], names: Sequence[str]) -> SkylineError:
+    first = next(iter(failures.values()))
+    alike = len({_line(failure) for failure in failures.values()}) == 1
+    if alike and len(failures) == len(names) and isinstance(first, SkylineError):
+        return first
+    named = [f"{names[index]} ({_line(failures[index])})" for index in sorted(failures)[:_NAMED]]
+    more = f" and {len(failures) - _NAMED} more" if len(failures) > _NAMED else ""
+    return BuildError(
+        f"{len(failures)} of {len(names)} failed: {'; '.join(named)}{more}. The others are kept: "
+        "mend the cause and give the same command, which continues with the rest"
+    )
+
+
+def _line(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return text if isinstance(error, SkylineError) else f"{type(error).__name__}: {text}"

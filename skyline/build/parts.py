@@ -1,0 +1,289 @@
+"""Building a store: its parts are rendered one by one, each a finished file, and merged.
+
+A part is a store of its own in the folder ``STORE.parts``. It is rendered in memory and then
+written under its name at once, so a build that is killed loses at most the part in hand, and the
+same command continues with the parts that are missing. Merging sorts the rows: the number of
+workers, the order of the parts, and how often a build was killed change no byte of the store.
+
+Every part is rendered over the whole DEM: how far terrain can rise into a skyline has no bound but
+the DEM's own. What is cut is the work.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+from skyline.build.cluster import Progress, Runner, collect
+from skyline.build.plans import DEFAULT_LOSS, PartRenderer, PlacePlan, Plan, RenderingPlan
+from skyline.errors import InputError, SkylineError, StoreError, StoreMismatchError
+from skyline.geodesy import Bounds, Curvature
+from skyline.render.horizon import RenderConfig
+from skyline.store import StoreHeader, open_store, write_store
+from skyline.store.format import refuse_mismatch
+from skyline.store.merge import merged_rows, whole_rows
+from skyline.store.read import part_name, parts_folder
+from skyline.store.write import check_folder, partial_beside
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+
+
+@dataclass(frozen=True, slots=True)
+class BuildResult:
+    """The result of a build.
+
+    Attributes
+    ----------
+    rows : int
+        Renderings or places in the store.
+    rendered : int
+        Of these, the ones that were rendered now; the others were there already.
+    seconds : float
+        Time that rendering, writing and merging took; a renderer is started before.
+    """
+
+    rows: int
+    rendered: int
+    seconds: float
+
+
+def build_places(
+    terrain: HeightField,
+    path: str | Path,
+    spacing_m: float | None = None,
+    bounds_deg: Bounds | None = None,
+    progress: Progress | None = None,
+    *,
+    loss: float = DEFAULT_LOSS,
+    curvature: Curvature | None = None,
+) -> BuildResult:
+    """Build a store of places; the same call continues a build that was killed.
+
+    Parameters
+    ----------
+    path : str or Path
+        The store. Nothing is done where it is there already and has the same settings.
+    spacing_m : float, optional
+        Metres between the places of a uniform grid. By default places lie densely where skylines
+        are near, and sparsely where they are far; see `skyline.build.spacing`.
+    bounds_deg : tuple, optional
+        W, S, E, N in degrees; by default all of the terrain.
+    progress : callable, optional
+        Called with the number of parts that are done, and the number of all.
+    loss : float
+        Without a spacing: the share of the views, 60 degrees wide, that may be lost because
+        places lie apart. The smaller the share, the more places.
+    curvature : Curvature, optional
+        Defaults to the Earth's with k = 0.13.
+
+    Raises
+    ------
+    InputError
+        A spacing that suits no grid on the terrain, a loss that no places come down to, or an
+        area so small that no place falls in it.
+    StoreMismatchError
+        The store at ``path``, or a part of it, was built from another DEM or with other settings.
+    """
+    plan = PlacePlan(spacing_m, bounds_deg, loss, curvature or Curvature())
+    return build_store(terrain, path, plan, progress=progress)
+
+
+def build_uniform(
+    terrain: HeightField,
+    path: str | Path,
+    spacing_m: float,
+    bounds_deg: Bounds | None = None,
+    config: RenderConfig | None = None,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Build a store of the renderings of a uniform grid; otherwise as `build_places`."""
+    plan = RenderingPlan.uniform(terrain, spacing_m, bounds_deg, config or RenderConfig())
+    return build_store(terrain, path, plan, progress=progress)
+
+
+def render_to_store(
+    terrain: HeightField,
+    viewpoints: Viewpoints,
+    path: str | Path,
+    config: RenderConfig | None = None,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Build a store of the renderings of given viewpoints; otherwise as `build_places`."""
+    plan = RenderingPlan.given(viewpoints, config or RenderConfig())
+    return build_store(terrain, path, plan, progress=progress)
+
+
+def build_store(
+    terrain: HeightField,
+    path: str | Path,
+    plan: Plan,
+    runner: Runner | None = None,
+    progress: Progress | None = None,
+) -> BuildResult:
+    """Render the missing parts of a store, here or by a runner, and merge all of them.
+
+    Raises
+    ------
+    BuildError
+        Parts that failed on workers; the others are kept.
+    InputError, StoreMismatchError
+        As `build_places`.
+    """
+    work, header = plan.parts(terrain), plan.header(terrain)
+    path = Path(path).resolve()
+    check_folder(path)
+    folder = parts_folder(path)
+    if path.exists():
+        finished = finished_store(path, header)
+        # A build that was killed at its very end leaves them.
+        _remove(folder)
+        return finished
+    numbers = range(1, len(work) + 1)
+    parts = [folder / part_name(header.holds, number, len(work)) for number in numbers]
+    there = _whole_parts(folder, header)
+    left = {part: some for part, some in zip(parts, work, strict=True) if part not in there}
+    done, rendered = len(parts) - len(left), 0
+
+    def advance(steps: int = 1) -> None:
+        nonlocal done
+        done += steps
+        if progress:
+            progress(done, len(parts))
+
+    with plan.opened(terrain) if runner is None and left else nullcontext() as renderer:
+        started = time.perf_counter()
+        advance(0)
+        try:
+            if runner is not None:
+                rendered = sum(_on_workers(runner, terrain, plan, left, advance))
+            elif renderer is not None:
+                for part, some in left.items():
+                    columns = renderer.columns(some)
+                    folder.mkdir(exist_ok=True)
+                    write_store(part, renderer.header, columns)
+                    rendered += len(columns[header.sorted_by[0]])
+                    advance()
+            with merged_rows(parts, folder) as (joint, columns, order):
+                rows = len(order)
+                if rows:
+                    write_store(path, joint, columns, order, partial_beside(folder / path.name))
+        except SkylineError:
+            # Another process may have built the same store meanwhile, and removed its parts.
+            if not path.exists():
+                raise
+            rows = finished_store(path, header).rows
+    _remove(folder)
+    if not rows:
+        area = header.config.get("bounds_deg") or "all of the DEM"
+        raise InputError(
+            f"no place falls on the surface in the area ({area}); choose a larger area, a smaller "
+            "loss, or the spacing of a uniform grid"
+        )
+    return BuildResult(rows, rendered, time.perf_counter() - started)
+
+
+def finished_store(path: Path, header: StoreHeader) -> BuildResult:
+    """Return the result of a build whose store is there; raises `StoreMismatchError`."""
+    with open_store(path) as store:
+        refuse_mismatch(
+            (store.header, "there"),
+            (header, "here"),
+            f"store {path} was built otherwise",
+            "repeat its settings or write to another file",
+        )
+        return BuildResult(len(store), 0, 0.0)
+
+
+def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:
+    """Return the parts that need not be rendered again.
+
+    Raises `StoreMismatchError` where one of them belongs to another build.
+    """
+    whole = set()
+    for part in sorted(folder.glob("*-of-*.h5")):
+        with suppress(StoreError), open_store(part) as store:
+            refuse_mismatch(
+                (store.header, "there"),
+                (header, "here"),
+                f"{folder} has parts of a store that was built otherwise",
+                "repeat its settings, or remove the folder to build anew",
+            )
+            if all(damage is None for *_, damage in whole_rows(store)):
+                whole.add(part)
+    return whole
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """The facts that all jobs of a build share."""
+
+    build: str
+    """Of no other build."""
+    plan: Plan
+    dem_files: tuple[str, ...]
+    """Absolute paths, the same on every machine."""
+    dem_digest: str
+    dem_options: DemOptions
+
+    def write_part(self, item: tuple[Path, Any]) -> int:
+        """Render and write a part in a worker; return its number of rows.
+
+        The worker keeps terrain and renderer for the next part. All calls in a process must come
+        from one thread, the OpenGL context's.
+        """
+        path, work = item
+        if self.build not in _open_here:
+            while _open_here:
+                _open_here.popitem()[1].__exit__()
+            _open_here[self.build] = self.plan.opened(self._terrain())
+        renderer = _open_here[self.build]
+        columns = renderer.columns(work)
+        path.parent.mkdir(exist_ok=True)
+        write_store(path, renderer.header, columns)
+        return len(columns[renderer.header.sorted_by[0]])
+
+    def _terrain(self) -> HeightField:
+        terrain = read_dem(self.dem_files, self.dem_options)
+        if terrain.digest != self.dem_digest:
+            raise StoreMismatchError(
+                f"the DEM here ({', '.join(self.dem_files)}) has digest {terrain.digest[:12]}, the "
+                f"build's has {self.dem_digest[:12]}; workers need the same files and the same "
+                "releases of skyline and its libraries"
+            )
+        return terrain
+
+
+_open_here: dict[str, PartRenderer] = {}
+"""The renderer that this worker has open, by the build."""
+
+
+def _on_workers(
+    runner: Runner,
+    terrain: HeightField,
+    plan: Plan,
+    left: dict[Path, Any],
+    finished: Callable[[], None],
+) -> Sequence[int]:
+    """Render and write parts by a runner; return the number of rows of each."""
+    if not terrain.provenance.files:
+        raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
+    options = DemOptions.from_json(terrain.provenance.options)
+    if isinstance(plan, RenderingPlan):
+        # Each job brings its own viewpoints.
+        plan = RenderingPlan(plan.viewpoints[:0], plan.settings, plan.config)
+    job = _Job(uuid4().hex, plan, terrain.provenance.files, terrain.digest, options)
+    names = [part.stem for part in left]
+    return collect(runner(job.write_part, list(left.items()), names), names, finished)
+
+
+def _remove(folder: Path) -> None:
+    """Remove parts and what killed builds left, and their folder if nothing else is in it."""
+    for pattern in ("*-of-*.h5", ".*.partial"):
+        for file in folder.glob(pattern):
+            file.unlink(missing_ok=True)
+    with suppress(OSError):
+        folder.rmdir()

@@ -1,0 +1,355 @@
+"""Places laid out adaptively: dense where skylines are near, sparse where they are far.
+
+The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. A place's
+skyline shows whether more places there would pay: whether they save more views than the same
+number would elsewhere. Where they would, the next lattice, twice as dense, is filled in; a place
+that has been rendered stays, so nothing is rendered that is not kept. Blocks of the map are planned
+each on its own, and the result depends neither on the process that plans a block nor on the order.
+
+A view that is taken between places differs from theirs by as much as its skyline moves, which is
+the spacing over the skyline's distance. The odds that a whole search, refinement included, then
+fails grow with a power of that ratio. The power and the ratio of even odds were fitted to searches
+X/method.md has the terrain, and how well the law holds elsewhere.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from skyline.errors import InputError
+from skyline.geodesy import Rectangle
+from skyline.horizons import Horizons
+from skyline.places import Places
+from skyline.row_arrays import Rows
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
+
+Look = Callable[[Viewpoints], Horizons]
+"""Renders viewpoints."""
+
+_COARSEST_M = 1280.0
+_FINEST_M = 20.0
+_LEVELS = 13
+_SPACING_M: Float64Array = _COARSEST_M / 2.0 ** (np.arange(_LEVELS) / 2.0)
+"""Of each level's lattice: the side of the square that each of its places has to itself."""
+
+_DENSITY = 1.0 / _SPACING_M**2
+"""Places a square metre, of each level."""
+
+_ROOTS = 4
+"""Squares of the coarsest lattice to a side of a block."""
+
+BLOCK_M = _ROOTS * _COARSEST_M
+
+_UNITS = round(_COARSEST_M / _FINEST_M)
+"""The finest spacings that the coarsest is long."""
+
+_BLIND_LEVEL = 6
+"""Level down to which a square is halved when there is no surface to stand on at its corner."""
+
+_SAMPLE = 512
+"""Viewpoints that a price is worked out from."""
+
+_LEAST_SAMPLE, _MOST_SAMPLES = 64, 256
+"""Where fewer of the viewpoints than the first stand on the surface, as many again are tried, up to
+so many times: of the elevation model of an island, nearly all may be holes."""
+_BISECTIONS = 60
+
+_WINDOWS = 36
+"""Views 60 degrees wide, each as likely as the others."""
+
+_NEAREST_M = 1.0
+_FARTHEST_M = 1e6
+"""Of a skyline; directions without data count as far as this."""
+
+_EVEN_ODDS = 0.72
+"""Spacing over distance where half of the views are lost."""
+
+_POWER = 1.55
+"""Of that ratio, in the odds of a loss."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks(Rows):
+    """N squares of the map, with sides of `BLOCK_M` at whole multiples of it."""
+
+    col: Int64Array
+    row: Int64Array
+    """``col``, ``row``: (N,) int64. Which multiples their western and southern sides are at."""
+
+
+def blocks_of(area: Rectangle) -> Blocks:
+    """Return the blocks that meet an area, row by row from the north-west."""
+    west, south, east, north = (side / BLOCK_M for side in area)
+    col = np.arange(np.floor(west), np.ceil(east), dtype=np.int64)
+    row = np.arange(np.ceil(north) - 1, np.floor(south) - 1, -1, dtype=np.int64)
+    cols, rows = np.meshgrid(col, row)
+    return Blocks(cols.ravel(), rows.ravel())
+
+
+def check_loss(loss: float) -> None:
+    """Raise `InputError` unless a loss is a share of the views."""
+    if not 0.0 < loss < 1.0:
+        raise InputError(f"loss is {loss}; expected a share between 0 and 1, for example 0.2")
+
+
+def price_of(
+    loss: float, terrain: HeightField, area: Rectangle, look: Look, eye_height_m: float
+) -> float:
+    """Return what a place must save, square metres of views, for a plan to lose at most a share.
+
+    It is worked out from viewpoints that are spread over the area. Raises `InputError` for a loss
+    outside (0, 1), or below that of the finest lattice, and for an area of holes.
+    """
+    check_loss(loss)
+    sample = look(spread_over(terrain, area, eye_height_m))
+    lost = lost_shares(sample.distance_m, _SPACING_M)
+    least = float(lost[:, -1].mean())
+    if loss < least:
+        raise InputError(
+            f"loss is {loss:g}; places {_FINEST_M:g} m apart, the closest there are, are expected "
+            f"to lose {least:.3f} of the views here; give a larger one"
+        )
+    # From less than any place can save to more than a whole square of the coarsest lattice.
+    low, high = 1e-3, 1e12
+    for _ in range(_BISECTIONS):
+        price = float(np.sqrt(low * high))
+        level = np.argmin(lost + price * _DENSITY, axis=1)
+        if lost[np.arange(len(level)), level].mean() > loss:
+            high = price
+        else:
+            low = price
+    return low
+
+
+def spread_over(terrain: HeightField, area: Rectangle, eye_height_m: float) -> Viewpoints:
+    """Return some 64 to 512 viewpoints spread evenly over an area, always the same ones.
+
+    Fewer are returned where less than 0.05 % of the area has a surface. Raises `InputError` where
+    none of 131,072 locations has one.
+    """
+    # The sequence of the plastic number (Roberts 2018) fills a square evenly, however long it is.
+    step = np.array([0.7548776662466927, 0.5698402909980532])
+    west, south, east, north = area
+    found: list[Viewpoints] = []
+    for tried in range(_MOST_SAMPLES):
+        number = tried * _SAMPLE + np.arange(1, _SAMPLE + 1)
+        share = (0.5 + number[:, None] * step) % 1.0
+        easting = west + share[:, 0] * (east - west)
+        northing = south + share[:, 1] * (north - south)
+        found.append(stand_where_possible(terrain, easting, northing, eye_height_m)[0])
+        if sum(map(len, found)) >= _LEAST_SAMPLE:
+            break
+    eyes = Viewpoints.concatenate(found)
+    if not len(eyes):
+        raise InputError(
+            f"no viewpoint falls on the surface in easting {west:.0f} to {east:.0f}, northing "
+            f"{south:.0f} to {north:.0f}; choose another area"
+        )
+    return eyes
+
+
+class AdaptivePlanner:
+    """Lays out and renders places, block by block; those outside the area are not kept.
+
+    The price is that of `price_of`.
+    """
+
+    def __init__(
+        self, terrain: HeightField, look: Look, area: Rectangle, price: float, eye_height_m: float
+    ) -> None:
+        self._terrain = terrain
+        self._look = look
+        self._area = area
+        self._price = price
+        self._eye_height_m = eye_height_m
+
+    def places(self, blocks: Blocks) -> Places | None:
+        """Return the places of blocks, in order; None where nobody can stand."""
+        parts = [
+            self._of_block(col * BLOCK_M, row * BLOCK_M)
+            for col, row in zip(blocks.col.tolist(), blocks.row.tolist(), strict=True)
+        ]
+        there = [places for places in parts if places is not None]
+        return Places.concatenate(there) if there else None
+
+    def _of_block(self, west_m: float, south_m: float) -> Places | None:
+        """Return the places of a block, row by row from the north-west."""
+        seen = _Seen(west_m, south_m)
+        # Those round about too: what they see says more of the squares at the block's sides.
+        self._fill(seen, _lattice_of_roots(-1, _ROOTS + 2))
+        nodes, kept = _lattice_of_roots(0, _ROOTS), []
+        for level in range(_LEVELS):
+            nodes = nodes[self._in_reach(seen, nodes, level)]
+            if not len(nodes):
+                break
+            self._fill(seen, nodes)
+            halved = self._pays(seen, nodes, level)
+            kept.append(seen.places(nodes[~halved], float(_SPACING_M[level])))
+            nodes = _next_lattice(nodes[halved], level)
+        return self._inside([places for places in kept if places is not None])
+
+    def _fill(self, seen: "_Seen", nodes: Int64Array) -> None:
+        """Render what has not been rendered of nodes (N, 2)."""
+        left = seen.left(nodes)
+        easting, northing = seen.position_m(left)
+        eyes, stands = stand_where_possible(self._terrain, easting, northing, self._eye_height_m)
+        seen.bar(left[~stands])
+        if len(eyes):
+            seen.add(left[stands], self._look(eyes))
+
+    def _pays(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:
+        """Return at which of nodes (N, 2) a denser lattice pays."""
+        if level == _LEVELS - 1:
+            return np.zeros(len(nodes), dtype=bool)
+        cost = seen.lost_around(nodes, level) + self._price * _DENSITY
+        denser = cost[:, level + 1 :].min(axis=1) < cost[:, level]
+        return np.where(np.isnan(cost[:, 0]), level < _BLIND_LEVEL, denser)
+
+    def _in_reach(self, seen: "_Seen", nodes: Int64Array, level: int) -> BoolArray:
+        """Return which of nodes (N, 2) have the square that they are of meet the area."""
+        side = _side(level)
+        west, south = seen.position_m(nodes - nodes % side)
+        reach_m = side * _FINEST_M
+        area = self._area
+        return np.asarray(
+            (west <= area[2])
+            & (west + reach_m > area[0])
+            & (south <= area[3])
+            & (south + reach_m > area[1])
+        )
+
+    def _inside(self, parts: list[Places]) -> Places | None:
+        """Return those of places that lie in the area, in order."""
+        if not parts:
+            return None
+        places = Places.concatenate(parts)
+        west, south, east, north = self._area
+        order = np.lexsort((places.easting_m, -places.northing_m))
+        east_m, north_m = places.easting_m[order], places.northing_m[order]
+        order = order[(east_m >= west) & (east_m <= east) & (north_m >= south) & (north_m <= north)]
+        return places[order] if len(order) else None
+
+
+class _Seen:
+    """The nodes in a block and round about that were looked at, and the places at some of them.
+
+    Nodes are columns and rows of the finest lattice, from the block's south-western corner. A node
+    that was looked at has a place, or no surface to stand on; a row is asked of places alone.
+    """
+
+    def __init__(self, west_m: float, south_m: float) -> None:
+        self._corner_m = np.array([west_m, south_m])
+        shape = 2 * ((_ROOTS + 2) * _UNITS,)
+        self._looked_at: BoolArray = np.zeros(shape, dtype=bool)
+        self._has_place: BoolArray = np.zeros(shape, dtype=bool)
+        self._row: Int64Array = np.zeros(shape, dtype=np.int64)
+        self._places: list[Places] = []
+        self._lost: Float64Array = np.zeros((0, _LEVELS))
+
+    def left(self, nodes: Int64Array) -> Int64Array:
+        """Return those of nodes (N, 2) that were not looked at."""
+        return nodes[~self._looked_at[_index(nodes)]]
+
+    def position_m(self, nodes: Int64Array) -> tuple[Float64Array, Float64Array]:
+        """Return the eastings and northings of nodes (N, 2)."""
+        position = self._corner_m + nodes * _FINEST_M
+        return position[:, 0], position[:, 1]
+
+    def bar(self, nodes: Int64Array) -> None:
+        """Note that there is no surface to stand on at nodes (N, 2)."""
+        self._looked_at[_index(nodes)] = True
+
+    def add(self, nodes: Int64Array, horizons: Horizons) -> None:
+        """Note what is seen from nodes (N, 2)."""
+        at = _index(nodes)
+        self._looked_at[at] = self._has_place[at] = True
+        self._row[at] = len(self._lost) + np.arange(len(nodes))
+        self._places.append(Places.of(horizons, 0.0))
+        self._lost = np.concatenate([self._lost, lost_shares(horizons.distance_m, _SPACING_M)])
+
+    def lost_around(self, nodes: Int64Array, level: int) -> Float64Array:
+        """Return the shares that each spacing loses at nodes (N, 2) and their neighbours.
+
+        Averages over those that have places, shape (N, levels); NaN where none of them has.
+        """
+        side = _side(level)
+        steps = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]) * side
+        if level % 2:
+            steps = np.array([(1, 1), (-1, 1), (1, -1), (-1, -1)]) * (side // 2)
+        around = nodes[:, None] + np.concatenate([np.zeros((1, 2), np.int64), steps])
+        known = self._has_place[_index(around)]
+        lost = np.zeros((*known.shape, _LEVELS))
+        lost[known] = self._lost[self._row[_index(around[known])]]
+        number = known.sum(axis=1)[:, None]
+        return np.where(number > 0, lost.sum(axis=1) / np.maximum(number, 1), np.nan)
+
+    def places(self, nodes: Int64Array, spacing_m: float) -> Places | None:
+        """Return the places at nodes (N, 2), of a lattice of a spacing; None without any."""
+        at = _index(nodes[self._has_place[_index(nodes)]])
+        if not len(at[0]):
+            return None
+        self._places = [Places.concatenate(self._places)]
+        row = self._row[at]
+        half_m = np.full(len(row), spacing_m / 2.0, dtype=np.float32)
+        return replace(self._places[0][row], tolerance_m=half_m)
+
+
+def _index(nodes: Int64Array) -> tuple[Int64Array, Int64Array]:
+    """Return where nodes (..., 2) are in the arrays of `_Seen`."""
+    return nodes[..., 0] + _UNITS, nodes[..., 1] + _UNITS
+
+
+def _side(level: int) -> int:
+    """Return the side of the squares that a level's places lie at, in finest spacings.
+
+    Those of an even level lie at their corners; an odd level has one in the middle of each too.
+    """
+    return _UNITS >> level // 2
+
+
+def _lattice_of_roots(first: int, number: int) -> Int64Array:
+    """Return the nodes of the coarsest lattice, a number of them a side, shape (N, 2)."""
+    at = np.arange(first, first + number) * _UNITS
+    return np.stack(np.meshgrid(at, at), axis=2).reshape(-1, 2)
+
+
+def _next_lattice(nodes: Int64Array, level: int) -> Int64Array:
+    """Return nodes (N, 2) of a level, each with the one that the next level has beside it."""
+    half = _side(level) // 2
+    beside = nodes + half
+    if level % 2:
+        # From the corner to the middle of a side, and from the middle to that of the other.
+        step = np.where(nodes[:, 0] % _side(level) == 0, half, -half)
+        beside = nodes + np.stack([step, np.zeros_like(step)], axis=1)
+    return np.concatenate([nodes, beside])
+
+
+def window_losses(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
+    """Return how likely views round N places are lost where they lie S spacings apart, (N, S, 36).
+
+    The views are 60 degrees wide and begin at 0, 10, 20, ... degrees. ``distance_m`` (N, B) is of
+    the skylines all the way round; NaN where there is no data.
+    """
+    # The nearest stretches of a skyline move most, so the mean is one of nearness.
+    nearness = 1.0 / np.clip(
+        np.nan_to_num(distance_m.astype(np.float64), nan=_FARTHEST_M), _NEAREST_M, _FARTHEST_M
+    )
+    bins = distance_m.shape[1]
+    width = bins // 6
+    ahead = np.concatenate([nearness, nearness[:, :width]], axis=1)
+    total = np.cumsum(np.pad(ahead, ((0, 0), (1, 0))), axis=1)
+    starts = np.arange(_WINDOWS) * bins // _WINDOWS
+    mean = (total[:, starts + width] - total[:, starts]) / width
+    odds = (spacing_m[:, None] * mean[:, None, :] / _EVEN_ODDS) ** _POWER
+    return np.asarray(odds / (1.0 + odds), dtype=np.float64)
+
+
+def lost_shares(distance_m: Float32Array, spacing_m: Float64Array) -> Float64Array:
+    """Return the share (N, S) of the views round places that is expected to be lost.
+
+    As `window_losses`, over all directions.
+    """
+    return np.asarray(window_losses(distance_m, spacing_m).mean(axis=2), dtype=np.float64)

@@ -1,0 +1,79 @@
+"""The command line: ``skyline COMMAND``."""
+
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from skyline.cli.console import command_line, run_app
+
+COMMANDS = {
+    "Photos": {
+        "photo.match": "Find where photos were taken and in which direction the camera looked.",
+        "photo.extract": "Find the skyline in a photo and write it as a trace that a person "
+        "can correct.",
+        "photo.serve": "Open a page in the browser: drop photos, mend skylines, find places, "
+        "fit by hand.",
+    },
+    "Stores": {
+        "build.build": "Build the store that `match` searches. After Ctrl-C, the same command "
+        "continues.",
+        "render.render": "Render views to grid north, east, south and west into a store, for the "
+        "paper's matcher.",
+        "store.store": "Check, repair, merge and export stores.",
+    },
+    "Views from a place": {
+        "views.horizon": "Give the horizon around places: elevation angle and distance by "
+        "azimuth from true north.",
+        "views.sun": "Say when the sun is above the mountains on a day: CSV of times in UTC "
+        "(extra `sun`).",
+        "views.panorama": "Draw what is seen from a place, with the names of the peaks that "
+        "are seen.",
+    },
+    "Data": {
+        "fetch.peaks": "Fetch the named peaks of a box from an Overpass server, for `--peaks`.",
+        "info.info": "Describe a DEM, a store, or the OpenGL in use.",
+        "info.explain": "Show which terrain a skyline depends on, what is left out, and what "
+        "error that makes.",
+        "fetch.dem": "Elevation data for an area.",
+    },
+}
+"""Commands by subject: the module and the name of each, and the first line of its own help."""
+
+_MODULES = {
+    name: module
+    for commands in COMMANDS.values()
+    for module, name in (path.split(".") for path in commands)
+}
+
+
+class _Commands(TyperGroup):
+    """Commands that are loaded when they are called: what some of them need takes a second."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the name of a command, the command, which is loaded here, and its arguments."""
+        name, known, rest = super().resolve_command(ctx, args)
+        return name, known and loaded(str(known.name)), rest
+
+
+def loaded(name: str) -> Any:
+    """Load a command, or a group of them."""
+    found = getattr(import_module(f"skyline.cli.{_MODULES[name]}"), name)
+    if isinstance(found, typer.Typer):
+        return typer.main.get_group(found)
+    alone = typer.Typer(add_completion=False)
+    alone.command(name)(found)
+    return typer.main.get_command(alone)
+
+
+app = command_line("skyline", "A photo of mountains in, a place on the map out.", _Commands)
+
+for subject, commands in COMMANDS.items():
+    for path, about in commands.items():
+        app.command(path.partition(".")[2], help=about, rich_help_panel=subject)(lambda: None)
+
+
+def main() -> None:
+    """Run the command line; every error is one line, exit code 2 for bad input, 1 for failure."""
+    run_app(app)

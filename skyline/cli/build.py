@@ -1,0 +1,95 @@
+"""``skyline build``: the store of places that ``match`` searches."""
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Option
+
+from skyline import report
+from skyline.build.cluster import runner_of
+from skyline.build.parts import BuildResult, build_store
+from skyline.build.plans import DEFAULT_LOSS, PlacePlan
+from skyline.cli.console import (
+    Crs,
+    Dems,
+    NoCurvature,
+    RefractionK,
+    Reproject,
+    Scheduler,
+    Workers,
+    keeps,
+    parse_bounds,
+    progress_bar,
+    say,
+)
+from skyline.errors import InputError
+from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
+from skyline.places import Places
+from skyline.store import open_store
+from skyline.terrain.dem import DemOptions, read_dem
+
+Output = Annotated[Path, Option("--output", "-o", help="The store to write (HDF5).")]
+Bounds = Annotated[
+    str | None, Option(metavar="W,S,E,N", help="Degrees of longitude and latitude (WGS 84).")
+]
+
+
+def build(
+    dem: Dems,
+    output: Output,
+    spacing: Annotated[
+        float | None,
+        Option(help="Metres between places of a uniform grid.", show_default="places are planned"),
+    ] = None,
+    loss: Annotated[
+        float | None,
+        Option(
+            metavar="SHARE",
+            help="Share of the photos that may be missed because places lie apart. Places are "
+            "planned for it: dense where skylines are near, sparse where they are far.",
+            show_default=f"{DEFAULT_LOSS:g}",
+        ),
+    ] = None,
+    bounds: Bounds = None,
+    drawn: Annotated[
+        Path | None,
+        Option("--map", metavar="PNG", help="Draw a map of the places and how far apart they lie."),
+    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    k: RefractionK = DEFAULT_REFRACTION_K,
+    no_curvature: NoCurvature = False,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Build the store that `match` searches. After Ctrl-C, the same command continues."""
+    keeps("what was built is kept, and the same command continues from there")
+    if spacing is not None and loss is not None:
+        raise InputError("give one of --spacing (a uniform grid) and --loss (planned places)")
+    plan = PlacePlan(
+        spacing,
+        None if bounds is None else parse_bounds(bounds),
+        DEFAULT_LOSS if loss is None else loss,
+        Curvature(refraction_k=k, enabled=not no_curvature),
+    )
+    with runner_of(workers, scheduler) as runner, progress_bar("rendering") as bar:
+        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+        result = build_store(terrain, output, plan, runner, bar)
+    print_built(result, output, "places")
+    if drawn is not None:
+        with open_store(output) as opened:
+            places = Places.concatenate(list(opened.places().blocks()))
+        report.save_place_map(terrain, places, drawn)
+
+
+def print_built(result: BuildResult, path: Path, rows: str) -> None:
+    """Print how many rows a store has, and how many of them were rendered now."""
+    size = f"{path.stat().st_size / 1e6:.1f} MB"
+    if not result.rendered:
+        say(f"{path}: {result.rows} {rows}, complete: nothing was left to render, {size}")
+        return
+    rate = result.rendered / max(result.seconds, 1e-9)
+    say(
+        f"{path}: {result.rows} {rows}, {result.rendered} of them new in "
+        f"{result.seconds:.1f} s ({rate:.0f}/s), {size}"
+    )

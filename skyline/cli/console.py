@@ -1,0 +1,282 @@
+"""What the command lines share: an error is one line and an exit code; progress is a bar.
+
+With ``SKYLINE_LOG=json`` all of it is JSON lines; see `skyline.logs`.
+"""
+
+import logging
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
+from functools import partial
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as ProgressBar
+from typer import Argument, Option
+from typer.core import TyperGroup
+
+from skyline import __version__
+from skyline.build.cluster import Progress
+from skyline.errors import InputError, SkylineError
+from skyline.geodesy import swapped_in_words
+from skyline.logs import ENVIRONMENT_VARIABLE, JSON, as_json, start_logging
+from skyline.text import printable
+
+# Typer brings click under one name or another, by its version; this one name is public in all.
+_UsageError: Any = typer.BadParameter.__base__
+
+_INTERRUPTED = 130
+"""Exit code of a command stopped with Ctrl-C, which newer typers return instead of raising."""
+_PATIENCE_S = 5.0
+_TOLD_EACH_S = 1.0
+"""How often progress is a JSON line, at most; its end always is."""
+
+_log = logging.getLogger(__name__)
+_kept: ContextVar[str] = ContextVar("kept", default="")
+
+
+def panel(title: str) -> Callable[..., Any]:
+    """Return what makes an option that stands under a title in the help."""
+    return partial(Option, rich_help_panel=title)
+
+
+_terrain, _spread = panel("Terrain and rendering"), panel("Many processors")
+
+AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
+StoreDem = Annotated[
+    list[str] | None,
+    Option(metavar="DEM", help="The store's DEM, if it has moved; repeat for each tile."),
+]
+Workers = Annotated[
+    int | None, _spread(metavar="N", help="Spread the work over N processes of this machine.")
+]
+Scheduler = Annotated[
+    str | None,
+    _spread(metavar="ADDRESS", help="Spread the work over a dask cluster, e.g. tcp://host:8786."),
+]
+
+Dems = Annotated[
+    list[str], Argument(metavar="DEM...", help="Elevation files: one, or tiles of one grid.")
+]
+Surfaces = Annotated[
+    list[str] | None,
+    _terrain(
+        "--surface",
+        metavar="FILE",
+        help="A surface or canopy model: how far trees and houses may rise above the bare skyline; "
+        "repeat for each tile.",
+    ),
+]
+RefractionK = Annotated[float, _terrain("--k", help="Refraction coefficient.")]
+NoCurvature = Annotated[bool, _terrain("--no-curvature", help="Take the Earth as flat.")]
+Crs = Annotated[str | None, _terrain(help="CRS of a DEM whose files name none, e.g. EPSG:32632.")]
+Reproject = Annotated[bool, _terrain("--reproject", help="Warp a DEM whose CRS is not conformal.")]
+Width = Annotated[int, _terrain(help="Columns of a 90 degree view.")]
+Tolerance = Annotated[
+    float, _terrain("--tolerance-px", help="Pixels by which a skyline may lie too low; 0 is exact.")
+]
+
+
+def command_line(name: str, about: str, commands: type[TyperGroup] | None = None) -> typer.Typer:
+    """Return a command line that says, without a command, its help or the version.
+
+    Its help says first what it is ``about``; ``commands`` may be a group of its own kind.
+    """
+    app = typer.Typer(name=name, cls=commands, pretty_exceptions_enable=False)
+
+    @app.callback(invoke_without_command=True, help=about)
+    def options(
+        context: typer.Context,
+        version: Annotated[bool, Option("--version", help="Print the version.")] = False,
+    ) -> None:
+        if version:
+            typer.echo(f"skyline {__version__}")
+            raise typer.Exit
+        if context.invoked_subcommand is None:
+            typer.echo(context.get_help())
+            raise typer.Exit(2)
+
+    return app
+
+
+def keeps(what: str) -> None:
+    """Let the message after Ctrl-C say, from now on, which work of this command is kept."""
+    _kept.set(f"; {what}")
+
+
+def run_app(app: typer.Typer) -> None:
+    """Run a command line; every error is one line, exit code 2 for bad input, 1 for failure.
+
+    A command whose output nobody reads any more, as ``| head`` leaves it, ends with exit code 0.
+    """
+    _open_streams()
+    start_logging()
+    _kept.set("")
+    # Heights in HDF5 and NetCDF are only read, also in folders without file locks.
+    os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
+    try:
+        if (asked := os.environ.get(ENVIRONMENT_VARIABLE, "")) not in ("", JSON):
+            raise InputError(f"{ENVIRONMENT_VARIABLE} is {asked!r}; expected {JSON}, or nothing")
+        code = app(standalone_mode=False)
+        if code == _INTERRUPTED:
+            raise KeyboardInterrupt
+        sys.exit(code)
+    except SystemExit as stop:
+        # Typer and rich make exit code 1 of it.
+        sys.exit(0 if isinstance(stop.__context__, BrokenPipeError) else stop.code)
+    except SkylineError as error:
+        _fail(str(error), error.exit_code)
+    except _UsageError as error:
+        if not error.format_message():
+            sys.exit(2)  # A group of commands without a command has printed its help.
+        _fail(error.format_message(), 2)
+    except (KeyboardInterrupt, typer.Abort):
+        _fail(f"stopped{_kept.get()}", _INTERRUPTED)
+    except MemoryError:
+        _fail("out of memory; choose a smaller area or a larger spacing", 1)
+    except OSError as error:
+        _fail(f"the system said: {error}", 1)
+    finally:
+        _flush_streams()
+
+
+@contextmanager
+def progress_bar(what: str) -> Iterator[Progress]:
+    """Show a bar on the terminal's error stream, from the first step reported on.
+
+    Where there is no terminal, one line says what takes more than five seconds; or there are JSON
+    lines, where those are asked for.
+    """
+    if as_json():
+        yield told(what)
+        return
+    if not sys.stderr.isatty():
+        with patience(what.partition(",")[0]):
+            yield lambda done, total: None
+        return
+    bar = ProgressBar(
+        TextColumn(what),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=Console(stderr=True),
+    )
+    with bar:
+        task = bar.add_task(what, total=None, visible=False)
+        yield lambda done, total: bar.update(task, completed=done, total=total, visible=True)
+
+
+@contextmanager
+def patience(doing: str) -> Iterator[None]:
+    """Say what is being done, on the error stream, where it takes more than five seconds."""
+    timer = threading.Timer(_PATIENCE_S, remark, [f"{doing} takes a while ..."])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def told(doing: str) -> Progress:
+    """Return what logs how far something has come, for a service; nobody else sees it."""
+    last_s = -_TOLD_EACH_S
+
+    def tell(done: int, total: int) -> None:
+        nonlocal last_s
+        now_s = time.monotonic()
+        if done == total or now_s - last_s >= _TOLD_EACH_S:
+            last_s = now_s
+            facts = {"doing": doing, "done": done, "total": total}
+            _log.info("%s: %d of %d", doing, done, total, extra={"facts": facts})
+
+    return tell
+
+
+def parse_numbers(text: str, count: int, complaint: str) -> tuple[float, ...]:
+    """Return so many numbers between commas; raises `InputError` for anything else."""
+    try:
+        numbers = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if len(numbers) != count:
+        raise InputError(complaint)
+    return numbers
+
+
+def parse_bounds(text: str) -> tuple[float, float, float, float]:
+    """Return W, S, E, N in degrees from ``W,S,E,N``; raises `InputError` for anything else."""
+    wanted = "four numbers W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
+    west, south, east, north = parse_numbers(text, 4, f"bounds are `{text}`; expected {wanted}")
+    return west, south, east, north
+
+
+def parse_place(text: str) -> tuple[float, float]:
+    """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
+    said = f"the place is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
+    lon, lat = parse_numbers(text, 2, said)
+    if not are_degrees(lon, lat):
+        raise InputError(f"{said}; {swapped_in_words(lon, lat)}" if are_degrees(lat, lon) else said)
+    return lon, lat
+
+
+def are_degrees(lon: float, lat: float) -> bool:
+    """Whether two numbers can be a longitude and a latitude."""
+    return -180.0 <= lon <= 360.0 and -90.0 <= lat <= 90.0
+
+
+def say(line: str) -> None:
+    """Print one line to standard output, whatever is in the names that it has."""
+    typer.echo(printable(line))
+
+
+def complain(message: str) -> None:
+    """Print an error as one line to standard error."""
+    _note(logging.ERROR, "error: ", " ".join(message.split()))
+
+
+def remark(message: str) -> None:
+    """Print a message that is no error as one line to standard error."""
+    _note(logging.INFO, "", message)
+
+
+def _note(level: int, prefix: str, message: str) -> None:
+    if as_json():
+        _log.log(level, "%s", message)
+        return
+    # Work goes on where nobody reads messages.
+    with suppress(BrokenPipeError):
+        print(prefix + printable(message), file=sys.stderr, flush=True)
+
+
+def _open_streams() -> None:
+    """Open what the shell has closed (``>&-``), so that no other file gets its number."""
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # The lowest number that is free is this one.
+    sys.stdout = sys.stdout or open(os.devnull, "w")  # noqa: SIM115, PTH123  (for as long as we run)
+    sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115, PTH123
+
+
+def _flush_streams() -> None:
+    """Let what cannot be written go nowhere: Python would complain of it as it ends."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())
+            os.close(nowhere)
+
+
+def _fail(message: str, code: int) -> None:
+    complain(message)
+    sys.exit(code)

@@ -1,0 +1,76 @@
+"""``skyline dem`` and ``skyline peaks``: elevation data and named peaks for an area."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from skyline.cli.console import keeps, parse_bounds, progress_bar, say
+from skyline.fetch.dem_tiles import SOURCES, fetch_dem
+from skyline.fetch.overpass import fetch_peaks
+from skyline.fetch.remote import HttpOptions
+
+_HTTP = HttpOptions()
+
+Box = Annotated[str, Option(metavar="W,S,E,N", help="The box, in degrees (WGS 84).")]
+Retries = Annotated[int, Option(help="How often to repeat a failed request.")]
+
+dem = typer.Typer(name="dem", help="Elevation data for an area.", no_args_is_help=True)
+
+
+@dem.callback()
+def _group() -> None:
+    """Keep `fetch` a command of its own, though it is the only one."""
+
+
+@dem.command()
+def fetch(
+    bbox: Box,
+    folder: Annotated[
+        Path, Option("--output", "-o", metavar="DIR", help="The folder for the tiles.")
+    ],
+    source: Annotated[
+        str,
+        Option(
+            metavar="NAME|URL",
+            help=f"{', '.join(SOURCES)}, or an address with {{lat:02d}}, {{lon:03d}}, {{ns}}, "
+            "{ew}: the degrees of a tile's south-west corner without signs, and its hemispheres.",
+        ),
+    ] = "copernicus",
+    retries: Retries = _HTTP.retries,
+    timeout: Annotated[
+        int, Option(metavar="SECONDS", help="How long to wait for an answer.")
+    ] = _HTTP.timeout_s,
+) -> None:
+    """Fetch elevation tiles (cloud-optimized GeoTIFF), cut to a box, for `skyline build DIR/*.tif`.
+
+    The box must contain the area to build and all terrain that is seen from it. After a stop or a
+    failure, the same command continues.
+    """
+    bounds = parse_bounds(bbox)
+    keeps("the tiles that were fetched are kept, and the same command continues with the others")
+    options = HttpOptions(retries=retries, timeout_s=timeout)
+    with progress_bar("fetching tiles") as progress:
+        done = fetch_dem(bounds, source, folder, options, progress)
+    held = sum(path.stat().st_size for path in done.files)
+    say(f"{folder}: {len(done.files)} tiles, {done.fetched} of them new, {held / 1e6:.1f} MB")
+    if done.missing:
+        say(f"the source has no tile (usually sea) for: {', '.join(done.missing)}")
+
+
+def peaks(
+    bbox: Box,
+    server: Annotated[
+        str, Option(metavar="URL", help="An Overpass server: https://host/api/interpreter.")
+    ],
+    output: Annotated[Path, Option("--output", "-o", metavar="FILE", help="The GeoJSON to write.")],
+    retries: Retries = _HTTP.retries,
+    timeout: Annotated[
+        int, Option(metavar="SECONDS", help="How long to wait for the whole answer.")
+    ] = _HTTP.timeout_s,
+) -> None:
+    """Fetch the named peaks of a box from an Overpass server, for `--peaks`."""
+    options = HttpOptions(retries=retries, timeout_s=timeout)
+    count = fetch_peaks(parse_bounds(bbox), server, output, options)
+    say(f"{output}: {count} peaks (OpenStreetMap contributors, ODbL)")

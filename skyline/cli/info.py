@@ -1,0 +1,211 @@
+"""``skyline info`` and ``skyline explain``: what a DEM or a store is, and what a skyline needs."""
+
+import json
+from dataclasses import replace
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike
+from typer import Argument, Option
+
+from skyline.camera import pixel_size
+from skyline.cli.console import (
+    AsJson,
+    Crs,
+    Dems,
+    NoCurvature,
+    RefractionK,
+    Reproject,
+    Tolerance,
+    Width,
+    parse_numbers,
+    say,
+)
+from skyline.errors import InputError, OffMapError
+from skyline.geodesy import Curvature, Frame
+from skyline.pipeline.renderings import render_views
+from skyline.render.context import describe_context
+from skyline.render.horizon import RenderConfig
+from skyline.store import is_store, open_store
+from skyline.store.format import PLACES, SCHEMA_VERSION
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.products import model_of
+from skyline.terrain.scene_bounds import (
+    BLOCK_CELLS,
+    COARSER_STEPS,
+    coarser_step,
+    curvature_bound_px,
+    share_beyond,
+    sight_range_m,
+)
+from skyline.terrain.viewpoints import (
+    DEFAULT_EYE_HEIGHT_M,
+    Viewpoints,
+    is_inside,
+    place_on,
+    stand_on,
+)
+from skyline.text import printable
+
+_DEFAULTS = RenderConfig()
+
+Facts = dict[str, object]
+
+
+def info(
+    path: Annotated[
+        list[str] | None, Argument(metavar="[DEM...|STORE]", help="The files of a DEM, or a store.")
+    ] = None,
+    gl: Annotated[bool, Option("--gl", help="Say which OpenGL is used and why.")] = False,
+    as_json: AsJson = False,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Describe a DEM, a store, or the OpenGL in use."""
+    if not path and not gl:
+        raise InputError("nothing to describe; name a DEM or a store, or give --gl")
+    facts: Facts = {**describe_context()} if gl else {}
+    if path:
+        if len(path) == 1 and is_store(path[0]):
+            facts |= describe_store(path[0])
+        else:
+            facts |= _describe_terrain(read_dem(path, DemOptions(crs=crs, reproject=reproject)))
+    _say_facts(facts, as_json)
+
+
+def explain(
+    dem: Dems,
+    at: Annotated[
+        str, Option(metavar="LON,LAT", help="Degrees (WGS 84), or easting and northing in metres.")
+    ],
+    width: Width = _DEFAULTS.width,
+    tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
+    k: RefractionK = _DEFAULTS.curvature.refraction_k,
+    no_curvature: NoCurvature = False,
+    crs: Crs = None,
+    reproject: Reproject = False,
+    as_json: AsJson = False,
+) -> None:
+    """Show which terrain a skyline depends on, what is left out, and what error that makes."""
+    curvature = Curvature(refraction_k=k, enabled=not no_curvature)
+    config = RenderConfig(width=width, tolerance_px=tolerance_px, curvature=curvature)
+    wanted = "LON,LAT in degrees, or easting and northing in metres"
+    first, second = parse_numbers(at, 2, f"--at is `{at}`; expected {wanted}")
+    terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+    east_m: ArrayLike = first
+    north_m: ArrayLike = second
+    if max(abs(first), abs(second)) <= 360.0:
+        try:
+            east_m, north_m = place_on(terrain.frame, terrain.bounds_m, first, second)
+        except OffMapError:
+            # Numbers that are metres on the map, and degrees off it, are metres.
+            if not is_inside(terrain.bounds_m, first, second):
+                raise
+    height_m = DEFAULT_EYE_HEIGHT_M
+    eye = stand_on(terrain, easting_m=east_m, northing_m=north_m, eye_height_m=height_m)
+    _say_facts(_describe_scene(terrain, eye, config), as_json)
+
+
+def _say_facts(facts: Facts, as_json: bool) -> None:
+    if as_json:
+        say(json.dumps(facts))
+        return
+    for name, value in facts.items():
+        values = value if isinstance(value, list) else [value]
+        for line, item in enumerate(values):
+            shown = f"{item:.9g}" if isinstance(item, float) else item
+            say(f"{name if line == 0 else '':<24} {shown}")
+
+
+def _describe_terrain(field: HeightField) -> Facts:
+    west, south, east, north = field.bounds_m
+    turn_deg = field.frame.convergence_deg(
+        easting_m=(west + east) / 2.0, northing_m=(south + north) / 2.0
+    )
+    made = field.provenance
+    return {
+        "kind": "DEM",
+        "files": list(made.files),
+        "model": model_of(made.files),
+        "frame": field.frame.name,
+        **made.conventions,
+        "resampling": made.resampling,
+        "samples": f"{field.cols} x {field.rows}",
+        "spacing_m": [field.spacing_east_m, field.spacing_north_m],
+        "bounds_m": [west, south, east, north],
+        "bounds_deg": list(field.frame.box_deg(easting_m=[west, east], northing_m=[south, north])),
+        "height_range_m": list(field.height_range_m),
+        "convergence_deg": float(turn_deg),
+        **{name: getattr(made, name) for name in ("filled", "hollow", "despiked", "undeclared")},
+        "digest": field.digest,
+    }
+
+
+def _describe_scene(terrain: HeightField, eye: Viewpoints, config: RenderConfig) -> Facts:
+    """Return what is modelled for one viewpoint, what is left out, and at what cost."""
+    # What the tolerance leaves out shows only in skylines that were rendered without it.
+    exact = render_views(terrain, eye, replace(config, tolerance_px=0.0))
+    given = render_views(terrain, eye, config)
+    drop_per_m2 = config.curvature.drop_per_m2
+    reach_m = terrain.reach_m(
+        easting_m=float(eye.easting_m[0]), northing_m=float(eye.northing_m[0])
+    )
+    sight_m = sight_range_m(terrain, float(eye.eye_elevation_m[0]), drop_per_m2)
+    short = np.nanmax(exact.elevation_tan - given.elevation_tan, initial=0.0)
+    depth_m = exact.depth_m
+    facts: Facts = {
+        "easting_m": float(eye.easting_m[0]),
+        "northing_m": float(eye.northing_m[0]),
+        "eye_elevation_m": float(eye.eye_elevation_m[0]),
+        "width": config.width,
+        "tolerance_px": config.tolerance_px,
+        "skyline_depth_m": [float(v) for v in np.nanquantile(depth_m, [0.0, 0.5, 1.0])]
+        if np.isfinite(depth_m).any()
+        else [],
+        "flagged_columns": float((exact.flags != 0).mean()),
+        "data_reach_m": reach_m,
+        "sight_m": sight_m,
+        "samples_beyond_sight": share_beyond(terrain, eye, sight_m),
+        "curvature": "modelled" if config.curvature.enabled else "left out (--no-curvature)",
+        "curvature_bound_px": curvature_bound_px(reach_m, drop_per_m2, config.width),
+        "passed_over_bound_px": config.tolerance_px,
+        "passed_over_measured_px": float(short / pixel_size(config.width)),
+    }
+    tolerance = config.tolerance_px * pixel_size(config.width)
+    for step in COARSER_STEPS if min(terrain.rows, terrain.cols) > BLOCK_CELLS else ():
+        deviation_m, share = coarser_step(terrain, eye, step, tolerance)
+        facts[f"every_{step}_samples"] = (
+            f"deviates by {deviation_m:.1f} m in the median block; within the tolerance in "
+            f"{100.0 * share:.1f} % of blocks; not used: all samples are kept"
+        )
+    return facts
+
+
+def describe_store(path: str) -> Facts:
+    """Return the facts of a store; raises `StoreError` where it cannot be read."""
+    with open_store(path) as store:
+        header, eyes = store.header, store.eyes()
+        frame = Frame(header.frame_wkt)
+        facts: Facts = {"kind": "store", header.holds: len(store)}
+        if header.width:
+            facts["width"] = header.width
+        facts |= {
+            "frame": frame.name,
+            "dem_files": [printable(file) for file in header.dem_files],
+            "dem_digest": header.dem_digest,
+            "config": dict(header.config),
+            "renderer": header.renderer,
+            "package_version": header.package_version,
+            "schema_version": SCHEMA_VERSION,
+        }
+        if len(store):
+            facts["locations"] = len(np.unique(eyes.easting_m + 1j * eyes.northing_m))
+            if header.holds == PLACES:
+                blocks = store.places().blocks()
+                spacing_m = 2.0 * np.concatenate([block.tolerance_m for block in blocks])
+                facts["spacing_m"] = np.quantile(spacing_m, [0.0, 0.5, 1.0]).tolist()
+            facts["bounds_deg"] = list(
+                frame.box_deg(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+            )
+        return facts

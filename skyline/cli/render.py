@@ -1,0 +1,204 @@
+"""``skyline render``: stores of renderings, which the paper's matcher searches."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+from typer import Option
+
+from skyline import report
+from skyline.build.cluster import runner_of
+from skyline.build.parts import build_store
+from skyline.build.plans import RenderingPlan
+from skyline.cli.build import Bounds, Output, print_built
+from skyline.cli.console import (
+    Crs,
+    Dems,
+    NoCurvature,
+    RefractionK,
+    Reproject,
+    Scheduler,
+    Tolerance,
+    Width,
+    Workers,
+    keeps,
+    panel,
+    parse_bounds,
+    progress_bar,
+    say,
+)
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.paper.planned import build_planned
+from skyline.paper.planning.plan import PlanConfig, PlanProgress
+from skyline.paper.planning.strategies import STRATEGIES
+from skyline.pipeline.renderings import save_depth_pictures
+from skyline.render.horizon import RenderConfig
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import read_viewpoints
+
+T = TypeVar("T")
+
+_DEFAULTS = RenderConfig()
+_PLANNED = PlanConfig()
+_of_planners = panel("With --planner")
+
+
+def render(
+    dem: Dems,
+    output: Output,
+    viewpoints: Annotated[
+        Path | None,
+        Option(metavar="FILE.csv", help="Viewpoints as CSV: easting,northing or lon,lat."),
+    ] = None,
+    grid: Annotated[
+        float | None,
+        Option(
+            metavar="SPACING_M",
+            help="A uniform grid: metres between viewpoints. With --planner, its coarse grid.",
+        ),
+    ] = None,
+    planner: Annotated[
+        str | None,
+        Option(metavar="NAME", help=f"One of the paper's planners: {', '.join(STRATEGIES)}."),
+    ] = None,
+    bounds: Bounds = None,
+    depth_images: Annotated[
+        Path | None,
+        Option(
+            metavar="DIR",
+            help="Also save depth images (TIFF, metres) and pictures; of --viewpoints or --grid.",
+        ),
+    ] = None,
+    candidate_spacing: Annotated[
+        float | None,
+        _of_planners(
+            help="Metres between candidate locations.",
+            show_default=f"{_PLANNED.spacing.candidate_m:g}",
+        ),
+    ] = None,
+    threshold_px: Annotated[
+        float | None,
+        _of_planners(
+            "--threshold-px",
+            help="Pixels by which the skyline of a covered location may differ.",
+            show_default=f"{_PLANNED.threshold_px:g}",
+        ),
+    ] = None,
+    coverage: Annotated[
+        float | None,
+        _of_planners(
+            help="Share of the candidates to cover.", show_default=f"{_PLANNED.coverage:g}"
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        _of_planners(help="Seed of the planner's random choices.", show_default=f"{_PLANNED.seed}"),
+    ] = None,
+    drawn: Annotated[
+        Path | None,
+        _of_planners("--map", metavar="PNG", help="Draw a map of the viewpoints and their areas."),
+    ] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    width: Width = _DEFAULTS.width,
+    tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
+    k: RefractionK = _DEFAULTS.curvature.refraction_k,
+    no_curvature: NoCurvature = False,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Render views to grid north, east, south and west into a store, for the paper's matcher."""
+    if (viewpoints is None) == (grid is None and planner is None):
+        raise InputError("give one of --viewpoints FILE.csv, --grid SPACING_M and --planner NAME")
+    config = RenderConfig(width, tolerance_px, Curvature(refraction_k=k, enabled=not no_curvature))
+    options = DemOptions(crs=crs, reproject=reproject)
+    corners = None if bounds is None else parse_bounds(bounds)
+    of_planners = {
+        "--candidate-spacing": candidate_spacing,
+        "--threshold-px": threshold_px,
+        "--coverage": coverage,
+        "--seed": seed,
+        "--map": drawn,
+    }
+    others = {"--workers": workers, "--scheduler": scheduler, "--depth-images": depth_images}
+    if planner is not None:
+        _refuse_given(others, "leave it out: a planner plans one area as a whole, in this process")
+        spacing = replace(
+            _PLANNED.spacing,
+            coarse_m=_or(grid, _PLANNED.spacing.coarse_m),
+            candidate_m=_or(candidate_spacing, _PLANNED.spacing.candidate_m),
+        )
+        planned = PlanConfig(
+            planner,
+            spacing,
+            _or(threshold_px, _PLANNED.threshold_px),
+            _or(coverage, _PLANNED.coverage),
+            seed=_or(seed, _PLANNED.seed),
+        )
+        _build_planned(read_dem(dem, options), output, planned, corners, config, drawn)
+        return
+    keeps("what was built is kept, and the same command continues from there")
+    _refuse_given(of_planners, "give --planner too")
+    if viewpoints is not None:
+        _refuse_given({"--bounds": bounds}, "leave it out: all viewpoints are rendered")
+    with runner_of(workers, scheduler) as runner, progress_bar("rendering") as bar:
+        terrain = read_dem(dem, options)
+        if viewpoints is not None:
+            plan = RenderingPlan.given(read_viewpoints(viewpoints, terrain), config)
+        else:
+            plan = RenderingPlan.uniform(terrain, grid or 0.0, corners, config)
+        result = build_store(terrain, output, plan, runner, bar)
+    if depth_images is not None:
+        save_depth_pictures(terrain, plan.viewpoints, depth_images, config)
+    print_built(result, output, "renderings")
+
+
+def _or(given: T | None, default: T) -> T:
+    return default if given is None else given
+
+
+def _refuse_given(options: Mapping[str, object], advice: str) -> None:
+    """Raise `InputError` where one of some options was given."""
+    for name, value in options.items():
+        if value is not None:
+            raise InputError(f"{name} {value} does not suit the other options; {advice}")
+
+
+def _build_planned(
+    terrain: HeightField,
+    output: Path,
+    planned: PlanConfig,
+    bounds_deg: tuple[float, float, float, float] | None,
+    config: RenderConfig,
+    drawn: Path | None,
+) -> None:
+    """Build the store that one of the paper's planners chooses, and print its coverage."""
+    with progress_bar("covering, %") as bar:
+
+        def advance(now: PlanProgress) -> None:
+            bar(int(100 * now.coverage), 100)
+
+        done = build_planned(terrain, output, planned, bounds_deg, config, advance)
+    if done is None:
+        if drawn is not None:
+            raise InputError(
+                f"{output} is complete, and a map is drawn as viewpoints are planned; remove the "
+                "store to plan it again"
+            )
+        say(f"{output}: complete: nothing was left to render")
+        return
+    print_built(done.built, output, "renderings")
+    proof, made = done.verification, done.plan.progress
+    say(
+        f"to {done.plan.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
+        f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "
+        f"{100 * proof.share:.1f} % hold, 95 % interval {100 * proof.low:.1f} to "
+        f"{100 * proof.high:.1f}); overlap {made.overlap}, "
+        f"{made.batches} batches, rendering {done.plan.render_s:.1f} s, planning "
+        f"{done.plan.plan_s:.1f} s"
+    )
+    if drawn is not None:
+        report.save_coverage_map(done.plan, drawn)

@@ -1,0 +1,79 @@
+"""``skyline store check repair merge export``: looking after stores."""
+
+import json
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Argument, Option
+
+from skyline.cli.console import AsJson, say
+from skyline.errors import InputError
+from skyline.report.geopackage import write_geopackage
+from skyline.store import CopyReport, check_store, merge_stores, open_store, repair_store
+from skyline.text import printable
+
+_DAMAGED = 2
+
+store = typer.Typer(
+    name="store", help="Check, repair, merge and export stores.", no_args_is_help=True
+)
+
+StoreFile = Annotated[Path, Argument(metavar="STORE")]
+NewStore = Annotated[Path, Option("--output", "-o", help="The new store; must not exist.")]
+
+
+@store.command()
+def check(store: StoreFile, as_json: AsJson = False) -> None:
+    """Read a whole store and compare it with its checksums; exit code 2 if it is damaged."""
+    report = check_store(store)
+    if as_json:
+        # The exit code is true also where nobody reads this.
+        with suppress(BrokenPipeError):
+            say(json.dumps({"store": printable(store), "whole": report.whole, **asdict(report)}))
+        raise typer.Exit(0 if report.whole else _DAMAGED)
+    if not report.whole:
+        first = "; ".join(damage.what for damage in report.damage[:3])
+        more = f"; and {len(report.damage) - 3} more" if len(report.damage) > 3 else ""
+        raise InputError(f"{store} is damaged: {first}{more}")
+    say(f"{store}: {report.rows:,} {report.holds}, whole")
+
+
+@store.command()
+def repair(store: StoreFile, output: NewStore) -> None:
+    """Save the undamaged rows of a store in a new store, in their order."""
+    report = repair_store(store, output)
+    _print_copied(report, output)
+    for damage in report.damage:
+        rows = f"rows {damage.first_row} to {damage.first_row + damage.rows - 1}"
+        say(f"  left out {rows}: {damage.what}")
+
+
+@store.command()
+def merge(stores: Annotated[list[Path], Argument(metavar="STORE...")], output: NewStore) -> None:
+    """Join several stores into one, sorted by location; equal rows are kept once."""
+    _print_copied(merge_stores(stores, output), output)
+
+
+@store.command()
+def export(
+    store: StoreFile,
+    output: Annotated[
+        Path, Option("--output", "-o", metavar="FILE.gpkg", help="The GeoPackage to write.")
+    ],
+) -> None:
+    """Write where the places are as a GeoPackage, for QGIS, with its style (extra `geo`)."""
+    with open_store(store) as opened:
+        count = write_geopackage(opened, output)
+    say(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
+
+
+def _print_copied(report: CopyReport, path: Path) -> None:
+    size = path.stat().st_size
+    each = f", {size / report.rows:.0f} bytes each" if report.rows else ""
+    again = f", {report.duplicates} duplicates left out" if report.duplicates else ""
+    lost = sum(damage.rows for damage in report.damage)
+    damaged = f", {lost} damaged rows left out" if lost else ""
+    say(f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}")

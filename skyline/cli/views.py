@@ -1,0 +1,231 @@
+"""``skyline horizon``, ``sun`` and ``panorama``: what is seen from a place."""
+
+import logging
+from datetime import date
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from typer import Option
+
+from skyline.cli.console import (
+    Crs,
+    Dems,
+    NoCurvature,
+    RefractionK,
+    Reproject,
+    Surfaces,
+    parse_place,
+    patience,
+    progress_bar,
+    remark,
+    say,
+)
+from skyline.errors import InputError
+from skyline.geodesy import Curvature
+from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG, horizons_of
+from skyline.pipeline.labelled_panorama import PanoramaConfig, save_panorama_of
+from skyline.report.peaks import read_peaks
+from skyline.solar.horizon_files import SUFFIXES, horizon_csv, write_horizons
+from skyline.solar.local_horizons import LocalHorizons
+from skyline.terrain.blocks import TerrainBlocks
+from skyline.terrain.dem import DemOptions, read_blocks, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.surface import read_surface
+from skyline.terrain.viewpoints import (
+    DEFAULT_EYE_HEIGHT_M,
+    Viewpoints,
+    read_viewpoints,
+    stand_at,
+)
+from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
+
+_CURVATURE = Curvature()
+_PANORAMA = PanoramaConfig()
+_log = logging.getLogger(__name__)
+
+At = Annotated[
+    list[str] | None,
+    Option("--at", metavar="LON,LAT", help="A place, degrees (WGS 84); may be repeated."),
+]
+SummitWithin = Annotated[
+    float | None,
+    Option(
+        "--summit-within",
+        metavar="M",
+        help="Stand on the highest point within so many metres. By default an eye stays where it "
+        "is and, beside a summit of the model, stands as high as it; 0 leaves it on the slope.",
+    ),
+]
+EyeHeight = Annotated[float, Option("--eye-height", metavar="M", help="Metres above ground.")]
+
+
+def horizon(
+    dem: Dems,
+    at: At = None,
+    points: Annotated[
+        Path | None, Option(metavar="FILE.csv", help="Places as CSV: lon,lat[,eye_height_m].")
+    ] = None,
+    eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
+    summit_within: SummitWithin = None,
+    step_deg: Annotated[
+        float, Option("--step-deg", help="Degrees between azimuths.")
+    ] = DEFAULT_STEP_DEG,
+    output: Annotated[
+        Path | None,
+        Option(
+            "--output",
+            "-o",
+            metavar="FILE",
+            help=f"{', '.join(SUFFIXES)}: a table, JSON, PVGIS' format or a plot. CSV is printed "
+            "by default.",
+        ),
+    ] = None,
+    surface: Surfaces = None,
+    k: RefractionK = _CURVATURE.refraction_k,
+    no_curvature: NoCurvature = False,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Give the horizon around places: elevation angle and distance by azimuth from true north."""
+    if bool(at) == (points is not None):
+        raise InputError("give places as --at LON,LAT or as --points FILE.csv")
+    if output is not None and output.suffix.lower() not in SUFFIXES:
+        raise InputError(
+            f"--output is {output}; expected a name that ends in {', '.join(SUFFIXES)}"
+        )
+    with progress_bar("rendering") as progress:
+        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+        if points is not None:
+            eyes = read_viewpoints(points, terrain, eye_height, summit_within)
+        else:
+            eyes = _eyes(terrain, at or [], eye_height, summit_within)
+        over = read_surface(surface, terrain) if surface else None
+        curvature = Curvature(refraction_k=k, enabled=not no_curvature)
+        found = horizons_of(terrain, eyes, step_deg, curvature, progress, over)
+    if output is None:
+        typer.echo(horizon_csv(found), nl=False)
+    else:
+        write_horizons(found, output)
+    _warn(found)
+
+
+def sun(
+    dem: Dems,
+    at: At,
+    day: Annotated[str, Option("--date", metavar="YYYY-MM-DD", help="The day at the place.")],
+    eye_height: EyeHeight = DEFAULT_EYE_HEIGHT_M,
+    summit_within: SummitWithin = None,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Say when the sun is above the mountains on a day: CSV of times in UTC (extra `sun`)."""
+    try:
+        asked = date.fromisoformat(day)
+    except ValueError as error:
+        raise InputError(f"--date is `{day}`; expected a day such as 2026-12-21") from error
+    with progress_bar("rendering") as progress:
+        terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
+        eyes = _eyes(terrain, at or [], eye_height, summit_within)
+        found = horizons_of(terrain, eyes, progress=progress)
+    say("lon,lat,from_utc,to_utc")
+    for place in range(len(found)):
+        for begin, end in found.sun_above(asked, place):
+            times = ",".join(f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (begin, end))
+            say(f"{found.lon[place]:.7f},{found.lat[place]:.7f},{times}")
+    _warn(found)
+
+
+def panorama(
+    dem: Dems,
+    at: Annotated[str, Option(metavar="LON,LAT", help="The place, degrees (WGS 84).")],
+    output: Annotated[
+        Path, Option("--output", "-o", metavar="FILE", help="PNG, SVG or PDF, by its suffix.")
+    ],
+    peaks: Annotated[
+        Path | None,
+        Option(metavar="FILE", help="Peaks to name: GeoJSON, or CSV with name,lon,lat[,height_m]."),
+    ] = None,
+    heading: Annotated[
+        float, Option(metavar="DEG", help="The picture's middle, from true north.")
+    ] = _PANORAMA.heading_deg,
+    fov_deg: Annotated[
+        float, Option("--fov-deg", help="The picture's angle, 5 to 360.")
+    ] = _PANORAMA.fov_deg,
+    eye_height: EyeHeight = _PANORAMA.eye_height_m,
+    summit_within: SummitWithin = None,
+    surface: Surfaces = None,
+    crs: Crs = None,
+    reproject: Reproject = False,
+) -> None:
+    """Draw what is seen from a place, with the names of the peaks that are seen."""
+    lonlat = parse_place(at)
+    config = PanoramaConfig(heading, fov_deg, eye_height, summit_within)
+    options = DemOptions(crs=crs, reproject=reproject)
+    with patience(f"drawing {output}"):
+        if surface:
+            terrain = read_dem(dem, options)
+            blocks, over = TerrainBlocks.of(terrain), read_surface(surface, terrain)
+        else:
+            blocks, over = read_blocks(dem, options), None
+        gazetteer = None if peaks is None else read_peaks(peaks, blocks.frame)
+        drawn = save_panorama_of(blocks, lonlat, output, gazetteer, config, over)
+    landscape = drawn.view.landscape
+    _say_where(landscape.terrain, lonlat, landscape.eye, eye_height, summit_within)
+    seen = len(drawn.view.sightings)
+    named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
+    if drawn.unnamed:
+        named += f", {drawn.unnamed} of them without a name for want of room"
+    say(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
+
+
+def _eyes(
+    terrain: HeightField, at: list[str], eye_height_m: float, summit_within_m: float | None
+) -> Viewpoints:
+    """Stand eyes at places, and say where they stand if that is not the surface there."""
+    lon, lat = np.transpose([parse_place(text) for text in at])
+    eyes = stand_at(
+        terrain, lon=lon, lat=lat, eye_height_m=eye_height_m, summit_within_m=summit_within_m
+    )
+    for index, asked in enumerate(zip(lon.tolist(), lat.tolist(), strict=True)):
+        _say_where(terrain, asked, eyes[index : index + 1], eye_height_m, summit_within_m)
+    return eyes
+
+
+def _say_where(
+    terrain: HeightField,
+    asked: tuple[float, float],
+    eye: Viewpoints,
+    eye_height_m: float,
+    summit_within_m: float | None,
+) -> None:
+    """Say which point was taken for a place, if it was looked for or is a summit beside it."""
+    asked_m = np.array(terrain.frame.from_lonlat(*asked))
+    stands_m = float(eye.eye_elevation_m[0]) - eye_height_m
+    said = f"{asked[0]:.5f},{asked[1]:.5f}"
+    if summit_within_m:
+        lon, lat = (float(one[0]) for one in terrain.frame.to_lonlat(eye.easting_m, eye.northing_m))
+        away_m = np.hypot(eye.easting_m[0] - asked_m[0], eye.northing_m[0] - asked_m[1])
+        remark(
+            f"{said}: the highest point within {summit_within_m:g} m is {lon:.5f},{lat:.5f}, "
+            f"{stands_m:.0f} m high and {away_m:.0f} m away"
+        )
+        return
+    surface_m = float(terrain.height_at(lon=asked[0], lat=asked[1]))
+    if summit_within_m is None and stands_m - surface_m > 0.01:
+        remark(
+            f"{said} is beside a summit of the model: the eye stands as high as it, {stands_m:.0f} "
+            f"m, and not on its slope, {surface_m:.0f} m (as --summit-within 0 would have it)"
+        )
+
+
+def _warn(found: LocalHorizons) -> None:
+    """Tell where terrain beyond the data may be higher."""
+    unsure = (found.flags & (FLAG_TRUNCATED | FLAG_HOLE)) != 0
+    if unsure.any():
+        _log.warning(
+            "of the azimuths %.2g %% look over the DEM's border or over a "
+            "hole, where higher terrain may be hidden; give a DEM of a wider area",
+            100.0 * unsure.mean(),
+        )

@@ -1,1 +1,0 @@
-"""Planning: which viewpoints are worth a rendering."""

@@ -1,0 +1,344 @@
+"""The format of a store: its header, the layout of its rows, and their checksums.
+
+A row is a rendering (a view with its skyline and keypoints) or a place (see `skyline.places`). The
+same rows and the same header give the same bytes, see `skyline.store.write`.
+
+HDF5 guards its own structures (object headers, chunk indexes, the superblock) with checksums, and
+each chunk of rows here with another (Fletcher-32), which readers verify as they read. Those find a
+chunk that changed, but not one that was never written: a hole in a file reads as zeros, and the
+Fletcher-32 of zeros is zero. So each row has a CRC-32 of its own. It finds the hole, it shows which
+rows are whole when others are not, and it goes with the row from store to store.
+"""
+
+import hashlib
+import json
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.camera import HEADINGS, check_width
+from skyline.errors import InputError, StoreMismatchError
+from skyline.features import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
+from skyline.geodesy import Frame
+from skyline.places import (
+    ALIKE_DEG,
+    BINS,
+    DISTANCE_BINS,
+    DISTANCE_STEP,
+    NEAREST_M,
+    PHASE_BINS,
+    PHASES,
+    RISE_GROWTH,
+    RISE_SIZE,
+    Places,
+)
+from skyline.views import Views
+
+SCHEMA = "skyline-store"
+SCHEMA_VERSION = 4
+
+RENDERINGS, PLACES = "renderings", "places"
+"""The two kinds of rows; a store holds one of them."""
+
+MADE_BY = {RENDERINGS: "`skyline render`", PLACES: "`skyline build`"}
+"""The command that makes a store of each kind."""
+
+EYE = ("easting_m", "northing_m", "eye_elevation_m")
+"""The fields that locate the eye of a row of either kind."""
+
+PLACES_A_CHUNK = 1024
+"""Some 0.7 MB, to be mapped and worked on at a time."""
+
+_VIEWS_A_CHUNK = 32
+"""80 kB of skylines at W = 640. Half costs 3 % more bytes, four times saves 1 %, and a single row
+is read by unpacking one chunk."""
+
+KeypointColumns = NDArray[np.uint16]
+
+Columns = Mapping[str, NDArray[Any]]
+"""N rows of several datasets, by the datasets' names, in the types in which they are stored."""
+
+VIEW_SPECS = {
+    "easting_m": ("views/easting", "<f8", "one"),
+    "northing_m": ("views/northing", "<f8", "one"),
+    "eye_elevation_m": ("views/eye_elevation_m", "<f8", "one"),
+    "heading": ("views/heading", "u1", "one"),
+    "elevation_tan": ("views/elevation_tan", "<f4", "width"),
+    "depth_m": ("views/depth_m", "<f4", "width"),
+    "flags": ("views/flags", "u1", "width"),
+}
+"""Field of `Views` -> dataset, its type, and how many values a row has of it."""
+
+KEYPOINTS = "features/keypoint_column"
+CHECKSUM = "views/checksum"
+
+PLACE_SPECS = {
+    "easting_m": ("places/easting", "<f8", "one"),
+    "northing_m": ("places/northing", "<f8", "one"),
+    "eye_elevation_m": ("places/eye_elevation_m", "<f4", "one"),
+    "tolerance_m": ("places/tolerance_m", "<f4", "one"),
+    "first_tan": ("places/first_tan", "<f4", "one"),
+    "rise": ("places/rise", "i1", "rises"),
+    "distance": ("places/distance", "u1", "distances"),
+    "phase": ("places/phase", "u1", "phases"),
+}
+"""Field of `Places` -> dataset and its layout, as in `VIEW_SPECS`."""
+
+PLACE_CHECKSUM = "places/checksum"
+
+PLACE_CODING = {
+    "bins": BINS,
+    "distance_bins": DISTANCE_BINS,
+    "phase_bins": PHASE_BINS,
+    "rise_size": RISE_SIZE,
+    "rise_growth": RISE_GROWTH,
+    "nearest_m": NEAREST_M,
+    "distance_log_step": DISTANCE_STEP,
+    "phase_steps": PHASES,
+    "phase_alike_deg": ALIKE_DEG,
+}
+"""The constants by which the bytes of places become tangents and distances."""
+
+_AT_ONCE_BYTES = 1 << 22
+"""Checksums need rows laid out anew; this many bytes of rows at a time."""
+
+
+def package_version() -> str:
+    """Return the release of skyline that is running, or "unknown"."""
+    try:
+        return metadata.version("skyline")
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class StoreHeader:
+    """What a store was built from, and how.
+
+    Attributes
+    ----------
+    frame_wkt : str
+        Frame of the locations.
+    dem_digest : str
+        `HeightField.digest` of the terrain.
+    dem_files : tuple of str
+        Absolute paths where the DEM lay.
+    config : mapping
+        Settings of the build; anything that JSON holds, keys are strings.
+    renderer : str
+        Name of the renderer and of the OpenGL under it; empty before anything is rendered.
+    width : int
+        Columns W of a view; 0 in a store of places.
+    holds : str
+        "renderings" or "places".
+    package_version : str
+        Release that built the store.
+
+    Raises
+    ------
+    InputError
+        The width is out of range or given for places, or JSON cannot hold the config.
+    """
+
+    frame_wkt: str
+    dem_digest: str
+    dem_files: tuple[str, ...]
+    config: Mapping[str, object]
+    renderer: str = ""
+    width: int = 0
+    holds: str = RENDERINGS
+    package_version: str = field(default_factory=package_version, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.holds == PLACES:
+            if self.width:
+                raise InputError("a store of places has no width; leave it out")
+        elif self.holds != RENDERINGS:
+            raise InputError(f"a store holds {RENDERINGS} or {PLACES}, not {self.holds!r}")
+        else:
+            check_width(self.width)
+        try:
+            plain = json.loads(json.dumps(dict(self.config), allow_nan=False))
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"the store's config cannot be written as JSON ({error}); "
+                "use numbers, strings, lists and mappings"
+            ) from error
+        # As it will be read back, so that a stored and a requested config compare equal.
+        object.__setattr__(self, "config", plain)
+
+    @property
+    def checksum(self) -> str:
+        """The dataset of the rows' checksums."""
+        return PLACE_CHECKSUM if self.holds == PLACES else CHECKSUM
+
+    @property
+    def fields(self) -> dict[str, str]:
+        """Field of `Views` or `Places` -> dataset, for the kind of rows that the store holds."""
+        specs = PLACE_SPECS if self.holds == PLACES else VIEW_SPECS
+        return {field: name for field, (name, *_) in specs.items()}
+
+    @property
+    def sorted_by(self) -> list[str]:
+        """The datasets by which rows are sorted, and which distinguish one row from another."""
+        return [name for field, name in self.fields.items() if field in (*EYE, "heading")]
+
+    @property
+    def specs(self) -> dict[str, np.dtype[Any]]:
+        """The datasets of this store, by name: the type of a row, (W,) float32 for example."""
+        if self.holds == PLACES:
+            held = [*PLACE_SPECS.values(), (PLACE_CHECKSUM, "<u4", "one")]
+        else:
+            keypoints, checksum = (KEYPOINTS, "<u2", "keypoints"), (CHECKSUM, "<u4", "one")
+            held = [*VIEW_SPECS.values(), keypoints, checksum]
+        row_shapes: dict[str, tuple[int, ...]] = {
+            "one": (),
+            "width": (self.width,),
+            "keypoints": (DEFAULT_MAX_KEYPOINTS,),
+            "rises": (BINS,),
+            "distances": (DISTANCE_BINS,),
+            "phases": (PHASE_BINS,),
+        }
+        return {name: np.dtype((kind, row_shapes[per_row])) for name, kind, per_row in held}
+
+    def chunk_rows(self, rows: int) -> int:
+        """Return how many rows a chunk of every dataset has, in a store of so many rows."""
+        return max(1, min(rows, PLACES_A_CHUNK if self.holds == PLACES else _VIEWS_A_CHUNK))
+
+    @property
+    def attributes(self) -> dict[str, str]:
+        """The file's attributes beside its schema, version and digest."""
+        layout = PLACE_CODING if self.holds == PLACES else {"width": self.width}
+        return {
+            "frame": self.frame_wkt,
+            "dem_digest": self.dem_digest,
+            "dem_files": json.dumps(self.dem_files),
+            "config": json.dumps(self.config, sort_keys=True),
+            "renderer": self.renderer,
+            "package_version": self.package_version,
+            "rows": json.dumps({"rows": self.holds, **layout}),
+        }
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the schema's version and all attributes."""
+        text = json.dumps([SCHEMA_VERSION, self.attributes], sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def check_holds(path: Path, header: StoreHeader, wanted: str) -> None:
+    """Raise `InputError` unless a store holds rows of the kind that is wanted."""
+    if header.holds != wanted:
+        raise InputError(
+            f"store {path} holds {header.holds}, not {wanted}; name a store of {wanted}, which "
+            f"{MADE_BY[wanted]} makes"
+        )
+
+
+def refuse_mismatch(
+    one: tuple[StoreHeader, str], other: tuple[StoreHeader, str], subject: str, advice: str
+) -> None:
+    """Raise `StoreMismatchError` where rows of two headers do not belong into one store.
+
+    Each header comes with the place where it was found, for a message that begins with
+    ``subject`` and ends with ``advice``.
+    """
+    differences = [
+        f"{name} is {was!r} {one[1]}, {now!r} {other[1]}"
+        for name, was, now in _compared(one[0], other[0])
+        if was != now
+    ]
+    if differences:
+        raise StoreMismatchError(f"{subject}: {'; '.join(differences)}; {advice}")
+
+
+def _compared(one: StoreHeader, other: StoreHeader) -> Iterator[tuple[str, object, object]]:
+    """Yield name and both values of all that must be equal; paths and releases may differ."""
+    if one.holds != other.holds:
+        yield "what it holds", one.holds, other.holds
+        return
+    if one.frame_wkt != other.frame_wkt:
+        names = _frame_name(one.frame_wkt), _frame_name(other.frame_wkt)
+        yield "frame", *(names if names[0] != names[1] else (one.frame_wkt, other.frame_wkt))
+    for name in ("dem_digest", "width"):
+        yield name, getattr(one, name), getattr(other, name)
+    for key in sorted({*one.config, *other.config}):
+        yield f"config {key}", one.config.get(key, "absent"), other.config.get(key, "absent")
+
+
+def _frame_name(wkt: str) -> str:
+    try:
+        return Frame(wkt).name
+    except RuntimeError:  # pyproj's CRSError: the text may come from anywhere
+        return wkt
+
+
+def columns_of(
+    header: StoreHeader, rows: Views | Places, keypoint_columns: KeypointColumns | None = None
+) -> Columns:
+    """Return rows as a store with ``header`` holds them; checksums are made as they are written.
+
+    Parameters
+    ----------
+    keypoint_columns : (N, K) uint16, of renderings alone
+        Columns of the skylines' polyline vertices, padded with `NO_KEYPOINT`.
+
+    Raises
+    ------
+    InputError
+        Shapes or values that do not fit the store.
+    """
+    specs = header.specs
+    given = {name: getattr(rows, field) for field, name in header.fields.items()}
+    if header.holds == RENDERINGS:
+        given[KEYPOINTS] = keypoint_columns
+    for name, values in given.items():
+        expected = (len(rows), *specs[name].shape)
+        if np.shape(values) != expected:
+            raise InputError(
+                f"{name} to store has shape {np.shape(values)}; the store expects {expected}"
+            )
+        if not specs[name].shape and not np.isfinite(values).all():
+            raise InputError(f"{name} to store has values that are not numbers")
+    if header.holds == RENDERINGS:
+        columns = np.asarray(keypoint_columns)
+        if ((columns < 0) | (columns >= header.width) & (columns != NO_KEYPOINT)).any():
+            raise InputError(
+                f"keypoint columns to store lie outside 0 to {header.width - 1}; "
+                f"pad rows with {NO_KEYPOINT}"
+            )
+        if not np.isin(given[header.fields["heading"]], HEADINGS).all():
+            raise InputError(f"a heading to store is not one of {HEADINGS}")
+    return {name: np.asarray(given[name], dtype=specs[name].base) for name in given}
+
+
+def row_checksums(columns: Columns) -> NDArray[np.uint32]:
+    """Return CRC-32s, (N,), over each row's little-endian bytes, datasets in order of name.
+
+    Columns are (N, ...) stored rows by dataset; a column of checksums among them is skipped.
+    """
+    names = [name for name in sorted(columns) if name not in (CHECKSUM, PLACE_CHECKSUM)]
+    count = len(columns[names[0]])
+    sums = np.zeros(count, dtype=np.uint32)
+    if not count:
+        return sums
+    plain = [np.ascontiguousarray(columns[name]).reshape(count, -1) for name in names]
+    held = [values.view(np.uint8) for values in plain]
+    step = max(_AT_ONCE_BYTES // sum(values.shape[1] for values in held), 1)
+    for first in range(0, count, step):
+        together = np.concatenate([values[first : first + step] for values in held], axis=1)
+        sums[first : first + step] = checksums_of_bytes(together)
+    return sums
+
+
+def checksums_of_bytes(rows: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """Return the CRC-32 of each row (N, B) of bytes."""
+    width, flat = rows.shape[1], rows.tobytes()
+    sums = (zlib.crc32(flat[start : start + width]) for start in range(0, len(flat), width))
+    return np.fromiter(sums, dtype=np.uint32, count=len(rows))

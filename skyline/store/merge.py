@@ -1,0 +1,328 @@
+"""Merging, checking and repairing stores: every row is compared with its checksum.
+
+What a merged store becomes depends on the set of rows and on what they were built from alone: rows
+are sorted by easting, northing, eye elevation and heading, and equal ones are kept once. So neither
+the order of the parts nor how they were cut changes a byte.
+
+A file from anywhere may hang or crash HDF5 itself, where its structures were forged together with
+their checksums. `check_store` therefore reads in a process of its own, which may die.
+"""
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import InputError, SkylineError, StoreError
+from skyline.store.format import Columns, StoreHeader, refuse_mismatch, row_checksums
+from skyline.store.read import Store, open_hdf5, open_store
+from skyline.store.write import check_folder, explained, write_store
+
+_BLOCK_ROWS = 1024
+"""A whole number of chunks."""
+
+_LIMIT_S = 60.0
+_LIMIT_S_PER_BYTE = 1e-6
+"""Processor time that a check may take, since a busy machine damages no store. Checking reads 30 MB
+a second and more on one core of 2020."""
+
+_LIMIT_BY_THE_CLOCK = 30.0
+"""Times as long by the clock, for a check that waits instead of working."""
+
+_EXAMINE = """
+import dataclasses, json, pathlib, resource, sys, time
+from skyline.store.merge import examine
+seconds = int(time.process_time()) + int(sys.argv[2])
+resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.RLIM_INFINITY))
+json.dump(dataclasses.asdict(examine(pathlib.Path(sys.argv[1]))), sys.stdout)
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Something that is not as it was written."""
+
+    what: str
+    """One line."""
+    first_row: int = 0
+    rows: int = 0
+    """``first_row``, ``rows``: the rows that are unreadable or wrong; no rows where the store as a
+    whole is damaged."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoreReport:
+    """The result of `check_store`."""
+
+    rows: int
+    """Rows of the store; 0 where it cannot be opened."""
+    damage: tuple[Damage, ...]
+    """Empty for a whole store."""
+    holds: str = "rows"
+    """``renderings`` or ``places``; ``rows`` where the store cannot be opened."""
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is damaged."""
+        return not self.damage
+
+
+@dataclass(frozen=True, slots=True)
+class CopyReport:
+    """The result of `merge_stores` and `repair_store`."""
+
+    rows: int
+    """In the new store."""
+    holds: str
+    """``renderings`` or ``places``."""
+    duplicates: int = 0
+    """Rows left out because the same view or place is there already."""
+    damage: tuple[Damage, ...] = ()
+    """Rows left out because they are damaged (`repair_store` alone)."""
+
+
+def merge_stores(
+    paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
+) -> CopyReport:
+    """Write the rows of stores into one new store, sorted by location.
+
+    Parameters
+    ----------
+    paths : sequence of path-like
+        At least one, of the same frame, DEM and configuration.
+    out : path-like
+        Must not exist.
+
+    Raises
+    ------
+    StoreMismatchError
+        Two of the stores were built otherwise; both values are named.
+    StoreError
+        A store is damaged, or the new one cannot be written or exists.
+    """
+    if not paths:
+        raise InputError("no stores to merge; name one or more")
+    out = _new(out)
+    with merged_rows(paths, out.parent) as (header, columns, order):
+        write_store(out, header, columns, order)
+        rows = len(columns[header.checksum])
+    return CopyReport(len(order), header.holds, rows - len(order))
+
+
+def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> CopyReport:
+    """Write the undamaged rows of a store into a new one, in their order.
+
+    Raises `StoreError` where nothing can be saved, or the new store cannot be written or exists.
+    """
+    out = _new(out)
+    damage: list[Damage] = []
+    with open_store(path) as store:
+        header = store.header
+    with _gathered([(path, len(store))], header, out.parent, damage) as columns:
+        write_store(out, header, columns)
+        return CopyReport(len(columns[header.checksum]), header.holds, damage=tuple(damage))
+
+
+@contextmanager
+def merged_rows(
+    paths: Sequence[str | os.PathLike[str]], folder: Path
+) -> Iterator[tuple[StoreHeader, Columns, NDArray[np.intp]]]:
+    """Yield the header, the rows and the order of the store that stores are merged into.
+
+    The rows wait in a nameless file in ``folder``, unpacked. Raises as `merge_stores`.
+    """
+    stores = []
+    for path in paths:
+        # Closed again: there may be more of them than files can be open.
+        with open_store(path) as store:
+            stores.append(store)
+    for store in stores[1:]:
+        one, other = stores[0].path, store.path
+        refuse_mismatch(
+            (stores[0].header, f"in {one.name}"),
+            (store.header, f"in {other.name}"),
+            f"stores {one} and {other} were built otherwise",
+            "merge stores of one DEM and configuration",
+        )
+    headers = [store.header for store in stores]
+    # Whatever the stores' order.
+    header = replace(
+        headers[0],
+        dem_files=min(header.dem_files for header in headers),
+        renderer="; ".join(sorted({header.renderer for header in headers})),
+        package_version=max(header.package_version for header in headers),
+    )
+    counted = [(store.path, len(store)) for store in stores]
+    with _gathered(counted, header, folder) as columns:
+        yield header, columns, sorted_once(header, columns)
+
+
+def sorted_once(header: StoreHeader, columns: Columns) -> NDArray[np.intp]:
+    """Return which rows to write, in order: sorted by location and heading, each of them once."""
+    keys = [np.asarray(columns[name]) for name in header.sorted_by]
+    order = np.lexsort(keys[::-1])
+    again = np.ones(len(order), dtype=bool)
+    again[:1] = False
+    for key in keys:
+        again[1:] &= key[order[1:]] == key[order[:-1]]
+    return order[~again]
+
+
+@contextmanager
+def _gathered(
+    stores: Sequence[tuple[str | os.PathLike[str], int]],
+    header: StoreHeader,
+    folder: Path,
+    damage: list[Damage] | None = None,
+) -> Iterator[Columns]:
+    """Yield all rows of stores, with the number that each has, unpacked in a file.
+
+    Damaged rows are left out and appended to ``damage``; without such a list they raise
+    `StoreError`. To read rows from the stores in order of location would unpack each chunk many
+    times.
+    """
+    record, total = np.dtype(list(header.specs.items())), sum(count for _, count in stores)
+    with (
+        explained(folder, "rows cannot be gathered in this folder", "make room"),
+        tempfile.TemporaryFile(dir=folder) as file,
+    ):
+        rows = np.zeros(0, dtype=record)
+        if total:
+            # Taken now: a full disk under a memory map ends the process.
+            os.posix_fallocate(file.fileno(), 0, total * record.itemsize)
+            rows = np.memmap(file, dtype=record, mode="r+", shape=total)
+        stop = 0
+        for path, _ in stores:
+            with open_store(path) as store:
+                for columns, whole, found in whole_rows(store):
+                    if found is not None and damage is None:
+                        raise StoreError(
+                            f"store {store.path} is damaged: {found.what}; `skyline store "
+                            "repair` saves what is whole"
+                        )
+                    if found is not None and damage is not None:
+                        damage.append(found)
+                    start, stop = stop, stop + len(whole)
+                    for name, values in columns.items():
+                        rows[name][start:stop] = values[whole]
+        yield {name: rows[name][:stop] for name in header.specs}
+
+
+def check_store(path: str | os.PathLike[str]) -> StoreReport:
+    """Read all of a store in another process and return what is damaged.
+
+    Raises
+    ------
+    MissingFileError
+        No such file, or a build that has not finished.
+    StoreError
+        The store could not be examined, for want of memory for example.
+    """
+    path = Path(path).resolve()
+    with open_hdf5(path):
+        pass
+    limit_s = _LIMIT_S + _LIMIT_S_PER_BYTE * path.stat().st_size
+    command = [sys.executable, "-c", _EXAMINE, str(path), str(math.ceil(limit_s))]
+    searched = os.pathsep.join(filter(None, sys.path))
+    try:
+        child = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            timeout=_LIMIT_BY_THE_CLOCK * limit_s,
+            env={**os.environ, "PYTHONPATH": searched},
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return _unreadable(f"HDF5 had not read it after {_LIMIT_BY_THE_CLOCK * limit_s:.0f} s")
+    if child.returncode == -signal.SIGXCPU:
+        return _unreadable(f"HDF5 had not read it after {limit_s:.0f} s of processor time")
+    if child.returncode < 0:
+        return _unreadable(f"HDF5 crashes on it (signal {-child.returncode})")
+    try:
+        report = json.loads(child.stdout)
+    except ValueError as error:
+        reason = (child.stderr.strip().splitlines() or ["no reason was given"])[-1]
+        raise StoreError(f"store {path} could not be examined: {reason}; try again") from error
+    damage = tuple(Damage(**item) for item in report.pop("damage"))
+    return StoreReport(**report, damage=damage)
+
+
+def _unreadable(reason: str) -> StoreReport:
+    return StoreReport(0, damage=(Damage(reason),))
+
+
+def examine(path: Path) -> StoreReport:
+    """Do the work of `check_store` in this process."""
+    try:
+        with open_store(path) as store:
+            found = [damage for _, _, damage in whole_rows(store) if damage]
+            return StoreReport(len(store), _joined(found), store.header.holds)
+    except SkylineError as error:
+        return _unreadable(str(error))
+
+
+Rows = tuple[Columns, NDArray[np.intp], Damage | None]
+
+
+def whole_rows(store: Store) -> Iterator[Rows]:
+    """Yield stored rows block by block: the columns, which of them are whole, and the damage.
+
+    A block where a chunk cannot be read is taken apart; its whole chunks are still yielded.
+    """
+    size = store.header.chunk_rows(len(store))
+    for start in range(0, len(store), _BLOCK_ROWS):
+        stop = min(start + _BLOCK_ROWS, len(store))
+        try:
+            yield _compared(store, start, stop)
+        except StoreError:
+            for first in range(start, stop, size):
+                last = min(first + size, stop)
+                try:
+                    yield _compared(store, first, last)
+                except StoreError as error:
+                    yield {}, np.zeros(0, dtype=np.intp), Damage(str(error), first, last - first)
+
+
+def _compared(store: Store, start: int, stop: int) -> Rows:
+    """Compare rows with their checksums."""
+    columns = store.stored(slice(start, stop))
+    same = row_checksums(columns) == columns[store.header.checksum]
+    if same.all():
+        return columns, np.arange(stop - start), None
+    wrong = np.flatnonzero(~same)
+    what = f"{len(wrong)} rows from {start + wrong[0]} on do not have their checksums"
+    return columns, np.flatnonzero(same), Damage(what, int(start + wrong[0]), len(wrong))
+
+
+def _joined(found: list[Damage]) -> tuple[Damage, ...]:
+    """Return damage, that of successive chunks as one."""
+    joined: list[Damage] = []
+    for damage in found:
+        last = joined[-1] if joined else None
+        if last and last.what == damage.what and last.first_row + last.rows == damage.first_row:
+            joined[-1] = Damage(last.what, last.first_row, last.rows + damage.rows)
+        else:
+            joined.append(damage)
+    return tuple(joined)
+
+
+def _new(out: str | os.PathLike[str]) -> Path:
+    """Return the path of a store that is to be written and must not be there yet."""
+    out = Path(out).resolve()
+    check_folder(out)
+    if out.exists():
+        raise StoreError(
+            f"store {out} cannot be created: it exists already; remove it, or choose another name"
+        )
+    return out

@@ -1,0 +1,469 @@
+"""Reading a store: its header, its rows, and its places where they lie in the file."""
+
+import io
+import mmap
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Self
+
+import h5py
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from skyline.camera import HEADINGS
+from skyline.errors import InputError, MissingFileError, StoreError
+from skyline.features import NO_KEYPOINT
+from skyline.geodesy import Frame
+from skyline.places import Places
+from skyline.shown import facts_html
+from skyline.store.checks import checked_dataset, read_header
+from skyline.store.dataset import dataset_of_places, dataset_of_views, table_of_places
+from skyline.store.format import (
+    EYE,
+    KEYPOINTS,
+    MADE_BY,
+    PLACE_CHECKSUM,
+    PLACES,
+    RENDERINGS,
+    Columns,
+    KeypointColumns,
+    StoreHeader,
+    check_holds,
+    checksums_of_bytes,
+)
+from skyline.store.write import REBUILD, UNREADABLE, explained
+from skyline.terrain.viewpoints import Viewpoints
+from skyline.views import Views
+
+RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]
+
+Offsets = dict[str, NDArray[np.int64]]
+"""Where the chunks of each dataset begin in the file, by the dataset's name."""
+
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_TAKEN_AT_ONCE = 4096
+_VIEWS_AT_ONCE = 1024
+
+
+class PlaceMap:
+    """The places of a store, a `skyline.places.PlaceSource`; see `Store.places`.
+
+    It holds the file by itself, so the store may be closed, replaced or removed. Pages that are
+    read belong to the system's cache. Memory of its own is the offsets: 72 bytes for 1024 places.
+
+    A file that somebody cuts short is found out before each block and each batch of rows. Where
+    it happens while one of them is being read, the system ends the process (SIGBUS), as with any
+    mapped file. Everything in `skyline.store` replaces stores and never cuts one short.
+    """
+
+    def __init__(self, path: Path, file: int, header: StoreHeader, places: int, at: Offsets):
+        """Map the places of a file, given as a descriptor, whose chunks lie ``at`` offsets."""
+        self._path = path
+        self._places = places
+        self._at = at
+        self._types = header.specs
+        self._size = header.chunk_rows(places)
+        # In the order in which their checksums are taken.
+        self._fields = sorted(header.fields.items(), key=lambda item: item[1])
+        self._record = np.dtype([(name, self._types[name]) for _, name in self._fields])
+        ends = [
+            int(offsets.max()) + self._size * self._types[name].itemsize
+            for name, offsets in at.items()
+            if places
+        ]
+        self._end = max(ends, default=0)
+        # A map of nothing is refused; an empty store has a superblock.
+        self._map = mmap.mmap(file, 0, access=mmap.ACCESS_READ)
+        self._check_length(len(self._map))
+        data = np.frombuffer(self._map, dtype=np.uint8)
+        # A view of the bytes from each offset on: indexed by offsets, it gathers rows in one call.
+        self._rows = {
+            name: sliding_window_view(data, row.itemsize) for name, row in self._types.items()
+        }
+
+    def __len__(self) -> int:
+        """Return the number of places."""
+        return self._places
+
+    def blocks(self) -> Iterator[Places]:
+        """Yield all places in order, 1024 at a time (the last time fewer).
+
+        The arrays are read-only and lie in the file: nothing is read before it is looked at, and
+        nothing is verified (see `take`, and `check_store` for all of a store).
+
+        Raises
+        ------
+        StoreError
+            The file was cut short since the store was opened.
+        """
+        size = self._size
+        for chunk in range(-(-self._places // size)):
+            self._check_length(self._map.size())
+            rows = min(size, self._places - chunk * size)
+            fields: Any = {
+                field: np.ndarray((rows,), self._types[name], self._map, self._at[name][chunk])
+                for field, name in self._fields
+            }
+            yield Places(**fields)
+
+    def take(self, rows: NDArray[np.integer[Any]]) -> Places:
+        """Return copies of the places ``rows`` (M,), in order, each held to its checksum.
+
+        Raises
+        ------
+        InputError
+            A row that is not there.
+        StoreError
+            A place that is not as it was written, or a file that was cut short.
+        """
+        wanted: NDArray[np.intp] = np.asarray(rows, dtype=np.intp)
+        if wanted.ndim != 1 or not ((wanted >= 0) & (wanted < self._places)).all():
+            raise InputError(
+                f"rows to take from store {self._path} are not a list of numbers from 0 to "
+                f"{self._places - 1}"
+            )
+        taken: Any = {
+            field: np.empty(len(wanted), self._types[name]) for field, name in self._fields
+        }
+        # In the order of the file, so that a disk is read forwards and each page once.
+        order = np.argsort(wanted, kind="stable")
+        for first in range(0, len(wanted), _TAKEN_AT_ONCE):
+            self._check_length(self._map.size())
+            to = order[first : first + _TAKEN_AT_ONCE]
+            gathered = self._gathered(wanted[to])
+            for field, name in self._fields:
+                taken[field][to] = gathered[name]
+        return Places(**taken)
+
+    def _gathered(self, rows: NDArray[np.intp]) -> NDArray[np.void]:
+        """Return some places (M,), each by the names of its datasets; verified."""
+        chunk, row = np.divmod(rows, self._size)
+        bytes_of = [
+            self._rows[name][self._at[name][chunk] + row * self._types[name].itemsize]
+            for name in (*(self._record.names or ()), PLACE_CHECKSUM)
+        ]
+        together = np.concatenate(bytes_of[:-1], axis=1)
+        wrong = checksums_of_bytes(together) != bytes_of[-1].view("<u4")[:, 0]
+        if wrong.any():
+            raise StoreError(
+                f"store {self._path} is damaged: place {rows[wrong][0]} does not have its "
+                "checksum; `skyline store check` says what else, `skyline store repair` saves "
+                "what is whole"
+            )
+        return together.view(self._record)[:, 0]
+
+    def _check_length(self, size: int) -> None:
+        if size < self._end:
+            raise StoreError(
+                f"store {self._path} is truncated: {size} bytes, of which places need "
+                f"{self._end}; {REBUILD}"
+            )
+
+
+class Store:
+    """The rows of a finished store; use it as a context manager. Made by `open_store`.
+
+    Attributes
+    ----------
+    path : Path
+        Where the store is.
+    header : StoreHeader
+        What the store was built from and how.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open and check the store at a resolved path; raises as `open_store`."""
+        self.path = path
+        with ExitStack() as opened:
+            # HDF5 takes no lock on a file of Python's, which is written once and needs none.
+            self._raw = opened.enter_context(open_hdf5(path))
+            with explained(path, "it cannot be opened"):
+                self._file = opened.enter_context(h5py.File(self._raw, "r"))
+                self.header = read_header(path, self._file)
+                self._datasets = {
+                    name: checked_dataset(path, self._file, name, spec, self.header)
+                    for name, spec in self.header.specs.items()
+                }
+                self._rows = self._counted()
+            self._resources = opened.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; closing twice is fine."""
+        self._resources.close()
+
+    def __len__(self) -> int:
+        return self._rows
+
+    def __repr__(self) -> str:
+        return f"Store({self.path.name}: {len(self)} {self.header.holds})"
+
+    def _repr_html_(self) -> str:
+        header = self.header
+        settings = header.config.items()
+        facts = {
+            "store": str(self.path),
+            header.holds: f"{len(self):,}",
+            "frame": Frame(header.frame_wkt).name,
+            "DEM": ", ".join(header.dem_files) or "no file",
+            **{name: str(value) for name, value in settings if not isinstance(value, Mapping)},
+            "made by": f"skyline {header.package_version}",
+        }
+        return facts_html(facts)
+
+    def views(self, index: RowIndex = slice(None)) -> Views:
+        """Read views.
+
+        Parameters
+        ----------
+        index : int, slice, integer or boolean array
+            Rows in the order wanted, as NumPy indexes; an int gives one view.
+
+        Raises
+        ------
+        InputError
+            A row that is not there, or a store of places.
+        StoreError
+            Damaged data.
+        """
+        check_holds(self.path, self.header, RENDERINGS)
+        columns = self.stored(index)
+        fields: Any = {field: columns[name] for field, name in self.header.fields.items()}
+        views = Views(**fields)
+        self._check_headings(views.heading)
+        return views
+
+    def stored(self, index: RowIndex = slice(None)) -> Columns:
+        """Read rows of every dataset as they are stored, by the datasets' names; as `views`."""
+        rows = self._indexed(index)
+        return {name: self._read(name, rows) for name in self.header.specs}
+
+    def iter_views(self) -> Iterator[Views]:
+        """Yield all views in order, 1024 at a time (the last time fewer)."""
+        for start in range(0, len(self), _VIEWS_AT_ONCE):
+            yield self.views(slice(start, start + _VIEWS_AT_ONCE))
+
+    def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
+        """Read keypoints, (N, K) uint16, padded with `NO_KEYPOINT`; as `views` otherwise."""
+        check_holds(self.path, self.header, RENDERINGS)
+        columns = self._read(KEYPOINTS, self._indexed(index))
+        if ((columns >= self.header.width) & (columns != NO_KEYPOINT)).any():
+            raise self._damaged(f"{KEYPOINTS} names columns beyond {self.header.width - 1}")
+        return columns
+
+    def eyes(self) -> Viewpoints:
+        """Read where the eye of every row is, whatever the store holds; raises as `stored`."""
+        rows, names = self._indexed(slice(None)), self.header.fields
+        read = {
+            field: self._read(names[field], rows).astype(np.float64, copy=False) for field in EYE
+        }
+        return Viewpoints(**read)
+
+    def places(self) -> PlaceMap:
+        """Map the places of a store of places; they can be read when the store is closed.
+
+        Raises
+        ------
+        InputError
+            A store of renderings.
+        StoreError
+            Damaged data.
+        """
+        check_holds(self.path, self.header, PLACES)
+        if not self._file:
+            raise self._closed()
+        size = self.header.chunk_rows(len(self))
+        offsets = {name: self._chunk_offsets(name, size) for name in self.header.specs}
+        with explained(self.path, "it cannot be mapped"):
+            return PlaceMap(self.path, self._raw.fileno(), self.header, len(self), offsets)
+
+    def to_xarray(self, index: RowIndex = slice(None)) -> Any:
+        """Return rows as an `xarray.Dataset` (extra ``geo``), in memory.
+
+        Parameters
+        ----------
+        index : int, slice, integer or boolean array
+            Rows in the order wanted, as of `views`.
+
+        Returns
+        -------
+        xarray.Dataset
+            ``elevation_deg`` and ``distance_m`` (horizontal), of a store of places by ``place``
+            and ``grid_azimuth_deg``, of one of renderings by ``view`` and ``column``, with their
+            ``flags``. The coordinate ``azimuth_deg``, of two dimensions, is from true north;
+            ``grid_azimuth_deg`` is from grid north and ``convergence_deg`` what a row's true
+            azimuths are more than its grid azimuths. Also ``lon``, ``lat``, ``easting_m``,
+            ``northing_m``, ``eye_elevation_m`` of the eyes, and ``spatial_ref`` (CF), the frame.
+
+        Raises
+        ------
+        InputError
+            A row that is not there, or xarray is not installed.
+        StoreError
+            Damaged data.
+        """
+        rows, frame = self._indexed(index), Frame(self.header.frame_wkt)
+        if self.header.holds == PLACES:
+            return dataset_of_places(self.places().take(rows), rows, frame)
+        return dataset_of_views(self.views(index), rows, frame)
+
+    def to_geodataframe(self, index: RowIndex = slice(None)) -> Any:
+        """Return places as points (extra ``geo``), in memory.
+
+        Parameters
+        ----------
+        index : int, slice, integer or boolean array
+            Rows in the order wanted, as of `views`.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            Points in the store's frame, with ``place`` (the row), ``lon``, ``lat``,
+            ``eye_elevation_m``, ``tolerance_m`` (how far from the eye, east and north, the place
+            stands for) and ``spacing_m``, twice as much.
+
+        Raises
+        ------
+        InputError
+            A store of renderings, a row that is not there, or GeoPandas is not installed.
+        StoreError
+            Damaged data.
+        """
+        rows, frame = self._indexed(index), Frame(self.header.frame_wkt)
+        return table_of_places(self.places().take(rows), rows, frame)
+
+    def _indexed(self, index: RowIndex) -> NDArray[np.intp]:
+        try:
+            return np.atleast_1d(np.arange(len(self))[index])
+        except IndexError as error:
+            raise InputError(f"{error}: store {self.path} has {len(self)} rows") from error
+
+    def _check_headings(self, heading: NDArray[np.uint8]) -> None:
+        if (heading > HEADINGS[-1]).any():
+            raise self._damaged(f"it has heading {heading.max()}, beyond {HEADINGS[-1]}")
+
+    def _read(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
+        """Return rows of a dataset in the order wanted; raises `StoreError`."""
+        if not self._file:
+            raise self._closed()
+        with explained(self.path, f"{name} cannot be read"):
+            dataset = self._datasets[name]
+            if len(rows) == 0:
+                return np.zeros((0, *dataset.shape[1:]), dataset.dtype)
+            if (np.diff(rows) == 1).all():
+                return np.asarray(dataset[rows[0] : rows[-1] + 1])
+            # HDF5 wants rows ascending and once each.
+            ascending, position = np.unique(rows, return_inverse=True)
+            return np.asarray(dataset[ascending])[position]
+
+    def _chunk_offsets(self, name: str, size: int) -> NDArray[np.int64]:
+        """Return where the chunks of a dataset, of so many rows each, begin in the file."""
+        dataset, at = self._datasets[name], np.zeros(-(-len(self) // size), dtype=np.int64)
+
+        def visit(info: Any) -> None:
+            chunk = info.chunk_offset[0] // size
+            if chunk < len(at):
+                at[chunk] = info.byte_offset or 0
+
+        with explained(self.path, f"the chunks of {name} cannot be read"):
+            dataset.id.chunk_iter(visit)
+        # HDF5's own structures come first in a file.
+        if not (at > 0).all():
+            lost = int(np.flatnonzero(at <= 0)[0]) * size
+            raise self._damaged(f"{name} holds no row {lost}")
+        return at
+
+    def _counted(self) -> int:
+        """Return the number of rows; raises `StoreError` where the file does not hold them."""
+        counts = {len(dataset) for dataset in self._datasets.values()}
+        rows = max(counts)
+        # Not by the chunks: HDF5 would visit every one that a damaged index names.
+        if len(counts) > 1 or rows > os.fstat(self._raw.fileno()).st_size:
+            raise self._damaged(f"its datasets have {min(counts)} to {rows} rows")
+        for name, dataset in self._datasets.items():
+            last = (max(rows - 1, 0),) + (0,) * (dataset.ndim - 1)
+            if rows and dataset.id.get_chunk_info_by_coord(last).byte_offset is None:
+                raise self._damaged(f"{name} holds no row {rows - 1}")
+        return rows
+
+    def _damaged(self, problem: str) -> StoreError:
+        return StoreError(f"store {self.path} is damaged: {problem}; {REBUILD}")
+
+    def _closed(self) -> StoreError:
+        return StoreError(f"store {self.path} is closed; open it again to read it")
+
+
+def open_store(path: str | os.PathLike[str]) -> Store:
+    """Open a store to read its rows.
+
+    Raises
+    ------
+    MissingFileError
+        No such file, or a build that has not finished.
+    StoreError
+        Not a store, truncated or damaged, of another schema, or not readable.
+    """
+    return Store(Path(path).resolve())
+
+
+def is_store(path: str | os.PathLike[str]) -> bool:
+    """Whether a path is that of a store, however damaged, or of one whose build goes on."""
+    path = Path(path)
+    if parts_folder(path).is_dir():
+        return True
+    try:
+        with path.open("rb", buffering=0) as raw, h5py.File(raw, "r") as file:
+            return "schema" in file.attrs
+    except UNREADABLE:
+        return path.suffix == ".h5" and path.is_file()
+
+
+def parts_folder(path: Path) -> Path:
+    """Return the folder in which the parts of a store lie while it is built."""
+    return path.with_name(f"{path.name}.parts")
+
+
+def open_hdf5(path: Path) -> io.FileIO:
+    """Open an HDF5 file to read it; raises `MissingFileError` or `StoreError` without one."""
+    try:
+        raw = io.FileIO(path)
+    except FileNotFoundError as error:
+        raise MissingFileError(_absence(path)) from error
+    except OSError as error:
+        raise StoreError(
+            f"store {path} cannot be read: {error.strerror}; name a file that you may read"
+        ) from error
+    if raw.read(len(_SIGNATURE)) != _SIGNATURE:
+        raw.close()
+        raise StoreError(f"{path} is not an HDF5 file; name a store that skyline built")
+    return raw
+
+
+def part_name(holds: str, number: int, total: int) -> str:
+    """Return the name of a part: ``places-00003-of-00037.h5``."""
+    return f"{holds}-{number:05d}-of-{total:05d}.h5"
+
+
+def _absence(path: Path) -> str:
+    """Return in one line why there is no store at a path."""
+    folder = parts_folder(path)
+    if not folder.is_dir():
+        return f"store {path} does not exist; check the name, or build it"
+    names = [part.stem.split("-") for part in folder.glob("*-*-of-*.h5")]
+    there, command = "no part of it is there yet", MADE_BY[PLACES]
+    if names:
+        holds, _, _, total = names[0]
+        command = MADE_BY.get(holds, command)
+        there = f"{len(names)} of {int(total) if total.isdecimal() else 0} parts are there"
+    return (
+        f"store {path} cannot be read: its build is not finished ({there}); give the same "
+        f"{command} command again, which continues from there"
+    )

@@ -1,0 +1,170 @@
+"""Files whose names are not UTF-8, or hold line ends and control characters."""
+
+import csv
+import json
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+import xml.etree.ElementTree as Xml
+from contextlib import closing
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from commands import assert_refused
+
+NOT_UTF8 = os.fsdecode(b"b\xe4r")
+NAMES = {f"{NOT_UTF8}.jpg": r"b\xe4r.jpg", "a\n<i>\x1b[31m.jpg": r"a\n<i>\x1b[31m.jpg"}
+"""Names of photos, and how each is shown."""
+
+
+@pytest.fixture
+def photos(photo, tmp_path, monkeypatch):
+    """The photo under each name, in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    for name in NAMES:
+        shutil.copy(photo, name)
+    return list(NAMES)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("info",),
+        ("build", "-o", "new.h5"),
+        ("render", "--grid", "500", "-o", "new.h5"),
+        ("horizon", "--at", "10.33,46.74"),
+        ("panorama", "--at", "10.33,46.74", "-o", "new.png"),
+    ],
+)
+@pytest.mark.parametrize("place", [f"{NOT_UTF8}.tif", f"{NOT_UTF8}/dem.tif"])
+def test_a_dem_that_gdal_cannot_open_is_refused(run, dem, tmp_path, monkeypatch, command, place):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / place).parent.mkdir(exist_ok=True)
+    shutil.copy(dem, tmp_path / place)
+    before = sorted(tmp_path.rglob("*"))
+    assert_refused(run(command[0], place, *command[1:]), r"b\xe4r")
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("option", ["--dem", "--surface"])
+def test_a_dem_that_gdal_cannot_open_is_refused_before_photos_are_matched(
+    run, dem, store, photo, tmp_path, option
+):
+    odd = tmp_path / f"{NOT_UTF8}.tif"
+    shutil.copy(dem, odd)
+    results = tmp_path / "results.csv"
+    done = run("match", store, photo, "--fov-deg", "60", option, odd, "--results", results)
+    assert_refused(done, "not UTF-8")
+
+
+def test_photos_of_any_name_are_matched_and_written(run, store, photos):
+    kinds = ("kml", "kmz", "gpx", "geojson", "json")
+    written = [part for kind in kinds for part in ("--export", f"out.{kind}")]
+    common = ("match", store, *photos, "--fov-deg", "60", "--no-refine")
+    done = run(*common, *written, "--report", "report", "--results", "out.csv", "--json")
+    assert done.code == 0, done.err
+    shown = list(NAMES.values())
+    assert [json.loads(line)["query"] for line in done.out.splitlines()] == shown
+    with Path("out.csv").open(encoding="utf-8", newline="") as file:
+        assert [row["query"] for row in csv.DictReader(file)] == shown
+    table = json.loads(Path("out.geojson").read_text(encoding="utf-8"))
+    assert {one["properties"]["query"] for one in table["features"]} == set(shown)
+    cameras = json.loads(Path("out.json").read_text(encoding="utf-8"))
+    assert [one["photo"] for one in cameras["photos"]] == shown
+    for kind in ("kml", "gpx"):
+        names = {one.text.rpartition(":")[0] for one in Xml.parse(f"out.{kind}").iter() if one.text}
+        assert set(shown) <= names
+    page = Path("report/index.html").read_text(encoding="utf-8")
+    assert r"<h2>b\xe4r.jpg</h2>" in page
+    assert r"<h2>a\n&lt;i&gt;\x1b[31m.jpg</h2>" in page
+    again = run(*common, "--results", "out.csv")
+    assert (again.code, again.out) == (0, "")
+    assert "2 of 2 are there already" in again.err
+
+
+def test_words_and_tables_hold_any_name(run, store, photos):
+    common = ("match", store, *photos, "--fov-deg", "60", "--no-refine")
+    done = run(*common, "--results", f"{NOT_UTF8}.gpkg")
+    assert done.code == 0, done.err
+    begins = [line for line in done.out.splitlines() if not line.startswith(" ")]
+    assert [line.rpartition(" (")[0] for line in begins] == list(NAMES.values())
+    with closing(sqlite3.connect(f"{NOT_UTF8}.gpkg")) as table:
+        names = [row[0] for row in table.execute("SELECT query FROM photos ORDER BY fid")]
+    assert names == list(NAMES.values())
+
+
+def test_a_list_names_files_by_their_bytes(run, store, photos, tmp_path):
+    (tmp_path / "list.csv").write_bytes(b"path,fov_deg\nb\xe4r.jpg,60\nno\xe4.jpg,60\n")
+    done = run("match", store, "list.csv", "--no-refine")
+    assert done.code == 2
+    assert done.out.startswith(r"b\xe4r.jpg (")
+    assert r"no\xe4.jpg does not exist" in done.err
+
+
+def test_stores_and_pictures_of_any_name(run, dem, store, photo, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    odd = f"{NOT_UTF8}.h5"
+    shutil.copy(store, odd)
+    for command, shown in (
+        (("info", odd), "places"),
+        (("store", "check", odd), r"b\xe4r.h5: 1,804 places, whole"),
+        (("store", "compact", odd, "-o", f"c{odd}"), r"cb\xe4r.h5: 1,804 places"),
+        (("store", "export", odd, "-o", f"{NOT_UTF8}.gpkg"), r"b\xe4r.gpkg: 1,804 places"),
+        (("match", odd, photo, "--fov-deg", "60", "--no-refine"), "photo.jpg ("),
+        (("build", dem, "-o", f"n{odd}", "--spacing", "900"), r"nb\xe4r.h5: "),
+        (
+            ("extract", photo, "-o", f"{NOT_UTF8}.csv", "--overlay", f"o{NOT_UTF8}"),
+            r"b\xe4r.csv",
+        ),
+        (("match", odd, f"{NOT_UTF8}.csv", "--fov-deg", "60", "--no-refine"), r"b\xe4r.csv ("),
+        (
+            ("render", dem, "-o", f"r{odd}", "--grid", "2000", "--depth-images", NOT_UTF8),
+            r"rb\xe4r.h5: ",
+        ),
+    ):
+        done = run(*command)
+        assert done.code == 0, done
+        assert shown in done.out
+    assert json.loads(run("store", "check", odd, "--json").out)["store"] == r"b\xe4r.h5"
+    depth = (tmp_path / NOT_UTF8 / "0000_heading_0.tif").read_bytes()
+    assert np.isfinite(cv2.imdecode(np.frombuffer(depth, np.uint8), cv2.IMREAD_UNCHANGED)).any()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"PYTHONIOENCODING": "ascii"},
+        {"LC_ALL": "C", "PYTHONIOENCODING": "latin-1"},
+        {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    ],
+)
+def test_a_terminal_of_few_letters_takes_what_is_printed(store, photo, tmp_path, settings):
+    name = b"\xe5\xb1\xb1 b\xe4r.jpg"
+    shutil.copy(photo, tmp_path / os.fsdecode(name))
+    common = (sys.executable, "-m", "skyline", "match")
+    done = subprocess.run(
+        [*common, store, name, b"no\xe4.jpg", "--fov-deg", "60", "--no-refine"],
+        env=os.environ | settings,
+        capture_output=True,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 2, done.stderr
+    assert rb"b\xe4r.jpg (" in done.stdout
+    assert done.stderr.startswith(rb"error: no\xe4.jpg does not exist")
+    assert b"Traceback" not in done.stderr
+
+
+def test_help_is_printed_to_a_terminal_of_ascii():
+    done = subprocess.run(
+        [sys.executable, "-m", "skyline", "match", "--help"],
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
+        capture_output=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"--results" in done.stdout

@@ -1,0 +1,71 @@
+"""``--workers`` and ``--scheduler``: the same stores and answers as in one process."""
+
+import json
+
+import numpy as np
+import pytest
+from commands import assert_refused
+
+
+@pytest.mark.parametrize(
+    ("command", "options"),
+    [("build", ("--spacing", 200)), ("render", ("--grid", 900, "--width", 80))],
+)
+def test_workers_make_the_same_store(run, dem, tmp_path, command, options):
+    here = run(command, dem, "-o", tmp_path / "here.h5", *options)
+    assert here.code == 0, here.err
+    spread = run(command, dem, "-o", tmp_path / "spread.h5", *options, "--workers", 1)
+    assert (spread.code, spread.err) == (0, "")
+    assert (tmp_path / "spread.h5").read_bytes() == (tmp_path / "here.h5").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        (("--workers", "0"), "workers is 0; expected 1 or more"),
+        (("--workers", "2", "--scheduler", "tcp://127.0.0.1:1"), "one of --workers and"),
+        (("--scheduler", "nonsense://x"), "no dask scheduler answers"),
+    ],
+)
+def test_options_that_do_not_fit(run, dem, options, expected, tmp_path):
+    assert_refused(run("build", dem, "-o", tmp_path / "s.h5", *options), expected)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def traces(tmp_path):
+    """Three traces with skylines of their own, and one with none."""
+    paths = []
+    for index in range(4):
+        rows = [f"{q},{40 + 10 * np.sin(q / (5 + 3 * index)):.2f}" for q in range(160)]
+        paths.append(tmp_path / f"{index}.csv")
+        head = ["# width=160 height=120", "column_px,row_px"]
+        paths[-1].write_text("\n".join(head + (rows if index < 3 else [])) + "\n")
+    return paths
+
+
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("renderings", ("--matcher", "correlation")),
+        ("store", ("--no-refine", "--heading", "100,120")),
+    ],
+)
+def test_queries_are_matched_by_workers_as_here(run, traces, dask_cluster, request, kind, options):
+    store = request.getfixturevalue(kind)
+    options = "--fov-deg", "60", "--json", *options
+    here = run("match", store, *traces[:3], *options)
+    spread = run("match", store, *traces, *options, "--scheduler", dask_cluster.scheduler_address)
+    answers = [[json.loads(line) for line in done.out.splitlines()] for done in (here, spread)]
+    failed = answers[1].pop()
+    for answer in [*answers[0], *answers[1]]:
+        answer.pop("seconds")
+        answer.pop("loading_seconds")
+    assert answers[0] == answers[1]
+    assert [answer["query"] for answer in answers[0]] == [str(path) for path in traces[:3]]
+    assert len({json.dumps(answer["candidates"]) for answer in answers[0]}) == 3
+    # The fourth has no skyline; what came before it has been said.
+    assert failed == {"query": str(traces[3]), "error": failed["error"]}
+    assert (here.code, spread.code) == (0, 2)
+    assert spread.err.count("\n") == 1
+    assert "3.csv" in spread.err

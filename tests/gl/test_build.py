@@ -1,0 +1,360 @@
+"""Builds: the store is what was rendered, whoever made its parts and however often it broke."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from scenes import field_of, fractal, write_dem
+
+from skyline import RenderConfig, Viewpoints, build_uniform, read_dem, render_to_store, stand_on
+from skyline.build import cluster, parts, plans
+from skyline.build.cluster import remote_runner
+from skyline.build.grid import uniform_grid
+from skyline.build.parts import build_places, build_store
+from skyline.build.plans import PlacePlan, RenderingPlan
+from skyline.errors import BuildError, InputError, StoreError, StoreMismatchError
+from skyline.geodesy import Curvature
+from skyline.places import BINS, Places
+from skyline.render.horizon import HorizonRenderer
+from skyline.render.panorama import PanoramaRenderer
+from skyline.store import check_store, open_store
+from skyline.store.read import parts_folder
+
+SPACING_M = 55.0
+LOSS = 0.3
+CONFIG = RenderConfig(width=64)
+
+
+@pytest.fixture(autouse=True)
+def small_parts(monkeypatch):
+    monkeypatch.setattr(plans, "_PLACES_A_PART", 400)
+    monkeypatch.setattr(plans, "_VIEWPOINTS_A_PART", 30)
+
+
+@pytest.fixture(scope="module")
+def terrain(tmp_path_factory):
+    path = tmp_path_factory.mktemp("dem") / "dem.tif"
+    return read_dem([write_dem(path, fractal(240, 350, 700.0, seed=12))])
+
+
+def plan_of(terrain, kind):
+    """Return a plan of several parts."""
+    if kind == "planned":
+        return PlacePlan(loss=LOSS)
+    if kind == "uniform":
+        return PlacePlan(150.0)
+    return RenderingPlan.uniform(terrain, 700.0, None, CONFIG)
+
+
+KINDS = ("planned", "uniform", "renderings")
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def whole(request, terrain, tmp_path_factory):
+    """A plan, and the bytes of an unbroken build of it."""
+    path = tmp_path_factory.mktemp("whole") / "s.h5"
+    plan = plan_of(terrain, request.param)
+    done = build_store(terrain, path, plan)
+    assert done.rows == done.rendered
+    assert [file.name for file in path.parent.iterdir()] == ["s.h5"]
+    return plan, path.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def runner(dask_cluster):
+    with remote_runner(dask_cluster.scheduler_address) as runner:
+        yield runner
+
+
+def stop_at(part):
+    def stop(done, _):
+        if done == part:
+            raise KeyboardInterrupt
+
+    return stop
+
+
+def begin(terrain, path, plan):
+    """Build two parts of a store, and return them."""
+    with pytest.raises(KeyboardInterrupt):
+        build_store(terrain, path, plan, progress=stop_at(2))
+    begun = sorted(parts_folder(path).iterdir())
+    assert len(begun) == 2
+    assert not path.exists()
+    return begun
+
+
+def test_places_of_a_grid_are_what_was_rendered(terrain, tmp_path):
+    path, grid = tmp_path / "s.h5", uniform_grid(terrain, SPACING_M)
+    done = build_places(terrain, path, SPACING_M)
+    assert done.rows == done.rendered == len(grid) > 1024
+    order = np.lexsort((grid.northing_m, grid.easting_m))
+    with PanoramaRenderer(terrain, BINS) as renderer:
+        wanted = Places.of(renderer.render(grid[order]), SPACING_M / 2.0)
+    with open_store(path) as store:
+        mapped = store.places()
+        assert store.header.config["spacing_m"] == SPACING_M
+    stored = Places.concatenate(list(mapped.blocks()))
+    for field in fields(Places):
+        np.testing.assert_array_equal(getattr(stored, field.name), getattr(wanted, field.name))
+    assert check_store(path).whole
+
+
+def test_places_are_planned_where_no_spacing_is_given(terrain, tmp_path):
+    build_places(terrain, tmp_path / "s.h5", loss=LOSS)
+    with open_store(tmp_path / "s.h5") as store:
+        assert store.header.config["loss"] == LOSS
+        places = Places.concatenate(list(store.places().blocks()))
+    with PanoramaRenderer(terrain, BINS) as renderer:
+        eyes = stand_on(terrain, easting_m=places.easting_m, northing_m=places.northing_m)
+        wanted = Places.of(renderer.render(eyes), places.tolerance_m)
+    np.testing.assert_array_equal(places.rise, wanted.rise)
+    assert len(places) > 300
+    assert len(np.unique(places.tolerance_m)) > 2
+
+
+def test_renderings_of_given_viewpoints_are_kept_once_each(terrain, tmp_path):
+    path, west = tmp_path / "s.h5", terrain.bounds_m[0]
+    easting_m = [west + 900.0, west + 300.0, west + 900.0]
+    eyes = stand_on(terrain, easting_m=easting_m, northing_m=[5_178_000.0] * 3)
+    assert render_to_store(terrain, eyes, path, CONFIG).rows == 8
+    with open_store(path) as store:
+        views = store.views()
+        assert store.header.width == 64
+        assert (store.keypoint_columns() < 64).any(axis=1).all()
+    with HorizonRenderer.of(terrain, CONFIG) as renderer:
+        wanted = renderer.render(eyes[np.array([1, 0])])
+    np.testing.assert_array_equal(views.elevation_tan, wanted.elevation_tan)
+    assert render_to_store(terrain, eyes, path, CONFIG).rendered == 0
+    with pytest.raises(StoreMismatchError, match="viewpoints_digest"):
+        render_to_store(terrain, eyes[:1], path, CONFIG)
+
+
+class TestBroken:
+    def test_a_build_continues_to_the_same_bytes(self, terrain, whole, tmp_path):
+        plan, unbroken = whole
+        path = tmp_path / "s.h5"
+        begun = begin(terrain, path, plan)
+        with open_store(begun[0]) as first, open_store(begun[1]) as second:
+            held = len(first) + len(second)
+        done = build_store(terrain, path, plan)
+        assert done.rows - done.rendered == held > 0
+        assert path.read_bytes() == unbroken
+        assert [file.name for file in tmp_path.iterdir()] == ["s.h5"]
+        parts_folder(path).mkdir()
+        shutil.copy(path, parts_folder(path) / "places-00001-of-00002.h5")
+        (parts_folder(path) / ".s.h5.0123456789ab.partial").touch()
+        assert build_store(terrain, path, plan).rendered == 0
+        assert path.read_bytes() == unbroken
+        assert [file.name for file in tmp_path.iterdir()] == ["s.h5"]
+
+    def test_a_damaged_part_is_rendered_again(self, terrain, whole, tmp_path):
+        plan, unbroken = whole
+        path = tmp_path / "s.h5"
+        cut, flipped = begin(terrain, path, plan)
+        cut.write_bytes(cut.read_bytes()[:-100])
+        data = bytearray(flipped.read_bytes())
+        data[-data[::-1].index(0) // 2] ^= 1
+        flipped.write_bytes(data)
+        build_store(terrain, path, plan)
+        assert path.read_bytes() == unbroken
+
+    def test_parts_of_another_build_are_refused_and_kept(self, terrain, tmp_path):
+        path = tmp_path / "s.h5"
+        begun = begin(terrain, path, PlacePlan(150.0))
+        before = [part.read_bytes() for part in begun]
+        for plan, expected in (
+            (PlacePlan(100.0), r"config spacing_m is 150\.0 there, 100\.0 here"),
+            (PlacePlan(loss=LOSS), "config planner is 'uniform' there"),
+            (PlacePlan(150.0, curvature=Curvature(refraction_k=0.2)), "curvature"),
+            (plan_of(terrain, "renderings"), "'places' there, 'renderings' here"),
+        ):
+            with pytest.raises(StoreMismatchError, match=expected) as caught:
+                build_store(terrain, path, plan)
+            assert "\n" not in str(caught.value)
+            assert str(parts_folder(path)) in str(caught.value)
+        assert [part.read_bytes() for part in begun] == before
+
+    def test_killed_at_random_instants(self, terrain, tmp_path):
+        """Each time at most the part in hand is lost."""
+        script = f"""
+            from pathlib import Path
+            from skyline import read_dem
+            from skyline.build import plans
+            from skyline.build.parts import build_store
+            plans._PLACES_A_PART = 150
+            terrain = read_dem({list(terrain.provenance.files)!r})
+            def progress(done, total):
+                print(done, flush=True)
+            build_store(terrain, Path("s.h5"), plans.PlacePlan(150.0), progress=progress)
+        """
+        command = [sys.executable, "-c", textwrap.dedent(script)]
+
+        def start(folder):
+            folder.mkdir(exist_ok=True)
+            return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True)
+
+        unbroken = start(tmp_path / "unbroken")
+        total = int(unbroken.communicate()[0].split()[-1])
+        assert total > 20
+        folder, generator, before = tmp_path / "killed", np.random.default_rng(4), 0
+        for wait_for in (0, 5, 9, 14):
+            child = start(folder)
+            done = int(child.stdout.readline())
+            # All parts that were finished before are there.
+            assert done >= before
+            while done < wait_for:
+                done = int(child.stdout.readline())
+            threading.Event().wait(generator.uniform(0.0, 0.02))
+            os.kill(child.pid, signal.SIGKILL)
+            child.communicate()
+            before = done
+            assert not (folder / "s.h5").exists()
+        last = start(folder)
+        assert last.wait() == 0
+        assert int(last.communicate()[0].split()[0]) >= before
+        built = (folder / "s.h5").read_bytes()
+        assert built == (tmp_path / "unbroken" / "s.h5").read_bytes()
+        assert [file.name for file in folder.iterdir()] == ["s.h5"]
+
+    @pytest.mark.parametrize("when", [1, 2])
+    def test_by_another_process_that_finished_it(self, terrain, tmp_path, when):
+        """Which removes the parts under the hands of this one."""
+        plan, other = PlacePlan(150.0), tmp_path / "other"
+        other.mkdir()
+        build_store(terrain, other / "s.h5", plan)
+        path = tmp_path / "s.h5"
+
+        def finish(done, _):
+            if done == when:
+                shutil.copy(other / "s.h5", path)
+                shutil.rmtree(parts_folder(path))
+
+        done = build_store(terrain, path, plan, progress=finish)
+        with open_store(path) as store:
+            assert done.rows == len(store)
+        assert path.read_bytes() == (other / "s.h5").read_bytes()
+        assert not parts_folder(path).exists()
+
+
+class TestRefused:
+    def test_stores_of_other_settings(self, terrain, tmp_path):
+        path = tmp_path / "s.h5"
+        build_places(terrain, path, 300.0)
+        before = path.read_bytes()
+        flat = Curvature(enabled=False)
+        for build, expected in (
+            (lambda: build_places(terrain, path, 300.0, curvature=flat), "curvature"),
+            (lambda: build_places(terrain, path, loss=0.4), "planner is 'uniform' there"),
+            (lambda: build_uniform(terrain, path, 300.0, config=CONFIG), "'places' there"),
+        ):
+            with pytest.raises(StoreMismatchError, match=expected):
+                build()
+        assert path.read_bytes() == before
+
+    @pytest.mark.parametrize(
+        ("options", "expected"),
+        [
+            ({"spacing_m": 0.0}, "spacing is 0"),
+            ({"loss": 1.5}, "between 0 and 1"),
+            ({"loss": 1e-5}, "give a larger one"),
+            ({"bounds_deg": (1.0, 2.0, 3.0, 4.0)}, "do not meet the DEM"),
+        ],
+    )
+    def test_plans_that_make_no_store_leave_nothing_behind(
+        self, terrain, tmp_path, options, expected
+    ):
+        with pytest.raises(InputError, match=expected):
+            build_places(terrain, tmp_path / "s.h5", **options)
+        assert list(tmp_path.iterdir()) == []
+
+    def test_an_area_without_a_place_leaves_nothing_behind(self, terrain, tmp_path):
+        west, south, east, north = terrain.bounds_m
+        lon, lat = terrain.frame.to_lonlat(
+            np.array([0.4, 0.401]) * (east - west) + west,
+            np.array([0.4, 0.401]) * (north - south) + south,
+        )
+        bounds_deg = float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1])
+        with pytest.raises(InputError, match=r"no place falls on the surface .* choose a"):
+            build_places(terrain, tmp_path / "s.h5", None, bounds_deg, loss=0.6)
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestWorkers:
+    def test_make_the_same_bytes(self, terrain, whole, runner, tmp_path):
+        plan, unbroken = whole
+        path, steps = tmp_path / "s.h5", []
+        begin(terrain, path, plan)
+        build_store(terrain, path, plan, runner, lambda *step: steps.append(step))
+        assert path.read_bytes() == unbroken
+        assert steps[0][0] == 2
+        assert steps[-1][0] == steps[-1][1] == len(steps) + 1
+
+    def test_that_die_lose_no_part(self, terrain, runner, tmp_path, monkeypatch):
+        plan, path = PlacePlan(150.0), tmp_path / "s.h5"
+        build_store(terrain, tmp_path / "here.h5", plan)
+        monkeypatch.setattr(parts, "_Job", _DyingJob)
+        build_store(terrain, path, plan, runner)
+        assert (parts_folder(path).with_name("died")).exists()
+        assert path.read_bytes() == (tmp_path / "here.h5").read_bytes()
+
+    def test_failures_are_named_and_the_others_kept(self, terrain, runner, tmp_path, monkeypatch):
+        plan, path = PlacePlan(150.0), tmp_path / "s.h5"
+        monkeypatch.setattr(cluster, "RETRIES", 0)
+        monkeypatch.setattr(parts, "_Job", _FailingJob)
+        with pytest.raises(
+            BuildError, match=r"1 of \d+ failed: places-00002-of-\d+ \(no room"
+        ) as e:
+            build_store(terrain, path, plan, runner)
+        assert "\n" not in str(e.value)
+        monkeypatch.undo()
+        monkeypatch.setattr(plans, "_PLACES_A_PART", 400)
+        done = build_store(terrain, path, plan)
+        assert 0 < done.rendered <= 400
+
+    def test_with_another_dem_are_refused(self, terrain, runner, tmp_path, monkeypatch):
+        monkeypatch.setattr(cluster, "RETRIES", 0)
+        other = read_dem([write_dem(tmp_path / "dem.tif", fractal(60, 60, 200.0, seed=1))])
+        write_dem(tmp_path / "dem.tif", fractal(60, 60, 200.0, seed=2))
+        with pytest.raises(StoreMismatchError, match="workers need the same files"):
+            build_store(other, tmp_path / "s.h5", PlacePlan(80.0), runner)
+
+    def test_need_a_dem_in_files_and_a_scheduler(self, terrain, runner, tmp_path):
+        at, up = np.array([300.0]), np.array([5000.0])
+        grid = Viewpoints(easting_m=at, northing_m=at, eye_elevation_m=up)
+        field = field_of(fractal(40, 40, 200.0, seed=1), 30.0)
+        with pytest.raises(InputError, match="cannot be sent to workers"):
+            build_store(field, tmp_path / "s.h5", RenderingPlan.given(grid, CONFIG), runner)
+        with (
+            pytest.raises(InputError, match="no dask scheduler answers"),
+            remote_runner("tcp://127.0.0.1:1"),
+        ):
+            pass
+        assert list(tmp_path.iterdir()) == []
+
+
+class _DyingJob(parts._Job):
+    """A job whose first worker dies."""
+
+    def write_part(self, item):
+        mark = item[0].parent.with_name("died")
+        if "00002" in item[0].name and not mark.exists():
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().write_part(item)
+
+
+class _FailingJob(parts._Job):
+    """A job of whose parts one cannot be written."""
+
+    def write_part(self, item):
+        if "00002" in item[0].name:
+            raise StoreError("no room")
+        return super().write_part(item)

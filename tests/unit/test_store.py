@@ -1,0 +1,672 @@
+"""The store: rows come back as written, damage is found, foreign and forged files are refused."""
+
+import fcntl
+import json
+import os
+import re
+import subprocess
+import sys
+import textwrap
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields, replace
+from pathlib import Path
+from zlib import crc32
+
+import h5py
+import numpy as np
+import pytest
+from store_rows import (
+    HEADERS,
+    PLACES_HEADER,
+    VIEWS_HEADER,
+    WIDTH,
+    assert_holds,
+    chunk_of,
+    edited,
+    flip,
+    numbered_places,
+    numbered_views,
+    write_rows,
+)
+
+from skyline.errors import (
+    InputError,
+    MissingFileError,
+    SkylineError,
+    StoreError,
+    StoreMismatchError,
+)
+from skyline.places import BINS, Places
+from skyline.store import (
+    check_store,
+    columns_of,
+    is_store,
+    merge,
+    merge_stores,
+    open_store,
+    repair_store,
+)
+from skyline.store.checks import PLACE_CODING
+from skyline.store.merge import examine
+from skyline.store.read import part_name, parts_folder
+from skyline.views import Views
+from skyline_bench.measuring.workers import outcome_of
+from skyline_bench.runs.store_durability import mutated
+
+STORE_PAGE = Path(__file__).parents[2] / "docs" / "store.md"
+KINDS = pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
+CHUNK = 1024
+
+
+def assert_refused(path: Path, expected: str) -> None:
+    """Opening is refused in one line, and the file is left as it is."""
+    before = path.read_bytes()
+    with pytest.raises(StoreError, match=expected) as caught:
+        open_store(path)
+    assert one_line(caught.value, path)
+    assert path.read_bytes() == before
+
+
+def one_line(error: BaseException, path: Path) -> bool:
+    return "\n" not in str(error) and str(path) in str(error)
+
+
+class TestRows:
+    @KINDS
+    @pytest.mark.parametrize("count", [0, 1, 31, 32, 33, CHUNK, 3 * CHUNK + 5])
+    def test_come_back_unchanged(self, tmp_path, header, count):
+        path = write_rows(tmp_path / "s.h5", 0, count, header)
+        with open_store(path) as store:
+            assert (len(store), store.header) == (count, header)
+            assert_holds(store, np.arange(count))
+            eyes = store.eyes()
+        assert eyes.eye_elevation_m.dtype == np.float64
+        np.testing.assert_array_equal(eyes.easting_m, 7.5e5 + np.arange(count))
+        assert [file.name for file in tmp_path.iterdir()] == ["s.h5"]
+
+    @KINDS
+    @pytest.mark.parametrize(
+        "index",
+        [
+            0,
+            -1,
+            slice(3, 9),
+            slice(None, None, -7),
+            slice(80, 20),
+            np.array([90, 2, 2, 41, 3]),
+            np.arange(100) % 9 == 4,
+            np.array([], dtype=int),
+        ],
+    )
+    def test_by_any_numpy_index(self, tmp_path, header, index):
+        with open_store(write_rows(tmp_path / "s.h5", 0, 100, header)) as store:
+            assert_holds(store, np.arange(100), index)
+
+    def test_beyond_the_last_are_refused(self, tmp_path):
+        with open_store(write_rows(tmp_path / "s.h5", 0, 10)) as store:
+            for index in (10, -11, np.array([3, 10])):
+                with pytest.raises(InputError, match="has 10 rows"):
+                    store.views(index)
+
+    def test_in_turn(self, tmp_path):
+        views, _ = numbered_views(0, 2500)
+        with open_store(write_rows(tmp_path / "s.h5", 0, 2500)) as store:
+            parts = list(store.iter_views())
+        assert [len(part) for part in parts] == [1024, 1024, 452]
+        np.testing.assert_array_equal(Views.concatenate(parts).depth_m, views.depth_m)
+
+    @KINDS
+    def test_have_the_checksums_of_their_bytes(self, tmp_path, header):
+        """CRC-32s chained over the datasets in order of name."""
+        with open_store(write_rows(tmp_path / "s.h5", 0, 40, header)) as store:
+            columns = dict(store.stored())
+        sums = columns.pop(header.checksum)
+        for row in range(40):
+            chained = 0
+            for name in sorted(columns):
+                chained = crc32(columns[name][row].tobytes(), chained)
+            assert sums[row] == chained
+
+    @pytest.mark.parametrize(
+        ("rows", "expected"),
+        [
+            (replace(numbered_places(0, 3), rise=np.zeros((3, 719), np.int8)), r"\(3, 719\)"),
+            (replace(numbered_places(0, 3), easting_m=np.zeros(2)), "places/easting|northing"),
+            (replace(numbered_places(0, 3), tolerance_m=np.full(3, np.nan)), "not numbers"),
+            (replace(numbered_views(0, 3)[0], heading=np.full(3, 4, np.uint8)), "heading"),
+            (replace(numbered_views(0, 3)[0], flags=np.zeros((3, 5), np.uint8)), r"\(3, 5\)"),
+        ],
+    )
+    def test_that_do_not_fit_are_refused(self, rows, expected):
+        given = (PLACES_HEADER, rows)
+        if isinstance(rows, Views):
+            given = (VIEWS_HEADER, rows, numbered_views(0, 3)[1])
+        with pytest.raises(InputError, match=expected):
+            columns_of(*given)
+        views, keypoints = numbered_views(0, 3)
+        with pytest.raises(InputError, match="keypoint columns to store lie outside 0 to 23"):
+            columns_of(VIEWS_HEADER, views, np.full_like(keypoints, WIDTH))
+
+
+class TestHeader:
+    @pytest.mark.parametrize(
+        ("change", "expected"),
+        [
+            ({"width": 24, "holds": "places"}, "no width"),
+            ({"holds": "peaks"}, "not 'peaks'"),
+            ({"width": 0}, "width is 0"),
+            ({"config": {"spacing_m": np.nan}}, "cannot be written as JSON"),
+            ({"config": {"path": Path("/")}}, "cannot be written as JSON"),
+        ],
+    )
+    def test_that_makes_no_store_is_refused(self, change, expected):
+        with pytest.raises(InputError, match=expected):
+            replace(VIEWS_HEADER, **change)
+
+    @KINDS
+    def test_and_layout_are_the_documented_ones(self, tmp_path, header):
+        """As another program reads them with h5py alone."""
+        path = write_rows(tmp_path / "s.h5", 0, 40, header)
+        documented = STORE_PAGE.read_text()
+        with h5py.File(path) as file:
+            assert file.attrs["schema_version"] == 4
+            assert file.attrs["schema"] == b"skyline-store"
+            assert json.loads(file.attrs["config"]) == header.config
+            assert json.loads(file.attrs["dem_files"]) == list(header.dem_files)
+            rows = json.loads(file.attrs["rows"])
+            assert rows["rows"] == header.holds
+            assert set(file.attrs) == set(
+                re.findall(r"^\| `(\w+)` \| (?:text|integer) \|", documented, re.M)
+            )
+            datasets = [data for group in file.values() for data in group.values()]
+            assert {data.name[1:] for data in datasets} == set(header.specs)
+            for data in datasets:
+                (line,) = (
+                    one for one in documented.splitlines() if f"| `{data.name[1:]}` |" in one
+                )
+                assert f"| {data.dtype.str[1:]} |" in line
+                assert data.fletcher32
+                assert data.chunks[0] == (40 if header.holds == "places" else 32)
+                if header.holds == "places":
+                    assert (data.compression, data.shuffle) == (None, False)
+
+    def test_may_be_of_any_length(self, tmp_path):
+        header = replace(VIEWS_HEADER, dem_files=("ä" * 300_000,), renderer="")
+        with open_store(write_rows(tmp_path / "s.h5", 0, 3, header)) as store:
+            assert store.header == header
+
+    @pytest.mark.parametrize(
+        ("change", "expected"),
+        [
+            ({"dem_digest": "b2" * 32}, ("a1" * 32 + "' in a.h5", "b2" * 32 + "' in b.h5")),
+            ({"config": {"planner": "rov"}}, ("planner is 'uniform' in", "'rov' in b.h5")),
+            ({"frame_wkt": "nonsense"}, ("EPSG:32632", "'nonsense' in b.h5")),
+            ({"holds": "places", "width": 0}, ("'renderings' in a.h5", "'places' in b.h5")),
+        ],
+    )
+    def test_of_another_build_is_refused(self, tmp_path, change, expected):
+        a = write_rows(tmp_path / "a.h5", 0, 3)
+        b = write_rows(tmp_path / "b.h5", 3, 6, replace(VIEWS_HEADER, **change))
+        with pytest.raises(StoreMismatchError) as caught:
+            merge_stores([a, b], tmp_path / "out.h5")
+        assert all(value in str(caught.value) for value in expected)
+        assert {file.name for file in tmp_path.iterdir()} == {"a.h5", "b.h5"}
+
+    def test_names_the_kind_of_rows(self, tmp_path):
+        views = write_rows(tmp_path / "views.h5", 0, 40)
+        places = write_rows(tmp_path / "places.h5", 0, 40, PLACES_HEADER)
+        with open_store(views) as store, pytest.raises(InputError, match="not places") as caught:
+            store.places()
+        assert one_line(caught.value, views)
+        with open_store(places) as store:
+            for read in (store.views, store.keypoint_columns):
+                with pytest.raises(InputError, match="holds places, not renderings"):
+                    read()
+
+
+class TestMap:
+    def test_lies_in_the_file_and_outlives_the_store(self, tmp_path):
+        path = write_rows(tmp_path / "s.h5", 0, 2500, PLACES_HEADER)
+        with open_store(path) as store:
+            mapped = store.places()
+        blocks = list(mapped.blocks())
+        assert [len(block) for block in blocks] == [CHUNK, CHUNK, 452]
+        whole, joined = numbered_places(0, 2500), Places.concatenate(blocks)
+        for field in fields(Places):
+            np.testing.assert_array_equal(getattr(joined, field.name), getattr(whole, field.name))
+            first = getattr(blocks[0], field.name)
+            assert not first.flags.writeable
+            assert not first.flags.owndata
+            assert first.ctypes.data % 64 == 0
+        write_rows(path, 5, 10, PLACES_HEADER)
+        np.testing.assert_array_equal(mapped.take(np.arange(2500)).rise, whole.rise)
+
+    def test_by_several_threads(self, tmp_path):
+        with open_store(write_rows(tmp_path / "s.h5", 0, 4000, PLACES_HEADER)) as store:
+            mapped = store.places()
+        whole = numbered_places(0, 4000)
+
+        def work(seed):
+            taken = np.random.default_rng(seed).integers(0, 4000, 3000)
+            return np.array_equal(mapped.take(taken).rise, whole.rise[taken])
+
+        with ThreadPoolExecutor(4) as pool:
+            assert all(pool.map(work, range(8)))
+        for wrong in ([4000], [-1], [[1]]):
+            with pytest.raises(InputError, match="from 0 to 3999"):
+                mapped.take(np.array(wrong))
+
+    def test_of_a_file_that_is_cut_short(self, tmp_path):
+        path = write_rows(tmp_path / "s.h5", 0, 3000, PLACES_HEADER)
+        with open_store(path) as store:
+            mapped = store.places()
+        blocks = mapped.blocks()
+        next(blocks)
+        os.truncate(path, path.stat().st_size // 2)
+        for read in (lambda: next(blocks), lambda: mapped.take(np.array([2999]))):
+            with pytest.raises(StoreError, match="is truncated") as caught:
+                read()
+            assert one_line(caught.value, path)
+
+    def test_takes_hardly_more_than_the_places_own_bytes(self, tmp_path):
+        path = write_rows(tmp_path / "s.h5", 0, 32 * CHUNK, PLACES_HEADER)
+        own = sum(row.itemsize for row in PLACES_HEADER.specs.values())
+        assert path.stat().st_size / (32 * CHUNK) < own + 2
+        small = write_rows(tmp_path / "small.h5", 0, 3, PLACES_HEADER)
+        assert small.stat().st_size < 20_000
+
+
+class TestWriting:
+    def test_leaves_the_store_as_it_was_where_it_fails(self, tmp_path):
+        """On a disk that is full, at every size of the file at which that may be."""
+        path = write_rows(tmp_path / "s.h5", 0, 3, PLACES_HEADER)
+        before = path.read_bytes()
+        script = f"""
+            import resource, sys
+            sys.path.insert(0, {str(Path(__file__).parent)!r})
+            from pathlib import Path
+            from store_rows import HEADERS, write_rows
+            from skyline.errors import StoreError
+            for header in HEADERS.values():
+                for limit in (0, 1000, 20_000, 60_000, 300_000):
+                    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+                    try:
+                        write_rows(Path({str(path)!r}), 0, 5000, header)
+                    except StoreError as error:
+                        print(error)
+        """
+        command = [sys.executable, "-c", textwrap.dedent(script)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        lines = done.stdout.splitlines()
+        assert len(lines) == 10
+        assert all("cannot be written (" in line and "too large" in line for line in lines)
+        assert path.read_bytes() == before
+        assert [file.name for file in tmp_path.iterdir()] == ["s.h5"]
+
+    def test_needs_no_file_locks(self, tmp_path):
+        """Also where another process holds one, and beside a program that reads the file."""
+        path = write_rows(tmp_path / "s.h5", 0, 3)
+        with path.open("rb") as file, h5py.File(path), open_store(path) as store:
+            fcntl.flock(file, fcntl.LOCK_SH)
+            assert_holds(store, np.arange(3))
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            with open_store(path) as store:
+                assert_holds(store, np.arange(3))
+            write_rows(path, 0, 5)
+        assert check_store(path).rows == 5
+
+    def test_into_no_folder(self, tmp_path):
+        with pytest.raises(MissingFileError, match="make it first"):
+            write_rows(tmp_path / "no" / "s.h5", 0, 3)
+
+
+class TestDamage:
+    @KINDS
+    def test_in_any_dataset_is_found_and_the_rest_saved(self, tmp_path, header):
+        whole = write_rows(tmp_path / "whole.h5", 0, 2500, header).read_bytes()
+        size = header.chunk_rows(2500)
+        kept = np.r_[0:size, 2 * size : 2500]
+        for name in header.specs:
+            path = tmp_path / "s.h5"
+            path.write_bytes(whole)
+            flip(path, chunk_of(path, name, 1) + 12)
+            (damage,) = examine(path).damage
+            assert (damage.first_row, damage.rows) == (size, size)
+            with pytest.raises(StoreError, match="repair` saves"):
+                merge_stores([path], tmp_path / "no.h5")
+            saved = tmp_path / f"{name.replace('/', '-')}.h5"
+            report = repair_store(path, saved)
+            assert (report.rows, report.holds, len(report.damage)) == (len(kept), header.holds, 1)
+            with open_store(saved) as store:
+                assert_holds(store, kept)
+        if header.holds == "places":
+            with open_store(path) as store:
+                mapped = store.places()
+            with pytest.raises(StoreError, match="skyline store check"):
+                mapped.take(np.arange(2500))
+            assert len(mapped.take(kept)) == len(kept)
+
+    def test_a_hole_that_reads_as_zeros(self, tmp_path):
+        """The Fletcher-32 of zeros is zero, so HDF5 takes them for data."""
+        path = write_rows(tmp_path / "s.h5", 0, 100)
+        with h5py.File(path) as file:
+            chunk = file["views/easting"].id.get_chunk_info(1)
+        data = bytearray(path.read_bytes())
+        data[chunk.byte_offset : chunk.byte_offset + chunk.size] = bytes(chunk.size)
+        path.write_bytes(data)
+        with open_store(path) as store:
+            assert not store.views(slice(32, 64)).easting_m.any()
+        (damage,) = examine(path).damage
+        assert (damage.first_row, damage.rows) == (32, 32)
+
+    def test_of_neighbouring_chunks_is_reported_as_one(self, tmp_path):
+        path = write_rows(tmp_path / "s.h5", 0, 160)
+        for chunk in (1, 2, 4):
+            flip(path, chunk_of(path, "views/northing", chunk) + 100)
+        found = [(damage.first_row, damage.rows) for damage in examine(path).damage]
+        assert found == [(32, 64), (128, 32)]
+
+    @KINDS
+    def test_of_any_bit_is_found_or_harmless(self, tmp_path, header):
+        whole = write_rows(tmp_path / "whole.h5", 0, 100, header)
+        with open_store(whole) as store:
+            wanted = store.stored()
+        data = np.frombuffer(whole.read_bytes(), dtype=np.uint8)
+        path, generator, found = tmp_path / "s.h5", np.random.default_rng(7), 0
+        for position in [*range(0, 48, 3), *generator.integers(0, len(data), 60)]:
+            damaged = data.copy()
+            damaged[position] ^= 1 << generator.integers(8)
+            path.write_bytes(damaged.tobytes())
+            report = examine(path)
+            if not report.whole:
+                found += 1
+                assert all("\n" not in damage.what for damage in report.damage)
+                continue
+            with open_store(path) as store:
+                assert store.header == header
+                for name, values in store.stored().items():
+                    np.testing.assert_array_equal(values, wanted[name], err_msg=str(position))
+        assert found >= 26
+
+    @pytest.mark.parametrize("text", [b"davos.tif", b"EPSG", b"spacing_m", b"Mesa", b"a1a1a1a1"])
+    def test_of_the_header_is_refused(self, tmp_path, text):
+        path = write_rows(tmp_path / "s.h5", 0, 5)
+        flip(path, path.read_bytes().index(text))
+        with pytest.raises(StoreError) as caught:
+            open_store(path)
+        assert one_line(caught.value, path)
+
+    @KINDS
+    def test_by_truncation_is_refused(self, tmp_path, header):
+        whole = write_rows(tmp_path / "whole.h5", 0, 70, header).read_bytes()
+        path = tmp_path / "s.h5"
+        for size in [*range(0, 64, 5), *range(64, len(whole), len(whole) // 50), len(whole) - 1]:
+            path.write_bytes(whole[:size])
+            with pytest.raises(StoreError) as caught:
+                open_store(path)
+            assert one_line(caught.value, path), size
+
+    @KINDS
+    def test_of_every_kind_is_refused_or_read(self, tmp_path, header):
+        """Mutated files, each read in a process of its own."""
+        whole = write_rows(tmp_path / "whole.h5", 0, 100, header).read_bytes()
+        path, generator = tmp_path / "s.h5", np.random.default_rng(1)
+
+        def read():
+            try:
+                with open_store(path) as store:
+                    assert_holds(store, np.arange(100))
+                return "read"
+            except AssertionError:
+                return "changed"
+            except SkylineError as error:
+                return "refused" if one_line(error, path) else "more than one line"
+
+        ends = set()
+        for _ in range(40):
+            path.write_bytes(mutated(whole, generator))
+            ends.add(outcome_of(read, patience_s=30))
+        assert ends <= {"read", "refused"}
+        assert "refused" in ends
+
+    def test_of_hdf5_itself_ends_the_process_that_checks(self, tmp_path, monkeypatch):
+        """Forged structures can make HDF5 loop or crash."""
+        path, script = write_rows(tmp_path / "s.h5", 0, 3), merge._EXAMINE
+        assert (check_store(path).rows, check_store(path).whole) == (3, True)
+        monkeypatch.setattr(merge, "_EXAMINE", "import os; os.abort()")
+        assert "crashes on it (signal 6)" in check_store(path).damage[0].what
+        monkeypatch.setattr(merge, "_EXAMINE", "raise MemoryError")
+        with pytest.raises(StoreError, match="could not be examined: MemoryError"):
+            check_store(path)
+        monkeypatch.setattr(merge, "_LIMIT_S", 0.2)
+        loops = script.replace("json.dump(", "while True: pass\njson.dump(")
+        assert loops != script
+        monkeypatch.setattr(merge, "_EXAMINE", loops)
+        monkeypatch.setattr(merge, "_LIMIT_BY_THE_CLOCK", 3000.0)
+        assert "of processor time" in check_store(path).damage[0].what
+
+
+class TestForeign:
+    def test_files_are_refused(self, tmp_path):
+        path = tmp_path / "s.h5"
+        with pytest.raises(MissingFileError, match="does not exist"):
+            open_store(path)
+        path.write_text("easting,northing\n")
+        assert_refused(path, "not an HDF5 file")
+        with pytest.raises(StoreError, match="cannot be read: Is a directory"):
+            open_store(tmp_path)
+        for libver in ("earliest", "v110"):
+            with h5py.File(path, "w", libver=(libver, "v110")) as file:
+                file["data"] = np.arange(10)
+            assert_refused(path, "not a skyline store")
+            assert not is_store(path)
+
+    def test_older_stores_are_to_be_built_again(self, tmp_path):
+        path = tmp_path / "s.h5"
+        with h5py.File(path, "w", libver=("v110", "v110")) as file:
+            file.attrs["schema"] = "skyline-store"
+            file.attrs["schema_version"] = 3
+            file.attrs["frame"] = "a text of a variable length"
+            file.create_dataset("committed", data=np.uint64(0))
+        assert_refused(path, "schema version 3.* reads version 4: build the store again")
+        assert is_store(path)
+
+    @pytest.mark.parametrize(
+        ("name", "value", "expected"),
+        [
+            ("schema", np.bytes_("other"), "not a skyline store"),
+            ("schema", "skyline-store", "'schema' that is not text"),  # of a variable length
+            ("schema_version", 5, "schema version 5; .* upgrade skyline"),
+            ("schema_version", np.bytes_("one"), "schema version"),
+            ("config", np.bytes_("{"), "cannot be opened"),
+            ("config", np.bytes_("[1]"), "not a JSON object"),
+            ("config", np.bytes_("[" * 100_000), "cannot be opened"),
+            ("dem_files", np.bytes_("[1]"), "not a JSON list"),
+            ("frame", 7, "not text"),
+            ("frame", np.bytes_(b"\xff"), "cannot be opened"),
+            ("frame", [np.bytes_("a"), np.bytes_("b")], "no single attribute"),
+            ("renderer", np.bytes_("mine"), "does not have the digest"),
+            ("rows", np.bytes_('{"rows": "delta"}'), "'delta'.*, which skyline does not read"),
+            ("rows", np.bytes_('{"rows": "renderings"}'), "which skyline does not read"),
+            ("rows", np.bytes_('{"rows": "renderings", "width": 50000}'), "width is 50000"),
+            ("rows", np.bytes_('{"rows": "renderings", "width": 25}'), "have the digest"),
+        ],
+    )
+    def test_attributes_are_refused(self, tmp_path, name, value, expected):
+        path = write_rows(tmp_path / "s.h5", 0, 3)
+        with edited(path) as file:
+            file.attrs[name] = value
+        assert_refused(path, expected)
+        with edited(path) as file:
+            del file.attrs[name]
+        assert_refused(path, "not a skyline store" if "schema" in name else f"'{name}'")
+
+    def test_constants_of_places_are_refused(self, tmp_path, monkeypatch):
+        path = write_rows(tmp_path / "s.h5", 0, 3, PLACES_HEADER)
+        monkeypatch.setitem(PLACE_CODING, "rise_size", 0.007)
+        assert_refused(path, r"another release .* build it again")
+
+    @pytest.mark.parametrize("name", ["views", "views/depth_m", "features/keypoint_column"])
+    def test_links_are_not_followed(self, tmp_path, name):
+        path, other = (write_rows(tmp_path / f"{n}.h5", 0, 3) for n in "so")
+        for link in (None, h5py.ExternalLink(other, name), h5py.SoftLink("/moved")):
+            with edited(path) as file:
+                if link is None:
+                    file.move(name, "moved")
+                else:
+                    file[name] = link
+            assert_refused(path, "is a link to elsewhere" if link else f"lacks {name}")
+            if link:
+                with edited(path) as file:
+                    del file[name]
+
+    @pytest.mark.parametrize("virtual", [False, True])
+    def test_data_of_other_files_is_not_read(self, tmp_path, virtual):
+        path, other = (write_rows(tmp_path / f"{n}.h5", 0, 3) for n in "so")
+        with edited(path) as file:
+            del file["views/easting"]
+            if virtual:
+                layout = h5py.VirtualLayout(shape=(3,), dtype="f8")
+                layout[...] = h5py.VirtualSource(other, "views/easting", shape=(3,))
+                file.create_virtual_dataset("views/easting", layout)
+            else:
+                external = [(tmp_path / "raw.bin", 0, 64)]
+                file.create_dataset("views/easting", (3,), "f8", external=external)
+        assert_refused(path, "is not chunked in this file")
+
+    @pytest.mark.parametrize(
+        ("name", "layout", "expected"),
+        [
+            ("views/depth_m", {"dtype": "f8", "shape": (3, WIDTH)}, "is of type float64"),
+            ("views/flags", {"dtype": "u1", "shape": (3, WIDTH + 1)}, "is not rows of shape"),
+            ("views/elevation_tan", {"dtype": "f4", "shape": (3,)}, "is not rows of"),
+            ("views/elevation_tan", {"dtype": "f4", "shape": (3, 50_000)}, "is not rows of"),
+            ("views/easting", {"dtype": "f8", "shape": ()}, "is not rows of shape"),
+            ("views/easting", {"dtype": h5py.string_dtype(), "shape": (3,)}, "of type object"),
+            ("views/heading", {"dtype": "u1", "chunks": (2**27,), "maxshape": (None,)}, "large"),
+            ("views/depth_m", {"dtype": "f4", "compression": "lzf"}, "by a filter"),
+            ("views/easting", {"dtype": "f8", "shape": (4,), "chunks": (4,)}, "have 3 to 4 rows"),
+            ("features/keypoint_column", {"dtype": "u2", "shape": (3, 5)}, "not rows of"),
+        ],
+    )
+    def test_layouts_of_views_are_refused(self, tmp_path, name, layout, expected):
+        path = write_rows(tmp_path / "s.h5", 0, 3)
+        with edited(path) as file:
+            usual = {"shape": file[name].shape}
+            del file[name]
+            file.create_dataset(name, **(usual | layout))
+        assert_refused(path, expected)
+
+    @pytest.mark.parametrize(
+        ("layout", "expected"),
+        [
+            ({"dtype": "u1"}, "is of type uint8"),
+            ({"compression": "gzip"}, "packed by a filter"),
+            ({"shuffle": True}, "packed by a filter"),
+            ({"chunks": (2, BINS)}, "has chunks of"),
+            ({"chunks": (3, BINS // 2)}, "has chunks of"),
+        ],
+    )
+    def test_layouts_that_cannot_be_mapped_are_refused(self, tmp_path, layout, expected):
+        path = write_rows(tmp_path / "s.h5", 0, 3, PLACES_HEADER)
+        usual = {"shape": (3, BINS), "chunks": (3, BINS), "dtype": "i1"}
+        with edited(path) as file:
+            del file["places/rise"]
+            file.create_dataset("places/rise", **(usual | layout))
+        assert_refused(path, expected)
+
+    def test_rows_that_are_promised_but_not_there(self, tmp_path):
+        """A small file that claims a trillion rows, and one that lacks a chunk."""
+        path = write_rows(tmp_path / "s.h5", 0, 3)
+        with edited(path) as file:
+            for group in ("views", "features"):
+                for name, data in list(file[group].items()):
+                    layout = {"dtype": data.dtype, "shape": (10**12, *data.shape[1:])}
+                    del file[group][name]
+                    file[group].create_dataset(name, chunks=(32, *data.shape[1:]), **layout)
+        assert_refused(path, "its datasets have 1000000000000 to 1000000000000 rows")
+        path = write_rows(tmp_path / "places.h5", 0, 3000, PLACES_HEADER)
+        with edited(path) as file:
+            values = file["places/phase"][:]
+            del file["places/phase"]
+            layout = {"shape": values.shape, "dtype": "u1", "chunks": (CHUNK, values.shape[1])}
+            data = file.create_dataset("places/phase", **layout)
+            data[:10], data[2500:] = values[:10], values[2500:]
+        with open_store(path) as store, pytest.raises(StoreError, match="holds no row 1024"):
+            store.places()
+
+    def test_values_that_no_skyline_has(self, tmp_path):
+        path = write_rows(tmp_path / "s.h5", 0, 3)
+        with edited(path) as file:
+            file["views/heading"][1] = 200
+            file["features/keypoint_column"][1, 1] = WIDTH
+        with open_store(path) as store:
+            with pytest.raises(StoreError, match="heading 200"):
+                store.views()
+            with pytest.raises(StoreError, match="columns beyond 23"):
+                store.keypoint_columns()
+        store.close()
+        with pytest.raises(StoreError, match="is closed"):
+            store.views()
+
+
+class TestMerge:
+    @KINDS
+    def test_order_and_cut_change_no_byte(self, tmp_path, header):
+        a = write_rows(tmp_path / "a.h5", 0, 700, header)
+        b = write_rows(tmp_path / "b.h5", 600, 2000, header)
+        c = write_rows(tmp_path / "c.h5", 2000, 3000, header)
+        results = set()
+        for number, stores in enumerate([(a, b, c), (c, b, a), (b, c, b, a, a)]):
+            report = merge_stores(stores, tmp_path / f"{number}.h5")
+            assert (report.rows, report.holds) == (3000, header.holds)
+            assert report.duplicates == (100, 100, 2200)[number]
+            results.add((tmp_path / f"{number}.h5").read_bytes())
+        merge_stores([write_rows(tmp_path / "w.h5", 0, 3000, header)], tmp_path / "d.h5")
+        assert results == {(tmp_path / "d.h5").read_bytes()}
+        with open_store(tmp_path / "d.h5") as store:
+            assert_holds(store, np.arange(3000))
+
+    def test_nothing_is_overwritten(self, tmp_path):
+        a = write_rows(tmp_path / "a.h5", 0, 3)
+        before = a.read_bytes()
+        for copy in (lambda out: merge_stores([a], out), lambda out: repair_store(a, out)):
+            with pytest.raises(StoreError, match="exists already"):
+                copy(a)
+            with pytest.raises(MissingFileError, match="make it first"):
+                copy(tmp_path / "no" / "b.h5")
+        with pytest.raises(InputError, match="no stores"):
+            merge_stores([], tmp_path / "b.h5")
+        assert a.read_bytes() == before
+        assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
+
+    def test_a_full_disk(self, tmp_path, monkeypatch):
+        a = write_rows(tmp_path / "a.h5", 0, 200)
+
+        def full(*_):
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "posix_fallocate", full)
+        with pytest.raises(StoreError, match="No space left on device"):
+            merge_stores([a], tmp_path / "b.h5")
+        assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
+
+
+@KINDS
+def test_an_unfinished_build_is_reported(tmp_path, header):
+    path = tmp_path / "s.h5"
+    folder = parts_folder(path)
+    folder.mkdir()
+    for read in (open_store, check_store):
+        with pytest.raises(MissingFileError, match="no part of it is there yet"):
+            read(path)
+    for number in (1, 3):
+        write_rows(folder / part_name(header.holds, number, 37), 0, 3, header)
+    command = "skyline build" if header.holds == "places" else "skyline render"
+    for read in (open_store, check_store):
+        with pytest.raises(MissingFileError, match=rf"2 of 37 parts .* `{command}`") as caught:
+            read(path)
+        assert one_line(caught.value, path)
+    assert is_store(path)

@@ -1,0 +1,47 @@
+"""Names of files as text that every output can hold."""
+
+import json
+import os
+import xml.etree.ElementTree as Xml
+from pathlib import Path
+
+import pytest
+
+from skyline import InputError, MissingFileError
+from skyline.text import printable
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        (b"Z\xc3\xbcrich 100%#\xe2\x80\x99.jpg", "Zürich 100%#’.jpg"),
+        (b"b\xe4r.jpg", r"b\xe4r.jpg"),
+        (b"\xff\xfe", r"\xff\xfe"),
+        (b"a\nb\r\tc.jpg", r"a\nb\r\tc.jpg"),
+        (b"\x1b[31mred\x07.jpg", r"\x1b[31mred\x07.jpg"),
+        ("a\u2028b\x85c".encode(), r"a\u2028b\x85c"),
+        ("gpj\u202eexe".encode(), r"gpj\u202eexe"),
+        ("山\u3000e\u0301\U0001f3d4\ufe0f.jpg".encode(), "山\u3000e\u0301\U0001f3d4\ufe0f.jpg"),
+    ],
+)
+def test_a_name_is_one_line_of_characters_that_files_can_hold(name, text):
+    assert printable(os.fsdecode(name)) == text
+    assert printable(Path(os.fsdecode(name))) == text
+    assert json.loads(json.dumps(text, ensure_ascii=False).encode()) == text
+    assert Xml.fromstring(Xml.tostring(_element(text), encoding="utf-8")).text == text
+
+
+def _element(text):
+    element = Xml.Element("name")
+    element.text = text
+    return element
+
+
+def test_what_is_no_character_at_all_is_escaped():
+    assert printable("\ud800\uffff") == r"\ud800\uffff"
+
+
+@pytest.mark.parametrize("kind", [InputError, MissingFileError])
+def test_an_error_is_one_line_whatever_the_file_is_called(kind):
+    said = str(kind(os.fsdecode(b"b\xe4r\nx does not exist")))
+    assert said == r"b\xe4r\nx does not exist"
