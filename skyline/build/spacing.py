@@ -9,7 +9,8 @@ each on its own, and the result depends neither on the process that plans a bloc
 A view that is taken between places differs from theirs by as much as its skyline moves, which is
 the spacing over the skyline's distance. The odds that a whole search, refinement included, then
 fails grow with a power of that ratio. The power and the ratio of even odds were fitted to searches
-X/method.md has the terrain, and how well the law holds elsewhere.
+for made views, 60 degrees wide; docs/method.md has the terrain, and how well the law holds
+elsewhere.
 """
 
 from collections.abc import Callable
