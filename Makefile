@@ -11,7 +11,7 @@ TESTS := tests/cli tests/gl tests/bench tests/unit tests/web
 AT_ONCE := --jobs=4 --output-sync --keep-going --no-print-directory
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-all $(TESTS) check docs bench clean
+.PHONY: help setup demo test test-all $(TESTS) check docs clean
 
 help: ## List the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -40,9 +40,6 @@ check: setup ## Lint, check format, types, imports, spelling and links of the do
 	$(IN_VENV)/lint-imports
 	$(IN_VENV)/codespell
 	NO_MKDOCS_2_WARNING=1 $(IN_VENV)/mkdocs build --strict
-
-bench: setup ## Time the pipeline stage by stage, write bench/results
-	$(IN_VENV)/skyline-bench pipeline-speed --json bench/results/pipeline_speed.json
 
 clean: ## Remove what the targets above made, except benchmark results
 	rm -rf $(VENV) out/demo build dist

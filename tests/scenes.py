@@ -10,7 +10,7 @@ from skyline.geodesy import Frame
 from skyline.matching.hypotheses import Hypotheses
 from skyline.matching.ranking import Candidate, Ranking
 from skyline.terrain.heightfield import HeightField
-from skyline_bench.cases import closed_forms
+from skyline_bench.truth import closed_forms
 
 FRAME = Frame.local(lon=9.8, lat=46.8)
 

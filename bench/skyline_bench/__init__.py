@@ -1,5 +1,6 @@
-"""What Skyline is measured with; Skyline itself imports none of it.
+"""Benchmarks of Skyline, which itself imports none of them.
 
-Folders import downward only: ``cli > commands > figures > runs > (cases | stores | trials) >
-(queries | truth | peers) > measuring > skyline``.
+``commands/`` has a file for each subject: its commands and how they measure. ``search/`` is stores
+x queries. The other folders hold what several commands use: ``queries/``, ``truth/`` (the oracle,
+the hard cases, the paper's simulation), ``peers/`` and ``measuring/`` (clocks, records, workers).
 """

@@ -4,40 +4,41 @@ import inspect
 from collections.abc import Callable, Mapping
 
 from skyline.cli.console import command_line, run_app
-from skyline_bench.commands import matching, photos, skylines, stores
+from skyline_bench.commands import (
+    matching,
+    page,
+    paper,
+    photos,
+    skylines,
+    speed,
+    stores,
+)
 
 COMMANDS: Mapping[str, Mapping[Callable[..., None], str]] = {
     "Skylines": {
-        skylines.speed_error: "9 minutes",
+        speed.speed_error: "9 minutes",
+        speed.large_dem: "2 minutes",
         skylines.stability: "a minute",
-        skylines.place_speed: "a minute",
-        skylines.horizon: "3 minutes",
         skylines.summits: "a minute",
-        skylines.large_dem: "2 minutes",
-        skylines.pipeline_speed: "a minute",
     },
-    "Planning": {skylines.table1: "a minute", skylines.prediction_quality: "a minute"},
+    "The paper's tables": {paper.table1: "a minute", paper.prediction_quality: "a minute"},
     "Builds, stores and files": {
         stores.store_durability: "an hour",
         stores.input_fuzz: "a minute",
     },
     "Search": {
         matching.matching: "hours",
-        matching.uniform_adaptive: "25 minutes",
-        matching.scale: "hours",
+        matching.uniform_adaptive: "an hour",
         matching.placing: "an hour",
-        matching.retrieval_scale: "5 minutes",
-        matching.strangers: "10 minutes",
+        matching.scale: "hours",
         matching.same_place: "20 minutes",
-        matching.calibrate: "an hour",
+        matching.strangers: "10 minutes",
     },
     "Photographs": {
         photos.photos: "30 minutes",
         photos.sky_masks: "a minute",
-        photos.train_sky_model: "an hour",
-        photos.readme_picture: "a minute",
     },
-    "The page": {skylines.page: "3 minutes"},
+    "The page": {page.page: "3 minutes", page.readme_picture: "a minute"},
 }
 """Commands by what they measure, and about how long each takes on 2 cores without a GPU."""
 
@@ -47,10 +48,10 @@ app = command_line(
 )
 for subject, commands in COMMANDS.items():
     for command, takes in commands.items():
-        told = (inspect.getdoc(command) or "").splitlines()[0].rstrip(".")
+        summary = (inspect.getdoc(command) or "").splitlines()[0].rstrip(".")
         app.command(
             command.__name__.replace("_", "-"),
-            short_help=f"{told} ({takes}).",
+            short_help=f"{summary} ({takes}).",
             rich_help_panel=subject,
         )(command)
 

@@ -1,8 +1,8 @@
 r"""How likely an answer is right: within 200 m of where the query was taken.
 
 A logistic model of a few figures that a match leaves behind, learned from synthetic queries on
-other terrain than any result is reported on (`skyline-bench calibrate`, which also draws the
-reliability diagram):
+other terrain than any result is reported on (``python -m skyline_training confidence``, which also
+draws the reliability diagram):
 
 .. math::
 

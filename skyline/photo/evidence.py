@@ -2,7 +2,7 @@
 
 The network says roughly where each column's skyline runs, and whether it has one: it has learnt
 from drawn photographs what mountains, clouds, trees and windows look like together. Edges say where
-in there the border is. ``sky.onnx.gz`` is made by ``skyline-bench train-sky-model``.
+in there the border is. ``sky.onnx.gz`` is made by ``python -m skyline_training sky-model``.
 """
 
 import gzip

@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 
 from skyline_bench import cli
-from skyline_bench.trials import traced
+from skyline_bench.search import trials
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def run_bench(run_main):
 @pytest.fixture(scope="module")
 def refined_once():
     """Refine no query thoroughly: how answers are counted does not depend on how good they are."""
-    once = replace(traced.MATCHING, full=replace(traced.MATCHING.full, sure_margin=-math.inf))
+    once = replace(trials.MATCHING, full=replace(trials.MATCHING.full, sure_margin=-math.inf))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(traced, "MATCHING", once)
+        patch.setattr(trials, "MATCHING", once)
         yield

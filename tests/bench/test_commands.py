@@ -1,52 +1,30 @@
-"""All commands of ``skyline-bench``: what its help says, and the short ones run small."""
+"""All commands of ``skyline-bench``: what its help says, records, and the short ones run small."""
 
-import ast
 import json
 import re
-from pathlib import Path
+import shutil
 
 import pytest
 import typer
+from scenes import field_of, fractal
 
-import skyline_bench
+from skyline import __version__
+from skyline.errors import InputError
 from skyline_bench import cli
-
-LAYERS = (
-    ("cli",), ("commands",), ("figures",), ("runs",), ("cases", "stores", "training", "trials"),
-    ("queries", "truth", "peers"), ("measuring",),
-)  # fmt: skip
-"""Folders of the package; each imports from those after it, and from its own."""
-FOLDERS = {name: level for level, names in enumerate(LAYERS) for name in names}
+from skyline_bench.commands import page, paper
+from skyline_bench.measuring import record as records
+from skyline_bench.measuring.record import machine, write_record
+from skyline_bench.truth import stability
 
 
-def imported(path):
-    """Return the modules that a file imports."""
-    names = []
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom):
-            names.append(node.module or "")
-        elif isinstance(node, ast.Import):
-            names += [each.name for each in node.names]
-    return names
-
-
-def test_folders_import_downward_only():
-    package = Path(skyline_bench.__file__).parent
-    for file in package.rglob("*.py"):
-        own = file.relative_to(package).parts[0].removesuffix(".py")
-        for name in imported(file):
-            root, _, inner = name.partition(".")
-            if root == "skyline_bench" and own in FOLDERS and inner:
-                other = inner.split(".")[0]
-                assert own == other or FOLDERS[own] < FOLDERS[other], f"{file}: {name}"
-
-
-def test_every_command_is_quick_where_asked_and_says_how_long_it_takes():
+def test_every_command_is_quick_where_asked_and_says_how_long_it_takes(run_bench):
     commands = typer.main.get_command(cli.app).commands
     assert len(commands) == sum(len(some) for some in cli.COMMANDS.values())
     for name, command in commands.items():
         assert any("--quick" in option.opts for option in command.params), name
         assert re.search(r"\((an?|\d+) (minute|hour)s?\)\.$|\(hours\)\.$", command.short_help), name
+    assert run_bench("--version").out.startswith("skyline 0.")
+    assert "speed-error" in run_bench("--help").out
 
 
 def test_damaged_files_are_answered_or_refused(run_bench, tmp_path):
@@ -63,25 +41,117 @@ def test_damaged_files_are_answered_or_refused(run_bench, tmp_path):
 @pytest.mark.parametrize(
     ("command", "rows", "key"),
     [
-        (("place-speed", "DEM", "--eyes", 20), 4, "wall_ms"),
         (("summits", "DEM", "--quick"), 1, "summits_off"),
-        (("large-dem", "--samples", 300, "--viewpoints", 4), 1, "seconds"),
-        (("retrieval-scale", "STORE", "DEM", "--places", 700, "--queries", 3), 2, "screen_s"),
-        pytest.param(
-            ("strangers", "STORE", "DEM", "--strange", "DEM", "--queries", 2),
-            1,
-            "query_ms",
-            marks=pytest.mark.slow,
-        ),
+        (("large-dem", "--quick"), 1, "seconds"),
+        pytest.param(("table1", "--seeds", 1), 15, "mean_area", marks=pytest.mark.slow),
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
-def test_short_ones_write_their_rows(run_bench, dem, store, tmp_path, command, rows, key):
-    given = [{"DEM": dem, "STORE": store}.get(word, word) for word in command]
+def test_short_ones_write_their_rows(run_bench, dem, tmp_path, command, rows, key):
+    given = [{"DEM": dem}.get(word, word) for word in command]
     record = tmp_path / "record.json"
     done = run_bench(*given, "--json", record)
     assert done.code == 0, done.err
     written = json.loads(record.read_text())
     assert written["bench"] == command[0]
-    assert len(written["rows"]) == rows
+    assert len(written["rows"]) >= rows
     assert all(row[key] >= 0.0 for row in written["rows"])
+
+
+@pytest.fixture
+def three_cases(monkeypatch):
+    """Only three hard cases, since all of them are tested one by one elsewhere."""
+    cases = stability.HARD_CASES[:3]
+    monkeypatch.setattr(stability, "HARD_CASES", cases)
+    return cases
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_stability_says_what_holds(run_bench, three_cases, tmp_path, monkeypatch, fails):
+    measured = stability.measure
+
+    def spoiled(*arguments):
+        rows = measured(*arguments)
+        return [{**row, "ok": row["path"] == "depth", "error_px": float("inf")} for row in rows]
+
+    if fails:
+        monkeypatch.setattr(stability, "measure", spoiled)
+    record = tmp_path / "record.json"
+    done = run_bench("stability", "--quick", "--json", record)
+    rows = json.loads(record.read_text())["rows"]
+    assert {row["case"] for row in rows} == {case.name for case in three_cases}
+    assert {row["path"] for row in rows} == {"horizon", "depth"}
+    assert ("FAILS" in done.out) is fails
+    if fails:
+        assert done.code == 1
+        assert done.err.startswith("error: 3 of ")
+        assert f"{three_cases[0].name} (horizon)" in done.err
+        assert done.err.count("\n") == 1
+        assert all(row["error_px"] is None for row in rows)
+    else:
+        assert done.code == 0, done.err
+        assert all(0.0 <= row["error_px"] <= row["bound_px"] for row in rows)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not shutil.which("chromedriver"), reason="chromium-driver is not installed")
+def test_the_page_is_measured(run_bench, tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "_WARM_MATCHES", 1)
+    record = tmp_path / "page.json"
+    done = run_bench("page", "--quick", "--json", record)
+    assert done.code == 0, done.err
+    rows = {row["figure"]: row["value"] for row in json.loads(record.read_text())["rows"]}
+    assert {"server ready", "renderings shown a second", "memory a match"} <= rows.keys()
+    assert all(isinstance(value, float) for value in rows.values())
+    assert rows["renderings shown a second"] > 0.0
+
+
+def test_predictors_are_held_to_renderings():
+    terrain = field_of(fractal(180, 180, 1200.0, seed=7), 60.0)
+    setup = paper.QualitySetup(viewpoints=8, displacements=6, margin_m=1500.0, seed=3)
+    rows = {row["predictor"]: row for row in paper.measure_quality(terrain, setup)}
+    assert rows["affine-mean"]["recall"] > rows["non-affine"]["recall"]
+    for row in rows.values():
+        for share, (low, high) in (
+            (row["precision"], row["precision_interval"]),
+            (row["recall"], row["recall_interval"]),
+        ):
+            assert 0.0 <= low <= share <= high <= 1.0
+        assert 0.0 < row["answered"] <= 1.0
+    with pytest.raises(InputError, match=r"10\.7 x 10\.7 km; expected more than 12\.6"):
+        paper.quality_pairs(terrain, paper.QualitySetup(margin_m=6000.0))
+
+
+# --- records --------------------------------------------------------------------------------
+
+
+def test_a_record_names_the_machine_and_says_nothing_that_json_cannot(tmp_path):
+    path = tmp_path / "record.json"
+    row = {"error_px": float("inf"), "bound_px": float("nan"), "n": 1, "path": "oracle"}
+    write_record(path, "stability", [row])
+    written = json.loads(path.read_text())
+    assert set(written) == {"bench", "machine", "rows"}
+    assert written["rows"] == [{"error_px": None, "bound_px": None, "n": 1, "path": "oracle"}]
+    assert set(written["machine"]) == {
+        "date", "processor", "cores", "os", "python", "numpy", "renderer", "driver", "skyline",
+    }  # fmt: skip
+    assert all(written["machine"].values())
+    assert written["machine"]["skyline"] == __version__
+
+
+def test_a_record_that_cannot_be_written_leaves_the_old_one(tmp_path):
+    path = tmp_path / "record.json"
+    write_record(path, "stability", [])
+    before = path.read_bytes()
+    with pytest.raises(TypeError, match="JSON"):
+        write_record(path, "stability", [{"error_px": object()}])
+    assert path.read_bytes() == before
+    assert [each.name for each in tmp_path.iterdir()] == ["record.json"]
+
+
+def test_a_machine_without_opengl_is_described(monkeypatch):
+    def none():
+        raise records.ContextError("no OpenGL")
+
+    monkeypatch.setattr(records, "acquire_context", none)
+    assert (machine()["renderer"], machine()["driver"]) == ("none", "none")

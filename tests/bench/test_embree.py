@@ -10,7 +10,7 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import stand_on
 from skyline.views import FLAG_HOLE, FLAG_NO_DATA
-from skyline_bench.peers.embree import STARTS, Bisection, EmbreePeer, is_installed
+from skyline_bench.peers.embree import EmbreePeer, is_installed
 from skyline_bench.truth import oracle
 
 needs_embree = pytest.mark.skipif(not is_installed(), reason="embreex is not installed")
@@ -37,8 +37,8 @@ def random_viewpoints(field, count, seed=1, eye_height_m=2.0):
     )
 
 
-def error_tan(field, viewpoints, bisection, curvature):
-    views = EmbreePeer(field, WIDTH, curvature).render(viewpoints, bisection)
+def error_tan(field, viewpoints, depth, curvature):
+    views = EmbreePeer(field, WIDTH, curvature).render(viewpoints, depth)
     truth = oracle.skyline(field, viewpoints, WIDTH, curvature)
     np.testing.assert_array_equal(views.heading, truth.heading)
     np.testing.assert_array_equal(np.isnan(views.elevation_tan), np.isnan(truth.elevation_tan))
@@ -46,18 +46,16 @@ def error_tan(field, viewpoints, bisection, curvature):
 
 
 @needs_embree
-@pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("depth", [6, 10, 16])
-def test_error_is_half_the_last_bracket(start, depth):
+def test_error_is_half_the_last_bracket(depth):
     field = field_of(fractal(70, 90, 900.0, seed=2), 30.0, 25.0, west_m=6e5, north_m=5e6)
-    found = error_tan(field, random_viewpoints(field, 12), Bisection(depth, start), BALL)
+    found = error_tan(field, random_viewpoints(field, 12), depth, BALL)
     assert found.max() <= 2.0**-depth + ROUNDING_TAN
     assert found.max() > 2.0**-depth / 2.0
 
 
 @needs_embree
-@pytest.mark.parametrize("start", STARTS)
-def test_walls_beyond_the_field_of_view_and_dips_are_found(start):
+def test_walls_beyond_the_field_of_view_and_dips_are_found():
     heights = fractal(50, 50, 30.0, seed=6).astype(np.float64)
     heights[:24] += 900.0
     field = field_of(heights, 10.0)
@@ -71,16 +69,15 @@ def test_walls_beyond_the_field_of_view_and_dips_are_found(start):
         truth = oracle.skyline(field, viewpoints, WIDTH).elevation_tan
         assert truth.min() < lowest
         assert truth.max() > highest
-        found = error_tan(field, viewpoints, Bisection(16, start), Curvature())
+        found = error_tan(field, viewpoints, 16, Curvature())
         assert found.max() <= 2.0**-16 + ROUNDING_TAN
 
 
 @needs_embree
-@pytest.mark.parametrize("start", STARTS)
-def test_where_there_is_no_data_there_is_no_value(start):
+def test_where_there_is_no_data_there_is_no_value():
     field = field_of(fractal(60, 60, 300.0, seed=9))
     on_the_border = stand_on(field, easting_m=[905.0], northing_m=[0.0])
-    views = EmbreePeer(field, WIDTH).render(on_the_border, Bisection(14, start))
+    views = EmbreePeer(field, WIDTH).render(on_the_border, 14)
     truth = oracle.skyline(field, on_the_border, WIDTH)
     north, south = 0, 2
     assert np.isnan(truth.elevation_tan[north]).all()
@@ -91,14 +88,13 @@ def test_where_there_is_no_data_there_is_no_value(start):
 
 
 @needs_embree
-@pytest.mark.parametrize("start", STARTS)
-def test_columns_clear_of_holes_are_exact(start):
+def test_columns_clear_of_holes_are_exact():
     # Over a hole a low ray may slip under the terrain behind, so that nothing can be bisected.
     heights = fractal(60, 60, 300.0, seed=9)
     heights[20:35, 10:40] = np.nan
     field = field_of(heights)
     viewpoints = random_viewpoints(field, 6)
-    views = EmbreePeer(field, WIDTH).render(viewpoints, Bisection(14, start))
+    views = EmbreePeer(field, WIDTH).render(viewpoints, 14)
     truth = oracle.skyline(field, viewpoints, WIDTH)
     clear = (truth.flags & FLAG_HOLE) == 0
     assert 0.3 < clear.mean() < 0.9
@@ -107,17 +103,12 @@ def test_columns_clear_of_holes_are_exact(start):
 
 
 @needs_embree
-def test_no_viewpoints_are_no_views():
+def test_bad_depths_are_refused():
     field = field_of(fractal(10, 10))
     none = stand_on(field, easting_m=[90.0], northing_m=[-90.0])[:0]
-    assert len(EmbreePeer(field, WIDTH).render(none, Bisection(8))) == 0
-
-
-def test_bad_bisections_are_refused():
+    assert len(EmbreePeer(field, WIDTH).render(none, 8)) == 0
     with pytest.raises(InputError, match="depth is 0"):
-        Bisection(0)
-    with pytest.raises(InputError, match="'guessed'"):
-        Bisection(10, "guessed")
+        EmbreePeer(field, WIDTH).render(none, 0)
 
 
 def test_without_embree_the_extra_is_named(monkeypatch):

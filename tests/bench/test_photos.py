@@ -1,15 +1,18 @@
-"""Photographs of a manifest measured small: columns, places, and what lost a place."""
+"""Photographs measured small: columns, places, what lost a place, and masks drawn by people."""
 
 import json
 
+import cv2
 import numpy as np
 import pytest
+from commands import assert_refused
+from photo_scenes import make_scene
 from PIL import Image
 
 from skyline import read_dem, read_query
 from skyline.errors import InputError, MissingFileError
+from skyline_bench.commands.photos import right_columns, summarize
 from skyline_bench.queries.manifest import Photograph, read_manifest
-from skyline_bench.runs.photographs import right_columns, summarize
 
 PLACE_M, HEADING_DEG = (601_800.0, 5_178_000.0), 140.95
 
@@ -92,7 +95,7 @@ def test_a_mask_s_upper_edge_is_the_truth_whichever_colour_is_sky(tmp_path):
         one = Photograph(tmp_path / name, "extract", mask=tmp_path / name)
         trace = tmp_path / "trace.csv"
         trace.write_text("# width=120 height=200\ncolumn_px,row_px\n0,50\n")
-        np.testing.assert_allclose(one.true_row_px(read_query(trace)), 79.5)
+        np.testing.assert_allclose(one.true_row_px(120, 200), 79.5)
 
 
 @pytest.mark.parametrize(
@@ -112,3 +115,29 @@ def test_a_manifest_that_is_none_is_one_line(tmp_path, text, error, said):
     with pytest.raises(error, match=said) as caught:
         read_manifest(path)
     assert "\n" not in str(caught.value)
+
+
+# --- masks drawn by people ------------------------------------------------------------------------
+
+
+def write_pair(folder, name, scene, shift=0):
+    Image.fromarray(scene.image).save(folder / f"{name}.jpg", quality=92)
+    rows = np.arange(len(scene.image))[:, np.newaxis]
+    white = 255 * (rows + 0.5 > scene.row_px + 0.5 + shift)
+    cv2.imwrite(str(folder / f"{name}.mask.png"), white.astype(np.uint8))
+
+
+@pytest.mark.parametrize("shift", [0, 8])
+def test_masks_say_how_many_trusted_columns_are_right(run_bench, tmp_path, shift):
+    for seed in (100, 101):
+        write_pair(tmp_path, f"clear{seed}", make_scene("clear", seed, 480, 320), shift)
+    done = run_bench("sky-masks", tmp_path, "--json", tmp_path / "record.json")
+    assert done.code == 0, done.err
+    rows = json.loads((tmp_path / "record.json").read_text())["rows"]
+    assert [(row["half"], row["photos"]) for row in rows] == [("development", 1), ("held out", 1)]
+    for row in rows:
+        assert row["within"] < 0.1 if shift else row["within"] > 0.95
+        assert row["mostly_wrong"] == (1 if shift else 0)
+        assert row["trusted"] > 0.85
+        assert row["refused"] == 0
+    assert_refused(run_bench("sky-masks", tmp_path / "none"), "has 0 masks")

@@ -1,14 +1,20 @@
-"""Synthetic queries against the oracle, and what their seed and their options decide."""
+"""Synthetic queries: cameras, occluders, other elevation models, and the skylines made of them."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import field_of, fractal
+from hypothesis import given
+from hypothesis import strategies as st
+from scenes import at_m, field_from, field_of, fractal
 
 from skyline.errors import InputError
 from skyline.matching.query_rays import level
+from skyline.photo.query import QuerySkyline
 from skyline.terrain.viewpoints import Viewpoints
+from skyline_bench.queries.kinds import perturbed, resampled
+from skyline_bench.queries.occluders import random_occluders, random_runs
+from skyline_bench.queries.pinhole import Camera
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 from skyline_bench.truth import oracle
 
@@ -109,41 +115,23 @@ def test_masks_and_given_fields_of_view(terrain):
     assert 1.03 < ratio.max() <= 1.05
 
 
-@pytest.mark.parametrize("masked", [0.0, 1.0])
-def test_occluders_are_masked_or_left_in(terrain, masked):
-    config = replace(
-        EXACT, fov_deg=(60.0, 60.0), occluded_share=(0.25, 0.25), occluders_masked=masked
-    )
+def test_occluders_are_masked_or_left_in(terrain):
+    config = replace(EXACT, fov_deg=(60.0, 60.0), occluded_share=(0.25, 0.25))
+    noticed = left_in = 0
     for query in make_queries(terrain, AREA, 5, seed=7, config=config):
         hidden = np.zeros(320, dtype=bool)
-        for occluder in query.occluders:
-            hidden[slice(*occluder.columns)] = True
-        assert hidden.sum() == 80
         found, true = query.skyline.row_px, query.row_px
+        for occluder in query.occluders:
+            columns = slice(*occluder.columns)
+            hidden[columns] = True
+            seen = np.isfinite(found[columns])
+            noticed += not seen.any()
+            left_in += int(seen.any())
+            above = seen & np.isfinite(true[columns])
+            assert (found[columns][above] < true[columns][above]).all()
+        assert hidden.sum() == 80
         np.testing.assert_array_equal(found[~hidden], true[~hidden])
-        if masked:
-            assert np.isnan(found[hidden]).all()
-        else:
-            seen = hidden & np.isfinite(true) & np.isfinite(found)
-            assert seen.any()
-            assert (found[seen] < true[seen]).all()
-
-
-@pytest.mark.parametrize(
-    "config",
-    [
-        {"fov_deg": (90.0, 40.0)},
-        {"fov_error": 0.6},
-        {"max_tilt_deg": 30.0},
-        {"occluded_share": (0.0, 1.0)},
-        {"smooth_share": -0.1},
-        {"masked_runs": 0},
-        {"azimuths": 0},
-    ],
-)
-def test_bad_options_are_refused(config):
-    with pytest.raises(InputError, match="expected"):
-        QueryConfig(**config)
+    assert min(noticed, left_in) > 0
 
 
 def test_bad_requests_are_refused(terrain):
@@ -159,3 +147,160 @@ def test_aligned_queries_look_as_stored_views_do(terrain):
     config = replace(EXACT, is_aligned=True)
     headings = {one.truth.heading_deg for one in make_queries(terrain, AREA, 20, 6, config)}
     assert headings == {0.0, 90.0, 180.0, 270.0}
+
+
+# --- cameras --------------------------------------------------------------------------------------
+
+
+AZIMUTH_DEG = np.arange(0.0, 360.0, 0.02)
+
+
+def hills(azimuth_deg):
+    """Tangent of the elevation angle of rolling hills."""
+    azimuth = np.radians(azimuth_deg)
+    return 0.1 + 0.06 * np.sin(5.0 * azimuth) + 0.03 * np.cos(17.0 * azimuth)
+
+
+@given(
+    heading_deg=st.floats(0.0, 360.0),
+    pitch_deg=st.floats(-15.0, 15.0),
+    roll_deg=st.floats(-15.0, 15.0),
+    fov_deg=st.floats(20.0, 100.0),
+)
+def test_levelling_the_image_gives_the_skyline_back(heading_deg, pitch_deg, roll_deg, fov_deg):
+    camera = Camera(heading_deg, pitch_deg, roll_deg, fov_deg, 200, 300)
+    row_px, sample = camera.skyline(AZIMUTH_DEG, hills(AZIMUTH_DEG))
+    assert np.isfinite(row_px).all()
+    query = QuerySkyline(row_px, np.ones(200), 200, 300, fov_deg)
+    azimuth, y = level(*query.image_plane(), pitch_deg, roll_deg)
+    azimuth_deg = np.degrees(azimuth) + heading_deg
+    np.testing.assert_allclose(y, hills(azimuth_deg), atol=1e-5)
+    apart = (AZIMUTH_DEG[sample] - azimuth_deg + 180.0) % 360.0 - 180.0
+    assert np.abs(apart).max() < 0.021
+
+
+def test_rays_of_the_skylines_pixels_point_at_it():
+    camera = Camera(130.0, -4.0, 6.0, 70.0, 64, 80)
+    row_px, _ = camera.skyline(AZIMUTH_DEG, hills(AZIMUTH_DEG))
+    rays, column = camera.rays(), np.arange(64)
+    above, below = np.floor(row_px).astype(int), np.ceil(row_px).astype(int)
+    for row, sign in ((above, 1.0), (below, -1.0)):
+        east, up, north = rays[row, column].T
+        over = up / np.hypot(east, north) - hills(np.degrees(np.arctan2(east, north)))
+        assert (sign * over > -1e-6).all()
+
+
+def test_the_optical_axis_looks_along_the_heading():
+    east, up, north = Camera(90.0, 10.0, 0.0, 60.0, 3, 3).rays()[1, 1]
+    np.testing.assert_allclose([east, up, north], [np.cos(0.17453), np.sin(0.17453), 0], atol=1e-5)
+
+
+def test_a_camera_turned_clockwise_sees_the_horizon_rise_to_the_right():
+    row_px, _ = Camera(0.0, roll_deg=5.0).skyline(AZIMUTH_DEG, np.zeros_like(AZIMUTH_DEG))
+    np.testing.assert_allclose(np.diff(row_px), -np.tan(np.radians(5.0)), atol=1e-3)
+
+
+def test_the_upper_of_two_branches_is_the_skyline():
+    # A cliff, 0.2 high from azimuth 0 on, leans over to the left of a rolled image.
+    steps = np.where((AZIMUTH_DEG >= 0.0) & (AZIMUTH_DEG < 20.0), 0.2, 0.0)
+    rolled = Camera(0.0, roll_deg=10.0, width_px=400, height_px=400)
+    row_px, _ = rolled.skyline(AZIMUTH_DEG, steps)
+    foot = rolled.skyline(AZIMUTH_DEG, np.zeros_like(steps))[0]
+    leaning = np.flatnonzero(row_px < foot - 1.0)
+    # The cliff's top is 0.2 tan(10 deg) of a focal length aside of its foot.
+    assert leaning.min() == pytest.approx(
+        199.5 - 0.2 * np.sin(np.radians(10)) * rolled.focal_px, abs=2
+    )
+    assert np.isfinite(row_px).all()
+
+
+def test_what_is_not_known_is_not_drawn():
+    row_px, sample = Camera(0.0).skyline(AZIMUTH_DEG, np.full_like(AZIMUTH_DEG, np.nan))
+    assert np.isnan(row_px).all()
+    assert (sample == -1).all()
+
+
+# --- what stands before the mountains -------------------------------------------------------------
+
+
+WIDTH = 500
+
+
+@pytest.mark.parametrize(("share", "count"), [(0.0, 3), (0.1, 2), (0.35, 5), (0.9, 4)])
+def test_runs_hold_the_share_and_do_not_overlap(share, count):
+    for seed in range(20):
+        runs = random_runs(np.random.default_rng(seed), WIDTH, share, count)
+        hidden = np.zeros(WIDTH, dtype=int)
+        for start, stop in runs:
+            hidden[start:stop] += 1
+        assert len(runs) == (count if share else 0)
+        assert hidden.max() <= 1
+        assert hidden.sum() == round(share * WIDTH)
+
+
+def test_runs_lie_anywhere():
+    starts = [random_runs(np.random.default_rng(seed), WIDTH, 0.1, 1)[0][0] for seed in range(200)]
+    assert min(starts) < 20
+    assert max(starts) > 430
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.4])
+def test_occluders_rise_above_the_skyline(share):
+    skyline = 300.0 + 20.0 * np.sin(np.arange(WIDTH) / 30.0)
+    kinds = set()
+    for seed in range(20):
+        occluders = random_occluders(np.random.default_rng(seed), skyline, share)
+        kinds |= {occluder.kind for occluder in occluders}
+        covered = np.zeros(WIDTH, dtype=int)
+        for occluder in occluders:
+            columns = slice(*occluder.columns)
+            covered[columns] += 1
+            assert (occluder.row_px < skyline[columns]).all()
+        assert covered.max(initial=0) <= 1
+        assert covered.sum() == round(share * WIDTH)
+    assert kinds == ({"tree", "building", "person"} if share else set())
+
+
+def test_occluders_stand_where_no_skyline_is_in_the_picture():
+    skyline = np.full(WIDTH, np.nan)
+    skyline[:100] = 40.0
+    occluders = random_occluders(np.random.default_rng(0), skyline, 0.4)
+    assert all((occluder.row_px < 40.0).all() for occluder in occluders)
+
+
+# --- other elevation models -----------------------------------------------------------------------
+
+
+def test_errors_have_the_size_and_the_reach_asked_for():
+    terrain = field_of(np.zeros((400, 600)), 30.0, 20.0)
+    error = perturbed(terrain, 10.0, 300.0, seed=5).heights_m.astype(float)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(10.0, abs=1e-3)
+    east = np.mean(error[:, :-10] * error[:, 10:]) / 100.0
+    north = np.mean(error[:-15] * error[15:]) / 100.0
+    assert east == pytest.approx(np.exp(-1.0), abs=0.08)
+    assert north == pytest.approx(np.exp(-1.0), abs=0.08)
+    assert np.mean(error[:, :-25] * error[:, 25:]) / 100.0 < 0.1
+
+
+def test_a_seed_decides_and_holes_stay():
+    heights = fractal(40, 50, seed=1)
+    heights[3, 4] = np.nan
+    terrain = field_of(heights)
+    first, again, other = (perturbed(terrain, seed=seed) for seed in (1, 1, 2))
+    assert first.digest == again.digest != other.digest
+    assert np.flatnonzero(np.isnan(first.heights_m)).tolist() == [3 * 50 + 4]
+    np.testing.assert_array_equal(perturbed(terrain, 0.0).heights_m, heights)
+
+
+def test_resampling_samples_the_same_surface():
+    terrain = field_from(lambda east, north: 2.0 * east - 3.0 * north, 60, 30.0)
+    other = resampled(terrain, 41.0, (0.25, 0.75))
+    assert other.west_m == pytest.approx(terrain.west_m + 0.25 * 41.0)
+    assert other.north_m == pytest.approx(terrain.north_m - 0.75 * 41.0)
+    _, south, east, _ = terrain.bounds_m
+    assert other.bounds_m[2] <= east < other.bounds_m[2] + 41.0
+    assert other.bounds_m[1] >= south > other.bounds_m[1] - 41.0
+    places = np.random.default_rng(0).uniform(-700.0, 700.0, (2, 50))
+    np.testing.assert_allclose(
+        other.height_at(**at_m(places)), terrain.height_at(**at_m(places)), atol=1e-6
+    )

@@ -9,8 +9,6 @@ from scenes import field_of, fractal
 from skyline.geodesy import Curvature
 from skyline.terrain.viewpoints import stand_on
 from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
-from skyline_bench.cases.closed_forms import SceneCase
-from skyline_bench.cases.stability import HARD_CASES, measure
 from skyline_bench.truth import oracle
 from skyline_bench.truth.agreement import (
     DEPTH,
@@ -23,6 +21,8 @@ from skyline_bench.truth.agreement import (
     oracle_truth,
     undecided_columns,
 )
+from skyline_bench.truth.closed_forms import SceneCase
+from skyline_bench.truth.stability import HARD_CASES, measure
 
 pytestmark = pytest.mark.usefixtures("no_gl_error")
 

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from skyline.errors import BuildError, InputError
-from skyline_bench.measuring.workers import crew
+from skyline_training.workers import crew
 
 
 def weigh(held, item):
@@ -38,7 +38,7 @@ LEADER = """
 import sys
 sys.path[:0] = {path}
 from test_workers import sleep
-from skyline_bench.measuring.workers import crew
+from skyline_training.workers import crew
 
 if __name__ == "__main__":
     with crew(None, 1) as run:

@@ -30,7 +30,6 @@ from skyline.pipeline.stored_dem import curvature_of
 from skyline.store import open_store
 from skyline.terrain.heightfield import ground_of
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
-from skyline_bench.stores.reference import mapped_area_m
 
 MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
 SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.03, 0.03), smooth_share=0.0)
@@ -147,25 +146,6 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
             apart_m = np.hypot(*np.subtract(one, other))
             assert apart_m < 3.0 * np.sqrt(np.trace(thorough.covariance_m2[0]))
     assert {bool(quick.margin[0] > sure_margin) for quick in found[0]} == {True, False}
-
-
-def test_a_store_says_what_area_it_stands_for(store, terrain):
-    with open_store(store) as opened:
-        header = opened.header
-    # Meridians are not parallel to the map's north.
-    np.testing.assert_allclose(mapped_area_m(header, terrain), MIDDLE, atol=25.0)
-    whole = replace(header, config=header.config | {"bounds_deg": None})
-    assert mapped_area_m(whole, terrain) == terrain.bounds_m
-    unsaid = {key: value for key, value in header.config.items() if key != "bounds_deg"}
-    assert mapped_area_m(replace(header, config=unsaid), terrain) is None
-
-
-@pytest.mark.parametrize("wrong", ["abcd", 7.0, [1.0, 2.0], ["w", "s", "e", "n"], [9, 9, 8, 8]])
-def test_an_area_that_is_none_counts_as_unsaid(store, terrain, caplog, wrong):
-    with open_store(store) as opened:
-        header = opened.header
-    assert mapped_area_m(replace(header, config={"bounds_deg": wrong}), terrain) is None
-    assert "bounds_deg" in caplog.text
 
 
 def test_places_find_where_a_photo_was_taken_and_which_way_it_looks(store, terrain, queries):

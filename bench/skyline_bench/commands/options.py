@@ -1,4 +1,4 @@
-"""What the commands share: options, checks of what is to be written, tables and records."""
+"""Shared by the commands: options, checks of files to be written, tables and records."""
 
 import json
 import re
@@ -80,7 +80,7 @@ def bounds_of(bounds: str | None) -> tuple[float, float, float, float] | None:
 
 @contextmanager
 def store_folder(kept: Path | None) -> Iterator[Path]:
-    """Give a folder for stores: the one named, made where it is not there, else one for now."""
+    """Give a folder for stores: the one named, made if need be, else a temporary one."""
     if kept is not None:
         kept.mkdir(parents=True, exist_ok=True)
         yield kept
@@ -89,7 +89,7 @@ def store_folder(kept: Path | None) -> Iterator[Path]:
         yield Path(passing)
 
 
-def tell(
+def report(
     json_file: Path | None, bench: str, rows: Sequence[Row], columns: str | None = None
 ) -> None:
     """Print the table of a benchmark and write its record where one is asked for."""
@@ -98,7 +98,7 @@ def tell(
 
 
 def rows_but(json_file: Path | None, key: str, begins: Iterable[str]) -> list[Row]:
-    """Return the rows of a record that is there already, but those to be measured anew.
+    """Return the rows of an existing record, but those to be measured anew.
 
     These are the rows whose ``key`` begins with one of some words.
     """
@@ -112,7 +112,7 @@ def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
     """Print rows as a table; ``columns`` are the keys shown, by default all.
 
     A key is its own heading, or is given another: ``key=heading``; underscores become spaces. Bytes
-    are shown as megabytes where the heading says so.
+    are shown as megabytes.
     """
     asked = columns.split() if columns else dict.fromkeys(key for row in rows for key in row)
     headings = {}
@@ -123,13 +123,13 @@ def print_rows(rows: Sequence[Row], columns: str | None = None) -> None:
         words = any(isinstance(row.get(key), str) for row in rows)
         table.add_column(heading, justify="left" if words else "right", no_wrap=True)
     for row in rows:
-        table.add_row(*(_told(row.get(key), heading) for key, heading in headings.items()))
+        table.add_row(*(_cell(row.get(key), heading) for key, heading in headings.items()))
     console = Console()
     # A file or a pipe has no width that figures would have to be cut to.
     (console if console.is_terminal else Console(width=_PIPED_WIDTH)).print(table)
 
 
-def _told(value: object, heading: str) -> str:
+def _cell(value: object, heading: str) -> str:
     if heading.endswith("MB") and isinstance(value, int | float):
         return shown(value / 1e6)
     return shown(value)

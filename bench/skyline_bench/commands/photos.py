@@ -1,28 +1,68 @@
-"""Photographs measured, the network that finds their skylines trained, and the README's own."""
+"""Real photographs: their skylines, their places, the stage that lost a place, and masks."""
 
-from collections.abc import Sequence
-from dataclasses import asdict
-from importlib import import_module
+import hashlib
+import math
+import time
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy as np
+from PIL import Image
 from typer import Argument, Option
 
-from skyline import InputError, Viewer
-from skyline.build.cluster import Progress
+from skyline import (
+    Candidate,
+    HeightField,
+    InputError,
+    Matcher,
+    MatchResult,
+    Narrowing,
+    QuerySkyline,
+    Viewer,
+    read_dem,
+    read_query,
+)
+from skyline.arrays import Float64Array
+from skyline.build.grid import map_bounds
 from skyline.cli.console import progress_bar
-from skyline.terrain.dem import DemOptions, read_dem
+from skyline.geodesy import Bounds
+from skyline.photo.read import read_picture
+from skyline.report.html import Page, Part, Picture, Section, Table
+from skyline.report.overlay import Overlay
+from skyline.report.records import describe_claim
+from skyline.terrain.dem import DemOptions
 from skyline_bench.commands import options
-from skyline_bench.figures.photo_pages import PhotographsPage, save_match
-from skyline_bench.measuring.record import write_record
-from skyline_bench.queries.manifest import EXTRACT, KINDS, Photograph, read_manifest
-from skyline_bench.runs import sky_masks as masks
-from skyline_bench.runs.photographs import Measured, PhotosConfig, Shown, measure, summarize
-from skyline_bench.training.training_photos import draw_training_photos
+from skyline_bench.measuring.record import Row, shown, write_record
+from skyline_bench.queries.manifest import EXTRACT, KINDS, LOCATE, Photograph, read_manifest
+from skyline_bench.search.specs import StoreSpec
 
-_PHOTOS = PhotosConfig()
-_PHOTO_COLUMNS = """photo kind trusted right_columns=right error_m rank
+_COLUMNS = """photo kind trusted right_columns=right error_m rank
     heading_error_deg=heading_off confidence answered gps_off_m=GPS_off_m lost=lost_by seconds=s"""
+
+RIGHT_M, RIGHT_DEG = 200.0, 10.0
+_RIGHT_ROWS = 0.01
+"""Of the photo's height: a column nearer to the truth is right."""
+_NEAR_KM = 0.3
+_SAME_AREA = 0.25
+"""Photographs nearer than this share of an area's side are searched in one area."""
+_OFF_CENTRE = 0.27
+_ODD_DEG = 0.5
+"""A found skyline this far from what the model shows at the true place is not the model's."""
+_M_PER_DEG = 111_320.0
+
+
+@dataclass(slots=True)
+class Measured:
+    """A photograph, and what was found of it."""
+
+    photograph: Photograph
+    figures: dict[str, Any]  # The row of the table
+    query: QuerySkyline | None = None  # None where no skyline was found
+    row_px: Float64Array | None = None  # (W,); the true skyline, where it is known
+    best: Candidate | None = None
 
 
 def photos(
@@ -36,7 +76,7 @@ def photos(
     folder: options.Folder = None,
     side_km: Annotated[
         float, Option(help="Side of the square about a photograph that is searched.")
-    ] = _PHOTOS.side_m / 1000.0,
+    ] = 22.0,
     spacing: Annotated[
         float | None, Option(metavar="M", help="Between places; planned by default.")
     ] = None,
@@ -64,49 +104,289 @@ def photos(
     --quick searches areas of 4 km, and three photographs of each kind.
     """
     wanted = read_manifest(manifest)
-    config = PhotosConfig(1000.0 * side_km, spacing, use_gps)
     if quick:
-        config, wanted = config.quick(), _some(wanted)
+        side_km = min(side_km, 4.0)
+        wanted = [one for kind in KINDS for one in [o for o in wanted if o.kind == kind][:3]]
     located = any(one.kind != EXTRACT for one in wanted)
     if located and not dem:
         raise InputError(f"{manifest} has photographs to locate; give their elevation model too")
     terrain = read_dem(dem, DemOptions(crs=crs)) if located and dem else None
-    drawn = PhotographsPage() if page is not None else None
+    side_m = 1000.0 * side_km
+    sections, found = list[Section](), dict[Photograph, dict[str, Any]]()
     with options.store_folder(folder) as place, progress_bar("photographs") as progress:
-        rows = measure(wanted, terrain, config, place, _told(drawn, progress, len(wanted)))
+        for measured, viewer in measure(wanted, terrain, place, side_m, spacing, use_gps):
+            found[measured.photograph] = measured.figures
+            if page is not None:
+                sections.append(_section(measured, viewer))
+            progress(len(found), len(wanted))
+    rows = [found[one] for one in wanted]
     summary = summarize(rows)
-    options.print_rows(rows, _PHOTO_COLUMNS)
+    options.print_rows(rows, _COLUMNS)
     options.print_rows(summary)
-    name = manifest.stem
-    how = {"manifest": name, **asdict(config)}
-    rows = [{**how, **row} for row in rows]
-    summary = [{**how, **row} for row in summary]
-    write_record(json_file, "photos", rows, {"photos": summary})
-    if drawn is not None and page is not None:
-        drawn.write(page, f"{len(rows)} photographs of {manifest.name}.")
+    about = {
+        "manifest": manifest.stem,
+        "side_m": side_m,
+        "spacing_m": spacing,
+        "use_gps": use_gps,
+    }
+    write_record(
+        json_file,
+        "photos",
+        [about | row for row in rows],
+        {"photos": [about | row for row in summary]},
+    )
+    if page is not None:
+        lead = f"{len(rows)} photographs of {manifest.name}."
+        Page("Photographs", lead, sections, "").write(page)
 
 
-def _some(wanted: Sequence[Photograph]) -> list[Photograph]:
-    return [one for kind in KINDS for one in [o for o in wanted if o.kind == kind][:3]]
+def _section(measured: Measured, viewer: Viewer | None) -> Section:
+    """Return the section of a photograph, with a drawing where its skyline was found."""
+    figures = {name: shown(value) for name, value in measured.figures.items()}
+    parts: list[Part] = [Table(("", ""), [[k, str(v)] for k, v in figures.items() if v != "-"])]
+    if measured.query is not None:
+        panorama = None
+        if viewer is not None and measured.best is not None:
+            panorama = viewer.panorama(measured.best)
+        picture = read_picture(measured.photograph.photo)
+        overlay = Overlay(measured.query, picture, measured.best, panorama)
+        parts.insert(0, Picture(overlay.jpeg(), "Found, and rendered at the best candidate."))
+    return Section(measured.photograph.name, parts)
 
 
-def _told(page: PhotographsPage | None, progress: Progress, count: int) -> Shown:
-    done = iter(range(1, count + 1))
+def measure(
+    photographs: Sequence[Photograph],
+    terrain: HeightField | None,
+    folder: Path,
+    side_m: float,
+    spacing_m: float | None = None,
+    use_gps: bool = False,
+) -> Iterator[tuple[Measured, Viewer | None]]:
+    """Yield each photograph measured, and what renders its surroundings.
 
-    def shown(measured: Measured, viewer: Viewer | None) -> None:
-        if page is not None:
-            page.add(measured, viewer)
-        progress(next(done), count)
+    Squares of a side are searched about the photographs; the terrain is not needed where nothing is
+    located. Places are planned without a spacing; their stores are kept in a folder and found
+    again. ``use_gps`` lets the photographs' own positions draw the search. `InputError` is raised
+    where a place is not on the elevation model, or there is none.
+    """
+    for one in photographs:
+        if one.kind == EXTRACT:
+            yield _extracted(one), None
+    located = [one for one in photographs if one.kind != EXTRACT]
+    for group in _groups(located, side_m * _SAME_AREA):
+        if terrain is None:
+            raise InputError("photographs are to be located; give the elevation model too")
+        place = folder / f"{group[0].name}-area"
+        place.mkdir(exist_ok=True)
+        area_deg = _area_deg(terrain, group[0], side_m)
+        store = StoreSpec(spacing_m=spacing_m).build(terrain, place, area_deg)
+        with Matcher(store.path, terrain) as matcher, Viewer(matcher) as viewer:
+            for one in group:
+                yield _located(one, matcher, viewer, use_gps), viewer
 
-    return shown
+
+def summarize(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return one row for each kind of photograph: how many were found, answered and right."""
+    table = []
+    for kind in KINDS:
+        some = [row for row in rows if row["kind"] == kind]
+        if not some:
+            continue
+        line: dict[str, Any] = {"kind": kind, "photographs": len(some)}
+        if kind != EXTRACT:
+            answered = [row for row in some if row.get("answered")]
+            true = [row["error_m"] <= row["within_m"] for row in answered]
+            line |= {
+                "within_200m": sum(row.get("rank") == 1 for row in some) / len(some),
+                "answered": len(answered) / len(some),
+                "answered_200m": sum(row["within_m"] == RIGHT_M for row in answered) / len(some),
+                "answered_right": sum(true) / len(true) if true and kind == LOCATE else None,
+            }
+        columns = [row.get("right_columns") for row in some]
+        shares = [share for share in columns if share is not None]
+        line |= {
+            "right_columns": float(np.mean(shares)) if shares else None,
+            "mostly_wrong": sum(share < 0.5 for share in shares) if shares else None,
+            "no_skyline": sum(row.get("trusted") is None for row in some),
+        }
+        table.append(line)
+    return table
 
 
-def readme_picture(
-    out: Annotated[Path, options.new_file("The JPEG to write.", "--out", "-o")],
-    quick: options.Quick = False,
-) -> None:
-    """The README's picture: a photo made of the sample terrain, and where it was put."""
-    options.print_rows([save_match(out, width=512 if quick else 2048)])
+def _extracted(one: Photograph) -> Measured:
+    """Read a photograph, and hold its skyline to the truth where that is known."""
+    figures: dict[str, Any] = {"photo": one.name, "kind": one.kind}
+    started = time.perf_counter()
+    try:
+        query = read_query(one.photo, one.given_fov_deg)
+    except InputError as error:
+        refusal = str(error).replace(str(one.photo), one.name)
+        return Measured(one, figures | {"refusal": refusal, "lost": "extraction"})
+    figures |= {"seconds": time.perf_counter() - started, "trusted": float(query.trusted.mean())}
+    if one.given_eye_height_m is not None:
+        query = replace(query, eye_height_m=one.given_eye_height_m)
+    true_px = one.true_row_px(query.width_px, query.height_px)
+    if true_px is not None:
+        figures |= right_columns(query, true_px)
+    return Measured(one, figures, query, true_px)
+
+
+def right_columns(query: QuerySkyline, true_px: Float64Array) -> dict[str, Any]:
+    """Return the share of trusted columns that are right, and of true ones that are found so."""
+    known = np.isfinite(true_px)
+    both = known & query.trusted
+    off = np.abs(query.row_px[both] - true_px[both]) / query.height_px
+    right = off <= _RIGHT_ROWS
+    return {
+        "right_columns": float(right.mean()) if right.size else None,
+        "found_columns": float(right.sum() / max(known.sum(), 1)),
+        "row_error": float(np.median(off)) if off.size else None,
+    }
+
+
+def _located(one: Photograph, matcher: Matcher, viewer: Viewer, use_gps: bool) -> Measured:
+    measured = _extracted(one)
+    if measured.query is None:
+        return measured
+    query = measured.query
+    result = matcher.match(query, narrowing=Narrowing(use_gps=use_gps))
+    best = next(iter(result.candidates), None)
+    errors = [_off_m(one, place, matcher) for place in result.candidates]
+    right = [rank for rank, off in enumerate(errors, start=1) if off <= RIGHT_M]
+    claim = describe_claim(query.noted, best)
+    measured.figures |= {
+        "seconds": measured.figures["seconds"] + result.seconds,
+        "answered": result.answer is not None,
+        "within_m": result.within_m,
+        "error_m": errors[0] if errors else None,
+        "rank": right[0] if right else None,
+        "heading_error_deg": None if best is None else _turn_deg(one, best),
+        "fov_given_deg": query.fov_deg,
+        "fov_found_deg": None if best is None else best.fov_deg,
+        "confidence": None if best is None else best.confidence,
+        "confidence_1km": None if best is None else best.confidence_1km,
+        "gps_off_m": None if claim is None else claim["distance_m"],
+        "refusal": result.refusal,
+        "lost": None,
+    }
+    measured.best = best
+    if one.kind == LOCATE and not (right and right[0] == 1 and result.answer is not None):
+        measured.figures |= _stages(one, measured, result, matcher, viewer)
+    return measured
+
+
+def _stages(
+    one: Photograph, measured: Measured, result: MatchResult, matcher: Matcher, viewer: Viewer
+) -> dict[str, Any]:
+    """Return the stage that lost a place: the truth is given to one later stage after the other.
+
+    ``confidence``: it was found, and not believed. ``extraction``: with the true skyline it is
+    found, or there is too little of one. ``search``: with the place given, its skyline fits better
+    than all that was found. ``ranking``: it fits, and a wrong place fits better. ``pose``: even
+    there the pose is missed, but found where that is given. ``skyline``: what was found is not
+    what the model shows from there.
+    """
+    query = result.query
+    if measured.figures["rank"] == 1:
+        return {"lost": "confidence"}
+    refused = result.refusal is not None and not result.candidates
+    if refused or _found_by_truth(one, query, measured.row_px, matcher):
+        return {"lost": "extraction"}
+    near = Narrowing(near=(*one.lonlat, _NEAR_KM))
+    try:
+        there = next(iter(matcher.match(query, narrowing=near).candidates), None)
+    except InputError:
+        there = None
+    stage = "ranking"
+    if there is None or abs(_turn_deg(one, there) or 0.0) > RIGHT_DEG:
+        fitted = _fitted(one, query, matcher, viewer)
+        stage = "skyline" if fitted is None else "pose"
+        there = fitted or there
+    if there is None:
+        return {"lost": "skyline"}
+    gap_deg = viewer.look(there, query).median_gap_deg
+    if gap_deg is None or gap_deg > _ODD_DEG:
+        stage = "skyline"
+    elif stage == "ranking" and there.score < result.candidates[0].score:
+        stage = "search"
+    return {
+        "lost": stage,
+        "true_place_gap_deg": gap_deg,
+        "true_place_behind": there.score - result.candidates[0].score,
+    }
+
+
+def _found_by_truth(
+    one: Photograph, query: QuerySkyline, true_px: Float64Array | None, matcher: Matcher
+) -> bool:
+    """Whether the true skyline, as far as it is known, leads to the place."""
+    if true_px is None:
+        return False
+    true = replace(query, row_px=true_px, confidence=np.isfinite(true_px).astype(float))
+    found = matcher.match(true).candidates
+    return bool(found) and _off_m(one, found[0], matcher) <= RIGHT_M
+
+
+def _fitted(
+    one: Photograph, query: QuerySkyline, matcher: Matcher, viewer: Viewer
+) -> Candidate | None:
+    """Return the pose that the true one becomes; None where it is not known, or does not hold."""
+    if one.heading_deg is None:
+        return None
+    fov_deg = one.fov_deg or query.fov_deg or 60.0
+    lon, lat = one.lonlat
+    ground_m = float(viewer.terrain.height_at(lon=lon, lat=lat))
+    above_m = 2.0 if one.elevation_m is None else max(0.0, one.elevation_m - ground_m)
+    pose = viewer.pose(
+        lon=lon, lat=lat, heading_deg=one.heading_deg, pitch_deg=one.pitch_deg or 0.0,
+        roll_deg=one.roll_deg or 0.0, fov_deg=fov_deg, eye_height_m=above_m,
+    )  # fmt: skip
+    fitted = next(iter(matcher.fit(query, pose).candidates), None)
+    if fitted is None or _off_m(one, fitted, matcher) > RIGHT_M:
+        return None
+    return fitted if abs(_turn_deg(one, fitted) or 0.0) <= RIGHT_DEG else None
+
+
+def _off_m(one: Photograph, place: Candidate, matcher: Matcher) -> float:
+    east, north = matcher.frame.from_lonlat(*one.lonlat)
+    return float(np.hypot(place.easting_m - east, place.northing_m - north))
+
+
+def _turn_deg(one: Photograph, place: Candidate) -> float | None:
+    if one.heading_deg is None:
+        return None
+    return (place.heading_deg - one.heading_deg + 180.0) % 360.0 - 180.0
+
+
+def _groups(photographs: Sequence[Photograph], apart_m: float) -> Iterator[list[Photograph]]:
+    """Yield photographs that share an area, those of the first of them first."""
+    left = list(photographs)
+    while left:
+        first = left[0]
+        group = [one for one in left if _apart_m(first, one) <= apart_m]
+        yield group
+        left = [one for one in left if one not in group]
+
+
+def _apart_m(one: Photograph, other: Photograph) -> float:
+    (lon, lat), (other_lon, other_lat) = one.lonlat, other.lonlat
+    east, north = (lon - other_lon) * math.cos(math.radians(lat)), lat - other_lat
+    return _M_PER_DEG * math.hypot(east, north)
+
+
+def _area_deg(terrain: HeightField, first: Photograph, side_m: float) -> Bounds:
+    """Return W, S, E, N of an area that holds a place somewhere, but not in its middle."""
+    generator = np.random.default_rng(zlib.crc32(first.name.encode()))
+    lon, lat = first.lonlat
+    m_per_deg = np.array([_M_PER_DEG * math.cos(math.radians(lat)), _M_PER_DEG])
+    off = generator.uniform(-_OFF_CENTRE, _OFF_CENTRE, 2) * side_m / m_per_deg
+    middle, half = np.array([lon, lat]) + off, side_m / 2.0 / m_per_deg
+    west, south, east, north = (float(value) for value in (*(middle - half), *(middle + half)))
+    map_bounds(terrain, (west, south, east, north))
+    return west, south, east, north
+
+
+# --- masks drawn by people ------------------------------------------------------------------
 
 
 def sky_masks(
@@ -116,28 +396,50 @@ def sky_masks(
     json_file: options.JsonFile = None,
     quick: options.Quick = False,
 ) -> None:
-    """Skylines extracted from real photographs, against masks drawn by people."""
+    """Skylines extracted from real photographs, against masks drawn by people.
+
+    Names are split in two by their hash: one half to develop on, and one that is only ever
+    measured. Columns whose mask has no edge are left out.
+    """
+    masks = sorted(
+        folder.glob("*.mask.png"),
+        key=lambda mask: hashlib.sha256(mask.name.removesuffix(".mask.png").encode()).hexdigest(),
+    )
+    if len(masks) < 2:
+        raise InputError(f"{folder} has {len(masks)} masks NAME.mask.png; expected two or more")
+    middle = len(masks) // 2
+    rows = list[Row]()
     with progress_bar("photographs") as progress:
-        rows = masks.measure(folder, quick, progress)
-    options.tell(json_file, "sky-masks", rows)
+        for half, some in {"development": masks[:middle], "held out": masks[middle:]}.items():
+            counts, seconds = [], []
+            for mask in some[: 2 if quick else None]:
+                photo = mask.with_name(mask.name.replace(".mask.png", ".jpg"))
+                started = time.process_time()
+                counts.append(_columns(_extracted(Photograph(photo, EXTRACT, mask=mask))))
+                seconds.append(time.process_time() - started)
+                progress(len(rows) * len(some) + len(counts), len(masks))
+            trusted, right, known = np.array(counts).T
+            rows.append(
+                {
+                    "half": half,
+                    "photos": len(counts),
+                    "refused": int((trusted == 0).sum()),
+                    "within": float(right.sum() / max(trusted.sum(), 1)),
+                    "trusted": float(trusted.sum() / max(known.sum(), 1)),
+                    "mostly_wrong": int((2 * right < trusted).sum()),
+                    "seconds": float(np.mean(seconds)),
+                }
+            )
+    options.report(json_file, "sky-masks", rows)
 
 
-def train_sky_model(
-    out: Annotated[Path, options.new_file("The model, ONNX zipped.", "--out", "-o")],
-    photos: Annotated[int, Option(help="Photographs to draw.")] = 6000,
-    steps: Annotated[int, Option(help="Batches of 16 to train on.")] = 4500,
-    seed: options.Seed = 1,
-    quick: options.Quick = False,
-) -> None:
-    """The network that finds skylines in photos, trained anew on drawn photographs."""
-    try:
-        training = import_module("skyline_bench.training.training")
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"training needs {error.name}, which is not installed: pip install -e 'bench[train]'"
-        ) from error
-    with progress_bar("photographs") as progress:
-        drawn = draw_training_photos(16 if quick else photos, seed, progress)
-    with progress_bar("steps") as progress:
-        net = training.train(drawn, 2 if quick else steps, seed, progress)
-    training.write_model(net, out)
+def _columns(measured: Measured) -> tuple[int, int, int]:
+    """Return how many columns with a true skyline are trusted, are right as well, and there are."""
+    query, true_px = measured.query, measured.row_px
+    if query is None or true_px is None:
+        with Image.open(measured.photograph.photo) as photo:
+            true_px = measured.photograph.true_row_px(*photo.size)
+        return 0, 0, 0 if true_px is None else int(np.isfinite(true_px).sum())
+    known = np.isfinite(true_px)
+    off = np.abs(query.row_px - true_px)[known & query.trusted] / query.height_px
+    return off.size, int((off <= _RIGHT_ROWS).sum()), int(known.sum())

@@ -50,4 +50,4 @@ def input_fuzz(
     for row in damaged_input.measure(min(cases, 10) if quick else cases, seed):
         rows.append(row)
         typer.echo(f"{row['file']}: {row['cases']} files", err=True)
-    options.tell(json_file, "input-fuzz", rows)
+    options.report(json_file, "input-fuzz", rows)

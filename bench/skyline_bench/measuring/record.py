@@ -80,7 +80,7 @@ def _plain(rows: Sequence[Row]) -> list[Row]:
 
 
 def _processor() -> str:
-    """Return the processor's model name where the system tells it, else its architecture."""
+    """Return the processor's model name where the system gives it, else its architecture."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:

@@ -12,6 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from skyline.build.grid import uniform_grid
+from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 Result = TypeVar("Result")
@@ -30,6 +32,20 @@ def core_count() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def central_viewpoints(terrain: HeightField, count: int, spacing_m: float) -> Viewpoints:
+    """Return up to ``count`` viewpoints of a uniform grid, a square in the middle of a DEM."""
+    side = int(np.ceil(np.sqrt(count)))
+    west, south, east, north = terrain.bounds_m
+    half_m = (side - 0.5) / 2.0 * spacing_m
+    # Half a step over from a multiple of the spacing, an even number of them is in the middle.
+    easting, northing = (
+        (np.floor(middle / spacing_m) + (0.0 if side % 2 else 0.5)) * spacing_m
+        for middle in ((west + east) / 2.0, (south + north) / 2.0)
+    )
+    bounds = (easting - half_m, northing - half_m, easting + half_m, northing + half_m)
+    return uniform_grid(terrain, spacing_m, bounds)[:count]
 
 
 def over_cores(
@@ -94,4 +110,4 @@ def _kilobytes(name: str, process: int | str = "self") -> int | None:
 
 
 def unseen(_done: int, _total: int) -> None:
-    """Hear of progress that nobody looks at; a `skyline.build.cluster.Progress`."""
+    """Ignore progress; a `skyline.build.cluster.Progress`."""

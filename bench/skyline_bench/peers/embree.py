@@ -28,10 +28,8 @@ from skyline.terrain.viewpoints import Viewpoints
 from skyline.views import FLAG_NO_DATA, Views
 from skyline_bench.measuring.timing import core_count, over_cores
 
-STARTS = ("plain", "neighbour")
-
 _HALF_FIELD_TAN = 1.0
-"""Plain bisection starts from the paper's field of view, v from -1 to 1."""
+"""Of the paper's field of view, in which v is from -1 to 1."""
 
 _STEEPEST_TAN = 1e4
 """A column without a hit below this dip meets no data."""
@@ -43,27 +41,11 @@ _FIRST_STEP = 1.0 / 64.0
 _VIEWPOINTS_A_CALL = 8
 
 
-@dataclass(frozen=True, slots=True)
-class Bisection:
-    """How the skyline of a column is found."""
-
-    # The last bracket is 2 / 2 ** depth wide, as after so many bisections of the paper's field of
-    # view; its middle is the answer, so the error is at most half of that.
-    depth: int
-    # "plain" bisects the whole field of view; "neighbour" starts from the columns on either side,
-    # found before, with a bracket that widens until it holds the skyline.
-    start: str = "neighbour"
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.depth <= 30:
-            raise InputError(f"bisection depth is {self.depth}; expected 1 to 30")
-        if self.start not in STARTS:
-            raise InputError(f"bisection starts {self.start!r}; expected {' or '.join(STARTS)}")
-
-    @property
-    def bracket_tan(self) -> float:
-        """Width of the last bracket."""
-        return float(2.0 * _HALF_FIELD_TAN / 2.0**self.depth)
+def bracket_tan(depth: int) -> float:
+    """Return the width of the last bracket, as after so many bisections of the field of view."""
+    if not 1 <= depth <= 30:
+        raise InputError(f"bisection depth is {depth}; expected 1 to 30")
+    return float(2.0 * _HALF_FIELD_TAN / 2.0**depth)
 
 
 def is_installed() -> bool:
@@ -90,14 +72,16 @@ class EmbreePeer:
         self._scene = _scene(self._vertices(), _triangles(field))
         self._directions = np.stack([ground_directions(turn, width) for turn in HEADINGS])
 
-    def render(self, viewpoints: Viewpoints, bisection: Bisection) -> Views:
+    def render(self, viewpoints: Viewpoints, depth: int) -> Views:
         """Find the skylines of N viewpoints in all four headings.
+
+        The skyline of a column is the middle of its last bracket; see `bracket_tan`.
 
         Of the 4 N views depth is NaN throughout, and `FLAG_NO_DATA` is the only flag.
         """
-        share = -(-len(viewpoints) // core_count())
+        share, bracket = -(-len(viewpoints) // core_count()), bracket_tan(depth)
         parts = over_cores(
-            lambda part: self._skylines(part, bisection),
+            lambda part: self._skylines(part, bracket),
             viewpoints,
             min(max(share, 1), _VIEWPOINTS_A_CALL),
         )
@@ -129,14 +113,11 @@ class EmbreePeer:
         vertices[..., 2] = north
         return vertices.reshape(-1, 3)
 
-    def _skylines(self, viewpoints: Viewpoints, bisection: Bisection) -> Float64Array:
+    def _skylines(self, viewpoints: Viewpoints, bracket: float) -> Float64Array:
         """Return elevation_tan of a few viewpoints, (4 N, W)."""
         rays = self._rays(viewpoints)
         columns = np.arange(rays.shear_tan.size).reshape(rays.shear_tan.shape)
-        if bisection.start == "plain":
-            tan = _from_the_field_of_view(rays, columns.ravel(), bisection.bracket_tan)
-            return tan.reshape(columns.shape) + rays.shear_tan
-        return _from_neighbours(rays, columns, bisection.bracket_tan) + rays.shear_tan
+        return _from_neighbours(rays, columns, bracket) + rays.shear_tan
 
     def _rays(self, viewpoints: Viewpoints) -> "_Rays":
         """Place the eyes in the scene and aim at every column of their four views."""
@@ -175,27 +156,13 @@ class _Rays:
         return np.asarray(hit == 0)
 
 
-def _from_the_field_of_view(rays: _Rays, columns: Int64Array, bracket_tan: float) -> Float64Array:
-    """Return the skyline of columns by bisecting the field of view."""
-    low = np.full(len(columns), -_HALF_FIELD_TAN)
-    high = np.full(len(columns), _HALF_FIELD_TAN)
-    tan = _bisected(rays, columns, low, high, bracket_tan)
-    # Only where it ends at the end it started from can the skyline lie outside.
-    outside = np.flatnonzero(np.abs(tan) > _HALF_FIELD_TAN - bracket_tan)
-    if outside.size:
-        tan[outside] = _around(
-            rays, columns[outside], tan[outside], np.full(outside.size, bracket_tan), bracket_tan
-        )
-    return tan
-
-
-def _from_neighbours(rays: _Rays, columns: Int64Array, bracket_tan: float) -> Float64Array:
+def _from_neighbours(rays: _Rays, columns: Int64Array, bracket: float) -> Float64Array:
     """Return the skyline of (views, W) columns, every stride's from the coarser stride's."""
     tan = np.full(columns.shape, np.nan)
     first = slice(0, None, _COARSEST_STRIDE)
     start = np.zeros(columns[:, first].size)
     tan[:, first] = _around(
-        rays, columns[:, first].ravel(), start, start + _HALF_FIELD_TAN / 4.0, bracket_tan
+        rays, columns[:, first].ravel(), start, start + _HALF_FIELD_TAN / 4.0, bracket
     ).reshape(columns[:, first].shape)
     stride = _COARSEST_STRIDE
     while stride > 1:
@@ -205,16 +172,16 @@ def _from_neighbours(rays: _Rays, columns: Int64Array, bracket_tan: float) -> Fl
         right = tan[:, stride::stride]
         right = np.concatenate([right, left[:, right.shape[1] :]], axis=1)
         guess = np.nan_to_num((left + right) / 2.0)
-        step = np.maximum(bracket_tan, _FIRST_STEP * np.nan_to_num(np.abs(left - right)))
+        step = np.maximum(bracket, _FIRST_STEP * np.nan_to_num(np.abs(left - right)))
         tan[:, half::stride] = _around(
-            rays, between.ravel(), guess.ravel(), step.ravel(), bracket_tan
+            rays, between.ravel(), guess.ravel(), step.ravel(), bracket
         ).reshape(between.shape)
         stride = half
     return tan
 
 
 def _around(
-    rays: _Rays, columns: Int64Array, guess: Float64Array, step: Float64Array, bracket_tan: float
+    rays: _Rays, columns: Int64Array, guess: Float64Array, step: Float64Array, bracket: float
 ) -> Float64Array:
     """Return the skyline of columns, looked for around guesses in growing steps.
 
@@ -235,21 +202,21 @@ def _around(
     tan = np.full(len(guess), np.nan)
     found = np.flatnonzero(~np.isnan(far))
     low, high = np.minimum(near[found], far[found]), np.maximum(near[found], far[found])
-    tan[found] = _bisected(rays, columns[found], low, high, bracket_tan)
+    tan[found] = _bisected(rays, columns[found], low, high, bracket)
     return tan
 
 
 def _bisected(
-    rays: _Rays, columns: Int64Array, low: Float64Array, high: Float64Array, bracket_tan: float
+    rays: _Rays, columns: Int64Array, low: Float64Array, high: Float64Array, bracket: float
 ) -> Float64Array:
-    """Return the middles of brackets that hold the skyline, narrowed to ``bracket_tan``."""
-    wide = np.flatnonzero(high - low > bracket_tan)
+    """Return the middles of brackets that hold the skyline, narrowed to ``bracket``."""
+    wide = np.flatnonzero(high - low > bracket)
     while wide.size:
         middle = (low[wide] + high[wide]) / 2.0
         hit = rays.blocked(columns[wide], middle)
         low[wide] = np.where(hit, middle, low[wide])
         high[wide] = np.where(hit, high[wide], middle)
-        wide = wide[high[wide] - low[wide] > bracket_tan]
+        wide = wide[high[wide] - low[wide] > bracket]
     return (low + high) / 2.0
 
 

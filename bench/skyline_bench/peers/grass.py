@@ -64,8 +64,8 @@ def horizons(
     ends = np.array(re.findall(r"^took ([\d.]+)$", done.stdout, re.MULTILINE), dtype=np.float64)
     steps = round(360.0 / step_deg)
     if done.returncode or len(ends) != len(eyes) or len(angles) < len(eyes) * steps:
-        said = " ".join(done.stderr.split())[-200:]
-        raise SkylineError(f"r.horizon gave {len(angles)} angles in {taken:.0f} s: {said}")
+        stderr = " ".join(done.stderr.split())[-200:]
+        raise SkylineError(f"r.horizon gave {len(angles)} angles in {taken:.0f} s: {stderr}")
     table = np.array(angles, dtype=np.float64).reshape(len(eyes), -1, 2)
     order = np.argsort(np.round(table[0, :, 0] % 360.0, 6), kind="stable")
     return table[:, order, 1][:, -steps:], np.diff(ends)

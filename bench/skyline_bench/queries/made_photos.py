@@ -1,6 +1,6 @@
-"""Photographs that nobody took: a pin-hole camera's view of the terrain, with a known pose.
+"""Made photographs: a pin-hole camera's view of the terrain, with a known pose.
 
-They are the queries of demos and benchmarks. The terrain is looked up in depth images, shaded
+Demos and benchmarks match them. The terrain is looked up in depth images, shaded
 by its slope, veiled by haze and put under a sky; nothing of the pose is left in the picture.
 """
 
@@ -13,13 +13,10 @@ from scipy import ndimage
 
 from skyline.arrays import Float32Array, Float64Array
 from skyline.camera import HEADINGS, rotation
-from skyline.errors import InputError
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-from skyline_bench.queries.occluders import Occluder
 from skyline_bench.queries.pinhole import Camera
-from skyline_bench.queries.synthetic import SyntheticQuery
 
 _SUN = np.array([-0.55, 0.62, 0.55]) / np.linalg.norm([-0.55, 0.62, 0.55])
 _MEADOW_RGB = np.array([92.0, 112.0, 62.0])
@@ -29,11 +26,6 @@ _SNOW_RGB = np.array([240.0, 242.0, 248.0])
 _HAZE_RGB = np.array([188.0, 203.0, 220.0])
 _ZENITH_RGB = np.array([84.0, 134.0, 205.0])
 _CLOUD_RGB = np.array([240.0, 241.0, 243.0])
-_OCCLUDER_RGB = {
-    "tree": np.array([38.0, 52.0, 30.0]),
-    "building": np.array([168.0, 150.0, 128.0]),
-    "person": np.array([150.0, 50.0, 45.0]),
-}
 
 _KOSCHMIEDER = 3.912
 """At the visibility 2 % of a dark thing's contrast are left (Koschmieder 1924)."""
@@ -56,14 +48,6 @@ class Scenery:
     tree_line_m: float = 1900.0  # Height below which there is forest
     clouds: float = 0.3  # How much of the sky is covered, 0 to 1; they gather about the ridge
 
-    def __post_init__(self) -> None:
-        if not self.visibility_m > 0.0:
-            raise InputError(
-                f"visibility is {self.visibility_m} m; expected a positive number of metres"
-            )
-        if not 0.0 <= self.clouds <= 1.0:
-            raise InputError(f"clouds are {self.clouds}; expected a share of 0 to 1")
-
 
 def ground_rgb(
     field: HeightField,
@@ -74,7 +58,7 @@ def ground_rgb(
 ) -> Float64Array:
     """Return RGB (M, 3) of ground at map coordinates (easting, northing), each (M,).
 
-    Distances (M,) are from the camera. The generator says where meadows and forests are.
+    Distances (M,) are from the camera. The generator draws where meadows and forests are.
     """
     height_m, slope_east, slope_north = _sampled(field, *place_m)
     normal = np.stack([-slope_east, np.ones_like(slope_east), -slope_north], axis=-1)
@@ -82,14 +66,14 @@ def ground_rgb(
     light = 0.4 + 0.75 * np.clip(normal @ _SUN, 0.0, 1.0)
     rough = _texture(place_m, distance_m, generator)
     steep = np.hypot(slope_east, slope_north)
-    colour = _mixed(_MEADOW_RGB, _ROCK_RGB, np.clip(2.2 * steep - 0.9 + 0.5 * rough, 0.0, 1.0))
+    colour = mixed(_MEADOW_RGB, _ROCK_RGB, np.clip(2.2 * steep - 0.9 + 0.5 * rough, 0.0, 1.0))
     forest = np.clip((scenery.tree_line_m - height_m) / 150.0 + 1.2 * rough, 0.0, 1.0)
-    colour = _mixed(colour, _FOREST_RGB, forest)
+    colour = mixed(colour, _FOREST_RGB, forest)
     snow = np.clip((height_m - scenery.snow_line_m) / 120.0 + 1.5 * rough, 0.0, 1.0)
-    colour = _mixed(colour, _SNOW_RGB, snow * np.clip(2.6 - 1.6 * steep, 0.0, 1.0))
+    colour = mixed(colour, _SNOW_RGB, snow * np.clip(2.6 - 1.6 * steep, 0.0, 1.0))
     colour = colour * (light * (1.0 + 0.2 * rough))[:, np.newaxis]
     veil = 1.0 - np.exp(-_KOSCHMIEDER * distance_m / scenery.visibility_m)
-    return _mixed(colour, _HAZE_RGB, veil)
+    return mixed(colour, _HAZE_RGB, veil)
 
 
 def sky_rgb(
@@ -98,7 +82,7 @@ def sky_rgb(
     """Return a sky (H, W, 3) along rays (H, W, 3), with clouds about the ridge's rows (W,)."""
     height, width = rays.shape[:2]
     up = rays[..., 1] / np.hypot(rays[..., 0], rays[..., 2])
-    sky = _mixed(_HAZE_RGB * 1.04, _ZENITH_RGB, np.clip(up / _ZENITH_TAN, 0.0, 1.0))
+    sky = mixed(_HAZE_RGB * 1.04, _ZENITH_RGB, np.clip(up / _ZENITH_TAN, 0.0, 1.0))
     if scenery.clouds == 0.0:
         return sky
     cloud = np.zeros_like(up)
@@ -109,23 +93,10 @@ def sky_rgb(
     over_ridge = up - up[ridge, columns]
     near = np.exp(-((over_ridge / _CLOUD_BAND_TAN) ** 2))
     cover = np.clip(2.0 * (cloud + scenery.clouds * (0.4 + 1.2 * near) - 0.5), 0.0, 1.0)
-    return _mixed(sky, _CLOUD_RGB * (0.97 + 0.03 * cloud[..., np.newaxis]), cover)
+    return mixed(sky, _CLOUD_RGB * (0.97 + 0.03 * cloud[..., np.newaxis]), cover)
 
 
-def put_in_front(picture: Float64Array, occluder: Occluder, generator: np.random.Generator) -> None:
-    """Paint something near over a picture (H, W, 3), from its top down."""
-    start, stop = occluder.columns
-    rows = np.arange(len(picture))[:, np.newaxis]
-    covered = np.clip(rows + 0.5 - occluder.row_px, 0.0, 1.0)
-    colour = _OCCLUDER_RGB[occluder.kind] * generator.uniform(0.8, 1.2)
-    # Foliage lets light through; walls and coats do not.
-    rough = 0.35 if occluder.kind == "tree" else 0.05
-    shade = 1.0 + rough * generator.standard_normal((len(picture), stop - start))
-    part = picture[:, start:stop]
-    picture[:, start:stop] = _mixed(part, colour * np.maximum(shade, 0.2)[..., np.newaxis], covered)
-
-
-def _mixed(first: Float64Array, second: Float64Array, share: Float64Array) -> Float64Array:
+def mixed(first: Float64Array, second: Float64Array, share: Float64Array) -> Float64Array:
     """Return the first colour with a share (...) of the second."""
     part = share[..., np.newaxis]
     return np.asarray(first * (1.0 - part) + second * part, dtype=np.float64)
@@ -198,44 +169,14 @@ def photograph(
     """
     generator = np.random.default_rng(seed)
     rays = camera.rays()
-    distance = _distance(renderer.depth_images(viewpoints, index), rays)
+    distance = distance_along(renderer.depth_images(viewpoints, index), rays)
     eye = float(viewpoints.easting_m[index]), float(viewpoints.northing_m[index])
     ground = np.isfinite(distance)
-    picture = _scene(renderer, eye, rays, distance, ground.astype(float), Scenery(), generator)
-    return _exposed(picture, generator)
+    picture = scene_rgb(renderer, eye, rays, distance, ground.astype(float), Scenery(), generator)
+    return exposed(picture, generator)
 
 
-def draw_photo(
-    renderer: DepthRenderer, query: SyntheticQuery, seed: int, scenery: Scenery
-) -> NDArray[np.uint8]:
-    """Return the RGB photograph (H, W, 3) of a synthetic query, its occluders in front.
-
-    Sky and ground meet exactly at ``query.row_px``, the border pixels mixed from both; the depth
-    images behind decide only what the ground looks like. ``renderer`` must draw the terrain the
-    query was made from.
-    """
-    generator, truth = np.random.default_rng(seed), query.truth
-    size = query.skyline.width_px, query.skyline.height_px
-    camera = Camera(truth.heading_deg, truth.pitch_deg, truth.roll_deg, truth.fov_deg, *size)
-    viewpoint = Viewpoints(
-        easting_m=np.array([truth.easting_m]),
-        northing_m=np.array([truth.northing_m]),
-        eye_elevation_m=np.array([truth.eye_elevation_m]),
-    )
-    rays = camera.rays()
-    distance = _distance(renderer.depth_images(viewpoint, 0), rays)
-    rows = np.arange(camera.height_px)[:, np.newaxis]
-    # Pixel r spans r - 0.5 to r + 0.5.
-    below = np.clip(rows + 0.5 - query.row_px, 0.0, 1.0)
-    share = np.where(np.isfinite(query.row_px), below, np.isfinite(distance))
-    eye = truth.easting_m, truth.northing_m
-    picture = _scene(renderer, eye, rays, distance, share, scenery, generator)
-    for occluder in query.occluders:
-        put_in_front(picture, occluder, generator)
-    return _exposed(picture, generator)
-
-
-def _scene(
+def scene_rgb(
     renderer: DepthRenderer,
     eye_m: tuple[float, float],
     rays: Float64Array,
@@ -269,14 +210,14 @@ def _carried_up(distance: Float64Array) -> Float64Array:
     return np.asarray(distance[nearest, np.arange(width)], dtype=np.float64)
 
 
-def _exposed(picture: Float64Array, generator: np.random.Generator) -> NDArray[np.uint8]:
+def exposed(picture: Float64Array, generator: np.random.Generator) -> NDArray[np.uint8]:
     """Return 8 bits (H, W, 3) through a lens that blurs a little and a sensor that is noisy."""
     blurred = ndimage.gaussian_filter(picture, (_BLUR_PX, _BLUR_PX, 0.0))
     noisy = blurred + generator.normal(0.0, _NOISE, picture.shape)
     return np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
 
 
-def _distance(depth_m: NDArray[np.float32], rays: Float64Array) -> Float64Array:
+def distance_along(depth_m: NDArray[np.float32], rays: Float64Array) -> Float64Array:
     """Return the distance along each ray, in lengths of that ray; inf for sky."""
     size = depth_m.shape[-1]
     heading = np.rint(np.degrees(np.arctan2(rays[..., 0], rays[..., 2])) / 90.0).astype(int) % 4

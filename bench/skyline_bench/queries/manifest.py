@@ -1,4 +1,4 @@
-"""Real photographs to measure with: a CSV file that says what is known of each."""
+"""Real photographs to measure with: a CSV file with all that is known of each."""
 
 import csv
 from dataclasses import dataclass, fields
@@ -8,7 +8,6 @@ import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError, MissingFileError
-from skyline.photo.query import QuerySkyline
 from skyline.photo.read import read_photo
 from skyline.photo.sky_model import topmost_border
 from skyline.photo.trace import read_trace
@@ -36,7 +35,7 @@ class Photograph:
     roll_deg: float | None = None
     fov_deg: float | None = None
     elevation_m: float | None = None
-    # What the matcher is told.
+    # Given to the matcher.
     given_fov_deg: float | None = None
     given_eye_height_m: float | None = None
     # The true skyline: a picture of two colours of the photo's proportions, or a trace of it.
@@ -45,7 +44,7 @@ class Photograph:
 
     @property
     def name(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return self.photo.stem
 
     @property
@@ -53,8 +52,11 @@ class Photograph:
         """Where it was taken, of one that is to be located."""
         return self.lon or 0.0, self.lat or 0.0
 
-    def true_row_px(self, query: QuerySkyline) -> Float64Array | None:
-        """Return the true row (W,) in each column of the photo, NaN where none; None if unknown."""
+    def true_row_px(self, width_px: int, height_px: int) -> Float64Array | None:
+        """Return the true row (W,) in each column of a photo of a size; None if it is not known.
+
+        The row is NaN in columns without a skyline.
+        """
         if self.trace is not None:
             true = read_trace(self.trace)
             row_px, height = true.row_px, true.height_px
@@ -63,9 +65,9 @@ class Photograph:
             row_px, height = _upper_edge(mask), len(mask)
         else:
             return None
-        at = (np.arange(query.width_px) + 0.5) * len(row_px) / query.width_px - 0.5
+        at = (np.arange(width_px) + 0.5) * len(row_px) / width_px - 0.5
         nearest = np.clip(np.rint(at), 0, len(row_px) - 1).astype(np.intp)
-        return np.asarray((row_px[nearest] + 0.5) * query.height_px / height - 0.5)
+        return np.asarray((row_px[nearest] + 0.5) * height_px / height - 0.5)
 
 
 _NUMBERS = tuple(field.name for field in fields(Photograph) if "float" in str(field.type))

@@ -1,4 +1,4 @@
-"""What stands before the mountains: trees, people and buildings, as runs of image columns."""
+"""Occluders: trees, people and buildings, before the mountains, as runs of image columns."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

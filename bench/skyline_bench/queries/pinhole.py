@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.arrays import Float64Array, IntArray
-from skyline.errors import InputError
 
 _MIN_FORWARD = 0.05
 """Rays that point further aside of the optical axis are not drawn."""
@@ -22,17 +21,6 @@ class Camera:
     fov_deg: float = 60.0  # Horizontal field of view
     width_px: int = 960
     height_px: int = 640
-
-    def __post_init__(self) -> None:
-        if not 1.0 <= self.fov_deg <= 120.0 or max(abs(self.pitch_deg), abs(self.roll_deg)) > 20.0:
-            raise InputError(
-                f"field of view {self.fov_deg}, pitch {self.pitch_deg} and roll {self.roll_deg} "
-                "degrees; expected 1 to 120, within 20 and within 20"
-            )
-        if min(self.width_px, self.height_px) < 2:
-            raise InputError(
-                f"image is {self.width_px} x {self.height_px} px; expected at least 2 x 2"
-            )
 
     @property
     def focal_px(self) -> float:

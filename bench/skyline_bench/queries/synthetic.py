@@ -8,7 +8,7 @@ and its place and pose are the same whatever the noise, the occluders or the ele
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +17,7 @@ from scipy import ndimage
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Rectangle
-from skyline.horizons import Horizons, bin_azimuths_rad, check_bins
+from skyline.horizons import Horizons, bin_azimuths_rad
 from skyline.matching.query_rays import QueryRays
 from skyline.photo.query import QuerySkyline
 from skyline.render.panorama import PanoramaRenderer
@@ -29,12 +29,18 @@ from skyline_bench.queries.pinhole import Camera
 _MAX_DRAWS = 10_000
 """Draws of a place before an area counts as a hole."""
 _POSE, _ERRORS, _MASKS, _OCCLUDERS = range(4)
-"""What is drawn, each from a generator of its own."""
+"""Draws, each from a generator of its own."""
+_SMOOTH_DEG = 1.0
+"""How far along a skyline the correlation of smooth errors drops to 1/e."""
+_MASKED_RUNS = 2
+_NOTICED = 0.5
+"""Share of the things in front that an extraction notices and masks; the tops of the others stay in
+the skyline."""
 
 
 @dataclass(frozen=True, slots=True)
 class QueryConfig:
-    """What queries are like. A pair is a range to draw from evenly."""
+    """How queries are drawn. A pair is a range to draw from evenly."""
 
     fov_deg: tuple[float, float] = (60.0, 60.0)  # True horizontal field of view
     # The field of view given is wrong by up to this share; 0 where it is known.
@@ -47,48 +53,18 @@ class QueryConfig:
     # Share of that error's variance that varies smoothly along the skyline, as where an extraction
     # follows a snow line; the rest is drawn anew in each column.
     smooth_share: float = 0.5
-    smooth_deg: float = 1.0  # How smoothly: where its correlation has dropped to 1/e
-    masked_share: float = 0.1  # Share of the columns without a skyline, in ``masked_runs`` runs
-    masked_runs: int = 2
+    masked_share: float = 0.1  # Share of the columns without a skyline, in two runs
     # Share of the columns with something near in front, which rises above the skyline.
     occluded_share: tuple[float, float] = (0.0, 0.0)
-    # Share of such things that the extraction has noticed and masked; the tops of the others are
-    # left in as skyline.
-    occluders_masked: float = 0.5
     eye_height_m: float = DEFAULT_EYE_HEIGHT_M  # Above ground
     width_px: int = 640
     height_px: int = 960  # Tall, so that what rises steeply near by stays in the image
     azimuths: int = 10_240  # To a turn, of the exact horizon that the skyline is taken from
-    curvature: Curvature = field(default_factory=Curvature)
 
     @property
     def fov_slack(self) -> float:
         """Standard deviation of the field of view given, as a share of the true one."""
         return self.fov_error / math.sqrt(3.0)
-
-    def __post_init__(self) -> None:
-        check_bins(self.azimuths)
-        for name, (low, high), most in (
-            ("fov_deg", self.fov_deg, 120.0),
-            ("noise_deg", self.noise_deg, 10.0),
-            ("occluded_share", self.occluded_share, 0.9),
-        ):
-            if not 0.0 <= low <= high <= most:
-                raise InputError(
-                    f"{name} is {low} to {high}; expected a range within 0 to {most:g}"
-                )
-        for name, most in (
-            ("fov_error", 0.5),
-            ("max_tilt_deg", 20.0),
-            ("smooth_share", 1.0),
-            ("masked_share", 0.9),
-            ("occluders_masked", 1.0),
-        ):
-            if not 0.0 <= getattr(self, name) <= most:
-                raise InputError(f"{name} is {getattr(self, name)}; expected 0 to {most:g}")
-        for name in ("smooth_deg", "masked_runs"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"{name} is {getattr(self, name)}; expected more than 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +90,7 @@ class Truth:
 class SyntheticQuery:
     """One query and the truth about it."""
 
-    skyline: QuerySkyline  # What a matcher is given
+    skyline: QuerySkyline  # The matcher's input
     given_fov_deg: float  # The field of view it is given with
     fov_slack: float  # Standard deviation of the true one about that, as a share
     truth: Truth
@@ -178,7 +154,7 @@ def _queries(
     eyes = stand_on(
         terrain, easting_m=easting_m, northing_m=northing_m, eye_height_m=config.eye_height_m
     )
-    with PanoramaRenderer(terrain, config.azimuths, config.curvature, 0.0) as renderer:
+    with PanoramaRenderer(terrain, config.azimuths, Curvature(), 0.0) as renderer:
         rendered = renderer.render(eyes)
     for index, (some, drawn) in enumerate(zip(held, entropies, strict=True)):
         yield tuple(
@@ -239,11 +215,11 @@ def _photographed(
     occluders = random_occluders(things, row_px, things.uniform(*config.occluded_share))
     found = row_px.copy()
     for occluder in occluders:
-        noticed = things.uniform() < config.occluders_masked
+        noticed = things.uniform() < _NOTICED
         top_px = np.where(occluder.row_px > -0.5, occluder.row_px, np.nan)
         found[slice(*occluder.columns)] = np.nan if noticed else top_px
     found += _errors_px(errors, camera, config)
-    for run in random_runs(masks, camera.width_px, config.masked_share, config.masked_runs):
+    for run in random_runs(masks, camera.width_px, config.masked_share, _MASKED_RUNS):
         found[slice(*run)] = np.nan
     given = camera.fov_deg * (1.0 + errors.uniform(-config.fov_error, config.fov_error))
     sure = np.isfinite(found).astype(np.float64)
@@ -263,7 +239,7 @@ def _errors_px(generator: np.random.Generator, camera: Camera, config: QueryConf
     rms_px = np.radians(generator.uniform(*config.noise_deg)) * camera.focal_px
     own, smooth = generator.standard_normal((2, camera.width_px))
     # White noise under a Gaussian of deviation s has the correlation exp(-d^2 / (4 s^2)).
-    deviation_px = np.radians(config.smooth_deg) * camera.focal_px / 2.0
+    deviation_px = np.radians(_SMOOTH_DEG) * camera.focal_px / 2.0
     impulse = np.eye(1, camera.width_px)[0]
     smooth, kernel = (
         ndimage.gaussian_filter1d(values, deviation_px, mode="wrap") for values in (smooth, impulse)

@@ -32,8 +32,7 @@ from skyline.terrain.viewpoints import stand_on
 from skyline.terrain.warp import Warp, ground_spacing_m, local_frame
 from skyline_bench.measuring.prominence import prominences
 from skyline_bench.measuring.record import Row
-from skyline_bench.measuring.timing import in_turns
-from skyline_bench.runs.speed_error import central_viewpoints
+from skyline_bench.measuring.timing import central_viewpoints, in_turns
 
 EXACT_M = 1.0
 """How far a summit may be off."""
@@ -237,11 +236,12 @@ def _horizons_coarsened(field: HeightField) -> Row:
         field.frame,
     )
     easting, northing = field.to_map(row, col)
-    true_deg = horizons_of(field, stand_on(field, easting, northing), 1.0).elevation_deg
+    eyes = stand_on(field, easting_m=easting, northing_m=northing)
+    true_deg = horizons_of(field, eyes, 1.0).elevation_deg
     lon, lat = field.frame.to_lonlat(easting, northing)
     found: dict[str, float] = {"coarsened": row.size}
     for name, within_m in STOOD.items():
-        stood = horizon(coarse, lon, lat, step_deg=1.0, summit_within_m=within_m)
+        stood = horizon(coarse, lon=lon, lat=lat, step_deg=1.0, summit_within_m=within_m)
         off_deg = stood.elevation_deg - true_deg
         found[f"coarse_{name}_off_deg"] = float(np.sqrt(np.nanmean(off_deg**2)))
     return found

@@ -1,1 +1,1 @@
-"""What is right: the oracle and the simulation, and how far others are from them."""
+"""The truth: the oracle, hard cases with bounds, and the paper's simulation."""

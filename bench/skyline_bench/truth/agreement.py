@@ -31,12 +31,12 @@ _ASIDE = 16.0 * EPSILON
 """How far aside a ray may be, a unit of depth."""
 
 _NEAR_PX = 0.008
-"""What heights next to the eye may cost before the horizon path turns to float64."""
+"""The error that heights next to the eye may cost before the horizon path turns to float64."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkylineScene:
-    """What is rendered: eyes on a surface, W columns a view, the planet below."""
+    """A scene to render: eyes on a surface, W columns a view, the planet below."""
 
     field: HeightField
     viewpoints: Viewpoints
@@ -50,7 +50,7 @@ class SkylineScene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkylineTruth:
-    """What the skylines of a scene should be."""
+    """The true skylines of a scene."""
 
     views: Views  # float64
     # How far the elevation_tan of ``views`` may be from the exact surface's: 0 from the oracle, the
@@ -73,7 +73,7 @@ class Agreement:
 
     # Infinite where only one of the two meets data; 0 where the path cannot be held to it.
     error_px: Float64Array
-    bound_px: Float64Array  # What the path's arithmetic allows
+    bound_px: Float64Array  # The error that the path's arithmetic allows
     flags_agree: BoolArray
 
     @property
@@ -84,7 +84,7 @@ class Agreement:
 
 @dataclass(frozen=True, slots=True)
 class RenderPath:
-    """A way to render skylines, and what it promises."""
+    """A way to render skylines, and its promise."""
 
     name: str
     factory: Renderers
@@ -266,7 +266,7 @@ def compare(views: Views, truth: Views) -> Row:
 
     Return ``rms_px`` and ``max_px`` over the ``columns`` that neither side flags, None without any.
     ``flagged_share`` of all columns is left out because either side flags them; ``missing`` are
-    unflagged columns of the truth where the other has no value, whatever its flags say.
+    unflagged columns of the truth where the other has no value, whatever its flags are.
     """
     clear = truth.flags == 0
     missing = clear & np.isnan(views.elevation_tan)

@@ -32,7 +32,7 @@ class _Crossings:
     """Where R ground rays cross L lines of one family; arrays are (R, L).
 
     The edge crossed joins sample (row, col) to (row + row_step, col + col_step), and
-    ``fraction`` says how far along it. ``near`` and ``far`` tell whether the triangle on the
+    ``fraction`` is how far along it. ``near`` and ``far`` are whether the triangle on the
     eye's side of the edge, and the one beyond, belong to the surface; both are False off the map.
     """
 
@@ -80,7 +80,7 @@ def skyline_at(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rivals:
-    """What decides a column's flags, (N, W) each; N views, the four headings of an eye together."""
+    """Quantities that decide a column's flags, (N, W) each; an eye's four headings together."""
 
     # Greatest v over the crossings beyond which the surface goes on, and over those where it ends;
     # -inf where there are none. The greater of the two is the skyline.

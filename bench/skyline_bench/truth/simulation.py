@@ -261,7 +261,7 @@ def reprojection_errors(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """What a strategy did on a simulation; viewpoints in the order rendered, corners first."""
+    """A strategy run on a simulation; viewpoints in the order rendered, corners first."""
 
     coverage: Coverage
     progress: NDArray[np.float64]  # Coverage after the corners and after each rendering

@@ -1,0 +1,360 @@
+"""The page measured in a browser, and the README's picture.
+
+How soon the page is ready, how the skyline follows a hand, and what memory matches leave.
+"""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from skyline import Matcher, build_places, read_dem, stand_at
+from skyline.build.cluster import Progress
+from skyline.cli.console import progress_bar
+from skyline.errors import BuildError, InputError
+from skyline.pipeline.reports import matched, report_matches
+from skyline.render.depth import DepthRenderer
+from skyline_bench.commands import options
+from skyline_bench.measuring.geotiff import write_sample_dem
+from skyline_bench.measuring.record import Row
+from skyline_bench.measuring.timing import own_bytes
+from skyline_bench.queries.made_photos import photograph
+from skyline_bench.queries.pinhole import Camera
+
+_BOUNDS_DEG = (-84.29, 36.55, -84.20, 36.62)
+_SPACING_M = 120.0
+_PHOTO_PX = (4000, 3000)
+_FOCAL_LENGTH_35MM = 31
+_WARM_MATCHES = 5
+_PATIENCE_S = 120.0
+_KNOWN = b'{"fov": 60}'
+_DRAG_HZ = 60.0
+
+_PROMISED: dict[str, Row] = {
+    "server ready": {"at most": 3},
+    "stroke to new skyline, median": {"at most": 300},
+    "renderings shown a second": {"at least": 10},
+    "hand to skyline, 95 %": {"at most": 150},
+}
+
+_Figure = tuple[str, float, str]
+"""A name, a value and its unit."""
+
+_STROKES = "return performance.getEntriesByName('stroke').map((one) => one.duration)"
+_STATE = "const done = arguments[0]; import('/page/{}.js').then((it) => done({}));"
+_PICTURE_CAMERA = Camera(220.0, pitch_deg=7.0, roll_deg=1.0, fov_deg=60.0)
+_PICTURE_PX = 560
+"""Height of the README's picture."""
+
+
+# --- the page in a process of its own, and a browser ----------------------------------------
+
+_SERVE = "from skyline.cli import main; main()"
+_WINDOW = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+
+
+@dataclass(frozen=True, slots=True)
+class ServedPage:
+    """A page that is being served."""
+
+    address: str
+    ready_s: float  # From the command to the page's first answer
+    process: int  # Its number
+
+    def own_bytes(self) -> int:
+        """Return the memory of the server that lies in no file."""
+        return own_bytes(self.process) or 0
+
+
+@contextmanager
+def served_page(arguments: Sequence[str | Path]) -> Iterator[ServedPage]:
+    """Run ``skyline serve`` with some arguments, on any free port."""
+    command = [sys.executable, "-c", _SERVE, "serve", *map(str, arguments), "--port", "0"]
+    began = time.perf_counter()
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as run:
+        try:
+            line = "" if run.stdout is None else run.stdout.readline()
+            found = re.search(r"http://\S+", line)
+            if found is None:
+                raise BuildError("the page was not served; `skyline serve` says why")
+            with urlopen(found[0]) as answer:
+                answer.read()
+            yield ServedPage(found[0], time.perf_counter() - began, run.pid)
+        finally:
+            run.terminate()
+
+
+@contextmanager
+def browser() -> Iterator[Any]:
+    """Start Chromium as `headless` has it; raises likewise."""
+    options, service = headless()
+    from selenium import webdriver  # noqa: PLC0415  (an extra)
+
+    with webdriver.Chrome(options=options, service=service) as running:
+        running.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", _WINDOW)
+        yield running
+
+
+def headless() -> tuple[Any, Any]:
+    """Return Chromium's options and driver, without a screen or a network beyond this machine."""
+    program, driver = shutil.which("chromium"), shutil.which("chromedriver")
+    try:
+        from selenium import webdriver  # noqa: PLC0415  (an extra)
+        from selenium.webdriver.chrome.service import Service  # noqa: PLC0415
+    except ImportError:
+        program = None
+    if program is None or driver is None:
+        raise InputError(
+            "the page is measured in a browser; install chromium, chromium-driver and selenium"
+        )
+    options = webdriver.ChromeOptions()
+    options.binary_location = program
+    for flag in (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-dev-shm-usage",
+        "--disable-background-networking",
+        "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
+    ):
+        options.add_argument(flag)
+    return options, Service(driver)
+
+
+# --- what a person waits for -----------------------------------------------------------------
+
+
+def page(
+    json_file: options.JsonFile = None,
+    quick: options.Quick = False,
+) -> None:
+    """The page in a browser: ready, strokes on 12 megapixels, the live skyline, memory."""
+    with tempfile.TemporaryDirectory() as folder, progress_bar("page") as bar:
+        rows = measure(Path(folder), 1 if quick else 50, 2.0 if quick else 10.0, bar)
+    options.report(json_file, "page", rows)
+
+
+def measure(folder: Path, matches: int, drag_s: float, progress: Progress) -> list[Row]:
+    """Serve the sample terrain's page and measure it.
+
+    Memory is compared over so many matches, and the camera is dragged for so long.
+    """
+    store, photo = _made(folder)
+    progress(1, 5)
+    with served_page([store]) as served:
+        figures: list[_Figure] = [("server ready", served.ready_s, "s")]
+        progress(2, 5)
+        with browser() as chromium:
+            figures += _in_browser(chromium, served, photo, drag_s)
+        progress(4, 5)
+        figures += _memory(served, photo, matches)
+        progress(5, 5)
+    return [
+        {"figure": name, "value": float(value), "unit": unit, **_PROMISED.get(name, {})}
+        for name, value, unit in figures
+    ]
+
+
+def _made(folder: Path) -> tuple[Path, Path]:
+    """Return a store of the sample terrain, and a photo of 12 megapixels."""
+    terrain = read_dem([write_sample_dem(folder / "sample.tif")])
+    store, photo = folder / "places.h5", folder / "photo.jpg"
+    build_places(terrain, store, _SPACING_M, _BOUNDS_DEG)
+    eye = stand_at(terrain, lon=-84.25, lat=36.58, summit_within_m=0.0)
+    fov_deg = float(2.0 * np.degrees(np.arctan(18.0 / _FOCAL_LENGTH_35MM)))
+    with DepthRenderer(terrain, 2048) as renderer:
+        picture = photograph(renderer, eye, 0, Camera(60.0, fov_deg=fov_deg), seed=1)
+    large = cv2.resize(picture, _PHOTO_PX, interpolation=cv2.INTER_CUBIC)
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA405] = _FOCAL_LENGTH_35MM
+    Image.fromarray(large).save(photo, quality=92, exif=exif)
+    return store, photo
+
+
+def _in_browser(chromium: Any, served: ServedPage, photo: Path, drag_s: float) -> list[_Figure]:
+    """Measure what a person at the page waits for."""
+    chromium.get(served.address)
+    _until(lambda: chromium.execute_script("return document.documentElement.dataset.ready"))
+    began = time.perf_counter()
+    chromium.find_element("id", "files").send_keys(str(photo))
+    _until(lambda: _ask(chromium, "state", "Boolean(it.state.rows)"))
+    shown_s = time.perf_counter() - began
+    began = time.perf_counter()
+    chromium.execute_script("document.getElementById('find').click()")
+    _until(lambda: _ask(chromium, "state", "Boolean(it.state.sight)"))
+    found_s = time.perf_counter() - began
+    strokes = _strokes(chromium)
+    return [
+        ("photo shown with its skyline", shown_s, "s"),
+        ("place found", found_s, "s"),
+        ("stroke to new skyline, median", np.median(strokes), "ms"),
+        ("stroke to new skyline, slowest", max(strokes), "ms"),
+        *_drag(chromium, drag_s),
+    ]
+
+
+def _strokes(chromium: Any) -> list[float]:
+    """Paint over the skyline at ten places, and return how long each took, ms."""
+    chromium.execute_script("document.querySelector('input[value=sky]').click()")
+    box = chromium.find_element("id", "photo").rect
+    for count in range(10):
+        column = box["x"] + box["width"] * (0.3 + 0.04 * count)
+        row = box["y"] + box["height"] * 0.55
+        _mouse(chromium, "mousePressed", column, row)
+        for step in range(8):
+            _mouse(chromium, "mouseMoved", column + 3.0 * step, row)
+        _mouse(chromium, "mouseReleased", column + 24.0, row)
+        _until(partial(_solved_again, chromium, count))
+    return [float(duration) for duration in chromium.execute_script(_STROKES)]
+
+
+def _solved_again(chromium: Any, before: int) -> bool:
+    return len(chromium.execute_script(_STROKES)) > before
+
+
+def _drag(chromium: Any, drag_s: float) -> list[_Figure]:
+    """Drag the camera about the map, and return how the skyline follows."""
+    box = chromium.find_element("css selector", ".camera").rect
+    column, row = box["x"] + box["width"] / 2.0, box["y"] + box["height"] / 2.0
+    _mouse(chromium, "mousePressed", column, row)
+    _mouse(chromium, "mouseMoved", column + 6.0, row)
+    time.sleep(0.5)
+    chromium.execute_async_script(_STATE.format("hand", "it.live.latency.length = 0"))
+    shown = _ask(chromium, "hand", "it.live.shown")
+    began = time.perf_counter()
+    moves = 0
+    while time.perf_counter() - began < drag_s:
+        moves += 1
+        turn = moves / _DRAG_HZ
+        _mouse(chromium, "mouseMoved", column + 25 * np.cos(turn), row + 20 * np.sin(turn))
+        time.sleep(max(0.0, began + moves / _DRAG_HZ - time.perf_counter()))
+    seconds = time.perf_counter() - began
+    shown = _ask(chromium, "hand", "it.live.shown") - shown
+    latency = _ask(chromium, "hand", "it.live.latency")
+    _mouse(chromium, "mouseReleased", column, row)
+    return [
+        ("renderings shown a second", shown / seconds, "1/s"),
+        ("moves of the mouse a second", moves / seconds, "1/s"),
+        ("hand to skyline, median", np.median(latency), "ms"),
+        ("hand to skyline, 95 %", np.percentile(latency, 95), "ms"),
+    ]
+
+
+def _memory(served: ServedPage, photo: Path, matches: int) -> list[_Figure]:
+    """Match again and again, and return what the server holds before and after."""
+    seconds = []
+    with _person(served, photo) as asked:
+        for count in range(_WARM_MATCHES + matches):
+            if count == _WARM_MATCHES:
+                before = served.own_bytes()
+            began = time.perf_counter()
+            _post(served, f"{asked}/match", _KNOWN)
+            seconds.append(time.perf_counter() - began)
+        after = served.own_bytes()
+    return [
+        ("match, median", np.median(seconds), "s"),
+        ("memory before", before / 1e6, "MB"),
+        (f"memory after {matches} matches", after / 1e6, "MB"),
+        ("memory a match", (after - before) / 1e6 / matches, "MB"),
+    ]
+
+
+@contextmanager
+def _person(served: ServedPage, photo: Path) -> Iterator[str]:
+    """Put a photo onto a page that is open, and give the photo's address."""
+    from websockets.sync.client import connect  # noqa: PLC0415  (an extra)
+
+    session = f"session/{_post(served, 'session', b'')['session']}"
+    record = _post(served, f"{session}/photos?name=photo.jpg", photo.read_bytes())
+    with connect(_channel(served, session)) as onlooker:
+        # Messages must be received, or the channel takes its listener for dead.
+        threading.Thread(target=lambda: [None for _ in onlooker], daemon=True).start()
+        yield f"{session}/photos/{record['id']}"
+
+
+def _channel(served: ServedPage, session: str) -> str:
+    return served.address.replace("http", "ws") + f"{session}/live"
+
+
+def _post(served: ServedPage, path: str, body: bytes) -> Any:
+    try:
+        with urlopen(Request(served.address + path, body, method="POST")) as answer:
+            return json.loads(answer.read())
+    except HTTPError as error:
+        raise BuildError(f"the page says: {error.read().decode()[:200]}") from error
+
+
+def _ask(chromium: Any, module: str, code: str) -> Any:
+    return chromium.execute_async_script(_STATE.format(module, code))
+
+
+def _mouse(chromium: Any, kind: str, column: float, row: float) -> None:
+    event = {"type": kind, "x": column, "y": row, "button": "left", "buttons": 1, "clickCount": 1}
+    chromium.execute_cdp_cmd("Input.dispatchMouseEvent", event)
+
+
+def _until(true: Callable[[], object]) -> None:
+    began = time.perf_counter()
+    while not true():
+        if time.perf_counter() - began > _PATIENCE_S:
+            raise BuildError("the page did not get to where it is measured; look at it")
+        time.sleep(0.01)
+
+
+# --- the README's picture -------------------------------------------------------------------
+
+
+def readme_picture(
+    out: Annotated[Path, options.new_file("The JPEG to write.", "--out", "-o")],
+    quick: options.Quick = False,
+) -> None:
+    """The README's picture: a photo made of the sample terrain, and where it was put."""
+    options.print_rows([_save_match(out, width=512 if quick else 2048)])
+
+
+def _save_match(path: Path, width: int) -> dict[str, object]:
+    """Save the picture of a photo rendered so wide; return what the match came to."""
+    with tempfile.TemporaryDirectory() as name:
+        terrain = read_dem([write_sample_dem(Path(name) / "sample.tif")])
+        store = Path(name) / "places.h5"
+        build_places(terrain, store, bounds_deg=_BOUNDS_DEG)
+        eye = stand_at(terrain, lon=-84.2790, lat=36.6029, summit_within_m=0.0)
+        photo, report = Path(name) / "photo.jpg", Path(name) / "report"
+        with DepthRenderer(terrain, width) as renderer:
+            Image.fromarray(photograph(renderer, eye, 0, _PICTURE_CAMERA, seed=1)).save(
+                photo, quality=92
+            )
+        with Matcher(store, terrain) as matcher:
+            result = matcher.match(photo, fov_deg=_PICTURE_CAMERA.fov_deg)
+            report_matches(report, matcher, [matched(photo, result)], terrain)
+        pictures = [Image.open(path) for path in (report / "01-overlay.jpg", report / "01-map.png")]
+        _side_by_side(pictures).save(path, quality=85, optimize=True)
+    best = result.candidates[0]
+    apart_m = best.easting_m - eye.easting_m[0], best.northing_m - eye.northing_m[0]
+    error_m = float(np.hypot(*apart_m))
+    return {"error_m": error_m, "confidence": best.confidence, "query_s": result.seconds}
+
+
+def _side_by_side(pictures: Sequence[Image.Image]) -> Image.Image:
+    """Return pictures in one row, all as high."""
+    parts = [
+        picture.convert("RGB").resize((picture.width * _PICTURE_PX // picture.height, _PICTURE_PX))
+        for picture in pictures
+    ]
+    return Image.fromarray(np.concatenate([np.asarray(part) for part in parts], axis=1))

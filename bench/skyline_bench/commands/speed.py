@@ -1,0 +1,350 @@
+"""Speed: every way to a skyline against its error, and very large DEMs.
+
+Times are medians after a warm-up, taken in turns, all cores for everyone. They wander on shared
+machines: compare what was timed in one run.
+"""
+
+import logging
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import count
+from math import log
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from skyline.arrays import Float64Array
+from skyline.build.cluster import Progress
+from skyline.camera import DEFAULT_WIDTH, elevation_deg
+from skyline.cli.console import progress_bar
+from skyline.errors import InputError
+from skyline.geodesy import Curvature, Frame
+from skyline.horizons import Horizons
+from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG
+from skyline.places import BINS
+from skyline.render.depth import DepthRenderer
+from skyline.render.horizon import HorizonRenderer
+from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
+from skyline.terrain.dem import DemOptions, read_dem
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints, stand_on
+from skyline.views import Views
+from skyline_bench.commands import options
+from skyline_bench.measuring.record import Row, machine
+from skyline_bench.measuring.timing import central_viewpoints, in_turns, over_cores, peak_bytes
+from skyline_bench.peers import embree, grass
+from skyline_bench.truth import oracle
+from skyline_bench.truth.agreement import PIXEL_TAN, compare
+from skyline_bench.truth.closed_forms import fractal
+
+_log = logging.getLogger(__name__)
+
+_Render = Callable[[Viewpoints], Views | Horizons]
+
+_SPACING_M = 100.0
+_SLOW = 2
+"""Viewpoints that are timed together for the depth path and the oracle, which take them one by one:
+the time of one does not depend on how many there are."""
+_COMPARED, _SLOW_COMPARED = 24, 8
+"""Viewpoints that are compared with the oracle, and those of the depth path."""
+_STEPS = round(360.0 / DEFAULT_STEP_DEG)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """One way to a skyline with one setting, ready to render viewpoints."""
+
+    path: str
+    width: int
+    setting: str
+    viewpoints: Viewpoints  # Timed together
+    compared: Viewpoints
+    render: _Render
+    details: Row = field(default_factory=dict)
+
+
+def speed_error(
+    dem: options.Dems,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    seed: options.Seed = 0,
+    quick: options.Quick = False,
+    crs: options.Crs = None,
+) -> None:
+    """Every way to a skyline: milliseconds a viewpoint against error from the oracle.
+
+    Viewpoints stand on a 100 m grid in the DEM's middle. Errors are over the columns that neither
+    side flags, in px of W = 640 whatever the width; of skylines all the way round, as places have
+    them, they are of elevation angles. Embree needs embreex (extra peers), GRASS `grass` on the
+    path: a peer that is not installed is left out.
+    """
+    if seed < 0:
+        raise InputError(f"seed is {seed}; expected 0 or more")
+    terrain = read_dem(dem, DemOptions(crs=crs))
+    with progress_bar("measuring") as progress:
+        rows = _speed_error(terrain, seed, quick, progress)
+    columns = "path setting viewpoints_per_s ms_per_viewpoint rms_px max_px missing"
+    options.report(json_file, "speed-error", rows, columns)
+    if plot is not None:
+        save_speed_error(rows, machine(), plot)
+
+
+def _speed_error(terrain: HeightField, seed: int, quick: bool, progress: Progress) -> list[Row]:
+    batch = central_viewpoints(terrain, 16 if quick else 400, _SPACING_M)
+    drawn = np.random.default_rng(seed).permutation(len(batch))
+    compared = batch[np.sort(drawn[: 4 if quick else _COMPARED])]
+    repeats = 2 if quick else 3
+    steps = count(1)
+
+    def tick() -> None:
+        progress(next(steps), len(ways) * (2 + repeats))
+
+    with ExitStack() as held:
+        ways = list(_ways(terrain, batch, compared, quick, held))
+        truths: dict[tuple[int, int], Views] = {}
+        true_deg = _true_deg(terrain, compared, np.zeros(len(compared)), Curvature())
+        errors = list[Row]()
+        for way in ways:
+            seen, key = way.render(way.compared), (way.width, len(way.compared))
+            if isinstance(seen, Views):
+                if key not in truths:
+                    truths[key] = _oracle(terrain, way.width)(way.compared)
+                errors.append(compare(seen, truths[key]))
+            else:
+                found_deg = np.degrees(np.arctan(seen.elevation_tan.astype(np.float64)))
+                errors.append(_errors_px(found_deg - true_deg[:, :: _STEPS // seen.bins]))
+            tick()
+        batches = in_turns([partial(way.render, way.viewpoints) for way in ways], repeats, tick)
+    rows: list[Row] = [
+        {
+            "path": way.path,
+            "width": way.width,
+            "tolerance_px": None,
+            "setting": way.setting,
+            "ms_per_viewpoint": 1e3 * batch_time.seconds / len(way.viewpoints),
+            **error,
+            "viewpoints_per_s": len(way.viewpoints) / batch_time.seconds,
+            "cpu_ms_per_viewpoint": 1e3 * batch_time.cpu_seconds / len(way.viewpoints),
+            "timed_viewpoints": len(way.viewpoints),
+            "compared_viewpoints": len(way.compared),
+            **way.details,
+        }
+        for way, error, batch_time in zip(ways, errors, batches, strict=True)
+    ]
+    if grass.is_installed():
+        rows.append(_grass(terrain, compared))
+    return rows
+
+
+def _ways(
+    terrain: HeightField,
+    batch: Viewpoints,
+    compared: Viewpoints,
+    quick: bool,
+    held: ExitStack,
+) -> Iterator[_Way]:
+    """Yield every way that is compared; renderers are released with ``held``."""
+    few, some = compared[:_SLOW], compared[: 2 if quick else _SLOW_COMPARED]
+    width = 160 if quick else DEFAULT_WIDTH
+    for columns in (160, 320) if quick else (160, 320, 640, 1280, 2560):
+        depth = held.enter_context(DepthRenderer(terrain, columns))
+        yield _Way("depth", columns, f"W = {columns}", few, some, depth.render)
+    for tolerance_px in (0.0, 0.1) if quick else (0.0, 0.05, 0.1, 0.25, 0.5, 1.0):
+        exact = held.enter_context(HorizonRenderer(terrain, width, tolerance_px=tolerance_px))
+        name, details = f"{tolerance_px:g} px", {"tolerance_px": tolerance_px}
+        yield _Way("horizon", width, name, batch, compared, exact.render, details)
+    for azimuths, tolerance_deg in (
+        (_STEPS, 0.0),
+        (_STEPS, DEFAULT_TOLERANCE_DEG),
+        (BINS, DEFAULT_TOLERANCE_DEG),
+    ):
+        panorama = held.enter_context(
+            PanoramaRenderer(terrain, azimuths, tolerance_deg=tolerance_deg)
+        )
+        name = f"{azimuths} azimuths, {tolerance_deg:g} degrees"
+        yield _Way("all round", azimuths, name, batch, compared, _from_north(panorama))
+    if embree.is_installed():
+        peer = embree.EmbreePeer(terrain, width)
+        for bisections in (11, 15) if quick else (9, 11, 13, 15, 18):
+            render = partial(peer.render, depth=bisections)
+            name, details = f"{bisections} bisections", {"bisections": bisections}
+            yield _Way("embree", width, name, batch, compared, render, details)
+    else:
+        _log.warning("Embree is left out; to have it measured: pip install 'skyline-bench[peers]'")
+    yield _Way("oracle", width, "exact", few, some, _oracle(terrain, width))
+
+
+def _from_north(renderer: PanoramaRenderer) -> _Render:
+    """Return a renderer whose azimuths count from grid north on."""
+    return lambda viewpoints: renderer.render(viewpoints, np.zeros(len(viewpoints)))
+
+
+def _grass(terrain: HeightField, eyes: Viewpoints) -> Row:
+    """Return the row of r.horizon, which takes place by place.
+
+    It stands on the nearest sample, knows no curvature and no angle below zero; so does the truth
+    that it is compared with.
+    """
+    row, col = (
+        np.rint(at) for at in terrain.to_grid(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+    )
+    easting_m, northing_m = terrain.to_map(row, col)
+    stand = stand_on(terrain, easting_m=easting_m, northing_m=northing_m, eye_height_m=0.0)
+    found_deg, seconds = grass.horizons(terrain, stand, DEFAULT_STEP_DEG)
+    turn_deg = -terrain.frame.convergence_deg(
+        easting_m=stand.easting_m, northing_m=stand.northing_m
+    )
+    true_deg = _true_deg(terrain, stand, turn_deg, Curvature(enabled=False))
+    each_s = float(np.median(seconds))
+    return {
+        "path": "grass",
+        "width": _STEPS,
+        "tolerance_px": None,
+        "setting": "r.horizon",
+        "ms_per_viewpoint": 1e3 * each_s,
+        **_errors_px(found_deg - np.maximum(true_deg, 0.0)),
+        "viewpoints_per_s": 1.0 / each_s,
+        "cpu_ms_per_viewpoint": None,
+        "timed_viewpoints": len(eyes),
+        "compared_viewpoints": len(eyes),
+    }
+
+
+def _true_deg(
+    terrain: HeightField, eyes: Viewpoints, turn_deg: Float64Array, curvature: Curvature
+) -> Float64Array:
+    """Return the oracle's elevation angles (N, A) by azimuths from grid azimuths (N,) on."""
+    azimuth_deg = np.arange(_STEPS) * DEFAULT_STEP_DEG
+    true_deg = np.empty((len(eyes), _STEPS))
+    for index in range(len(eyes)):
+        grid_deg = (azimuth_deg + turn_deg[index] + 45.0) % 360.0 - 45.0
+        order = np.argsort(grid_deg)
+        heading = np.floor((grid_deg[order] + 45.0) / 90.0).astype(int)
+        away = np.radians(grid_deg[order] - 90.0 * heading).reshape(4, -1)
+        views = oracle.skyline_at(terrain, eyes[index : index + 1], np.tan(away[0]), curvature)
+        true_deg[index, order] = _angles_deg(views, np.tan(away[0])).ravel()
+    return true_deg
+
+
+def _angles_deg(views: Views, u: Float64Array) -> Float64Array:
+    return elevation_deg(views.elevation_tan.astype(np.float64), u)
+
+
+def _errors_px(off_deg: Float64Array) -> Row:
+    """Return errors of elevation angles in px of the middle of a view."""
+    off_px = np.tan(np.radians(np.abs(off_deg[np.isfinite(off_deg)]))) / PIXEL_TAN
+    return {
+        "rms_px": float(np.sqrt(np.mean(off_px**2))),
+        "max_px": float(off_px.max()),
+        "columns": off_px.size,
+        "missing": int(np.isnan(off_deg).sum()),
+    }
+
+
+def _oracle(terrain: HeightField, width: int) -> Callable[[Viewpoints], Views]:
+    """Return the oracle as a renderer that uses all cores."""
+    render = partial(oracle.skyline, terrain, width=width)
+    return lambda viewpoints: Views.concatenate(over_cores(render, viewpoints, 1))
+
+
+_SERIES = {
+    "depth": ("depth path", "tab:gray", "s", 8),
+    "horizon": ("horizon path", "crimson", "o", -8),
+    "all round": ("all the way round", "tab:green", "D", -8),
+    "embree": ("Embree's rays", "tab:blue", "^", 8),
+    "grass": ("GRASS r.horizon", "tab:brown", "*", -8),
+}
+"""By path: label, colour, marker, and how far aside of it its setting is written."""
+
+
+def save_speed_error(rows: list[Row], machine: Row, path: Path) -> None:
+    """Save milliseconds a viewpoint against rms and greatest error, both on log scales."""
+    figure = Figure(figsize=(13, 6.2), layout="constrained")
+    panels = figure.subplots(1, 2)
+    times_ms = [row["ms_per_viewpoint"] for row in rows]
+    for axis, key, name in zip(
+        panels, ("rms_px", "max_px"), ("rms error", "greatest error"), strict=True
+    ):
+        for way in _SERIES:
+            _draw_series(axis, rows, key, way)
+        for row in rows:
+            if row["path"] == "oracle":
+                label = "oracle (error 0)"
+                axis.axvline(row["ms_per_viewpoint"], color="black", linestyle=":", label=label)
+        axis.set(xscale="log", yscale="log", xlim=(min(times_ms) / 40.0, max(times_ms) * 6.0))
+        axis.set_xlabel("ms per viewpoint, all cores")
+        axis.set_ylabel(f"{name} against the oracle (px of W = 640)")
+        axis.margins(y=0.1)
+        axis.grid(which="major", alpha=0.35)
+        axis.grid(which="minor", alpha=0.12)
+    handles, labels = panels[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9)
+    figure.suptitle(
+        f"Skylines: speed against error. {machine['processor']}, {machine['cores']} cores; "
+        f"{machine['renderer']}",
+        fontsize=11,
+    )
+    figure.savefig(path, dpi=110)
+
+
+def _draw_series(axis: Axes, rows: list[Row], key: str, way: str) -> None:
+    mine = [row for row in rows if row.get(key) and row["path"] == way]
+    label, colour, marker, aside = _SERIES[way]
+    points = [(row["ms_per_viewpoint"], row[key]) for row in mine]
+    if not points:
+        return
+    axis.plot(*zip(*points, strict=True), color=colour, marker=marker, label=label)
+    # Points too close for labels of their own share one.
+    labels: list[tuple[tuple[float, float], list[str]]] = []
+    for row, point in zip(mine, points, strict=True):
+        setting = row["setting"]
+        for other, settings in labels:
+            if max(abs(log(a / b)) for a, b in zip(point, other, strict=True)) < 0.3:
+                settings.append(setting)
+                break
+        else:
+            labels.append((point, [setting]))
+    side: dict[str, Any] = {"ha": "left" if aside > 0 else "right", "va": "center"}
+    for place, settings in labels:
+        text = ", ".join(settings)
+        axis.annotate(
+            text, place, (aside, 0), textcoords="offset points", fontsize=8, color=colour, **side
+        )
+
+
+# --- very large DEMs ------------------------------------------------------------------------
+
+
+def large_dem(json_file: options.JsonFile = None, quick: options.Quick = False) -> None:
+    """A DEM of 20,000 x 20,000 samples: seconds of rendering, and memory."""
+    samples, viewpoints = (1000, 4) if quick else (20_000, 256)
+    # Rough terrain that repeats every 60 km, in one array and no copies.
+    period, spacing_m = 2000, 30.0
+    tile = (1500.0 + 1500.0 * fractal(period, period, 1, 2.1)).astype(np.float32)
+    again = np.arange(samples) % period
+    heights = tile[np.ix_(again, again)]
+    heights.setflags(write=False)
+    terrain = HeightField(heights, 0.0, 0.0, spacing_m, spacing_m, Frame.local(lon=10.0, lat=46.0))
+    middle = samples * spacing_m / 2.0
+    place = np.random.default_rng(2).uniform(-5000.0, 5000.0, (2, viewpoints))
+    eyes = stand_on(terrain, easting_m=middle + place[0], northing_m=-middle + place[1])
+    with HorizonRenderer(terrain) as renderer:
+        started = time.perf_counter()
+        views = renderer.render(eyes)
+        seconds = time.perf_counter() - started
+    row = {
+        "samples": samples,
+        "viewpoints": viewpoints,
+        "seconds": seconds,
+        "median_depth_m": float(np.nanmedian(views.depth_m)),
+        "greatest_depth_m": float(np.nanmax(views.depth_m)),
+        "dem_bytes": heights.nbytes,
+        "peak_resident_bytes": peak_bytes(),
+    }
+    options.report(json_file, "large-dem", [row])

@@ -1,1 +1,0 @@
-"""Figures and reports of what was measured."""

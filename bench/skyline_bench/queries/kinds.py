@@ -1,0 +1,168 @@
+"""Kinds of synthetic queries: what a camera sees, how well, and of which elevation model.
+
+A query is the photos that were taken at one place: one, or several that are matched together.
+"""
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+
+import numpy as np
+from scipy import ndimage
+
+from skyline.errors import InputError
+from skyline.geodesy import Rectangle
+from skyline.terrain.heightfield import HeightField, Provenance
+from skyline_bench.queries.synthetic import (
+    QueryConfig,
+    SyntheticQuery,
+    make_queries,
+    make_queries_together,
+)
+
+Query = tuple[SyntheticQuery, ...]
+"""The photos of one place."""
+
+PHOTOS = 3
+"""Photos of one place, where there are several."""
+_HALF_SIDE_M = 4_000.0
+"""Of the square in strange terrain that queries come from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of queries."""
+
+    about: str
+    config: QueryConfig = field(default_factory=QueryConfig)
+    other_dem: bool = False  # Whether the photos see another model of the terrain
+    strange: bool = False  # Whether the photos show terrain of elsewhere
+
+
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "plain": Kind("a tenth of the columns masked, 0.1 degrees of noise, half of it smooth"),
+        "white": Kind(
+            "the same with noise drawn anew in each column", QueryConfig(smooth_share=0.0)
+        ),
+        "other-dem": Kind(
+            "plain from a DEM of another spacing and phase, 10 m rms off", other_dem=True
+        ),
+        "occluded": Kind(
+            "plain with 30 % of the columns hidden, half of it unnoticed",
+            QueryConfig(occluded_share=(0.3, 0.3)),
+        ),
+        "aligned": Kind(
+            "level, 90 degrees, to grid north, east, south or west, 0.03 degrees of noise",
+            QueryConfig(
+                fov_deg=(90.0, 90.0), fov_error=0.0, max_tilt_deg=0.0, is_aligned=True,
+                noise_deg=(0.03, 0.03), masked_share=0.0,
+            ),
+        ),
+        "alone": Kind(f"{PHOTOS} plain photos of each place, one by one"),
+        "together": Kind("the same photos matched together"),
+        "with a stranger": Kind(
+            "together, the last photo taken at another place"
+        ),
+        "strangers": Kind("plain photos of terrain of elsewhere", strange=True),
+    }
+)  # fmt: skip
+"""Those of one number have one place in the kinds of `OF_ONE_AREA`, and one pose but where they
+are aligned; the kinds of `SAME_PLACE` have one place and the same photos."""
+
+OF_ONE_AREA = ("plain", "white", "other-dem", "occluded", "aligned")
+SAME_PLACE = ("alone", "together", "with a stranger")
+
+
+def make_kind(
+    name: str,
+    terrain: HeightField,
+    area_m: Rectangle,
+    count: int,
+    seed: int,
+    strange: HeightField | None = None,
+) -> list[Query]:
+    """Make queries of a kind at so many places of an area; strangers are of strange terrain."""
+    kind = KINDS[name]
+    if name in SAME_PLACE:
+        # One place more, for the stranger of the last.
+        places = make_queries_together(terrain, area_m, count + 1, PHOTOS, seed, kind.config)
+        if name == "alone":
+            return [(photo,) for photos in places[:-1] for photo in photos]
+        if name == "together":
+            return list(places[:-1])
+        return [(*photos[:-1], others[-1]) for photos, others in itertools.pairwise(places)]
+    seen = terrain
+    if kind.strange:
+        if strange is None:
+            raise InputError("strangers need a DEM of elsewhere; give --strange")
+        west, south, east, north = strange.bounds_m
+        middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
+        seen, area_m = strange, (*(middle - _HALF_SIDE_M), *(middle + _HALF_SIDE_M))
+    elif kind.other_dem:
+        other = resampled(terrain, 1.3 * terrain.spacing_m, (0.37, 0.61))
+        seen = perturbed(other, seed=seed)
+    return [(query,) for query in make_queries(seen, area_m, count, seed, kind.config)]
+
+
+def distance_m(query: Query) -> float:
+    """Return the mean over the photos of the median distance of their skylines; 0 without any.
+
+    What fills an image without a skyline stands right before it.
+    """
+    return float(np.mean(np.nan_to_num([photo.distance_m for photo in query])))
+
+
+def perturbed(
+    terrain: HeightField, height_rms_m: float = 10.0, correlation_m: float = 300.0, seed: int = 0
+) -> HeightField:
+    """Add smooth random errors to the heights, of a root mean square over the whole field.
+
+    ``correlation_m`` is where their correlation, exp(-(d / L)^2), has dropped to 1/e.
+    """
+    noise = np.random.default_rng(seed).standard_normal(terrain.heights_m.shape)
+    # White noise under a Gaussian of deviation s has the correlation exp(-d^2 / (4 s^2)).
+    deviation_m = correlation_m / 2.0
+    smooth = ndimage.gaussian_filter(
+        noise,
+        (deviation_m / terrain.spacing_north_m, deviation_m / terrain.spacing_east_m),
+        mode="wrap",
+    )
+    error_m = smooth * (height_rms_m / np.sqrt(np.mean(smooth**2)))
+    heights = (terrain.heights_m + error_m).astype(terrain.heights_m.dtype)
+    made = f"errors of {height_rms_m:g} m rms over {correlation_m:g} m added, seed {seed}"
+    return replace(terrain, heights_m=heights, provenance=Provenance(resampling=made))
+
+
+def resampled(
+    terrain: HeightField, spacing_m: float, phase: tuple[float, float] = (0.5, 0.5)
+) -> HeightField:
+    """Sample the surface on another grid of the same frame, of one spacing east and north.
+
+    ``phase`` shifts the new grid's north-western sample east and south of the old one's, in new
+    spacings, 0 to below 1.
+    """
+    west, south, east, north = terrain.bounds_m
+    new_west, new_north = west + phase[0] * spacing_m, north - phase[1] * spacing_m
+    cols = int((east - new_west) // spacing_m) + 1
+    rows = int((new_north - south) // spacing_m) + 1
+    if min(cols, rows) < 2:
+        raise InputError(
+            f"a spacing of {spacing_m} m leaves {cols} x {rows} samples of the DEM; expected at "
+            "least 2 x 2: choose a smaller spacing"
+        )
+    easting = new_west + spacing_m * np.arange(cols)
+    northing = new_north - spacing_m * np.arange(rows)
+    heights = terrain.height_at(
+        easting_m=easting[np.newaxis, :], northing_m=northing[:, np.newaxis]
+    )
+    return HeightField(
+        heights.astype(terrain.heights_m.dtype),
+        new_west,
+        new_north,
+        spacing_m,
+        spacing_m,
+        terrain.frame,
+        Provenance(resampling=f"sampled again at {spacing_m:g} m, phase {phase}"),
+    )

@@ -1,0 +1,1 @@
+"""Stores x queries: what is built, what is looked for, and how what is found is counted."""

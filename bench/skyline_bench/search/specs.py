@@ -1,0 +1,206 @@
+"""The stores of a comparison: built once in a folder and found again, or given as files."""
+
+import json
+import logging
+import math
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from skyline import build_places, build_uniform
+from skyline.build.cluster import Progress
+from skyline.build.grid import map_bounds, uniform_grid
+from skyline.build.plans import DEFAULT_LOSS
+from skyline.build.spacing import lost_shares
+from skyline.camera import HEADINGS
+from skyline.errors import InputError
+from skyline.geodesy import Bounds, Rectangle
+from skyline.paper.planned import build_planned
+from skyline.paper.planning.plan import PlanConfig
+from skyline.places import Places
+from skyline.store import open_store
+from skyline.store.format import PLACES, RENDERINGS
+from skyline.store.read import parts_folder
+from skyline.terrain.heightfield import HeightField
+
+_log = logging.getLogger(__name__)
+
+UNIFORM, PLANNED, GIVEN = "uniform", "planned", "given"
+"""Planners of stores; the paper's planners are named by their strategy."""
+
+_NOTE = ".build.json"
+
+
+@dataclass(frozen=True, slots=True)
+class StoreSpec:
+    """A store to search: a uniform grid, planned places, a plan of the paper's, or a file."""
+
+    holds: str = PLACES  # Places or renderings
+    spacing_m: float | None = None  # Of a uniform grid; places are planned without it
+    loss: float = DEFAULT_LOSS  # The share of the views that planned places may lose
+    plan: PlanConfig | None = None  # A plan of the paper's, which is of renderings
+    path: Path | None = None  # A store that exists already
+
+    @property
+    def planner(self) -> str:
+        """The planner that chose the viewpoints."""
+        if self.path is not None:
+            return GIVEN
+        if self.plan is not None:
+            return self.plan.strategy
+        return PLANNED if self.spacing_m is None else UNIFORM
+
+    @property
+    def name(self) -> str:
+        """The name of the store's file, without its ending."""
+        if self.path is not None:
+            return self.path.stem
+        if self.plan is not None:
+            return f"{self.plan.strategy}-{self.plan.threshold_px:g}px"
+        if self.spacing_m is None:
+            return f"planned-{self.loss:g}"
+        return f"{'places' if self.holds == PLACES else 'uniform'}-{self.spacing_m:g}"
+
+    def check(self, terrain: HeightField, bounds_deg: Bounds | None) -> None:
+        """Raise `InputError` unless the store can be built in an area, or opened."""
+        area = map_bounds(terrain, bounds_deg)
+        if self.path is not None:
+            BuiltStore.read(self, self.path)
+        elif self.spacing_m is not None:
+            uniform_grid(terrain, self.spacing_m, area)
+            width, height = area[2] - area[0], area[3] - area[1]
+            if min(width, height) < self.spacing_m:
+                raise InputError(
+                    f"the area is {width:.0f} x {height:.0f} m, too small for a grid of "
+                    f"{self.spacing_m:g} m; choose larger bounds or a smaller spacing"
+                )
+
+    def build(
+        self,
+        terrain: HeightField,
+        folder: Path,
+        bounds_deg: Bounds | None,
+        progress: Progress | None = None,
+    ) -> "BuiltStore":
+        """Return the store in a folder, built unless it was built there to its end before."""
+        if self.path is not None:
+            return BuiltStore.read(self, self.path)
+        path = folder / f"{self.name}.h5"
+        settings = json.loads(json.dumps([terrain.digest, bounds_deg, asdict(self)], default=str))
+        if not path.exists() or _noted(path).get("settings") != settings:
+            resumed = path.exists() or parts_folder(path).exists()
+            wall, cpu = time.perf_counter(), time.process_time()
+            if self.plan is not None:
+                build_planned(terrain, path, self.plan, bounds_deg)
+            elif self.holds == RENDERINGS and self.spacing_m is not None:
+                build_uniform(terrain, path, self.spacing_m, bounds_deg, progress=progress)
+            else:
+                build_places(terrain, path, self.spacing_m, bounds_deg, progress, loss=self.loss)
+            taken = time.perf_counter() - wall, time.process_time() - cpu
+            note = dict(zip(("build_s", "build_cpu_s"), taken, strict=True))
+            if resumed:
+                note = dict.fromkeys(note, math.nan)
+            text = json.dumps({**note, "settings": settings}) + "\n"
+            path.with_suffix(_NOTE).write_text(text, encoding="utf-8")
+        return BuiltStore.read(self, path)
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltStore:
+    """A store and its cost."""
+
+    spec: StoreSpec
+    path: Path
+    holds: str  # Renderings or places
+    rows: int
+    size_bytes: int
+    # By the clock and of processor time; NaN where a build was interrupted or was not noted.
+    build_s: float
+    build_cpu_s: float
+
+    @classmethod
+    def read(cls, spec: StoreSpec, path: Path) -> "BuiltStore":
+        """Return a store that exists."""
+        note = _noted(path)
+        taken = (note.get(key, math.nan) for key in ("build_s", "build_cpu_s"))
+        with open_store(path) as store:
+            return cls(spec, path, store.header.holds, len(store), path.stat().st_size, *taken)
+
+    @property
+    def renderings(self) -> int:
+        """Views along a heading; a place counts as four, since it looks all the way round."""
+        return len(HEADINGS) * self.rows if self.holds == PLACES else self.rows
+
+    def figures(self) -> dict[str, object]:
+        """Return the columns of rows that describe the store."""
+        return {
+            "store": self.spec.name,
+            "planner": self.spec.planner,
+            "renderings": self.renderings,
+            "places": self.renderings / len(HEADINGS),
+            "bytes": self.size_bytes,
+            "build_s": self.build_s,
+            "build_cpu_s": self.build_cpu_s,
+        }
+
+    def area_m(self, terrain: HeightField) -> Rectangle:
+        """Return the part of a terrain that the store was built for; all of it by default."""
+        with open_store(self.path) as store:
+            bounds_deg = cast(list[float] | None, store.header.config.get("bounds_deg"))
+        if bounds_deg is None:
+            return map_bounds(terrain, None)
+        west, south, east, north = bounds_deg
+        return map_bounds(terrain, (west, south, east, north))
+
+    def read_places(self) -> Places:
+        """Return all places of a store of places."""
+        with open_store(self.path) as store:
+            return Places.concatenate(list(store.places().blocks()))
+
+
+def claimed_loss(places: Places) -> float:
+    """Return the share of views that is expected to be lost over the area of the places."""
+    spacing_m = 2.0 * places.tolerance_m.astype(np.float64)
+    lost = np.zeros(len(places))
+    for one in np.unique(spacing_m):
+        mine = spacing_m == one
+        lost[mine] = lost_shares(places[mine].distance_m(), np.array([one]))[:, 0]
+    return float(np.average(lost, weights=spacing_m**2))
+
+
+def middle_deg(
+    terrain: HeightField,
+    size_m: tuple[float, float] = (5_000.0, 10_000.0),
+    bounds_deg: Bounds | None = None,
+) -> Bounds:
+    """Return the middle of bounds, by default of the DEM: so far east and north at most."""
+    west, south, east, north = map_bounds(terrain, bounds_deg)
+    half_east, half_north = min(size_m[0], east - west) / 2.0, min(size_m[1], north - south) / 2.0
+    middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
+    ends = [[-half_east, half_east, 0.0, 0.0], [0.0, 0.0, -half_north, half_north]]
+    lon, lat = terrain.frame.to_lonlat(*(middle[:, np.newaxis] + ends))
+    return float(lon[0]), float(lat[2]), float(lon[1]), float(lat[3])
+
+
+def quick_specs(specs: tuple[StoreSpec, ...]) -> tuple[StoreSpec, ...]:
+    """Return the cheapest store of each planner."""
+    chosen: dict[tuple[str, str], StoreSpec] = {}
+    for spec in specs:
+        best = chosen.setdefault((spec.planner, spec.holds), spec)
+        if _cost(spec) < _cost(best):
+            chosen[spec.planner, spec.holds] = spec
+    return tuple(chosen.values())
+
+
+def _cost(spec: StoreSpec) -> float:
+    if spec.plan is not None:
+        return -spec.plan.threshold_px
+    return -spec.loss if spec.spacing_m is None else -spec.spacing_m
+
+
+def _noted(path: Path) -> dict[str, Any]:
+    note = path.with_suffix(_NOTE)
+    return dict(json.loads(note.read_text(encoding="utf-8"))) if note.exists() else {}

@@ -1,0 +1,318 @@
+"""Trials: a store is searched by a matcher for queries; a trial is how far off the matcher is.
+
+Trials are kept in a file, a line each, so that a comparison that was stopped goes on.
+"""
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+import skyline
+import skyline_bench
+from skyline import Candidate, JointResult, Matcher, MatchResult, Narrowing
+from skyline.arrays import Float64Array
+from skyline.build.cluster import Progress
+from skyline.errors import InputError
+from skyline.geodesy import Rectangle
+from skyline.matching.full import FullMatcher
+from skyline.matching.hypotheses import Hypotheses
+from skyline.matching.match_config import MatchConfig
+from skyline.pipeline.matchers import FULL, MATCHERS
+from skyline.render.shaders import SHADER_FOLDERS
+from skyline.store import open_store
+from skyline.store.format import RENDERINGS
+from skyline.terrain.heightfield import HeightField
+from skyline_bench.queries.kinds import Query, distance_m
+from skyline_bench.queries.synthetic import QueryConfig, Truth
+from skyline_bench.search.specs import BuiltStore
+
+PAPER, CORRELATION, RETRIEVED = "paper", "correlation", "retrieved"
+ABOUT: Mapping[str, str] = MappingProxyType(
+    {
+        PAPER: "the paper's: keypoints, Chamfer, RANSAC",
+        CORRELATION: "skylines slid along renderings",
+        RETRIEVED: "ours, among places, not refined",
+        FULL: "ours, among places, refined by rendering",
+    }
+)
+"""Matchers by name."""
+
+STAGES = ("screened", "retrieved", "refined")
+"""Stages of the full matcher: the places most alike, the short list of poses, the candidates."""
+
+MATCHING = MatchConfig(fov_slack=QueryConfig().fov_slack)
+"""The field of view of synthetic queries is known to 5 %."""
+_TOP = 5
+_TURN_DEG = 10.0
+_SAMPLE = 100_000
+"""Places that their median spacing is taken from."""
+
+
+def searched_by(matcher: str) -> str:
+    """Return what a store must hold for a matcher to search it: places or renderings."""
+    return MATCHERS[FULL if matcher == RETRIEVED else matcher].searches
+
+
+@dataclass(frozen=True, slots=True)
+class Area:
+    """A square or a circle that holds a query's place anywhere, or everything."""
+
+    name: str
+    km2: float
+    side_m: float | None = None
+    radius_m: float | None = None
+
+    def about(
+        self, truth: Truth, area_m: Rectangle, terrain: HeightField, seed: int
+    ) -> Narrowing | None:
+        """Return the area about a place, squares within the whole area; None for everything."""
+        place = np.array([truth.easting_m, truth.northing_m])
+        entropy = [seed, round(1e6 * self.km2), *np.abs(place).astype(int).tolist()]
+        generator = np.random.default_rng(entropy)
+        if self.side_m is not None:
+            low, high = np.array(area_m).reshape(2, 2)
+            side_m = np.minimum(self.side_m, high - low)
+            corner = generator.uniform(
+                np.maximum(low, place - side_m), np.minimum(high - side_m, place)
+            )
+            lon, lat = terrain.frame.to_lonlat(*np.stack([corner, corner + side_m], axis=1))
+            return Narrowing(
+                bounds_deg=(float(lon[0]), float(lat[0]), float(lon[1]), float(lat[1]))
+            )
+        if self.radius_m is not None:
+            off_m = self.radius_m * math.sqrt(generator.uniform())
+            turn = generator.uniform(0.0, 2.0 * np.pi)
+            lon, lat = terrain.frame.to_lonlat(
+                place[0] + off_m * math.sin(turn), place[1] + off_m * math.cos(turn)
+            )
+            return Narrowing(near=(float(lon), float(lat), self.radius_m / 1000.0))
+        return None
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A query, and the best candidate that was found for it."""
+
+    distance_m: float  # Of the query's skyline; see `skyline_bench.queries.kinds.distance_m`
+    error_m: float = math.inf  # From the truth; infinite without a candidate
+    heading_error_deg: float = math.nan  # 0 to 180; NaN without a candidate
+    confidence: float | None = None
+    radius_m: float | None = None  # That 68 % of the errors should be within
+    within_m: float | None = None  # How near the matcher answers; None without an answer
+    # Whether a photo is named as not of the others' place; with a stranger, whether that is named.
+    named: bool = False
+    seconds: float = 0.0
+    cpu_s: float = 0.0
+    screen_s: float | None = None  # Of the seconds, those of screening
+    # Whether a place within one spacing of the truth was there after each of the `STAGES`; since
+    # retrieval, looking within 10 degrees of the right way. None where stages are not known.
+    screened: bool | None = None
+    retrieved: bool | None = None
+    refined: bool | None = None
+
+
+class Searcher:
+    """A matcher on a store; of the full matcher the stages are followed."""
+
+    def __init__(self, matcher: Matcher, store: Path, follows: bool) -> None:
+        self._matcher = matcher
+        self._ranker: _Noting | None = None
+        if follows:
+            with open_store(store) as opened:
+                self._places = opened.places()
+            step = max(1, len(self._places) // _SAMPLE)
+            some = self._places.take(np.arange(0, len(self._places), step, dtype=np.intp))
+            self._spacing_m = 2.0 * float(np.median(some.tolerance_m))
+            ranker = matcher._ranker
+            ranker.__class__ = _Noting
+            assert isinstance(ranker, _Noting)
+            self._ranker = ranker
+
+    def trial(self, query: Query, narrowing: Narrowing | None = None, *, strange: bool) -> Trial:
+        """Match a query; a query that is refused has no candidate."""
+        first = query[0].skyline
+        wall, cpu, screened, screen_s = time.perf_counter(), time.process_time(), None, None
+        result: MatchResult | JointResult | None = None
+        try:
+            if len(query) > 1:
+                result = self._matcher.match_together([one.skyline for one in query], top=_TOP)
+            else:
+                if self._ranker is not None:
+                    self._ranker.found = None
+                    screened = self._matcher.screen(first, narrowing)
+                    screen_s = time.perf_counter() - wall
+                result = self._matcher.match(
+                    first, top=_TOP, narrowing=narrowing, screened=screened
+                )
+        except InputError:  # No place lies within the narrowing.
+            result = None
+        taken = time.perf_counter() - wall, time.process_time() - cpu
+        trial = replace(
+            trial_of(query, result, strange), seconds=taken[0], cpu_s=taken[1], screen_s=screen_s
+        )
+        if self._ranker is None or len(query) > 1 or strange:
+            return trial
+        truth, found = query[0].truth, self._ranker.found
+        candidates = [] if result is None else _places_of(result)
+        east_m, north_m, heading_deg = (
+            np.array([getattr(one, name) for one in candidates])
+            for name in ("easting_m", "northing_m", "grid_heading_deg")
+        )
+        return replace(
+            trial,
+            screened=screened is not None and self._near(screened.row, truth),
+            retrieved=found is not None
+            and self._is_there(found.easting_m, found.northing_m, found.heading_deg, truth),
+            refined=self._is_there(east_m, north_m, heading_deg, truth),
+        )
+
+    def _near(self, rows: np.ndarray, truth: Truth) -> bool:
+        places = self._places.take(rows)
+        off_m = truth.off_m(places.easting_m, places.northing_m)
+        return bool((off_m <= self._spacing_m).any())
+
+    def _is_there(
+        self,
+        easting_m: Float64Array,
+        northing_m: Float64Array,
+        heading_deg: Float64Array,
+        truth: Truth,
+    ) -> bool:
+        near = truth.off_m(easting_m, northing_m) <= self._spacing_m
+        return bool((near & (_turn_deg(heading_deg, truth) <= _TURN_DEG)).any())
+
+
+class _Noting(FullMatcher):
+    """The full matcher, which notes the short list of its last search."""
+
+    found: Hypotheses | None = None
+
+    def retrieve(self, *arguments: object, **named: object) -> Hypotheses:
+        """Return the poses retrieved, and note them; see `FullMatcher.retrieve`."""
+        self.found = super().retrieve(*arguments, **named)  # type: ignore[arg-type]
+        return self.found
+
+
+@contextmanager
+def open_searcher(name: str, store: Path, terrain: HeightField) -> Iterator[Searcher]:
+    """Open a store for a matcher of `ABOUT`; raises as `Matcher`."""
+    if searched_by(name) == RENDERINGS:
+        with Matcher(store, terrain, name, MATCHING) as matcher:
+            yield Searcher(matcher, store, follows=False)
+        return
+    config = replace(MATCHING, refine=name == FULL)
+    with Matcher(store, terrain, FULL, config) as matcher:
+        yield Searcher(matcher, store, follows=True)
+
+
+def trial_of(
+    query: Query, result: MatchResult | JointResult | None, strange: bool = False
+) -> Trial:
+    """Return the trial of a result, None for a refusal; nothing is right for a stranger."""
+    trial = Trial(distance_m(query))
+    best = next(iter(_places_of(result)), None) if result is not None else None
+    if result is None or best is None:
+        return trial
+    error_m, turn_deg = (math.inf, math.nan) if strange else errors(best, query[0].truth)
+    named = False
+    if isinstance(result, JointResult):
+        has_stranger = query[-1].truth.easting_m != query[0].truth.easting_m
+        named = not (result.agrees[-1] if has_stranger else all(result.agrees))
+    answered = result.answer is not None
+    return replace(
+        trial,
+        error_m=error_m,
+        heading_error_deg=turn_deg,
+        confidence=best.confidence,
+        radius_m=best.radius_m,
+        within_m=result.within_m or 200.0 if answered else None,
+        named=named,
+    )
+
+
+def errors(candidate: Candidate, truth: Truth) -> tuple[float, float]:
+    """Return a candidate's distance from the truth, metres, and its turn from it, 0 to 180 deg."""
+    turn_deg = _turn_deg(np.array(candidate.grid_heading_deg), truth)
+    return float(truth.off_m(candidate.easting_m, candidate.northing_m)), float(turn_deg)
+
+
+def _turn_deg(heading_deg: Float64Array, truth: Truth) -> Float64Array:
+    return np.abs((heading_deg - truth.heading_deg + 180.0) % 360.0 - 180.0)
+
+
+def _places_of(result: MatchResult | JointResult) -> Sequence[Candidate]:
+    return result.candidates if isinstance(result, MatchResult) else result.places
+
+
+def search(
+    store: BuiltStore,
+    matcher: str,
+    asked: Mapping[str, Callable[[Searcher], Trial]],
+    depends: object,
+    folder: Path,
+    terrain: HeightField,
+    progress: Progress | None = None,
+) -> dict[str, Trial]:
+    """Return the trial of each key: those kept in a folder, and new ones, which are kept then.
+
+    ``depends`` is all that trials depend on beside their keys, the store, the matcher and the code,
+    as JSON.
+    """
+    whole = [code_digest(), file_digest(store.path), terrain.digest, matcher, depends]
+    digest = hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
+    path = folder / "trials" / f"{store.spec.name}.{matcher}-{digest[:12]}.jsonl"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    found = _kept(path)
+    missing = [key for key in asked if key not in found]
+    if missing:
+        with (
+            open_searcher(matcher, store.path, terrain) as searcher,
+            path.open("a", encoding="utf-8") as file,
+        ):
+            for key in missing:
+                found[key] = asked[key](searcher)
+                file.write(json.dumps({"key": key, **asdict(found[key])}) + "\n")
+                file.flush()
+                if progress is not None:
+                    progress(len(found), len(asked))
+    return {key: found[key] for key in asked}
+
+
+def _kept(path: Path) -> dict[str, Trial]:
+    """Read the trials of a file; a line that a kill cut short is removed from the file."""
+    if not path.exists():
+        return {}
+    text = path.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        path.write_text(whole, encoding="utf-8")
+    lines = [json.loads(line) for line in whole.splitlines()]
+    return {line.pop("key"): Trial(**line) for line in lines}
+
+
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@cache
+def code_digest() -> str:
+    """Return a SHA-256 of the code, learned models and shaders on which trials depend."""
+    package, bench = (Path(one.__path__[0]) for one in (skyline, skyline_bench))
+    roots = package, bench / "queries", bench / "search", *SHADER_FOLDERS
+    files = [path for root in roots for path in root.rglob("*")]
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        if path.suffix in (".py", ".json", ".gz", ".glsl", ".vert", ".frag", ".comp"):
+            digest.update(f"{path.parent.name}/{path.name}\0".encode() + path.read_bytes())
+    return digest.hexdigest()

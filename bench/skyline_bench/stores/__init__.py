@@ -1,1 +1,0 @@
-"""Stores to measure with, and what they must withstand."""

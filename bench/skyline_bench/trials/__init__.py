@@ -1,1 +1,0 @@
-"""Trials: matchers run on synthetic queries, and how wrong their answers are."""

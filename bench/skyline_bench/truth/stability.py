@@ -1,0 +1,232 @@
+"""``skyline-bench stability``: every hard case, its error, its bound and a verdict."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.errors import OffMapError
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+from skyline.views import Views
+from skyline_bench.measuring.record import Row
+from skyline_bench.truth.agreement import Agreement, RenderPath, SkylineScene, SkylineTruth
+from skyline_bench.truth.closed_forms import (
+    HORIZON_ONLY,
+    SceneCase,
+    eyes_anywhere,
+    eyes_at,
+    field_of,
+    rough_field,
+    rough_heights,
+)
+from skyline_bench.truth.frames import FRAME_CASES
+from skyline_bench.truth.scenes import GRID_CASES, STEEP_CASES, WIDE_CASES
+
+
+@dataclass(frozen=True, slots=True)
+class SameCase:
+    """The same request, or the same terrain turned, or a request refused."""
+
+    name: str
+    breaks: str
+    agreement: Callable[[RenderPath, bool], Agreement]  # Along a path, and whether quick
+    paths: tuple[str, ...] = ("horizon", "depth")
+
+
+# --- the same bytes -------------------------------------------------------------------------
+
+
+def _repeated(parts: Sequence[int], path: RenderPath, quick: bool) -> Agreement:
+    """Compare a batch with the same cut into parts; a column with other bytes is wrong by inf."""
+    field = rough_field(17)
+    scene = SkylineScene(field, eyes_anywhere(field, 40, np.tile([0.0, 2.0], 20)), 160)
+    cuts = [0, *parts[: 2 if quick else None], len(scene.viewpoints)]
+    with path.factory(scene.field, scene.width, scene.curvature) as renderer:
+        once = renderer.render(scene.viewpoints)
+        again = Views.concatenate(
+            [renderer.render(scene.viewpoints[start:stop]) for start, stop in pairwise(cuts)]
+        )
+    same = (_bits(once.elevation_tan) == _bits(again.elevation_tan)) & (
+        _bits(once.depth_m) == _bits(again.depth_m)
+    )
+    zero = np.zeros(same.shape)
+    return Agreement(np.where(same, zero, np.inf), zero, once.flags == again.flags)
+
+
+def _bits(values: NDArray[np.floating]) -> NDArray[np.uint32]:
+    return np.ascontiguousarray(values, dtype=np.float32).view(np.uint32)
+
+
+# --- the same terrain, turned ---------------------------------------------------------------
+
+
+Turn = tuple[tuple[int, int], tuple[int, int]]
+"""A symmetry of the square grid: the matrix that turns steps along rows and columns."""
+
+HALF_TURN = (-1, 0), (0, -1)
+TRANSPOSITION = (0, 1), (1, 0)
+QUARTER_TURN = (0, -1), (1, 0)
+"""Anticlockwise: what was east is north."""
+MIRROR = (1, 0), (0, -1)
+"""East and west change places."""
+_WAYS = np.array([(-1, 0), (0, 1), (1, 0), (0, -1)])
+"""Steps along rows and columns of north, east, south and west."""
+
+
+def _turned(
+    stood: Callable[[], SkylineScene], turn: Turn, path: RenderPath, quick: bool
+) -> Agreement:
+    """Compare terrain and its turned copy: each rendering may be off by the path's bound.
+
+    A half turn and a transposition keep the cells' diagonals; a quarter turn and a mirror do
+    not, so these take terrain whose cells are flat (height = a(row) + b(col)).
+    """
+    scene = stood().first(2) if quick else stood()
+    turned = turned_scene(scene, turn)
+    expected = turned_views(path.render(scene), turn)
+    agreement = path.agreement(turned, path.render(turned), SkylineTruth(expected))
+    return replace(agreement, bound_px=2.0 * agreement.bound_px)
+
+
+def turned_scene(scene: SkylineScene, turn: Turn) -> SkylineScene:
+    """Turn a field and the eyes on it; its north-west sample stays where one was."""
+    field, eyes = scene.field, scene.viewpoints
+    spacings_m, heights = (field.spacing_east_m, field.spacing_north_m), field.heights_m
+    if turn[0][0] == 0:
+        spacings_m, heights = spacings_m[::-1], heights.T
+    signs = np.sum(turn, axis=1)
+    heights = heights[:: signs[0], :: signs[1]]
+    turned = HeightField(heights, field.west_m, field.north_m, *spacings_m, field.frame)
+    place = np.array(turn) @ field.to_grid(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
+    place += np.where(signs < 0, np.array(heights.shape) - 1, 0)[:, np.newaxis]
+    easting, northing = turned.to_map(*place)
+    moved = replace(eyes, easting_m=easting, northing_m=northing)
+    return replace(scene, field=turned, viewpoints=moved)
+
+
+def turned_views(views: Views, turn: Turn) -> Views:
+    """Return the views that the turned terrain should give, four headings a viewpoint."""
+    order = [int(np.flatnonzero((way == _WAYS).all(axis=1))[0]) for way in _WAYS @ turn]
+    rows = (np.arange(0, len(views), 4)[:, np.newaxis] + order).ravel()
+    # A reflection lets left and right change places.
+    ahead = slice(None, None, round(np.linalg.det(turn)))
+    return replace(
+        views,
+        elevation_tan=views.elevation_tan[rows, ahead].astype(np.float64),
+        depth_m=views.depth_m[rows, ahead].astype(np.float64),
+        flags=views.flags[rows, ahead],
+    )
+
+
+def _split_terrain() -> SkylineScene:
+    """Stand on terrain whose cells are bent along their diagonals, with holes."""
+    heights = rough_heights(80, 112, seed=18)
+    heights[20:26, 30:50] = np.nan
+    field = field_of(heights, 32.0, 24.0)
+    return SkylineScene(field, _dyadic_eyes(field))
+
+
+def _flat_celled() -> SkylineScene:
+    """Stand on terrain of flat cells: height = a(row) + b(col)."""
+    a, b = rough_heights(2, 160, 600.0, seed=19)
+    # Whole metres add up exactly in 32 bits, so no cell is bent by rounding.
+    field = field_of(np.round(a[:80, np.newaxis]) + np.round(b[:112]), 32.0, 24.0)
+    return SkylineScene(field, _dyadic_eyes(field))
+
+
+def _dyadic_eyes(field: HeightField) -> Viewpoints:
+    row = np.array([40.0, 33.25, 50.625, 61.0])
+    col = np.array([56.0, 71.5, 20.625, 90.375])
+    return eyes_at(field, row, col, [2.0, 0.0, 30.0, 2.0])
+
+
+# --- refusals -------------------------------------------------------------------------------
+
+
+def _refused(row: float, col: float, words: str, _path: RenderPath, _quick: bool) -> Agreement:
+    """Try to stand where no eye can: wrong by inf unless refused in the expected words."""
+    heights = rough_heights(32, 32)
+    heights[10:20, 10:20] = np.nan
+    error_px = np.full((1, 1), np.inf)
+    try:
+        eyes_at(field_of(heights), row, col, 2.0)
+    except OffMapError as error:
+        error_px[words in str(error)] = 0.0
+    return Agreement(error_px, np.zeros((1, 1)), np.ones((1, 1), dtype=bool))
+
+
+SAME_CASES = (
+    *(
+        SameCase(name, breaks, partial(_repeated, parts))
+        for name, breaks, parts in (
+            ("the same batch twice", "the order in which lanes finish shows", ()),
+            (
+                "the same batch in parts",
+                "what a column starts from depends on what was rendered beside it",
+                (1, 9, 10, 33),
+            ),
+        )
+    ),
+    *(
+        SameCase(name, breaks, partial(_turned, stood, turn), HORIZON_ONLY)
+        for name, breaks, stood, turn in (
+            ("half turn", "headings differ in more than a sign", _split_terrain, HALF_TURN),
+            (
+                "transposition",
+                "rows and columns are marched by different code",
+                _split_terrain,
+                TRANSPOSITION,
+            ),
+            ("quarter turn", "headings differ in more than a turn", _flat_celled, QUARTER_TURN),
+            ("mirror", "left and right are not treated alike", _flat_celled, MIRROR),
+        )
+    ),
+    *(
+        SameCase(name, breaks, partial(_refused, *place, words))
+        for name, breaks, place, words in (
+            ("eye in a void", "an eye at NaN renders something", (15.0, 15.5), "on a hole"),
+            ("eye off the map", "an eye beyond the border wraps", (-0.5, 3.0), "off the map"),
+        )
+    ),
+)
+
+
+HardCase = SceneCase | SameCase
+HARD_CASES: tuple[HardCase, ...] = (
+    *GRID_CASES, *STEEP_CASES, *WIDE_CASES, *FRAME_CASES, *SAME_CASES,
+)  # fmt: skip
+
+
+def measure(
+    path: RenderPath, quick: bool = False, cases: Sequence[HardCase] = HARD_CASES
+) -> list[Row]:
+    """Return a row for each hard case that a path promises something for.
+
+    ``error_px`` is the greatest error and ``bound_px`` what is allowed in that column; where a
+    column is over its bound, they are those of the column that is furthest over. ``quick`` takes
+    the first two viewpoints of each scene only.
+    """
+    rows: list[Row] = []
+    for case in cases:
+        if path.name in case.paths:
+            agreement = case.agreement(path, quick)
+            error, bound = agreement.error_px, agreement.bound_px
+            over = error > bound
+            score = np.where(over, error - bound, -np.inf) if over.any() else error
+            worst = np.unravel_index(np.argmax(score), score.shape)
+            rows.append(
+                {
+                    "case": case.name,
+                    "path": path.name,
+                    "error_px": float(error[worst]),
+                    "bound_px": float(bound[worst]),
+                    "flags_agree": bool(agreement.flags_agree.all()),
+                    "ok": agreement.holds,
+                    "what": case.breaks,
+                }
+            )
+    return rows

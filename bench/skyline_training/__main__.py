@@ -1,0 +1,74 @@
+"""The command line of training: ``python -m skyline_training COMMAND``."""
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+from skyline.cli.console import command_line, progress_bar, run_app
+from skyline.errors import InputError
+from skyline_bench.commands import options
+from skyline_training import confidence as learning
+from skyline_training.photos import draw_training_photos
+
+app = command_line("skyline_training", "Train what Skyline has learned. Times are of 2 cores.")
+
+
+@app.command("sky-model", short_help="The network that finds skylines in photos (an hour).")
+def sky_model(
+    out: Annotated[Path, options.new_file("The model, ONNX zipped.", "--out", "-o")],
+    photos: Annotated[int, Option(help="Photographs to draw.")] = 6000,
+    steps: Annotated[int, Option(help="Batches of 16 to train on.")] = 4500,
+    seed: options.Seed = 1,
+    quick: options.Quick = False,
+) -> None:
+    """Train the network that finds skylines in photos on drawn photographs, and write it."""
+    try:
+        from skyline_training import network  # noqa: PLC0415  (torch is an extra)
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"training needs {error.name}, which is not installed: pip install -e 'bench[train]'"
+        ) from error
+    with progress_bar("photographs") as progress:
+        drawn = draw_training_photos(16 if quick else photos, seed, progress)
+    with progress_bar("steps") as progress:
+        net = network.train(drawn, 2 if quick else steps, seed, progress)
+    network.write_model(net, out)
+
+
+@app.command("confidence", short_help="How far a match can be believed (an hour).")
+def confidence(
+    data: Annotated[
+        Path,
+        Argument(metavar="DATA", help="A folder with sierra, rofental, everest and davos."),
+    ],
+    queries: Annotated[int, Option(help="Of each of six kinds, on each terrain.")] = 40,
+    model: Annotated[
+        Path | None, options.new_file("Write the models: skyline's confidence.json.", "--model")
+    ] = None,
+    examples: Annotated[
+        Path | None, options.new_file("Kept here, and read where they exist.", "--examples")
+    ] = None,
+    json_file: options.JsonFile = None,
+    plot: options.PlotFile = None,
+    seed: options.Seed = 5000,
+    quick: options.Quick = False,
+) -> None:
+    """Learn the confidence on Sierra, Rofental and Everest; show its reliability on Davos."""
+    if examples is not None and examples.exists():
+        found = learning.read_examples(examples)
+    else:
+        with progress_bar("terrains") as progress:
+            found = learning.gather(data, 1 if quick else queries, seed, progress)
+        if examples is not None:
+            learning.write_examples(found, examples)
+    learned = learning.learn_all(found)
+    options.report(json_file, "confidence", learned.rows)
+    if model is not None:
+        learning.write_models(model, learned.models, learned.about)
+    if plot is not None:
+        learning.save_reliability(plot, learned.shown)
+
+
+if __name__ == "__main__":
+    run_app(app)

@@ -1,0 +1,519 @@
+"""Training photographs: landscapes with what stands in front and what the camera made of them.
+
+Some are views of made terrain, as demos and tests draw them: their sky is the query maker's,
+smooth, with clouds that gather about the ridge.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from scipy import ndimage
+
+from skyline.arrays import Float32Array, Float64Array, UInt8Array
+from skyline.build.cluster import Progress
+from skyline.geodesy import Frame
+from skyline.render.depth import DepthRenderer
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
+from skyline_bench.measuring.timing import core_count
+from skyline_bench.queries.made_photos import (
+    Scenery,
+    distance_along,
+    exposed,
+    mixed,
+    scene_rgb,
+)
+from skyline_bench.queries.occluders import Occluder
+from skyline_bench.queries.pinhole import Camera
+from skyline_bench.queries.synthetic import QueryConfig, SyntheticQuery, make_queries
+from skyline_training.landscapes import (
+    CELL_M,
+    COVER,
+    GROUND,
+    SKY,
+    UNKNOWN,
+    Drawing,
+    TrainingPhoto,
+    draw_heights,
+    draw_landscape,
+    draw_sky,
+    fractal,
+)
+from skyline_training.plain_photos import CONDITIONS, draw_recipe
+from skyline_training.workers import crew
+
+_SIZE_PX = (400, 304)
+_PLAIN_EVERY, _VIEW_EVERY = 8, 8
+"""One photograph of so many is drawn in each of two other ways: none is like the world."""
+_FAMILY = 64
+"""Photographs in a row whose views are of the same terrain."""
+_FAR_RIDGES_CHANCE = 0.2
+"""Of pale ridges behind the mountains."""
+_NEAR_SLOPE_CHANCE = 0.5
+"""Of a dark slope before the mountains: it must not be taken for the skyline."""
+_LEAST_CONTRAST = 2.5
+"""Levels between sky and ground below which no eye would see a skyline."""
+
+
+def draw_training_photos(count: int, seed: int, progress: Progress) -> list[TrainingPhoto]:
+    """Draw photographs in as many processes as there are cores."""
+    photos = dict[int, TrainingPhoto]()
+    with crew(seed, core_count()) as run:
+        for index, photo in run(_drawn, range(count)):
+            photos[index] = photo
+            progress(len(photos), count)
+    return [photos[index] for index in range(count)]
+
+
+def _drawn(seed: int, index: int) -> TrainingPhoto:
+    if index % _PLAIN_EVERY == 0:
+        return _plain_photo((seed, index))
+    if index % _VIEW_EVERY == 1:
+        return draw_view((seed, index), index // _FAMILY, _SIZE_PX)
+    return draw_training_photo((seed, index), *_SIZE_PX)
+
+
+def _plain_photo(seed: tuple[int, ...]) -> TrainingPhoto:
+    """Draw one photograph in the other, plainer way, whose pixels have no labels."""
+    rng = np.random.default_rng([11, *seed])
+    recipe = CONDITIONS[str(rng.choice(list(CONDITIONS)))]
+    photo = draw_recipe(rng, replace(recipe, size_px=_SIZE_PX))
+    label = np.full(photo.image.shape[:2], UNKNOWN, dtype=np.uint8)
+    # Rows of drawn photos count pixel centres.
+    row = np.where(photo.visible, photo.row_px + 0.5, np.nan)
+    return TrainingPhoto(photo.image, label, np.asarray(row, dtype=np.float32))
+
+
+def draw_training_photo(seed: tuple[int, ...], width: int, height: int) -> TrainingPhoto:
+    """Draw one photograph; those whose last seeds lie in one eighth share their relief."""
+    rng = np.random.default_rng(seed)
+    skyline_px = rng.uniform(0.15, 0.7) * height
+    sky, haze = draw_sky(rng, width, height, skyline_px)
+    land = draw_landscape(rng, width, height, haze, seed[-1] // 8)
+    row = np.full(width, np.nan, dtype=np.float32)
+    kind = rng.choice(["landscape", "sky", "ground"], p=[0.95, 0.025, 0.025])
+    if kind == "sky":
+        picture, label = sky, np.full((height, width), SKY, dtype=np.uint8)
+    elif kind == "ground":
+        top = min(height - 2, max(0, int(land.row_px.max()) + 1))
+        picture = np.asarray(cv2.resize(land.rgb[top:], (width, height)), dtype=np.float32)
+        label = np.full((height, width), GROUND, dtype=np.uint8)
+    else:
+        below = np.clip(np.arange(height)[:, np.newaxis] + 0.5 - land.row_px, 0.0, 1.0)
+        share = np.where(land.is_ground, np.maximum(below, 0.5), np.minimum(below, 0.5))
+        picture = np.asarray(sky + share[..., np.newaxis] * (land.rgb - sky), dtype=np.float32)
+        label = land.is_ground.astype(np.uint8)
+        inside = (land.row_px > 1) & (land.row_px < height - 1)
+        row = np.where(inside, land.row_px, row)
+    drawing = Drawing(rng, picture, label, row, haze)
+    if kind != "ground" and rng.random() < _FAR_RIDGES_CHANCE:
+        _far_ridges(drawing)
+    if rng.random() < _NEAR_SLOPE_CHANCE:
+        _near_slope(drawing)
+    if rng.random() < 0.12:
+        _mirror(drawing)
+    if rng.random() < 0.2:
+        _banks(drawing)
+    put_in_front(drawing)
+    image = _developed(rng, drawing.picture)
+    _written(rng, image)
+    return TrainingPhoto(image, label, _seen(drawing.row, label, image))
+
+
+def _seen(row: Float32Array, label: UInt8Array, image: UInt8Array) -> Float32Array:
+    """Drop the skyline where what lies about it is not sky above ground, or looks the same."""
+    height, width = label.shape
+    smooth = cv2.blur(image.astype(np.float32), (5, 3))
+    at = np.nan_to_num(row, nan=0.0)
+    columns = np.arange(width)
+    above = label[np.clip(np.floor(at - 1.0).astype(int), 0, height - 1), columns]
+    below = label[np.clip(np.ceil(at + 1.0).astype(int), 0, height - 1), columns]
+    step = smooth[np.clip(np.rint(at + 3).astype(int), 0, height - 1), columns]
+    step = step - smooth[np.clip(np.rint(at - 3).astype(int), 0, height - 1), columns]
+    apart = ndimage.median_filter(np.abs(step).max(axis=1), 9) > _LEAST_CONTRAST
+    free = apart & (above == SKY) & (below == GROUND)
+    return np.asarray(np.where(free, row, np.nan), dtype=np.float32)
+
+
+def _far_ridges(drawing: Drawing) -> None:
+    """Put pale ridges behind the mountains, one before another."""
+    rng, (height, width), row, haze = drawing.rng, drawing.size, drawing.row, drawing.haze
+    known = row[np.isfinite(row)]
+    line = float(np.median(known)) if known.size else 0.5 * height
+    rows = np.arange(height)[:, np.newaxis] + 0.5
+    free = drawing.label == SKY
+    dark_rgb = haze * rng.uniform(0.2, 0.8) + rng.normal(0.0, 6.0, 3)
+    for left in np.sort(rng.uniform(0.06, 0.7, rng.integers(1, 4))):
+        swing = rng.uniform(0.01, 0.08) * height
+        ridge = line + swing * fractal(rng, (1, width), rng.uniform(1.3, 2.0), 1.0, width / 2)[0]
+        share = np.clip(rows - ridge, 0.0, 1.0) * free
+        pale = haze + left * (dark_rgb - haze)
+        drawing.picture += share[..., np.newaxis] * (pale - drawing.picture)
+        drawing.label[share > 0.5] = GROUND
+        row = np.fmin(row, np.where((ridge > 1) & (ridge < height - 1), ridge, np.nan))
+        line += rng.uniform(0.0, 0.08) * height
+    drawing.row = np.asarray(row, dtype=np.float32)
+
+
+def _near_slope(drawing: Drawing) -> None:
+    """Put a dark slope before mountains, often veiled."""
+    rng, (height, width), row, label = drawing.rng, drawing.size, drawing.row, drawing.label
+    veil = rng.choice([0.0, rng.uniform(0.2, 0.88)])
+    drawing.picture += (veil * (label == GROUND))[..., np.newaxis] * (
+        drawing.haze - drawing.picture
+    )
+    across = np.linspace(0.0, 1.0, width)
+    known = row[np.isfinite(row)]
+    line = float(known.mean()) if known.size else 0.4 * height
+    foot = line + rng.uniform(0.02, 0.3) * height
+    rise = rng.uniform(-0.2, 0.5) * height * np.abs(across - rng.random()) ** rng.uniform(0.7, 2.0)
+    rough = rng.uniform(0.0, 0.02) * height * fractal(rng, (1, width), 1.3)[0]
+    near = foot - rise + rough
+    if rng.random() < 0.6:  # Tree tops.
+        near -= rng.uniform(0.005, 0.03) * height * np.abs(fractal(rng, (1, width), 0.3)[0])
+    share = np.clip(np.arange(height)[:, np.newaxis] + 0.5 - near, 0.0, 1.0)[..., np.newaxis]
+    texture = fractal(rng, (height, width), rng.uniform(0.4, 1.2))
+    shade = 1.0 + rng.uniform(0.1, 0.45) * texture[..., np.newaxis]
+    drawing.picture += share * (dark(rng, 85.0) * np.maximum(shade, 0.1) - drawing.picture)
+    label[share[..., 0] > 0.5] = GROUND
+    higher = np.where(np.isfinite(row), np.minimum(row, near), np.where(label[0] == SKY, near, row))
+    inside = (higher > 1) & (higher < height - 1)
+    drawing.row = np.asarray(np.where(inside, higher, np.nan), np.float32)
+
+
+def _mirror(drawing: Drawing) -> None:
+    rng, (height, _), picture = drawing.rng, drawing.size, drawing.picture
+    deepest = int((drawing.label == GROUND).argmax(axis=0).max())
+    shore = max(int(rng.uniform(0.55, 0.85) * height), min(deepest + 4, height - 2))
+    deep = min(height - shore, shore)
+    water = ndimage.gaussian_filter(picture[shore - deep : shore][::-1], (2.0, 0.5, 0.0))
+    picture[shore : shore + deep] = rng.uniform(0.6, 0.98) * water
+    drawing.label[shore:] = GROUND
+
+
+def _banks(drawing: Drawing) -> None:
+    """Lay clouds on the ridge: they hide it, and where they end is no skyline."""
+    rng, (height, width), row = drawing.rng, drawing.size, drawing.row
+    known = np.flatnonzero(np.isfinite(row))
+    if not known.size:
+        return
+    for _ in range(rng.integers(1, 4)):
+        column = rng.choice(known)
+        at = row[column] + rng.uniform(-0.04, 0.06) * height
+        across = (np.arange(width) - column) / (rng.uniform(0.06, 0.3) * width)
+        down = (np.arange(height)[:, np.newaxis] - at) / (rng.uniform(0.02, 0.1) * height)
+        rough = rng.uniform(0.3, 0.8) * fractal(rng, (height, width), 1.5, 1.7)
+        density = 1.0 - np.hypot(across, down) + rough
+        opacity = rng.uniform(0.85, 1.0) * np.clip(density / rng.uniform(0.1, 0.8), 0, 1)
+        white = np.clip(drawing.haze * rng.uniform(0.8, 1.2) + rng.uniform(0, 60), 0, 255)
+        shade = 1.0 + 0.06 * fractal(rng, (height, width), 1.3)[..., np.newaxis]
+        drawing.picture += opacity[..., np.newaxis] * (white * shade - drawing.picture)
+        drawing.label[opacity > 0.5] = SKY
+
+
+def _developed(rng: np.random.Generator, picture: Float32Array) -> UInt8Array:
+    """Return what lens, sensor, taste and JPEG make of a picture."""
+    height, width = picture.shape[:2]
+    light = np.clip(picture / 255.0, 0.0, 1.3)
+    if rng.random() < 0.3:
+        far = np.hypot(np.linspace(-1, 1, width), np.linspace(-1, 1, height)[:, np.newaxis])
+        light *= (1.0 - rng.uniform(0, 0.5) * np.clip(far - 0.3, 0, 1) ** 2)[..., np.newaxis]
+    light = np.clip(light * np.exp(rng.normal(0.0, 0.25)), 0, 1) ** np.exp(rng.normal(0.0, 0.3))
+    grey = light.mean(axis=2, keepdims=True)
+    light = grey + rng.choice([0.0, rng.uniform(0.2, 1.5)], p=[0.07, 0.93]) * (light - grey)
+    if rng.random() < 0.4:  # A look: shadows and highlights toned apart.
+        dark, bright = rng.normal(0, 0.05, 3), rng.normal(0, 0.05, 3)
+        light = light + (1.0 - grey) ** 2 * dark + grey**2 * bright
+    if rng.random() < 0.2:
+        light = np.clip(light, 0, 1)
+        light = light + rng.uniform(-0.3, 0.8) * (light * light * (3 - 2 * light) - light)
+    if rng.random() < 0.2:
+        light = rng.uniform(0.0, 0.2) + rng.uniform(0.65, 0.95) * light
+    sigma = rng.choice([0.3, 0.6, 1.0, 2.0], p=[0.45, 0.35, 0.15, 0.05])
+    light = ndimage.gaussian_filter(light, (sigma, sigma, 0))
+    light += rng.choice([0.004, 0.012, 0.03], p=[0.5, 0.4, 0.1]) * rng.standard_normal(light.shape)
+    image = np.clip(np.rint(255.0 * light), 0, 255).astype(np.uint8)
+    if rng.random() < 0.5:
+        kept = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(30, 95))])[1]
+        image = np.asarray(cv2.imdecode(kept, cv2.IMREAD_COLOR), np.uint8)
+    return image
+
+
+def _written(rng: np.random.Generator, image: UInt8Array) -> None:
+    """Put a watermark, a title or a date over a photograph."""
+    height, width = image.shape[:2]
+    kind = rng.choice(["none", "rows", "title"], p=[0.78, 0.12, 0.1])
+    if kind == "none":
+        return
+    over = image.copy()
+    words = "".join(rng.choice(list("abcdefghijklmnop +AEIOU"), rng.integers(5, 14)))
+    ink = (255, 255, 255) if rng.random() < 0.8 else (0, 0, 0)
+    size = rng.uniform(0.25, 0.5) if kind == "rows" else rng.uniform(0.4, 2.0)
+    spots = [(int(rng.uniform(0, 0.7) * width), int(rng.uniform(0.03, 0.97) * height))]
+    if kind == "rows":
+        spots = [
+            (x + (y // 40 % 2) * 60, y) for y in range(10, height, 40) for x in range(0, width, 120)
+        ]
+    for spot in spots:
+        thick = 1 if kind == "rows" else 2
+        cv2.putText(over, words, spot, cv2.FONT_HERSHEY_SIMPLEX, size, ink, thick, cv2.LINE_AA)
+    share = rng.uniform(0.08, 0.3) if kind == "rows" else rng.uniform(0.5, 1.0)
+    image[:] = cv2.addWeighted(over, share, image, 1.0 - share, 0.0)
+
+
+def put_in_front(drawing: Drawing) -> None:
+    """Put things in front of the ridge."""
+    rng = drawing.rng
+    for chance, most, put in (
+        (0.28, 9, _conifer),
+        (0.12, 1, _foliage),
+        (0.12, 4, _figure),
+        (0.1, 4, _lines),
+        (0.07, 1, _houses),
+        (0.08, 1, _window),
+    ):
+        if rng.random() < chance:
+            for _ in range(rng.integers(1, most) if most > 1 else 1):
+                put(drawing)
+
+
+def dark(rng: np.random.Generator, high: float = 75.0) -> Float32Array:
+    """Return a dark colour."""
+    grey = rng.uniform(3.0, high)
+    return np.asarray(np.clip(grey + rng.normal(0, 8, 3), 0, 255), dtype=np.float32)
+
+
+def _grain(rng: np.random.Generator, shape: tuple[int, ...], share: float) -> Float32Array:
+    return np.asarray(1.0 + share * fractal(rng, (shape[0], shape[1]), 0.5), np.float32)[
+        ..., np.newaxis
+    ]
+
+
+def _conifer(drawing: Drawing) -> None:
+    rng, (height, width) = drawing.rng, drawing.size
+    centre = (
+        rng.uniform(0, 1) if rng.random() < 0.5 else abs(rng.choice([0, 1]) - rng.exponential(0.1))
+    )
+    top, half = rng.uniform(-0.1, 0.7) * height, np.exp(rng.uniform(-4.2, -2.2)) * width
+    tall = half * rng.uniform(3.0, 8.0)
+    rows, columns = np.mgrid[0:height, 0:width].astype(np.float32)
+    reach = half * np.clip((rows - top) / tall, 0, 1) ** rng.uniform(0.6, 1.0) + (rows > top)
+    whorls = 0.4 * np.sin((rows - top) / tall * rng.uniform(25, 80))
+    ragged = 1.0 + whorls + 0.45 * fractal(rng, (height, width), rng.uniform(0.3, 0.8))
+    opacity = np.clip(reach * ragged - np.abs(columns - centre * width), 0, 1) * (rows > top)
+    colour = dark(rng) * _grain(rng, (height, width), 0.3) * np.array([0.95, 1.1, 0.85])
+    drawing.paint(opacity, colour, COVER)
+
+
+def _foliage(drawing: Drawing) -> None:
+    """Leaves or twigs that hang in from a side."""
+    rng, (height, width) = drawing.rng, drawing.size
+    column, row = rng.choice([0.0, 1.0, rng.random()]) * width, rng.uniform(-0.1, 1.1) * height
+    across = (np.arange(width) - column) / (rng.uniform(0.08, 0.3) * width)
+    down = (np.arange(height)[:, np.newaxis] - row) / (rng.uniform(0.08, 0.35) * height)
+    density = (
+        1.0 - np.hypot(across, down) + 0.6 * fractal(rng, (height, width), rng.uniform(0.5, 1.3))
+    )
+    opacity = np.clip(density / 0.15, 0, 1).astype(np.float32)
+    colour = dark(rng, 110.0) * _grain(rng, (height, width), 0.4) * np.array([1.0, 1.15, 0.7])
+    drawing.paint(opacity, colour, COVER)
+
+
+def _figure(drawing: Drawing) -> None:
+    """A person, seen from behind: head, shoulders, legs or hem."""
+    rng, (height, width) = drawing.rng, drawing.size
+    size = np.exp(rng.uniform(-4.5, -2.2)) * height
+    at = int(rng.uniform(0.03, 0.97) * (width - 1))
+    ridge = drawing.row[at] if np.isfinite(drawing.row[at]) else 0.4 * height
+    top = ridge + rng.uniform(-7.0, 2.0) * size
+    mask = np.zeros((height, width), np.uint8)
+    centre = (at, int(top + size))
+    cv2.ellipse(mask, centre, (max(1, int(0.7 * size)), max(1, int(size))), 0, 0, 360, 255, -1)
+    broad = rng.uniform(1.3, 2.2) * size
+    foot = top + rng.uniform(6.0, 16.0) * size
+    right = [(0.5, 1.8), (1.0, 2.6), (1.1, 6.0), (0.8, 99.0)]
+    body = [*right, *((-x, y) for x, y in reversed(right))]
+    points = [(at + x * broad, min(top + y * size, foot)) for x, y in body]
+    cv2.fillPoly(mask, [np.array(points, np.int32)], 255)
+    if rng.random() < 0.3:
+        hand = (int(at + rng.uniform(-5, 5) * size), int(top + rng.uniform(-2, 4) * size))
+        cv2.line(mask, (at, int(top + 2.6 * size)), hand, 255, max(1, int(0.6 * size)))
+    opacity = cv2.blur(mask, (2, 2)).astype(np.float32) / 255.0
+    colour = rng.uniform(5, 235, 3) * rng.uniform(0.1, 1.0) * _grain(rng, (height, width), 0.12)
+    drawing.paint(opacity, colour, COVER)
+
+
+def _lines(drawing: Drawing) -> None:
+    """A pole, or a wire that sags."""
+    rng, (height, width) = drawing.rng, drawing.size
+    mask = np.zeros((height, width), np.uint8)
+    if rng.random() < 0.5:
+        at, top = int(rng.uniform(0, width)), int(rng.uniform(-0.1, 0.6) * height)
+        lean = int(rng.normal(0, 0.02) * width)
+        cv2.line(mask, (at, top), (at + lean, height), 255, int(rng.integers(1, 9)), cv2.LINE_AA)
+        for arm in range(rng.integers(0, 3)):
+            half = int(rng.uniform(0.01, 0.05) * width)
+            cv2.line(mask, (at - half, top + 8 + 9 * arm), (at + half, top + 8 + 9 * arm), 255, 2)
+    else:
+        x = np.linspace(-1, 1, 40)
+        sag = (rng.uniform(0.0, 0.6) + 0.06 * x**2 + rng.uniform(-0.3, 0.3) * x) * height
+        points = np.stack([(x + 1) / 2 * width, sag], axis=1).astype(np.int32)
+        cv2.polylines(mask, [points], False, int(rng.integers(120, 256)), 1, cv2.LINE_AA)
+    drawing.paint(mask.astype(np.float32) / 255.0, dark(rng, 140.0), COVER)
+
+
+def _houses(drawing: Drawing) -> None:
+    rng, (height, width) = drawing.rng, drawing.size
+    for _ in range(rng.integers(1, 6)):
+        wide, tall = (rng.uniform(0.04, 0.3, 2) * (width, height)).astype(int)
+        left, top = int(rng.uniform(-0.1, 1.0) * width), int(rng.uniform(0.2, 0.85) * height)
+        mask = np.zeros((height, width), np.uint8)
+        roof = int(rng.choice([0.0, 0.5]) * tall)
+        right, ridge = left + wide, (left + wide // 2, top - roof)
+        corners = [(left, top), ridge, (right, top), (right, height), (left, height)]
+        cv2.fillPoly(mask, [np.array(corners, np.int32)], 255)
+        colour = np.full((height, width, 3), rng.uniform(30, 230, 3), np.float32)
+        step = max(6, wide // int(rng.integers(3, 8)))
+        panes = rng.uniform(10, 250, 3)
+        for y in range(top + step, min(height, top + max(tall, step)), 2 * step):
+            for x in range(left + step // 2, left + wide - step // 2, step):
+                cv2.rectangle(colour, (x, y), (x + step // 2, y + step), panes.tolist(), -1)
+        drawing.paint(mask.astype(np.float32) / 255.0, colour, COVER)
+
+
+def _window(drawing: Drawing) -> None:
+    """Look out of a car, a door or a tent: dark all round an opening."""
+    rng, (height, width) = drawing.rng, drawing.size
+    mask = np.full((height, width), 255, np.uint8)
+    reach = rng.uniform(-0.12, 0.25, 4)
+    left, top, right, bottom = reach * (width, height, width, height)
+    right, bottom = width - right, height - bottom
+    jitter = rng.uniform(-0.08, 0.08, (4, 2)) * (width, height)
+    corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
+    cv2.fillPoly(mask, [(corners + jitter).astype(np.int32)], 0)
+    round_px = 2 * int(rng.uniform(0.0, 0.06) * width) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (round_px, round_px))
+    mask = np.asarray(255 - cv2.morphologyEx(255 - mask, cv2.MORPH_OPEN, disc), dtype=np.uint8)
+    if rng.random() < 0.5:
+        centre = (int(rng.uniform(0, 1) * width), int(rng.uniform(0.5, 1.0) * height))
+        axes = (int(rng.uniform(0.05, 0.2) * width), int(rng.uniform(0.05, 0.2) * height))
+        cv2.ellipse(mask, centre, axes, rng.uniform(-20, 20), 0, 360, 255, -1)
+    opacity = cv2.blur(mask, (3, 3)).astype(np.float32) / 255.0
+    shade = 1.0 + 0.5 * fractal(rng, (height, width), 2.0)[..., np.newaxis]
+    colour = np.clip(dark(rng, 60.0) * np.maximum(shade, 0.0), 0, 255)
+    drawing.paint(opacity, colour, COVER)
+
+
+_OCCLUDER_RGB = {
+    "tree": np.array([38.0, 52.0, 30.0]),
+    "building": np.array([168.0, 150.0, 128.0]),
+    "person": np.array([150.0, 50.0, 45.0]),
+}
+
+
+def put_before(picture: Float64Array, occluder: Occluder, generator: np.random.Generator) -> None:
+    """Paint something near over a picture (H, W, 3), from its top down."""
+    start, stop = occluder.columns
+    rows = np.arange(len(picture))[:, np.newaxis]
+    covered = np.clip(rows + 0.5 - occluder.row_px, 0.0, 1.0)
+    colour = _OCCLUDER_RGB[occluder.kind] * generator.uniform(0.8, 1.2)
+    # Foliage lets light through; walls and coats do not.
+    rough = 0.35 if occluder.kind == "tree" else 0.05
+    shade = 1.0 + rough * generator.standard_normal((len(picture), stop - start))
+    part = picture[:, start:stop]
+    picture[:, start:stop] = mixed(part, colour * np.maximum(shade, 0.2)[..., np.newaxis], covered)
+
+
+def draw_photo(
+    renderer: DepthRenderer, query: SyntheticQuery, seed: int, scenery: Scenery
+) -> UInt8Array:
+    """Return the RGB photograph (H, W, 3) of a synthetic query, its occluders in front.
+
+    Sky and ground meet exactly at ``query.row_px``, the border pixels mixed from both; the depth
+    images behind decide only what the ground looks like. ``renderer`` must draw the terrain the
+    query was made from.
+    """
+    generator, truth = np.random.default_rng(seed), query.truth
+    size = query.skyline.width_px, query.skyline.height_px
+    camera = Camera(truth.heading_deg, truth.pitch_deg, truth.roll_deg, truth.fov_deg, *size)
+    viewpoint = Viewpoints(
+        easting_m=np.array([truth.easting_m]),
+        northing_m=np.array([truth.northing_m]),
+        eye_elevation_m=np.array([truth.eye_elevation_m]),
+    )
+    rays = camera.rays()
+    distance = distance_along(renderer.depth_images(viewpoint, 0), rays)
+    rows = np.arange(camera.height_px)[:, np.newaxis]
+    # Pixel r spans r - 0.5 to r + 0.5.
+    below = np.clip(rows + 0.5 - query.row_px, 0.0, 1.0)
+    share = np.where(np.isfinite(query.row_px), below, np.isfinite(distance))
+    eye = truth.easting_m, truth.northing_m
+    picture = scene_rgb(renderer, eye, rays, distance, share, scenery, generator)
+    for occluder in query.occluders:
+        put_before(picture, occluder, generator)
+    return exposed(picture, generator)
+
+
+_CELLS = 400
+_FRAME = Frame.from_crs("EPSG:32632")
+_WEST_M, _NORTH_M = 600_000.0, 5_180_000.0
+_RENDERED_PX = 1024
+"""Columns of the depth images of a heading, of 90 degrees."""
+_POSES = 4
+"""Poses of which the one that shows most skyline is drawn: most others show a slope alone."""
+_PLACES_SHARE = 0.3
+"""Share of the terrain, at its middle, in which eyes stand."""
+
+
+def draw_view(seed: tuple[int, ...], terrain_seed: int, size_px: tuple[int, int]) -> TrainingPhoto:
+    """Draw one photograph from a random place of made terrain, in random weather."""
+    rng = np.random.default_rng([13, *seed])
+    terrain = _terrain(terrain_seed)
+    bottom, top = terrain.height_range_m
+    scenery = Scenery(
+        visibility_m=float(np.exp(rng.uniform(np.log(8e3), np.log(300e3)))),
+        snow_line_m=float(rng.choice([np.inf, rng.uniform(bottom, top)])),
+        tree_line_m=float(rng.uniform(bottom - 0.3 * (top - bottom), top + 0.5 * (top - bottom))),
+        clouds=float(rng.uniform(0.0, 1.0)),
+    )
+    width, height = size_px
+    config = QueryConfig(
+        fov_deg=(30.0, 90.0),
+        occluded_share=(0.0, 0.3),
+        width_px=width,
+        height_px=height,
+        eye_height_m=float(np.exp(rng.uniform(np.log(2.0), np.log(300.0)))),
+        azimuths=16 * width,
+    )
+    west, south, east, north = terrain.bounds_m
+    margin = 0.5 * (1.0 - _PLACES_SHARE)
+    aside, along = margin * (east - west), margin * (north - south)
+    area = west + aside, south + along, east - aside, north - along
+    queries = make_queries(terrain, area, _POSES, int(rng.integers(1 << 31)), config)
+    query = max(queries, key=lambda one: np.count_nonzero(np.isfinite(one.row_px)))
+    with DepthRenderer(terrain, _RENDERED_PX) as renderer:
+        image = draw_photo(renderer, query, int(rng.integers(1 << 31)), scenery)
+    # Rows of queries count pixel centres.
+    row = query.row_px + 0.5
+    row = np.where((row > 1.0) & (row < height - 1.0), row, np.nan)
+    rows = np.arange(height)[:, np.newaxis] + 0.5
+    label = np.where(rows < row, SKY, GROUND).astype(np.uint8)
+    label[:, np.isnan(row)] = UNKNOWN
+    for occluder in query.occluders:
+        columns = slice(*occluder.columns)
+        hidden = rows > occluder.row_px + 0.5
+        label[:, columns][hidden] = COVER
+        row[columns][occluder.row_px < row[columns] - 0.5] = np.nan
+    return TrainingPhoto(image, label, np.asarray(row, dtype=np.float32))
+
+
+@lru_cache(maxsize=1)
+def _terrain(seed: int) -> HeightField:
+    """Return terrain of a random spacing, kept for the photographs after."""
+    rng = np.random.default_rng([17, seed])
+    heights = draw_heights(rng, seed)[:_CELLS, :_CELLS]
+    spacing_m = float(np.exp(rng.uniform(np.log(20.0), np.log(90.0))))
+    heights = heights * np.float32(spacing_m / CELL_M)
+    return HeightField(heights, _WEST_M, _NORTH_M, spacing_m, spacing_m, _FRAME)

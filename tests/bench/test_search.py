@@ -1,0 +1,405 @@
+"""Stores x queries: what is built, searched, kept and counted."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from commands import assert_refused
+from scenes import candidate_at, field_of, fractal
+
+from skyline import JointResult, MatchResult
+from skyline.build.grid import map_bounds
+from skyline.errors import InputError
+from skyline.geodesy import Bounds
+from skyline.photo.query import QuerySkyline
+from skyline.store import open_store
+from skyline_bench.queries.kinds import make_kind
+from skyline_bench.queries.synthetic import SyntheticQuery, Truth
+from skyline_bench.search.compare import Comparison, measure
+from skyline_bench.search.specs import StoreSpec, claimed_loss, middle_deg
+from skyline_bench.search.summary import against_uniform, groups, summarize
+from skyline_bench.search.trials import Area, Trial, trial_of
+
+TIMES = ("query_s", "query_cpu_s", "screen_s", "build_s", "build_cpu_s")
+TOO_FEW = {"queries": 2, "by_thirds": True}
+
+
+def without_times(rows):
+    return [{key: value for key, value in row.items() if key not in TIMES} for row in rows]
+
+
+# --- commands, each run small ---------------------------------------------------------------
+
+
+@pytest.fixture
+def run(run_bench, dem, tmp_path):
+    """Return a function that runs a command and gives its record, whose plot is no blank."""
+
+    def run_command(command, *arguments, plots=True):
+        record, plot = tmp_path / "record.json", tmp_path / "plot.png"
+        drawn = ("--plot", plot) if plots else ()
+        done = run_bench(command, *arguments, "--json", record, *drawn)
+        assert done.code == 0, done.err
+        if plots:
+            assert cv2.imread(str(plot)).std() > 10.0
+        written = json.loads(record.read_text())
+        assert written["bench"] == command
+        assert written["rows"][0]["store"] in done.out
+        return written
+
+    return run_command
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A folder in which stores and trials are kept."""
+    return tmp_path_factory.mktemp("kept")
+
+
+def test_stores_matchers_and_kinds_are_compared_and_kept(run, dem, kept):
+    asked = (
+        "matching", dem, "--spacing", 600, "--spacing", 300, "--loss", 0.4, "--queries", 3,
+        "--matcher", "correlation", "--matcher", "retrieved", "--folder", kept,
+    )  # fmt: skip
+    rows = run(*asked)["rows"]
+    every = [row for row in rows if row["group"] == "all"]
+    assert [(row["store"], row["matcher"], row["queries"]) for row in every] == [
+        (store, matcher, kind)
+        for store, matcher in (
+            ("uniform-600", "correlation"),
+            ("uniform-300", "correlation"),
+            ("places-600", "retrieved"),
+            ("places-300", "retrieved"),
+            ("planned-0.4", "retrieved"),
+        )
+        for kind in ("plain", "white", "other-dem", "occluded", "aligned")
+    ]
+    for row in every:
+        assert row["n"] == 3
+        assert row["within_200m_low"] <= row["within_200m"] <= row["within_200m_high"]
+        assert row["mean_m_low"] <= row["mean_m"] <= row["mean_m_high"] < 5000.0
+        assert row["within_200m"] <= row["within_1km"]
+        assert row["build_s"] > 0.0
+        # No query is dropped: the groups make up the whole.
+        mine = [
+            one for one in rows
+            if [one[key] for key in ("store", "matcher", "queries")]
+            == [row[key] for key in ("store", "matcher", "queries")]
+        ]  # fmt: skip
+        assert sum(one["n"] for one in mine) == 6
+    assert every[0]["places"] < every[5]["places"] == every[15]["places"]
+    # What is there is not done again; what is missing is, and comes out the same.
+    files = sorted((kept / "trials").iterdir())
+    lines = files[0].read_text().splitlines(keepends=True)
+    files[0].write_text("".join(lines[:2]) + lines[2][:20])
+    before = {path: path.stat().st_mtime_ns for path in (*files[1:], *kept.glob("*.h5"))}
+    assert without_times(run(*asked)["rows"]) == without_times(rows)
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert len(files[0].read_text().splitlines()) == len(lines)
+    assert without_times(run(*asked, "--seed", 1)["rows"]) != without_times(rows)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("refined_once")
+def test_uniform_and_adaptive_stores_are_compared(run, dem):
+    record = run(
+        "uniform-adaptive", dem, "--spacing", 600, "--threshold-px", 40, "--loss", 0.4,
+        "--queries", 3, "--matcher", "paper", "--matcher", "retrieved",
+    )  # fmt: skip
+    rows = [(row["store"], row["matcher"], row["group"]) for row in record["rows"]]
+    assert rows == [
+        (store, matcher, group)
+        for store, matcher in (
+            ("uniform-600", "paper"),
+            ("lpov-40px", "paper"),
+            ("places-600", "retrieved"),
+            ("planned-0.4", "retrieved"),
+        )
+        for group in ("close", "medium", "far", "all")
+    ]
+    adaptive = [row["store"] for row in record["summary"]["against_uniform"]]
+    assert adaptive == ["lpov-40px", "planned-0.4"]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("refined_once")
+def test_planned_places_claim_their_loss(run, dem, tmp_path):
+    record = run(
+        "placing", dem, "--spacing", 300, "--loss", 0.3, "--queries", 2, "--folder", tmp_path
+    )
+    rows = [row for row in record["rows"] if row["group"] == "all"]
+    assert [row["store"] for row in rows] == ["places-300", "planned-0.3"]
+    # What was planned for is what is claimed of the places, but for the area's sides.
+    assert rows[1]["claimed_loss"] == pytest.approx(0.3, abs=0.06)
+    assert all(row["lost"] == pytest.approx(1.0 - row["within_1km"]) for row in rows)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("refined_once")
+def test_growing_areas_are_searched(run, dem, store, caplog):
+    asked = ("scale", dem, "--store", store, "--area", 2, "--area", 900, "--near", 0.9)
+    rows = [row for row in run(*asked, "--queries", 2)["rows"] if row["group"] == "all"]
+    assert [row["search"] for row in rows] == ["2 km2", "near 0.9 km", "all"]
+    assert "900 km2" in caplog.text
+    for row in rows:
+        assert 1.0 >= row["screened"] >= row["retrieved"] >= row["refined"]
+        assert 0.0 < row["screen_s"] < row["query_s"]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("refined_once")
+def test_photos_of_one_place_and_strangers(run, dem, store):
+    rows = run("same-place", dem, "--quick", plots=False)["rows"]
+    every = {row["queries"]: row for row in rows if row["group"] == "all"}
+    assert {name: row["n"] for name, row in every.items()} == {
+        "alone": 9, "together": 3, "with a stranger": 3,
+    }  # fmt: skip
+    assert every["together"]["within_200m"] >= every["alone"]["within_200m"]
+    asked = ("strangers", store, dem, "--strange", dem, "--queries", 1)
+    row = run(*asked, plots=False)["rows"][-1]
+    # Nothing is right of a stranger, wherever it is found.
+    assert (row["n"], row["within_1km"]) == (1, 0.0)
+    assert row["strange"] == ["dem.tif"]
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments", "message"),
+    [
+        ("matching", ["--queries", "0"], "queries is 0"),
+        ("matching", ["--seed", "-1"], "seed is -1"),
+        ("matching", ["--bounds", "40,10,41,11"], "do not meet the DEM"),
+        ("matching", ["--bounds", "40,10,41"], "W,S,E,N"),
+        ("matching", ["--spacing", "3400"], "too small for a grid of 3400 m"),
+        ("matching", ["--spacing", "0"], "spacing is 0"),
+        ("matching", ["--store", "RENDERINGS", "--matcher", "full"], "which none of full searches"),
+        ("matching", ["--matcher", "best"], "matcher is 'best'"),
+        ("matching", ["--kind", "easy"], "kind of queries is 'easy'"),
+        ("matching", ["--store", "none.h5"], "none.h5 does not exist"),
+        ("matching", ["--store", "DEM"], "dem.tif"),
+        ("uniform-adaptive", ["--queries", "2"], "queries is 2; expected 3"),
+        ("uniform-adaptive", ["--strategy", "best"], "strategy is 'best'"),
+        ("uniform-adaptive", ["--spacing", "600", "--threshold-px", "0"], "threshold is 0"),
+        ("scale", ["--area", "0"], "area is 0.0 km2"),
+        ("scale", ["--area", "nan"], "area is nan km2"),
+        ("scale", ["--near", "-1"], "radius is -1.0 km"),
+        ("scale", ["--plot", "/none/plot.doc"], ".doc"),
+        ("placing", ["--json", "/none/record.json"], "no folder"),
+    ],
+)
+def test_bad_options_are_one_line_and_write_nothing(
+    run_bench, dem, renderings, tmp_path, command, arguments, message
+):
+    given = [{"DEM": dem, "RENDERINGS": renderings}.get(word, word) for word in arguments]
+    assert_refused(run_bench(command, dem, "--folder", tmp_path / "kept", *given), message)
+    assert not list(tmp_path.iterdir())
+
+
+# --- stores and areas -----------------------------------------------------------------------
+
+
+PLAIN = field_of(np.zeros((300, 300), dtype=np.float32), 30.0, north_m=9000.0)
+
+
+def side_m(bounds_deg: Bounds):
+    west, south, east, north = map_bounds(PLAIN, bounds_deg)
+    return east - west, north - south
+
+
+def test_quick_is_the_middle_and_the_cheapest_stores():
+    comparison = Comparison(
+        tuple(StoreSpec(spacing_m=metres) for metres in (256.0, 1024.0, 512.0)),
+        bounds_deg=middle_deg(PLAIN, (6000.0, 6000.0)),
+    )
+    quick = comparison.quick(PLAIN)
+    assert side_m(quick.bounds_deg) == pytest.approx((3000.0, 3000.0), rel=0.02)
+    assert [spec.spacing_m for spec in quick.stores] == [1024.0]
+    assert quick.queries == 3
+
+
+def test_stores_that_no_matcher_searches_are_not_built():
+    specs = StoreSpec("renderings", 512.0), StoreSpec(spacing_m=512.0), StoreSpec(spacing_m=512.0)
+    assert Comparison(specs).stores == specs[1:2]
+    with pytest.raises(InputError, match="no store to match"):
+        Comparison(specs[:1])
+
+
+def test_a_store_is_built_once_and_covers_its_area(tmp_path):
+    terrain = field_of(fractal(60, 60, relief_m=400.0, seed=6), 30.0, north_m=1800.0)
+    spec, bounds_deg = StoreSpec(spacing_m=300.0), middle_deg(terrain, (900.0, 900.0))
+    first, again = (spec.build(terrain, tmp_path, bounds_deg) for _ in range(2))
+    assert first == again
+    assert first.rows == first.renderings / 4
+    assert min(first.build_s, first.build_cpu_s) > 0.0
+    assert first.area_m(terrain) == pytest.approx(map_bounds(terrain, bounds_deg))
+    with open_store(first.path) as store:
+        places = store.places().take(np.arange(first.rows))
+    twice = type(places).concatenate([places, places])
+    assert claimed_loss(twice) == pytest.approx(claimed_loss(places))
+
+
+AREA_M = (1000.0, 1000.0, 7000.0, 7000.0)
+
+
+def truth_at(easting_m, northing_m, heading_deg=0.0):
+    return Truth(easting_m, northing_m, 1000.0, heading_deg, 0.0, 0.0, 60.0)
+
+
+def test_squares_and_circles_hold_the_place_anywhere():
+    generator = np.random.default_rng(3)
+    square, circle = Area("4 km2", 4.0, side_m=2000.0), Area("2 km", 12.6, radius_m=2000.0)
+    west, off_m = [], []
+    for seed in range(50):
+        place = generator.uniform(AREA_M[:2], AREA_M[2:])
+        box = map_bounds(PLAIN, square.about(truth_at(*place), AREA_M, PLAIN, seed).bounds_deg)
+        low, high = np.array(box).reshape(2, 2)
+        np.testing.assert_allclose(high - low, 2000.0, rtol=0.02)
+        assert ((low <= place + 1.0) & (place <= high + 1.0)).all()
+        assert ((low >= np.array(AREA_M[:2]) - 30.0) & (high <= np.array(AREA_M[2:]) + 30.0)).all()
+        west.append((place - low)[0] / 2000.0)
+        lon, lat, radius_km = circle.about(truth_at(*place), AREA_M, PLAIN, seed).near
+        off_m.append(np.hypot(*(place - np.array(PLAIN.frame.from_lonlat(lon, lat)))))
+        assert radius_km == 2.0
+    assert min(west) < 0.2
+    assert max(west) > 0.8
+    assert 1500.0 < max(off_m) <= 2002.0
+
+
+# --- trials and what they come to -----------------------------------------------------------
+
+
+SKYLINE = QuerySkyline(np.full(8, 3.0), np.ones(8), 8, 8, 60.0)
+
+
+def query_at(easting_m, heading_deg=0.0):
+    truth = truth_at(easting_m, 0.0, heading_deg)
+    return SyntheticQuery(SKYLINE, 60.0, 0.03, truth, SKYLINE.row_px, 4000.0, ())
+
+
+def found(*places, within_m=None):
+    return MatchResult(SKYLINE, places, 0.5, None if within_m else "unsure", within_m)
+
+
+BEST = candidate_at(0.0, 0.0, 5.0, confidence=0.8, covariance_m2=((1.0, 0.0), (0.0, 2.0)))
+FAR = candidate_at(900.0, 0.0)
+
+
+def test_a_trial_is_of_the_best_candidate():
+    right = trial_of((query_at(30.0, 355.0),), found(BEST, FAR, within_m=200.0))
+    assert (right.error_m, right.distance_m, right.within_m) == (30.0, 4000.0, 200.0)
+    assert right.heading_error_deg == pytest.approx(10.0)
+    assert right.radius_m == BEST.radius_m
+    assert trial_of((query_at(30.0),), found(FAR, BEST)).within_m is None
+    for nothing in (None, found()):
+        lost = trial_of((query_at(0.0),), nothing)
+        assert (lost.error_m, lost.within_m) == (np.inf, None)
+    assert trial_of((query_at(0.0),), found(BEST, within_m=200.0), strange=True).error_m == np.inf
+
+
+def test_a_photo_is_named_that_does_not_agree():
+    one, other = query_at(0.0), query_at(5000.0)
+    for query, agrees, named in (
+        ((one, one, one), (True, True, True), False),
+        ((one, one, one), (True, False, True), True),
+        ((one, one, other), (True, False, True), False),
+        ((one, one, other), (True, True, False), True),
+    ):
+        joint = JointResult(tuple(found(BEST) for _ in query), agrees, 1.0)
+        assert trial_of(query, joint).named is named
+
+
+def test_kinds_of_one_place_share_their_photos():
+    terrain = field_of(fractal(120, 120, 600.0, seed=4))
+    alone, together, mixed = (
+        make_kind(name, terrain, map_bounds(terrain, None), 2, 1)
+        for name in ("alone", "together", "with a stranger")
+    )
+    assert [len(some) for some in (alone, together, mixed)] == [6, 2, 2]
+    assert len({photo.truth.easting_m for photo in together[0]}) == 1
+    assert len({photo.truth.heading_deg for photo in together[0]}) == 3
+    assert [photo.truth for photo in mixed[0][:2]] == [one[0].truth for one in alone[:2]]
+    assert mixed[0][2].truth == together[1][2].truth
+    with pytest.raises(InputError, match="give --strange"):
+        make_kind("strangers", terrain, AREA_M, 1, 0)
+
+
+TRIALS = [
+    Trial(100.0, 30.0, 10.0, 0.9, 40.0, 200.0),
+    Trial(200.0, 900.0, 5.0, 0.9, 40.0, 1000.0),
+    Trial(300.0, 800.0, 5.0, 0.5, 40.0, 200.0),
+    Trial(400.0),
+]
+
+
+def test_a_summary_counts_every_query():
+    row = summarize(TRIALS, 5000.0, seed=0)
+    assert (row["n"], row["within_200m"], row["within_1km"]) == (4, 0.25, 0.75)
+    assert (row["answered"], row["answered_200m"]) == (0.75, 0.5)
+    assert row["precision"] == pytest.approx(2 / 3)
+    assert row["mean_m"] == pytest.approx(np.mean([30.0, 900.0, 800.0, 5000.0]))
+    assert row["median_m"] == 850.0
+    assert (row["heading_median_deg"], row["radius_holds"]) == (10.0, 1.0)
+    # Wilson's interval of one in four.
+    assert row["within_200m_low"] == pytest.approx(0.0456, abs=5e-5)
+    assert row["within_200m_high"] == pytest.approx(0.6994, abs=5e-5)
+    nothing = summarize(TRIALS[3:], 150.0, seed=0)
+    assert (nothing["within_200m"], nothing["mean_m"]) == (0.0, 150.0)
+    assert (nothing["precision"], nothing["heading_median_deg"]) == (None, None)
+
+
+def test_the_mean_s_interval_shrinks_with_more_queries():
+    few, many = (summarize(TRIALS * times, 5000.0, 1) for times in (5, 500))
+    width = [row["mean_m_high"] - row["mean_m_low"] for row in (few, many)]
+    error_m = [30.0, 900.0, 800.0, 5000.0]
+    assert width[1] == pytest.approx(3.92 * np.std(error_m) / np.sqrt(2000), rel=0.15)
+    assert width[0] == pytest.approx(10.0 * width[1], rel=0.3)
+
+
+def test_groups_hold_every_query_once():
+    distance_m = [500.0, 0.0, 100.0, 9000.0, 1000.0, 5000.0, 300.0]
+    assert groups(distance_m, by_thirds=False) == {
+        "< 1 km": [0, 1, 2, 6], "1-5 km": [4], "> 5 km": [3, 5], "all": [*range(7)],
+    }  # fmt: skip
+    assert groups([100.0], by_thirds=False) == {"< 1 km": [0], "all": [0]}
+    assert groups(distance_m, by_thirds=True) == {
+        "close": [1, 2, 6], "medium": [0, 4], "far": [3, 5], "all": [*range(7)],
+    }  # fmt: skip
+    with pytest.raises(InputError, match="expected at least 3"):
+        groups([1.0, 2.0], by_thirds=True)
+    with pytest.raises(InputError, match="queries is 2; expected 3"):
+        Comparison((StoreSpec(),), **TOO_FEW)
+
+
+def row(store, matcher, renderings, mean_m, group="all"):
+    planner = store.split("-")[0]
+    return {"store": store, "planner": planner, "matcher": matcher, "queries": "plain",
+        "group": group, "renderings": renderings, "mean_m": mean_m}  # fmt: skip
+
+
+def test_adaptive_stores_are_held_to_uniform_ones_of_the_same_matcher():
+    rows = [
+        row("uniform-512", "paper", 100, 1600.0),
+        row("uniform-128", "paper", 1600, 100.0),
+        row("uniform-128", "paper", 1600, 1.0, "close"),
+        row("uniform-512", "full", 100, 400.0),
+        row("lpov-400", "paper", 400, 200.0),
+        row("lpov-9000", "paper", 9000, 10.0),
+        row("planned-0.2", "full", 100, 400.0),
+    ]
+    half_way, beyond, same = against_uniform(rows)
+    # Half way from 100 to 1600 renderings, and so from 1600 to 100 m.
+    assert half_way["uniform_mean_m"] == pytest.approx(400.0)
+    assert half_way["gain"] == pytest.approx(2.0)
+    assert half_way["uniform_renderings"] == pytest.approx(800.0)
+    assert half_way["share"] == pytest.approx(0.5)
+    assert (beyond["uniform_mean_m"], beyond["share"]) == (None, None)
+    assert (same["gain"], same["share"]) == pytest.approx((1.0, 1.0))
+
+
+@pytest.mark.usefixtures("refined_once")
+def test_progress_is_of_the_queries_in_this_process(tmp_path):
+    terrain = field_of(fractal(81, 121, 250.0, seed=5), west_m=1000.0, north_m=5000.0)
+    seen = []
+    comparison = Comparison((StoreSpec(spacing_m=300.0),), ("retrieved",), queries=2)
+    measure(terrain, comparison, tmp_path, lambda *done: seen.append(done))
+    assert seen[-2:] == [(1, 2), (2, 2)]

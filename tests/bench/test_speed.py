@@ -1,0 +1,235 @@
+"""Speed against error: fair times, errors in one unit, and what the commands write."""
+
+import dataclasses
+import json
+
+import cv2
+import numpy as np
+import pytest
+from commands import assert_refused
+from scenes import FRAME, at_m, field_of, fractal
+
+from skyline import Curvature, HeightField, SkylineError, horizon, stand_on
+from skyline.errors import InputError
+from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
+from skyline_bench.commands import speed
+from skyline_bench.measuring.timing import (
+    central_viewpoints,
+    in_turns,
+    over_cores,
+    own_bytes,
+    peak_bytes,
+    reset_peak,
+)
+from skyline_bench.peers import embree, grass
+from skyline_bench.truth import oracle
+from skyline_bench.truth.agreement import compare
+
+needs_grass = pytest.mark.skipif(not grass.is_installed(), reason="grass is not installed")
+
+
+@pytest.fixture
+def measured(run_bench, dem, tmp_path):
+    """Return what ``speed-error`` printed and wrote."""
+    record, plot = tmp_path / "record.json", tmp_path / "plot.png"
+    done = run_bench("speed-error", dem, "--quick", "--seed", 3, "--json", record, "--plot", plot)
+    assert done.code == 0, done.err
+    assert cv2.imread(str(plot)).std() > 5.0
+    return done.out, json.loads(record.read_text())
+
+
+def test_speed_error_finds_the_errors_there_are(measured):
+    printed, record = measured
+    assert record["bench"] == "speed-error"
+    assert record["machine"]["renderer"]
+    paths = {row["path"] for row in record["rows"]}
+    assert paths >= {"depth", "horizon", "all round", "oracle"}
+    assert ("embree" in paths, "grass" in paths) == (embree.is_installed(), grass.is_installed())
+    for row in record["rows"]:
+        assert row["path"] in printed
+        assert 0.0 < row["viewpoints_per_s"] == pytest.approx(1000.0 / row["ms_per_viewpoint"])
+        assert row["missing"] == 0
+        if row["path"] in ("all round", "grass"):
+            assert row["columns"] == row["compared_viewpoints"] * row["width"]
+        else:
+            assert row["columns"] > 0.3 * row["compared_viewpoints"] * 4 * row["width"]
+        if row["path"] == "oracle":
+            assert (row["rms_px"], row["max_px"]) == (0.0, 0.0)
+        elif row["path"] == "depth":
+            # Half a pixel of its own width, in px of W = 640.
+            assert 0.2 < row["max_px"] * row["width"] / 640.0 < 0.51
+        elif row["path"] == "horizon":
+            assert row["rms_px"] <= row["max_px"] <= row["tolerance_px"] + 0.01
+        elif row["path"] == "all round":
+            tolerance_px = float(row["setting"].split()[2]) / 0.179
+            assert row["rms_px"] <= row["max_px"] <= 1.001 * tolerance_px + 0.01
+        elif row["path"] == "grass":
+            assert row["max_px"] > 0.1
+        elif row["path"] == "embree":
+            assert row["rms_px"] < row["max_px"] < 320.0 / 2.0 ** row["bisections"] + 0.01
+
+
+def test_without_its_peers_the_rest_is_measured(run_bench, dem, tmp_path, monkeypatch, caplog):
+    for peer in (embree, grass):
+        monkeypatch.setattr(peer, "is_installed", lambda: False)
+    record = tmp_path / "record.json"
+    done = run_bench("speed-error", dem, "--quick", "--json", record)
+    assert done.code == 0, done.err
+    assert "skyline-bench[peers]" in caplog.text
+    rows = json.loads(record.read_text())["rows"]
+    assert {row["path"] for row in rows} == {"depth", "horizon", "all round", "oracle"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none.tif"], "none.tif"),
+        (["DEM", "--seed", "-1"], "seed is -1"),
+        (["DEM", "--plot", "plot.doc"], ".doc"),
+        (["DEM", "--plot", "no/plot.png"], "no folder"),
+        ([], "DEM"),
+    ],
+)
+def test_bad_options_are_one_line_and_write_nothing(
+    run_bench, dem, tmp_path, monkeypatch, arguments, message
+):
+    monkeypatch.chdir(tmp_path)
+    given = [{"DEM": dem}.get(word, word) for word in arguments]
+    assert_refused(run_bench("speed-error", "--quick", "--json", "record.json", *given), message)
+    assert not list(tmp_path.iterdir())
+
+
+def test_ctrl_c_ends_in_one_line(run_bench, dem, monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(speed, "in_turns", interrupted)
+    done = run_bench("speed-error", dem, "--quick")
+    assert done.code == 130
+    assert done.err == "error: stopped\n"
+
+
+# --- GRASS ----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def field():
+    heights = 1500.0 + fractal(160, 150, 700.0, seed=2)
+    return HeightField(heights.astype(np.float32), 0.0, 0.0, 30.0, 30.0, FRAME)
+
+
+@needs_grass
+def test_grass_answers_by_azimuth_from_true_north(field):
+    eyes = stand_on(field, **at_m(field.to_map([80.0, 60.0], [70.0, 90.0])), eye_height_m=0.0)
+    angles, seconds = grass.horizons(field, eyes, 2.0)
+    assert angles.shape == (2, 180)
+    assert seconds.shape == (1,)
+    lon, lat = field.frame.to_lonlat(eyes.easting_m, eyes.northing_m)
+    flat = Curvature(enabled=False)
+    seen = horizon(field, lon=lon, lat=lat, eye_height_m=0.0, step_deg=2.0, curvature=flat)
+    found = np.maximum(seen.elevation_deg, 0.0)
+    off = [np.abs(np.roll(angles, turn, axis=1) - found).mean() for turn in range(180)]
+    assert min(off[0], off[1], off[-1]) == min(off)
+
+
+@needs_grass
+def test_grass_that_fails_is_one_line(field, monkeypatch):
+    monkeypatch.setattr(grass, "_SCRIPT", "echo no such thing >&2; exit 3\n")
+    with pytest.raises(SkylineError, match=r"r\.horizon gave 0 angles"):
+        grass.horizons(field, stand_on(field, **at_m(field.to_map(80.0, 70.0))), 2.0)
+
+
+# --- errors against the oracle: which columns count, and in which unit ----------------------
+
+
+@pytest.fixture(scope="module")
+def truth():
+    terrain = field_of(fractal(60, 60, 300.0, seed=4))
+    views = oracle.skyline(terrain, stand_on(terrain, easting_m=[900.0], northing_m=[-900.0]), 16)
+    return dataclasses.replace(views, flags=np.zeros_like(views.flags))
+
+
+def test_errors_are_in_pixels_of_width_640_whatever_the_width(truth):
+    same = compare(truth, truth)
+    assert (same["rms_px"], same["max_px"], same["columns"], same["missing"]) == (0.0, 0.0, 64, 0)
+    tan = truth.elevation_tan.copy()
+    tan[2, 5] -= 3.0 / 320.0
+    found = compare(dataclasses.replace(truth, elevation_tan=tan), truth)
+    assert found["max_px"] == pytest.approx(3.0)
+    assert found["rms_px"] == pytest.approx(3.0 / np.sqrt(64))
+
+
+def test_columns_that_either_side_flags_do_not_count(truth):
+    tan, here, there = truth.elevation_tan + 1.0, truth.flags.copy(), truth.flags.copy()
+    here[:2], there[2:, 4:] = FLAG_HOLE, FLAG_TRUNCATED
+    found = compare(
+        dataclasses.replace(truth, elevation_tan=tan, flags=here),
+        dataclasses.replace(truth, flags=there),
+    )
+    assert (found["columns"], found["flagged_share"]) == (8, 56 / 64)
+    assert found["max_px"] == pytest.approx(320.0)
+    nothing = compare(truth, dataclasses.replace(truth, flags=truth.flags + FLAG_HOLE))
+    assert (nothing["rms_px"], nothing["max_px"], nothing["columns"]) == (None, None, 0)
+
+
+def test_a_column_without_a_value_is_missing_and_cannot_hide_behind_a_flag(truth):
+    tan, flags = truth.elevation_tan.copy(), truth.flags.copy()
+    tan[0, :3] = np.nan
+    flags[0, 0] = FLAG_HOLE
+    found = compare(dataclasses.replace(truth, elevation_tan=tan, flags=flags), truth)
+    assert (found["missing"], found["max_px"], found["columns"]) == (3, 0.0, 61)
+
+
+# --- fair times -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 2, 9, 16, 100])
+def test_viewpoints_are_a_square_in_the_middle(count):
+    terrain = field_of(fractal(200, 160), 30.0, west_m=5e5 + 7.0, north_m=5e6 + 3.0)
+    viewpoints = central_viewpoints(terrain, count, 100.0)
+    assert len(viewpoints) == count
+    west, south, east, north = terrain.bounds_m
+    side = np.ceil(np.sqrt(count))
+    for place, middle in [
+        (viewpoints.easting_m, (west + east) / 2.0),
+        (viewpoints.northing_m, (south + north) / 2.0),
+    ]:
+        assert (place % 100.0 == 0.0).all()
+        assert np.ptp(place) <= (side - 1.0) * 100.0
+        assert abs((place.min() + place.max()) / 2.0 - middle) <= 100.0
+
+
+def test_a_dem_without_a_middle_is_refused():
+    heights = fractal(60, 60)
+    heights[15:45, 15:45] = np.nan
+    with pytest.raises(InputError, match="no viewpoint"):
+        central_viewpoints(field_of(heights), 4, 100.0)
+
+
+def test_work_is_done_in_turns_after_a_warm_up():
+    done, ticks = [], []
+    timings = in_turns(
+        [lambda: done.append("a"), lambda: done.append("b")], 3, lambda: ticks.append(len(done))
+    )
+    assert done == ["a", "b"] * 4
+    assert ticks == list(range(1, 9))
+    assert len(timings) == 2
+
+
+def test_viewpoints_shared_out_come_back_in_order():
+    terrain = field_of(fractal(20, 20))
+    viewpoints = stand_on(terrain, easting_m=np.linspace(0.0, 500.0, 11), northing_m=-200.0)
+    parts = over_cores(lambda part: part.easting_m, viewpoints, 4)
+    assert [len(part) for part in parts] == [4, 4, 3]
+    np.testing.assert_array_equal(np.concatenate(parts), viewpoints.easting_m)
+    assert over_cores(len, viewpoints[:0], 4) == []
+
+
+def test_memory_is_measured():
+    reset_peak()
+    before, own = peak_bytes(), own_bytes()
+    if before is None or own is None:
+        pytest.skip("this system does not report memory")
+    taken = np.ones(30_000_000)
+    assert peak_bytes() >= before + 0.9 * taken.nbytes
+    assert own_bytes() >= own + 0.9 * taken.nbytes

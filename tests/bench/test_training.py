@@ -1,0 +1,224 @@
+"""Training: drawn photographs, a network that is written and read, confidence that is learned."""
+
+import sys
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from PIL import Image
+from scenes import field_of, fractal
+
+from skyline.cli.console import run_app
+from skyline.errors import InputError
+from skyline.matching import confidence
+from skyline.photo.extract import extract_skyline
+from skyline.photo.read import extract_photo
+from skyline.render.depth import DepthRenderer
+from skyline_bench.queries.made_photos import Scenery
+from skyline_bench.queries.synthetic import QueryConfig, make_queries
+from skyline_training.__main__ import app
+from skyline_training.confidence import (
+    Example,
+    calibration_error,
+    learn,
+    probabilities,
+    save_reliability,
+    write_models,
+)
+from skyline_training.landscapes import GROUND, SKY
+from skyline_training.photos import draw_photo, draw_training_photo, draw_view
+from skyline_training.plain_photos import CONDITIONS, draw_recipe
+
+NEAR_M = confidence.RIGHT_WITHIN_M
+
+
+@pytest.fixture
+def train(run_main):
+    """Return a function that runs ``python -m skyline_training ARGS...``."""
+    return partial(run_main, lambda: run_app(app), "skyline_training")
+
+
+def test_every_command_is_quick_where_asked(train):
+    for command in ("sky-model", "confidence"):
+        assert "hour" in train("--help").out
+        assert "--quick" in train(command, "--help").out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("condition", "wrong"),
+    [
+        ("clear", 0.05),
+        ("clouds on the ridge", 0.25),
+        ("haze", 0.2),
+        ("people", 0.1),
+        ("trees", 0.1),
+        ("lake", 0.2),
+        ("caption and border", 0.15),
+        ("snow, blue sky", 0.05),
+    ],
+)
+def test_hard_photos_are_traced_or_masked(condition, wrong):
+    error_px, seen, drawn = [], [], list(CONDITIONS).index(condition)
+    for seed in (1, 2):
+        photo = draw_recipe(np.random.default_rng([seed, drawn]), CONDITIONS[condition])
+        found = extract_skyline(photo.image)
+        error_px.append(np.abs(found.row_px - photo.row_px)[found.trusted])
+        seen.append(found.trusted[photo.visible])
+    # A degree of a photo of 1200 columns and 60 degrees; a column in a border has no skyline.
+    error_px = np.nan_to_num(np.concatenate(error_px), nan=np.inf)
+    assert np.concatenate(seen).mean() > 0.6
+    assert (error_px > 600.0 / np.tan(np.radians(30.0)) * np.tan(np.radians(1.0))).mean() < wrong
+    assert np.median(error_px) < 1200.0 / 640.0
+
+
+def landscape(seed):
+    return draw_training_photo((5, seed), 200, 152)
+
+
+def view(seed):
+    return draw_view((5, seed), 1, (200, 152))
+
+
+@pytest.mark.parametrize("draw", [landscape, view])
+def test_training_photographs_have_sky_above_and_ground_below_their_skyline(draw):
+    shown = 0
+    for seed in range(12):
+        photo = draw(seed)
+        columns = np.flatnonzero(np.isfinite(photo.row_px))
+        row = photo.row_px[columns]
+        above = photo.label[np.floor(row - 1.0).astype(int), columns]
+        below = photo.label[np.ceil(row + 1.0).clip(max=151).astype(int), columns]
+        assert (above == SKY).all()
+        assert (below == GROUND).all()
+        shown += len(columns)
+    assert shown > 0.4 * 12 * 200
+    assert draw(11).image.tobytes() == photo.image.tobytes()
+
+
+VIEW = QueryConfig(fov_deg=(50.0, 70.0), width_px=480, height_px=320, azimuths=5120)
+MIDDLE = (2000.0, -3000.0, 3000.0, -2000.0)
+CLEAR = Scenery(clouds=0.0)
+
+
+@pytest.fixture(scope="module")
+def terrain():
+    return field_of(fractal(170, 170, 400.0, seed=9))
+
+
+@pytest.fixture(scope="module")
+def renderer(terrain):
+    with DepthRenderer(terrain, 1024) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def queries(terrain):
+    return make_queries(terrain, MIDDLE, 3, seed=1, config=VIEW)
+
+
+def test_sky_and_ground_meet_at_the_true_skyline(renderer, queries):
+    for query in queries:
+        picture = draw_photo(renderer, query, 5, CLEAR).astype(float)
+        column = np.flatnonzero((query.row_px > 6.0) & (query.row_px < 310.0))
+        assert len(column) > 200
+        above = picture[np.floor(query.row_px[column] - 3.0).astype(int), column]
+        below = picture[np.ceil(query.row_px[column] + 3.0).astype(int), column]
+        # The sky is bluish and bright, forest is neither.
+        assert ((above[:, 2] > 150.0).mean(), (below[:, 2] < 120.0).mean()) > (0.99, 0.99)
+
+
+def test_the_extraction_finds_the_true_skyline(renderer, queries, tmp_path):
+    for query in queries:
+        picture = draw_photo(renderer, query, 5, CLEAR)
+        Image.fromarray(picture).save(tmp_path / "photo.jpg", quality=90)
+        _, found = extract_photo(tmp_path / "photo.jpg")
+        error_px = np.abs(found.row_px - query.row_px)
+        assert np.isfinite(error_px).mean() > 0.6
+        assert np.nanmedian(error_px) < 0.4
+
+
+def test_occluders_stand_in_front_of_sky_and_ground(renderer, terrain):
+    hidden = replace(VIEW, occluded_share=(0.4, 0.4))
+    (query,) = make_queries(terrain, MIDDLE, 1, seed=2, config=hidden)
+    picture = draw_photo(renderer, query, 5, CLEAR).astype(float)
+    bare = draw_photo(renderer, replace(query, occluders=()), 5, CLEAR).astype(float)
+    changed = np.abs(picture - bare).max(axis=2) > 40.0
+    covered = np.zeros(changed.shape, dtype=bool)
+    rows = np.arange(320)[:, np.newaxis]
+    for occluder in query.occluders:
+        covered[:, slice(*occluder.columns)] = rows > occluder.row_px
+    sky = rows < query.row_px
+    assert changed[covered & sky].mean() > 0.9
+    # Noise and the lens touch a pixel or two beside them, no more.
+    assert changed[~covered].mean() < 0.02
+
+
+def test_seeds_and_scenery_decide(renderer, queries):
+    first, again, other = (draw_photo(renderer, queries[0], seed, CLEAR) for seed in (1, 1, 2))
+    assert first.tobytes() == again.tobytes() != other.tobytes()
+    brightness = {
+        name: draw_photo(renderer, queries[0], 1, scenery).astype(float)[200:].mean()
+        for name, scenery in {
+            "forest": CLEAR,
+            "haze": replace(CLEAR, visibility_m=100.0),
+            "snow": replace(CLEAR, snow_line_m=-1000.0),
+        }.items()
+    }
+    assert brightness["forest"] + 30.0 < min(brightness["haze"], brightness["snow"])
+
+
+def test_training_says_what_it_needs(train, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    monkeypatch.delitem(sys.modules, "skyline_training.network", raising=False)
+    done = train("sky-model", "-o", tmp_path / "sky.onnx.gz", "--quick")
+    assert done.code == 2
+    assert "pip install" in done.err
+    assert done.err.count("\n") == 1
+
+
+def test_a_trained_network_is_written_and_read(train, tmp_path):
+    pytest.importorskip("torch", reason="torch, which trains, is not installed")
+    path = tmp_path / "sky.onnx.gz"
+    assert train("sky-model", "-o", path, "--quick").code == 0
+    assert path.stat().st_size < 600_000
+
+
+def examples(count: int, seed: int) -> list[Example]:
+    """Return examples whose odds of being right are exp(2 a - 1), whatever b is."""
+    generator = np.random.default_rng(seed)
+    figures = generator.normal(size=(count, 2))
+    right = generator.random(count) < 1.0 / (1.0 + np.exp(1.0 - 2.0 * figures[:, 0]))
+    return [
+        Example({"a": float(a), "b": float(b)}, 0.0 if hit else np.inf)
+        for (a, b), hit in zip(figures, right, strict=True)
+    ]
+
+
+def test_a_learned_probability_is_a_frequency(tmp_path) -> None:
+    model = learn(examples(4000, seed=2), NEAR_M)
+    weight = np.array(model.weight) / np.array(model.scale)
+    assert weight[0] == pytest.approx(2.0, abs=0.35)
+    assert weight[1] == pytest.approx(0.0, abs=0.15)
+    others = examples(4000, seed=3)
+    sure = probabilities(model, others)
+    right = np.array([one.error_m <= NEAR_M for one in others])
+    assert calibration_error(sure, right) < 0.03
+    assert calibration_error(np.minimum(sure + 0.3, 1.0), right) > 0.15
+    save_reliability(tmp_path / "reliability.png", [("made", sure, right)])
+    assert (tmp_path / "reliability.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("error_m", [10.0, 300.0])
+def test_one_kind_of_examples_teaches_nothing(error_m: float) -> None:
+    with pytest.raises(InputError, match="both"):
+        learn([Example({"a": 0.0}, error_m), Example({"a": 1.0}, error_m)], NEAR_M)
+
+
+def test_models_are_written_as_they_are_read(tmp_path, monkeypatch) -> None:
+    model = learn(examples(300, seed=4), NEAR_M)
+    names = [confidence.model_name("refined", within_m) for within_m in confidence.DISTANCES_M]
+    write_models(tmp_path / "confidence.json", dict.fromkeys(names, model), {"seed": 4})
+    monkeypatch.setattr(confidence.resources, "files", lambda _: tmp_path)
+    assert confidence.models() == dict.fromkeys(names, model)
