@@ -1,10 +1,12 @@
 """The benchmark of summits, on real DEMs."""
 
+import numpy as np
 import pytest
 
+from skyline_bench.measuring.prominence import prominences
 from skyline_bench.runs.summits import SummitsConfig, measure
 
-CONFIG = SummitsConfig(eyes=4, places=10)
+CONFIG = SummitsConfig(eyes=4, places=10, beside=2, anywhere=200)
 
 
 @pytest.mark.parametrize("name", ["davos/davos_srtm1_30m.tif", "california/N37W120.hgt.gz"])
@@ -18,6 +20,12 @@ def test_the_highest_summits_of_real_dems_are_kept(shared_data, name):
     assert own["median_sight_m"] < 1.0 < plain["median_sight_m"]
     assert own["rms_off_m"] < plain["rms_off_m"]
     assert abs(own["bias_m"]) < 0.05
+    assert own["prominent"] == 10
+    for stood in ("summit_height", "within_100_m"):
+        assert own[f"{stood}_below"] > own["summit_below"] - 0.02 > own["slope_below"]
+        assert own[f"{stood}_off"] < 0.5 * own["slope_off"]
+    assert (own["anywhere"], own["anywhere_else_changed"]) == (200, 0)
+    assert own["anywhere_on_summits"] < 10
 
 
 def test_a_metric_dem_is_its_own_surface(shared_data):
@@ -26,3 +34,17 @@ def test_a_metric_dem_is_its_own_surface(shared_data):
     assert row["summits_off"] == 0
     assert row["rms_off_m"] < 1e-3
     assert row["p90_sight_m"] < 1e-3
+    assert row["coarse_summit_height_off_deg"] < 0.3 * row["coarse_slope_off_deg"]
+
+
+def test_a_prominence_is_the_height_above_the_highest_pass_to_higher_ground():
+    heights = np.array([
+        [1.0, 9.0, 3.0, 7.0, np.nan, 5.0],
+        [1.0, 1.0, 4.0, 1.0, np.nan, 2.0],
+        [6.0, 2.0, 1.0, 5.0, np.nan, 2.0],
+    ])  # fmt: skip
+    row, col, prominence_m = prominences(heights)
+    found = {(r, c): p for r, c, p in zip(row.tolist(), col.tolist(), prominence_m, strict=True)}
+    # From 7 over 4 to 9, from 6 over 2 to 9, from 5 over 4 to 9; nothing leads from the other 5.
+    assert found == {(0, 1): 8.0, (0, 3): 3.0, (2, 0): 4.0, (2, 3): 1.0, (0, 5): 4.0}
+    assert prominence_m.tolist() == sorted(prominence_m, reverse=True)

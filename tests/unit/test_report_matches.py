@@ -102,6 +102,23 @@ def test_the_overlay_draws_both_skylines_where_they_are():
     assert not like(bare, (0, 224, 255)).any()
 
 
+def test_what_has_no_room_for_a_name_is_counted(tmp_path):
+    ahead = Sighting("A name", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
+    behind = replace(ahead, azimuth_deg=BEST.grid_heading_deg + 180.0)
+    assert Overlay(QUERY, None, BEST, PANORAMA, [ahead, behind]).unnamed == 0
+    # A label's leader keeps others from the place above its own.
+    assert Overlay(QUERY, None, BEST, PANORAMA, [ahead] * 4 + [behind]).unnamed == 3
+    turn = np.radians(BEST.grid_heading_deg)
+    east, north = 1800.0 + 1500.0 * np.sin(turn), 1800.0 + 1500.0 * np.cos(turn)
+    crowd = Peaks(tuple("abcde"), np.full(5, east), np.full(5, north), np.full(5, np.nan))
+    heights = np.zeros((120, 120))
+    heights[tuple(np.rint(FIELD.to_grid(east, north)).astype(int))] = 1000.0
+    around = replace(AROUND, terrain=replace(FIELD, heights_m=heights), peaks=crowd)
+    best = replace(BEST, eye_elevation_m=900.0, pitch_deg=0.0)
+    found = Matched("photo.jpg", QUERY, [best], 0.5)
+    assert "4 peaks have no room for a name" in report(tmp_path, [found], around)
+
+
 def test_peaks_in_the_picture_are_named_above_it_and_others_are_not():
     ahead = Sighting("$Ahead", 0.0, 0.0, 900.0, BEST.grid_heading_deg, 0.2, 2000.0)
     behind = replace(ahead, label="Behind", azimuth_deg=BEST.grid_heading_deg + 180.0)

@@ -10,11 +10,18 @@ import zlib
 from contextlib import ExitStack, closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pages import PATIENCE_S, POSE, TINY, live, look, ready, told
+from scenes import candidate_at
 from websockets.exceptions import InvalidStatus
 
+from skyline import Matcher, Viewer
+from skyline.terrain.summits import summit_heights_m
+from skyline.web.asked import pose_of
+from skyline.web.engine import Engine
 from skyline.web.guard import Guard
+from skyline.web.match_jobs import candidate_json
 
 
 @pytest.mark.parametrize(
@@ -342,3 +349,24 @@ def test_what_is_removed_leaves_no_file(served, photo):
     _, of_photo = ready(served, photo)
     assert served.ask("DELETE", of_photo)[0] == 200
     assert served.ask("GET", f"{of_photo}/picture")[0] == 404
+
+
+def test_a_candidate_beside_a_summit_is_shown_as_it_was_found(store):
+    with Matcher(store) as matcher, Viewer(matcher) as viewer:
+        # Without its thread, since this one renders in other tests.
+        engine = object.__new__(Engine)
+        engine.matcher = matcher
+        terrain = matcher.terrain
+        row, col = np.indices(terrain.heights_m.shape)[:, 20:-20, 20:-20].reshape(2, -1) + 0.4
+        place = terrain.to_map(row, col)
+        beside = np.nanargmax(summit_heights_m(terrain, *place) - terrain.height_at(*place))
+        easting, northing = (float(at[beside]) for at in place)
+        ground_m = float(terrain.height_at(easting, northing))
+        for above_m in (0.0, 0.3, 40.0):
+            found = candidate_at(
+                easting, northing, eye_elevation_m=ground_m + above_m, frame=matcher.frame
+            )
+            shown = candidate_json(found, engine)
+            assert shown["eyeHeight"] < above_m
+            pose = pose_of(shown, viewer)
+            assert pose.eye_elevation_m == pytest.approx(found.eye_elevation_m, abs=1e-6)

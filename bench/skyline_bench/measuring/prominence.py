@@ -56,7 +56,8 @@ def prominences(heights_m: Float64Array) -> tuple[Int64Array, Int64Array, Float6
             of[low] = high
             prominence_m[low] = top_m[low] - height_m
     first = np.argsort(-prominence_m, kind="stable")
-    first = first[np.isfinite(prominence_m[first])]
+    # Of equally high samples side by side, all but one have none.
+    first = first[np.isfinite(prominence_m[first]) & (prominence_m[first] > 0.0)]
     row, col = np.divmod(tops[first], cols)
     return row, col, prominence_m[first]
 
