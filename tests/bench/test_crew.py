@@ -37,7 +37,7 @@ def stop_after(outcomes):
 LEADER = """
 import sys
 sys.path[:0] = {path}
-from test_workers import sleep
+from test_crew import sleep
 from skyline_training.workers import crew
 
 if __name__ == "__main__":
