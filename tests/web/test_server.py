@@ -296,8 +296,8 @@ def test_a_match_tells_how_far_it_is_and_is_cancelled(served, photo):
         assert served.ask("POST", f"{of_photo}/match", b"{}")[0] == 400
         assert served.ask("DELETE", f"{of_photo}/match")[0] == 200
         asking.join(PATIENCE_S)
-    assert answers == [(400, {"error": "cancelled"})]
-    assert served.ask("POST", f"{of_photo}/match", TINY)[0] == 200
+        assert answers == [(400, {"error": "cancelled"})]
+        assert served.ask("POST", f"{of_photo}/match", TINY)[0] == 200
 
 
 def test_matches_end_when_the_page_closes(served, photo):

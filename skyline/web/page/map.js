@@ -70,7 +70,7 @@ function showNoted(photo) {
 function goToResult() {
   const result = standing();
   const shown = result?.answered ? result.candidates.slice(0, 1) : result?.candidates ?? [];
-  if (shown.length) map.fitBounds(L.latLngBounds(shown.flatMap((one) => view(one, REACH_M))).pad(0.1), { maxZoom: 15 });
+  if (shown.length) map.fitBounds(L.latLngBounds(shown.flatMap((one) => view(one, REACH_M))).pad(0.1), { maxZoom: 15, animate: false });
 }
 
 function showCamera() {
@@ -214,6 +214,6 @@ export function start() {
   on("result", goToResult);
   on("chosen", () => {
     const at = state.pose && onMap(state.pose.lat, state.pose.lon);
-    if (at && !map.getBounds().pad(-0.1).contains(at)) map.panTo(at);
+    if (at && !map.getBounds().pad(-0.1).contains(at)) map.panTo(at, { animate: false });
   });
 }
