@@ -249,7 +249,7 @@ def test_angles_out_of_range(heading, fov):
 
 def test_a_suffix_that_is_no_picture(mountains, tmp_path):
     with pytest.raises(InputError, match=r"expected \.png, \.svg, \.pdf"):
-        save_panorama(mountains[0], 9.8, 46.8, tmp_path / "panorama.txt")
+        save_panorama(mountains[0], tmp_path / "panorama.txt", lon=9.8, lat=46.8)
 
 
 def test_the_most_prominent_peak_has_its_name_where_higher_knolls_crowd_it():
