@@ -237,11 +237,13 @@ def _horizons_coarsened(field: HeightField) -> Row:
         field.frame,
     )
     easting, northing = field.to_map(row, col)
-    true_deg = horizons_of(field, stand_on(field, easting, northing), 1.0).elevation_deg
+    true_deg = horizons_of(
+        field, stand_on(field, easting_m=easting, northing_m=northing), 1.0
+    ).elevation_deg
     lon, lat = field.frame.to_lonlat(easting, northing)
     found: dict[str, float] = {"coarsened": row.size}
     for name, within_m in STOOD.items():
-        stood = horizon(coarse, lon, lat, step_deg=1.0, summit_within_m=within_m)
+        stood = horizon(coarse, lon=lon, lat=lat, step_deg=1.0, summit_within_m=within_m)
         off_deg = stood.elevation_deg - true_deg
         found[f"coarse_{name}_off_deg"] = float(np.sqrt(np.nanmean(off_deg**2)))
     return found
