@@ -110,9 +110,14 @@ def test_what_has_no_room_for_a_name_is_counted(tmp_path):
     assert Overlay(QUERY, None, BEST, PANORAMA, [ahead] * 4 + [behind]).unnamed == 3
     turn = np.radians(BEST.grid_heading_deg)
     east, north = 1800.0 + 1500.0 * np.sin(turn), 1800.0 + 1500.0 * np.cos(turn)
-    crowd = Peaks(tuple("abcde"), np.full(5, east), np.full(5, north), np.full(5, np.nan))
+    crowd = Peaks(
+        names=tuple("abcde"),
+        easting_m=np.full(5, east),
+        northing_m=np.full(5, north),
+        height_m=np.full(5, np.nan),
+    )
     heights = np.zeros((120, 120))
-    heights[tuple(np.rint(FIELD.to_grid(east, north)).astype(int))] = 1000.0
+    heights[tuple(np.rint(FIELD.to_grid(easting_m=east, northing_m=north)).astype(int))] = 1000.0
     around = replace(AROUND, terrain=replace(FIELD, heights_m=heights), peaks=crowd)
     best = replace(BEST, eye_elevation_m=900.0, pitch_deg=0.0)
     found = Matched("photo.jpg", QUERY, [best], 0.5)

@@ -359,9 +359,10 @@ def test_a_candidate_beside_a_summit_is_shown_as_it_was_found(store):
         terrain = matcher.terrain
         row, col = np.indices(terrain.heights_m.shape)[:, 20:-20, 20:-20].reshape(2, -1) + 0.4
         place = terrain.to_map(row, col)
-        beside = np.nanargmax(summit_heights_m(terrain, *place) - terrain.height_at(*place))
+        surface_m = terrain.height_at(easting_m=place[0], northing_m=place[1])
+        beside = np.nanargmax(summit_heights_m(terrain, *place) - surface_m)
         easting, northing = (float(at[beside]) for at in place)
-        ground_m = float(terrain.height_at(easting, northing))
+        ground_m = float(surface_m[beside])
         for above_m in (0.0, 0.3, 40.0):
             found = candidate_at(
                 easting, northing, eye_elevation_m=ground_m + above_m, frame=matcher.frame
