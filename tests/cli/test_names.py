@@ -112,7 +112,7 @@ def test_stores_and_pictures_of_any_name(run, dem, store, photo, tmp_path, monke
     for command, shown in (
         (("info", odd), "places"),
         (("store", "check", odd), r"b\xe4r.h5: 1,804 places, whole"),
-        (("store", "compact", odd, "-o", f"c{odd}"), r"cb\xe4r.h5: 1,804 places"),
+        (("store", "merge", odd, store, "-o", f"m{odd}"), r"mb\xe4r.h5: 1,804 places"),
         (("store", "export", odd, "-o", f"{NOT_UTF8}.gpkg"), r"b\xe4r.gpkg: 1,804 places"),
         (("match", odd, photo, "--fov-deg", "60", "--no-refine"), "photo.jpg ("),
         (("build", dem, "-o", f"n{odd}", "--spacing", "900"), r"nb\xe4r.h5: "),
