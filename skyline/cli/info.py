@@ -21,7 +21,7 @@ from skyline.cli.console import (
     parse_numbers,
     say,
 )
-from skyline.errors import InputError, OffMapError
+from skyline.errors import InputError
 from skyline.geodesy import Curvature, Frame
 from skyline.pipeline.renderings import render_views
 from skyline.render.context import describe_context
@@ -42,7 +42,6 @@ from skyline.terrain.scene_bounds import (
 from skyline.terrain.viewpoints import (
     DEFAULT_EYE_HEIGHT_M,
     Viewpoints,
-    is_inside,
     place_on,
     stand_on,
 )
@@ -96,12 +95,7 @@ def explain(
     east_m: ArrayLike = first
     north_m: ArrayLike = second
     if max(abs(first), abs(second)) <= 360.0:
-        try:
-            east_m, north_m = place_on(terrain.frame, terrain.bounds_m, first, second)
-        except OffMapError:
-            # Numbers that are metres on the map, and degrees off it, are metres.
-            if not is_inside(terrain.bounds_m, first, second):
-                raise
+        east_m, north_m = place_on(terrain.frame, terrain.bounds_m, first, second)
     height_m = DEFAULT_EYE_HEIGHT_M
     eye = stand_on(terrain, easting_m=east_m, northing_m=north_m, eye_height_m=height_m)
     _say_facts(_describe_scene(terrain, eye, config), as_json)

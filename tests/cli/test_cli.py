@@ -430,6 +430,14 @@ def test_explain_refuses_bad_places(dem, run, place, said):
     assert said in told.err
 
 
+def test_explain_takes_what_looks_like_degrees_for_degrees(run, tmp_path):
+    """The middle of a DEM in degrees has the metres 0, 0."""
+    corner = Affine(1.0 / 3600.0, 0.0, 9.8, 0.0, -1.0 / 3600.0, 46.8)
+    dem = write_dem(tmp_path / "dem.tif", fractal(80, 80), "EPSG:4326", transform=corner)
+    told = run("explain", dem, "--at", "46.79,9.81")
+    assert_refused(told, "longitude and latitude seem to be swapped: give 9.81,46.79")
+
+
 def test_explain_takes_degrees_too(dem, run):
     lon, lat = read_dem([dem]).frame.to_lonlat(601_800.0, 5_178_000.0)
     by_degrees, by_metres = (
