@@ -49,7 +49,7 @@ class Ranker(Protocol):
     finds_fov: ClassVar[bool] = False
     """Whether it can match a photo whose field of view is not known."""
     searches: ClassVar[str] = RENDERINGS
-    """What a store must hold for it, `PLACES` or `RENDERINGS` of `skyline.store.format`."""
+    """Kind of rows that it searches, `PLACES` or `RENDERINGS` of `skyline.store.format`."""
 
     @classmethod
     def open(cls, source: Source) -> Self:

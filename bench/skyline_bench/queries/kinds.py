@@ -37,7 +37,7 @@ class Kind:
     about: str
     config: QueryConfig = field(default_factory=QueryConfig)
     other_dem: bool = False  # Whether the photos see another model of the terrain
-    strange: bool = False  # Whether the photos show terrain of elsewhere
+    strange: bool = False  # Whether the photos show terrain outside the store
 
 
 KINDS: Mapping[str, Kind] = MappingProxyType(
@@ -65,7 +65,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "with a stranger": Kind(
             "together, the last photo taken at another place"
         ),
-        "strangers": Kind("plain photos of terrain of elsewhere", strange=True),
+        "strangers": Kind("plain photos of terrain outside the store", strange=True),
     }
 )  # fmt: skip
 """Those of one number have one place in the kinds of `OF_ONE_AREA`, and one pose but where they
@@ -96,7 +96,9 @@ def make_kind(
     seen = terrain
     if kind.strange:
         if strange is None:
-            raise InputError("strangers need a DEM of elsewhere; give --strange")
+            raise InputError(
+                "strangers need a DEM of other terrain than the store's; give --strange"
+            )
         west, south, east, north = strange.bounds_m
         middle = np.array([(west + east) / 2.0, (south + north) / 2.0])
         seen, area_m = strange, (*(middle - _HALF_SIDE_M), *(middle + _HALF_SIDE_M))

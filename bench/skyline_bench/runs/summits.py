@@ -41,7 +41,7 @@ STOOD = {"slope": 0.0, "summit_height": None, "within_100_m": 100.0}
 """Where an eye beside a summit stands: ``summit_within_m`` of `skyline.horizon`."""
 
 LOW_DEG = 3.0
-"""What a horizon of a summit is below."""
+"""Upper bound of the elevation angles that a summit's horizon should have."""
 
 _MOST_RANKED = 2_000_000
 _COARSE_M, _COARSENED = 90.0, 100

@@ -109,7 +109,7 @@ class Comparison:
                     )
 
     def areas(self, area_m: Rectangle) -> list[Area]:
-        """Return what is searched for each query, the whole area last."""
+        """Return the areas that are searched for each query, the whole area last."""
         west, south, east, north = area_m
         whole = Area("all", (east - west) * (north - south) / 1e6)
         areas = [Area(f"near {km:g} km", math.pi * km**2, None, 1e3 * km) for km in self.near_km]

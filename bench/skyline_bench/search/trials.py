@@ -58,7 +58,7 @@ _SAMPLE = 100_000
 
 
 def searched_by(matcher: str) -> str:
-    """Return what a store must hold for a matcher to search it: places or renderings."""
+    """Return the kind of rows, places or renderings, that a matcher searches."""
     return MATCHERS[FULL if matcher == RETRIEVED else matcher].searches
 
 
