@@ -18,15 +18,15 @@ from rich.console import Console
 from rich.table import Table
 
 from skyline.build.parts import build_places, build_uniform
+from skyline.match.matcher import Matcher
+from skyline.match.matchers import FULL, MATCHERS
+from skyline.match.results import MatchResult
 from skyline.photo.read import write_overlay
-from skyline.pipeline.labelled_panorama import save_panorama
-from skyline.pipeline.match import Matcher
-from skyline.pipeline.matchers import FULL, MATCHERS
-from skyline.pipeline.renderings import save_depth_pictures
-from skyline.pipeline.reports import matched, report_matches
-from skyline.pipeline.results import MatchResult
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
+from skyline.report.labelled_panorama import save_panorama
+from skyline.report.pictures import save_depth_pictures
+from skyline.report.reports import matched, report_matches
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_at, stand_on

@@ -11,11 +11,13 @@ from .errors import (
     StoreMismatchError,
 )
 from .geodesy import Curvature, Frame
-from .matching.match_config import FullConfig, MatchConfig, RefineConfig
-from .matching.narrowing import Narrowing
-from .matching.ranking import Candidate
-from .matching.retrieval import RetrievalConfig
-from .matching.screening import Alike
+from .match.match_config import FullConfig, MatchConfig, RefineConfig
+from .match.matcher import Matcher
+from .match.narrowing import Narrowing
+from .match.ranking import Candidate
+from .match.results import JointResult, MatchResult, to_geodataframe
+from .match.retrieval import RetrievalConfig
+from .match.screening import Alike
 from .photo.correction import Correction, Stroke, StrokeKind
 from .photo.exif import NotedPlace
 from .photo.lens import Lens
@@ -23,27 +25,24 @@ from .photo.projection import Projection
 from .photo.query import QuerySkyline
 from .photo.read import Photo, read_photo, read_query
 from .photo.trace import read_trace, write_trace
-from .pipeline.horizon_at import horizon
-from .pipeline.labelled_panorama import PanoramaConfig, save_panorama
-from .pipeline.match import Matcher
-from .pipeline.renderings import render_views
-from .pipeline.reports import report_matches
-from .pipeline.results import JointResult, MatchResult, to_geodataframe
-from .pipeline.viewer import SeenPeak, Sight, Viewer
-from .places import Places
-from .render.horizon import RenderConfig
+from .render.horizon import RenderConfig, render_views
 from .render.thread import RenderThread
 from .report.exports import export_matches
+from .report.labelled_panorama import PanoramaConfig, save_panorama
 from .report.located import write_located
 from .report.matched import Matched
 from .report.peaks import Peaks, read_peaks
 from .report.relief_tiles import ReliefTiles
+from .report.reports import report_matches
+from .report.viewer import SeenPeak, Sight, Viewer
+from .skylines import Views
+from .solar.horizon_at import horizon
 from .solar.local_horizons import LocalHorizons, sky_view_factor
 from .store import PlaceMap, Store, StoreHeader, open_store
+from .store.places import Places
 from .terrain.dem import DemOptions, read_dem
 from .terrain.heightfield import HeightField, Provenance
 from .terrain.viewpoints import Viewpoints, stand_at, stand_on
-from .views import Views
 
 __version__: str
 

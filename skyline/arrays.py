@@ -1,4 +1,8 @@
-"""Arrays by what they hold, for type hints."""
+"""Arrays by what they hold, for type hints, and dataclasses of arrays of one length."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,3 +15,46 @@ Int64Array = NDArray[np.int64]
 IntArray = NDArray[np.intp]
 UInt8Array = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
+
+Progress = Callable[[int, int], None]
+"""Called with how many of how many pieces of work are done."""
+
+Index = slice | NDArray[np.integer] | NDArray[np.bool_]
+
+
+class Rows:
+    """Base of dataclasses whose fields are arrays, or `Rows`, of one length."""
+
+    __slots__ = ()
+
+    def __len__(self) -> int:
+        return len(getattr(self, self._names()[0]))
+
+    def __getitem__(self, index: Index) -> Self:
+        return type(self)(**{name: getattr(self, name)[index] for name in self._names()})
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
+        """Join rows in order; at least one part."""
+        columns = {name: [getattr(part, name) for part in parts] for name in cls._names()}
+        return cls(**{name: _concatenated(column) for name, column in columns.items()})
+
+    def replaced(self, chosen: NDArray[np.bool_], other: Self) -> Self:
+        """Return these rows, with another's where ``chosen`` (M,) is true."""
+        columns = {name: (getattr(other, name), getattr(self, name)) for name in self._names()}
+        return type(self)(**{name: _chosen(chosen, *both) for name, both in columns.items()})
+
+    @classmethod
+    def _names(cls) -> list[str]:
+        return [f.name for f in fields(cast(Any, cls))]
+
+
+def _chosen(chosen: NDArray[np.bool_], new: Any, old: Any) -> Any:
+    if isinstance(old, Rows):
+        return old.replaced(chosen, new)
+    return np.where(chosen.reshape(-1, *[1] * (old.ndim - 1)), new, old)
+
+
+def _concatenated(column: list[Any]) -> Any:
+    first = column[0]
+    return type(first).concatenate(column) if isinstance(first, Rows) else np.concatenate(column)

@@ -1,15 +1,52 @@
-"""Errors that speak to a user: what, the value, what was expected, what to do next.
+"""Errors and warnings: one line each, which says what was found, what was expected, what to do.
 
 Every error is also the builtin error a Python caller would expect, and carries the exit
 code of the command line: 2 for bad input, 1 for a failure.
 """
 
+import io
+import json
+import logging
+import os
+import re
+import sys
 from collections.abc import Mapping
-from typing import TypeVar
-
-from skyline.text import printable
+from datetime import UTC, datetime
+from importlib import import_module
+from typing import Any, TypeVar
 
 T = TypeVar("T")
+
+_UNSHOWN = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
+)
+"""Control characters, line ends, marks that turn the direction of text, and no characters."""
+
+
+def printable(text: str | os.PathLike[str]) -> str:
+    r"""Return text as one line of characters that UTF-8, JSON and XML can hold.
+
+    A byte of a file's name that is not UTF-8 becomes ``\xe4``, a line end ``\n``, an escape
+    ``\x1b``; everything else stays as it is.
+    """
+    return _UNSHOWN.sub(lambda found: _escaped(found[0]), os.fspath(text))
+
+
+def _escaped(letter: str) -> str:
+    # Python keeps a byte that is not UTF-8 as the surrogate U+DC00 plus the byte (PEP 383).
+    is_byte = "\udc80" <= letter <= "\udcff"
+    return f"\\x{ord(letter) - 0xDC00:02x}" if is_byte else ascii(letter)[1:-1]
+
+
+def swapped_in_words(*given: float, names: str = "longitude and latitude") -> str:
+    """Return the suspicion that the coordinates of places were given in the wrong order.
+
+    The right order is shown: of each pair of numbers the second first.
+    """
+    right = ",".join(
+        f"{second:.10g},{first:.10g}" for first, second in zip(given[::2], given[1::2], strict=True)
+    )
+    return f"{names} seem to be swapped: give {right}"
 
 
 class SkylineError(Exception):
@@ -65,3 +102,62 @@ def named(what: str, name: str, known: Mapping[str, T]) -> T:
     if name not in known:
         raise InputError(f"{what} is {name!r}; expected one of {', '.join(known)}")
     return known[name]
+
+
+def library(name: str, extra: str, what: str) -> Any:
+    """Import a library that ``what`` needs; `InputError` names the extra where it is not there."""
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise InputError(
+            f"{what} needs {name}, which is not installed; pip install 'skyline[{extra}]'"
+        ) from error
+
+
+ENVIRONMENT_VARIABLE = "SKYLINE_LOG"
+JSON = "json"
+
+
+class _Lines(logging.Formatter):
+    """Formats a record's message as one line."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802  (logging's name)
+        record.message = printable(record.message)
+        return super().formatMessage(record)
+
+
+class _JsonLines(logging.Formatter):
+    """Formats a record, and the facts that `extra` holds, as one line of JSON."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return json.dumps(
+            {
+                "time": datetime.fromtimestamp(record.created, UTC).isoformat(
+                    timespec="milliseconds"
+                ),
+                "level": record.levelname.lower(),
+                "message": printable(record.getMessage()),
+                **getattr(record, "facts", {}),
+            }
+        )
+
+
+def as_json() -> bool:
+    """Whether ``SKYLINE_LOG=json`` asks for JSON lines."""
+    return os.environ.get(ENVIRONMENT_VARIABLE) == JSON
+
+
+def start_logging() -> None:
+    """Send what this process logs to standard error, with what GDAL and Python warn of."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A terminal whose encoding has no degree sign must not end the run.
+            stream.reconfigure(errors="backslashreplace")
+    handler = logging.StreamHandler()
+    handler.setFormatter(_JsonLines() if as_json() else _Lines("%(levelname)s: %(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
+    # What GDAL cannot read becomes an error of one line; its own words on the way only confuse.
+    logging.getLogger("rasterio").setLevel(logging.CRITICAL)
+    if as_json():
+        logging.captureWarnings(capture=True)
+        logging.getLogger("skyline").setLevel(logging.INFO)

@@ -15,8 +15,7 @@ from pyproj import CRS, Geod, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from skyline.arrays import Complex128Array, Float64Array
-from skyline.errors import InputError
-from skyline.text import swapped_in_words
+from skyline.errors import InputError, swapped_in_words
 
 EARTH_RADIUS_M = 6371008.8
 DEFAULT_REFRACTION_K = 0.13

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 from query_scenes import equally_trusted
 
-from skyline.horizons import Horizons, bin_azimuths_rad
-from skyline.places import BINS, Places
+from skyline.skylines import Horizons, bin_azimuths_rad
+from skyline.store.places import BINS, Places
 
 AZIMUTH_DEG = np.degrees(bin_azimuths_rad(BINS))
 FAR_M = 20_000.0

@@ -3,7 +3,7 @@
 import numpy as np
 
 from skyline.camera import columns_u
-from skyline.views import Views
+from skyline.skylines import Views
 
 WIDTH = 320
 U = columns_u(WIDTH)

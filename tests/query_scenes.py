@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.profiles import Panoramas
-from skyline.matching.query_rays import QueryRays
+from skyline.match.hypotheses import Hypotheses
+from skyline.match.profiles import Panoramas
+from skyline.match.query_rays import QueryRays
 
 BINS = 1440
 

@@ -1,7 +1,7 @@
 """Learning how far a match can be believed, and showing that it can.
 
 Synthetic queries of many kinds, some taken outside the mapped area, are matched on Sierra, Rofental
-and Everest. For each query the figures of the best pose (`skyline.matching.confidence`) and whether
+and Everest. For each query the figures of the best pose (`skyline.match.confidence`) and whether
 that pose is right are an example. A logistic model is fitted to the examples with a small ridge,
 and its reliability is shown on Davos. From examples that were kept another model is learned in
 seconds.
@@ -22,14 +22,13 @@ from matplotlib.figure import Figure
 from scipy.optimize import minimize
 
 from skyline import MatchConfig, Matcher, build_places, read_dem
-from skyline.arrays import BoolArray, Float64Array
-from skyline.build.cluster import Progress
+from skyline.arrays import BoolArray, Float64Array, Progress
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
-from skyline.matching import confidence
-from skyline.matching.confidence import DISTANCES_M, Logistic, model_name
-from skyline.matching.full import FullMatcher
-from skyline.matching.hypotheses import Hypotheses
+from skyline.match import confidence
+from skyline.match.confidence import DISTANCES_M, Logistic, model_name
+from skyline.match.full import FullMatcher
+from skyline.match.hypotheses import Hypotheses
 from skyline.terrain.dem import DemOptions
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row

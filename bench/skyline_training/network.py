@@ -19,8 +19,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from skyline.arrays import Float32Array, UInt8Array
-from skyline.build.cluster import Progress
+from skyline.arrays import Float32Array, Progress, UInt8Array
 from skyline.files import write_whole
 from skyline.photo.evidence import levelled
 from skyline_training.landscapes import UNKNOWN, TrainingPhoto

@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 from scipy import ndimage
 
-from skyline.arrays import Float32Array, Float64Array, UInt8Array
-from skyline.build.cluster import Progress
+from skyline.arrays import Float32Array, Float64Array, Progress, UInt8Array
 from skyline.geodesy import Frame
 from skyline.render.depth import DepthRenderer
 from skyline.terrain.heightfield import HeightField

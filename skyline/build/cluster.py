@@ -14,14 +14,10 @@ from functools import partial
 from typing import Any, Protocol, TypeVar
 from uuid import uuid4
 
-from skyline.errors import BuildError, InputError, SkylineError
-from skyline.extras import library
+from skyline.errors import BuildError, InputError, SkylineError, library
 
 T = TypeVar("T")
 R = TypeVar("R")
-
-Progress = Callable[[int, int], None]
-"""Called with the number of steps that are done, and the number of all."""
 
 
 class Runner(Protocol):
@@ -48,7 +44,7 @@ _NAMED = 5
 
 # A terminal sends Ctrl-C to workers as well, which are stopped by the one process that answers it.
 _IGNORE_CTRL_C = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
-_LOG = "from skyline.logs import start_logging; start_logging()"
+_LOG = "from skyline.errors import start_logging; start_logging()"
 
 _log = logging.getLogger(__name__)
 

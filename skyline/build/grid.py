@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from skyline.errors import InputError
+from skyline.errors import InputError, swapped_in_words
 from skyline.geodesy import Bounds, Rectangle, are_bounds
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints, stand_where_possible
-from skyline.text import swapped_in_words
 
 
 def map_bounds(field: HeightField, bounds_deg: Bounds | None) -> Rectangle:

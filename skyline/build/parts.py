@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from skyline.build.cluster import Progress, Runner, collect
+from skyline.arrays import Progress
+from skyline.build.cluster import Runner, collect
 from skyline.build.plans import DEFAULT_LOSS, PartRenderer, PlacePlan, Plan, RenderingPlan
 from skyline.errors import InputError, SkylineError, StoreError, StoreMismatchError
 from skyline.geodesy import Bounds, Curvature

@@ -9,16 +9,16 @@ import numpy as np
 
 from skyline.build.grid import map_bounds, uniform_grid
 from skyline.build.spacing import AdaptivePlanner, Blocks, blocks_of, check_loss, price_of
-from skyline.features import polyline_keypoints
 from skyline.geodesy import Bounds, Curvature
-from skyline.places import BINS, Places
 from skyline.render.horizon import ColumnRenderer, HorizonRenderer, RenderConfig
 from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
+from skyline.skylines import Views
 from skyline.store import StoreHeader, columns_of
 from skyline.store.format import PLACES, Columns
+from skyline.store.keypoints import polyline_keypoints
+from skyline.store.places import BINS, Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
-from skyline.views import Views
 
 DEFAULT_LOSS = 0.2
 """Of views, for places lying apart; docs/accuracy.md has the cost and the gain of other shares."""

@@ -18,12 +18,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Rows
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
-from skyline.horizons import Horizons
-from skyline.places import Places
-from skyline.row_arrays import Rows
+from skyline.skylines import Horizons
+from skyline.store.places import Places
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_where_possible
 

@@ -11,26 +11,25 @@ from typing import TypeVar, cast
 import typer
 
 from skyline.cli.console import complain, keeps, patience, remark, say, told
-from skyline.errors import SkylineError
-from skyline.matching.match_config import MatchConfig
-from skyline.matching.ranking import Candidate
-from skyline.photo.query import QuerySkyline
-from skyline.pipeline.match import Matcher
-from skyline.pipeline.opened import terrain_at_hand
-from skyline.pipeline.queries import Query
-from skyline.pipeline.reports import matched, report_matches
-from skyline.pipeline.results import JointResult, MatchResult
-from skyline.report.exports import export_matches
-from skyline.report.peaks import Peaks
-from skyline.report.records import (
+from skyline.errors import SkylineError, printable
+from skyline.match.match_config import MatchConfig
+from skyline.match.matcher import Matcher
+from skyline.match.opened import terrain_at_hand
+from skyline.match.queries import Query
+from skyline.match.ranking import Candidate
+from skyline.match.records import (
     FailureRecord,
     LensRecord,
     MatchRecord,
     describe_candidates,
     describe_claim,
 )
-from skyline.report.results_file import Results, open_results, row_of
-from skyline.text import printable
+from skyline.match.results import JointResult, MatchResult
+from skyline.match.results_file import Results, open_results, row_of
+from skyline.photo.query import QuerySkyline
+from skyline.report.exports import export_matches
+from skyline.report.peaks import Peaks
+from skyline.report.reports import matched, report_matches
 
 T = TypeVar("T")
 

@@ -24,8 +24,8 @@ from skyline.cli.console import (
 )
 from skyline.errors import InputError
 from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
-from skyline.places import Places
 from skyline.store import open_store
+from skyline.store.places import Places
 from skyline.terrain.dem import DemOptions, read_dem
 
 Output = Annotated[Path, Option("--output", "-o", help="The store to write (HDF5).")]

@@ -1,6 +1,6 @@
 """What the command lines share: an error is one line and an exit code; progress is a bar.
 
-With ``SKYLINE_LOG=json`` all of it is JSON lines; see `skyline.logs`.
+With ``SKYLINE_LOG=json`` all of it is JSON lines; see `skyline.errors`.
 """
 
 import logging
@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -22,10 +22,19 @@ from typer import Argument, Option
 from typer.core import TyperGroup
 
 from skyline import __version__
-from skyline.build.cluster import Progress
-from skyline.errors import InputError, SkylineError
-from skyline.logs import ENVIRONMENT_VARIABLE, JSON, as_json, start_logging
-from skyline.text import printable, swapped_in_words
+from skyline.errors import (
+    ENVIRONMENT_VARIABLE,
+    JSON,
+    InputError,
+    SkylineError,
+    as_json,
+    printable,
+    start_logging,
+    swapped_in_words,
+)
+
+if TYPE_CHECKING:
+    from skyline.arrays import Progress
 
 # Typer brings click under one name or another, by its version; this one name is public in all.
 _UsageError: Any = typer.BadParameter.__base__
@@ -146,7 +155,7 @@ def run_app(app: typer.Typer) -> None:
 
 
 @contextmanager
-def progress_bar(what: str) -> Iterator[Progress]:
+def progress_bar(what: str) -> "Iterator[Progress]":
     """Show a bar on the terminal's error stream, from the first step reported on.
 
     Where there is no terminal, one line says what takes more than five seconds; or there are JSON
@@ -183,7 +192,7 @@ def patience(doing: str) -> Iterator[None]:
         timer.cancel()
 
 
-def told(doing: str) -> Progress:
+def told(doing: str) -> "Progress":
     """Return what logs how far something has come, for a service; nobody else sees it."""
     last_s = -_TOLD_EACH_S
 

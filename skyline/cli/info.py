@@ -21,11 +21,10 @@ from skyline.cli.console import (
     parse_numbers,
     say,
 )
-from skyline.errors import InputError
+from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature, Frame
-from skyline.pipeline.renderings import render_views
 from skyline.render.context import describe_context
-from skyline.render.horizon import RenderConfig
+from skyline.render.horizon import RenderConfig, render_views
 from skyline.store import is_store, open_store
 from skyline.store.format import PLACES, SCHEMA_VERSION
 from skyline.terrain.dem import DemOptions, read_dem
@@ -45,7 +44,6 @@ from skyline.terrain.viewpoints import (
     place_on,
     stand_on,
 )
-from skyline.text import printable
 
 _DEFAULTS = RenderConfig()
 

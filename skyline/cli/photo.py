@@ -25,19 +25,19 @@ from skyline.cli.console import (
     say,
 )
 from skyline.errors import InputError, MissingFileError, SkylineError
-from skyline.matching.match_config import MatchConfig
-from skyline.matching.narrowing import Narrowing
+from skyline.match.batch import match_many
+from skyline.match.match_config import MatchConfig
+from skyline.match.matcher import Matcher
+from skyline.match.matchers import FULL, MATCHERS
+from skyline.match.narrowing import Narrowing
+from skyline.match.queries import Query, listed
+from skyline.match.results import MatchResult
+from skyline.match.results_file import RESULTS
 from skyline.photo.projection import Projection
 from skyline.photo.read import extract_photo, write_overlay
 from skyline.photo.trace import write_trace
-from skyline.pipeline.batch import match_many
-from skyline.pipeline.match import Matcher
-from skyline.pipeline.matchers import FULL, MATCHERS
-from skyline.pipeline.queries import Query, listed
-from skyline.pipeline.results import MatchResult
 from skyline.report.exports import EXPORTS, check_export
 from skyline.report.peaks import read_peaks
-from skyline.report.results_file import RESULTS
 from skyline.terrain.tiles import absolute_name
 
 _DEFAULTS = MatchConfig()

@@ -30,10 +30,9 @@ from skyline.cli.console import (
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
+from skyline.paper.plan import PlanConfig, PlanProgress
 from skyline.paper.planned import build_planned
-from skyline.paper.planning.plan import PlanConfig, PlanProgress
-from skyline.paper.planning.strategies import STRATEGIES
-from skyline.pipeline.renderings import save_depth_pictures
+from skyline.paper.strategies import STRATEGIES
 from skyline.render.horizon import RenderConfig
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
@@ -152,7 +151,7 @@ def render(
             plan = RenderingPlan.uniform(terrain, grid or 0.0, corners, config)
         result = build_store(terrain, output, plan, runner, bar)
     if depth_images is not None:
-        save_depth_pictures(terrain, plan.viewpoints, depth_images, config)
+        report.save_depth_pictures(terrain, plan.viewpoints, depth_images, config)
     print_built(result, output, "renderings")
 
 

@@ -10,10 +10,9 @@ import typer
 from typer import Argument, Option
 
 from skyline.cli.console import AsJson, say
-from skyline.errors import InputError
+from skyline.errors import InputError, printable
 from skyline.report.geopackage import write_geopackage
 from skyline.store import CopyReport, check_store, merge_stores, open_store, repair_store
-from skyline.text import printable
 
 _DAMAGED = 2
 

@@ -24,9 +24,10 @@ from skyline.cli.console import (
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG, horizons_of
-from skyline.pipeline.labelled_panorama import PanoramaConfig, save_panorama_of
+from skyline.report.labelled_panorama import PanoramaConfig, save_panorama_of
 from skyline.report.peaks import read_peaks
+from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
+from skyline.solar.horizon_at import DEFAULT_STEP_DEG, horizons_of
 from skyline.solar.horizon_files import SUFFIXES, horizon_csv, write_horizons
 from skyline.solar.local_horizons import LocalHorizons
 from skyline.terrain.blocks import TerrainBlocks
@@ -39,7 +40,6 @@ from skyline.terrain.viewpoints import (
     read_viewpoints,
     stand_at,
 )
-from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
 
 _CURVATURE = Curvature()
 _PANORAMA = PanoramaConfig()

@@ -10,11 +10,10 @@ from urllib.error import HTTPError, URLError
 from urllib.parse import urlencode, urlsplit
 from urllib.request import Request, urlopen
 
-from skyline.errors import FetchError, InputError
+from skyline.errors import FetchError, InputError, printable
 from skyline.fetch.remote import HttpOptions, shown
 from skyline.files import write_whole
 from skyline.geodesy import Bounds, check_bounds
-from skyline.text import printable
 
 _MOST_BYTES = 1 << 26
 _AGAIN = (429, 500, 502, 503, 504)

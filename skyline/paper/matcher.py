@@ -17,10 +17,10 @@ import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.matching.profiles import TANGENT_PER_PX, Profiles
-from skyline.matching.query_rays import Attitudes, QueryCurves, QueryRays
-from skyline.matching.ranker import ProfileRanker
-from skyline.matching.ranking import Fits
+from skyline.match.profiles import TANGENT_PER_PX, Profiles
+from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
+from skyline.match.ranker import ProfileRanker
+from skyline.match.ranking import Fits
 from skyline.paper.alignment import align_curves
 from skyline.paper.chamfer import mean_squared_px2, nearest_patches
 from skyline.paper.patches import MIN_OVERLAP, QueryCurve, StoredCurves, patch_offsets

@@ -6,9 +6,9 @@ from typing import Self
 import numpy as np
 
 from skyline.arrays import Float32Array, Float64Array, IntArray
-from skyline.features import NO_KEYPOINT, local_patches, polyline_vertices
-from skyline.matching.profiles import TANGENT_PER_PX, Profiles
-from skyline.matching.query_rays import QueryCurves
+from skyline.match.profiles import TANGENT_PER_PX, Profiles
+from skyline.match.query_rays import QueryCurves
+from skyline.store.keypoints import NO_KEYPOINT, local_patches, polyline_vertices
 
 _TOLERANCE_PX = 1.0
 """Of the query's polyline; best that of the store's."""

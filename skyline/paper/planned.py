@@ -9,17 +9,17 @@ from skyline.build.grid import map_bounds
 from skyline.build.parts import BuildResult, finished_store
 from skyline.build.plans import rendering_columns, rendering_header
 from skyline.geodesy import Bounds
-from skyline.paper.planning.plan import Headings, Plan, PlanConfig, PlanProgress, plan
-from skyline.paper.planning.reprojection import ToleranceMeter
-from skyline.paper.planning.truth import true_errors_px
-from skyline.paper.planning.verify import Verification, verify_coverage
+from skyline.paper.plan import Headings, Plan, PlanConfig, PlanProgress, plan
+from skyline.paper.reprojection import ToleranceMeter
+from skyline.paper.true_errors import true_errors_px
+from skyline.paper.verify import Verification, verify_coverage
 from skyline.render.horizon import HorizonRenderer, RenderConfig
+from skyline.skylines import Views
 from skyline.store import write_store
 from skyline.store.merge import sorted_once
 from skyline.store.write import check_folder
 from skyline.terrain.heightfield import HeightField, ground_of
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import Views
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array, IntArray
-from skyline.matching.profiles import TANGENT_PER_PX, Profiles
+from skyline.match.profiles import TANGENT_PER_PX, Profiles
 from skyline.paper.patches import MIN_OVERLAP, QueryCurve, StoredCurves
 
 _AT_ONCE = 32

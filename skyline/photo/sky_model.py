@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 
 from skyline.arrays import Float32Array, Float64Array, IntArray, UInt8Array
-from skyline.errors import InputError, MissingFileError
-from skyline.extras import library
+from skyline.errors import InputError, MissingFileError, library
 from skyline.photo.extract import content_of
 from skyline.photo.query import QuerySkyline
 

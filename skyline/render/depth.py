@@ -20,10 +20,10 @@ from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.context import acquire_context
 from skyline.render.shaders import compile_program
+from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED, Views
 
 TILE_CELLS = 64
 """Cells along a side of the tiles that are drawn or skipped as a whole."""

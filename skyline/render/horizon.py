@@ -22,9 +22,9 @@ from skyline.render.context import acquire_context
 from skyline.render.eyes import Eyes
 from skyline.render.march import NOTHING, RayMarcher, Results
 from skyline.render.windows import Window, WindowTextures
+from skyline.skylines import FLAG_NO_DATA, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import FLAG_NO_DATA, Views
 
 _log = logging.getLogger(__name__)
 
@@ -277,3 +277,12 @@ def check_tolerance(tolerance: float, unit: str) -> float:
             f"tolerance is {tolerance} {unit}; expected a finite number, 0 (exact) or more"
         )
     return float(tolerance)
+
+
+def render_views(
+    terrain: HeightField, viewpoints: Viewpoints, config: RenderConfig | None = None
+) -> Views:
+    """Render the skylines of viewpoints to grid north, east, south, west (4 N views)."""
+    config = config or RenderConfig()
+    with HorizonRenderer.of(terrain, config) as renderer:
+        return renderer.render(viewpoints)

@@ -9,8 +9,8 @@ from skyline.arrays import Int64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, MAX_WIDTH, pixel_size
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.horizons import Horizons, check_bins, quadrant_azimuths_rad
 from skyline.render.horizon import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
+from skyline.skylines import Horizons, check_bins, quadrant_azimuths_rad
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -26,7 +26,7 @@ class PanoramaRenderer(ColumnRenderer):
     Parameters
     ----------
     bins : int
-        Steps B of azimuth to a turn, a multiple of 8; `skyline.horizons.bin_azimuths_rad`.
+        Steps B of azimuth to a turn, a multiple of 8; `skyline.skylines.bin_azimuths_rad`.
     curvature : Curvature, optional
         Defaults to the Earth's with k = 0.13.
     tolerance_deg : float
@@ -78,7 +78,7 @@ class PanoramaRenderer(ColumnRenderer):
         first_azimuth_rad : (N,) array_like, optional
             Grid azimuth of each eye's bin 0, from which the others go on clockwise: the negative
             of the meridian convergence makes azimuths count from true north. By default that of
-            `skyline.horizons.bin_azimuths_rad`.
+            `skyline.skylines.bin_azimuths_rad`.
         """
         count, step_rad = len(viewpoints), 2.0 * np.pi / self.bins
         first = np.full(count, 0.5 * step_rad)

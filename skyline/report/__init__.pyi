@@ -10,8 +10,9 @@ from .panorama_picture import (
     picture_azimuths_deg,
 )
 from .peaks import Peaks, read_peaks
-from .pictures import save_depth_images
-from .plan_maps import save_coverage_map, save_place_map
+from .pictures import save_depth_images, save_depth_pictures
+from .place_map import save_place_map
+from .plan_maps import save_coverage_map
 
 __all__ = [
     "Landscape",
@@ -31,6 +32,7 @@ __all__ = [
     "read_peaks",
     "save_coverage_map",
     "save_depth_images",
+    "save_depth_pictures",
     "save_place_map",
     "write_match_report",
 ]

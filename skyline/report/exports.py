@@ -21,16 +21,15 @@ import cv2
 import numpy as np
 
 from skyline.arrays import Float64Array, UInt8Array
-from skyline.errors import InputError
+from skyline.errors import InputError, printable
 from skyline.files import write_with_folders
 from skyline.geodesy import Frame
-from skyline.matching.ranking import Candidate
+from skyline.match.ranking import Candidate
+from skyline.match.records import describe_candidate, name_of
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.report.matched import Matched
-from skyline.report.records import describe_candidate, name_of
 from skyline.report.shapes import Ellipse, lonlat_rings, view_wedge_m
-from skyline.text import printable
 
 VIEW_REACH_M = 2000.0
 """How far a view's wedge reaches; views see farther, but a map is for telling them apart."""

@@ -9,9 +9,8 @@ from itertools import groupby
 from numbers import Real
 from pathlib import Path
 
-from skyline.errors import InputError
+from skyline.errors import InputError, printable
 from skyline.files import write_with_folders
-from skyline.text import printable
 
 _MIME_OF_HEAD = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 _NUMBER = re.compile(r"[-+−]?\d+(\.\d+)?")

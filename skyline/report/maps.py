@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 
-from skyline.matching.ranking import Candidate
+from skyline.match.ranking import Candidate
 from skyline.report.labels import unnamed_in_words
 from skyline.report.matched import Surroundings
 from skyline.report.peaks import Sighting

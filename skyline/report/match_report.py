@@ -8,8 +8,15 @@ import numpy as np
 
 from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
-from skyline.matching.ranking import Candidate
-from skyline.photo.query import QuerySkyline
+from skyline.match.ranking import Candidate
+from skyline.match.records import (
+    apart_in_words,
+    beyond_in_words,
+    claim_in_words,
+    confidence_within,
+    pose_name,
+)
+from skyline.match.results import COLUMNS, columns_of
 from skyline.report.exports import write_geojson
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
 from skyline.report.labels import unnamed_in_words
@@ -19,25 +26,11 @@ from skyline.report.overlay import Overlay
 from skyline.report.peaks import HIDDEN_DEG, Sighting, most_prominent_first, visible_peaks
 from skyline.report.pictures import encode_figure
 from skyline.report.posed_picture import Panorama, median_gap_deg
-from skyline.report.records import (
-    apart_in_words,
-    beyond_in_words,
-    claim_in_words,
-    confidence_within,
-    pose_name,
-)
 from skyline.report.shapes import Ellipse
 
 _MAP_DPI = 150.0
 _DETAIL_SHARE = 0.4
 """A second map is drawn where it shows less than this share of the first one's side."""
-_COLUMNS = {
-    "latitude °": ("lat", ".5f"), "longitude °": ("lon", ".5f"),
-    "heading °": ("heading_deg", ".2f"), "pitch °": ("pitch_deg", ".2f"),
-    "roll °": ("roll_deg", ".2f"), "FOV °": ("fov_deg", ".2f"), "score": ("score", ".4f"),
-    "confidence": ("confidence", ".2f"), "within 1 km": ("confidence_1km", ".2f"),
-}  # fmt: skip
-"""Of the table of candidates: what is in them, and how it is written."""
 
 
 def write_match_report(
@@ -68,22 +61,6 @@ def write_match_report(
     path = folder / "index.html"
     page.write(path)
     return path
-
-
-def result_html(said: str, query: QuerySkyline, candidates: Sequence[Candidate]) -> str:
-    """Return what was found for a query as a notebook shows it: its skyline, and candidates."""
-    runs = np.flatnonzero(np.diff(query.trusted, prepend=False, append=False)).reshape(-1, 2)
-    lines = "".join(
-        "M" + " ".join(f"{col},{query.row_px[col]:.1f}" for col in range(start, stop))
-        for start, stop in runs.tolist()
-    )
-    size = f"{query.width_px} {query.height_px}"
-    drawn = (
-        f'<svg viewBox="0 0 {size}" width="360" style="border: 1px solid; margin: 0.5em 0">'
-        f'<path d="{lines}" fill="none" stroke="crimson" vector-effect="non-scaling-stroke"/></svg>'
-    )
-    table = _candidate_table(candidates).html() if candidates else ""
-    return f"<div>{Text(said).html()}{drawn}{table}</div>"
 
 
 def _answered(matches: Sequence[Matched]) -> str:
@@ -231,13 +208,8 @@ def _overlay_caption(overlay: Overlay) -> str:
 def _candidate_table(candidates: Sequence[Candidate]) -> Table:
     rows: list[list[object]] = []
     for candidate in candidates:
-        values = [(getattr(candidate, name), form) for name, form in _COLUMNS.values()]
         ellipse = Ellipse.of(candidate)
         axes_m = ellipse and f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}"
-        shown = (
-            format(value, form) if value is not None and np.isfinite(value) else None
-            for value, form in values
-        )
-        rows.append([candidate.rank, *shown, candidate.refined, axes_m])
-    columns = ("#", *_COLUMNS, "refined", "95 % ellipse, m")
+        rows.append([candidate.rank, *columns_of(candidate), candidate.refined, axes_m])
+    columns = ("#", *COLUMNS, "refined", "95 % ellipse, m")
     return Table(columns, rows, "Candidates; headings from true north, a lower score is better")

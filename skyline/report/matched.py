@@ -8,12 +8,12 @@ import numpy as np
 from skyline.arrays import UInt8Array
 from skyline.errors import OffMapError
 from skyline.geodesy import Curvature, Frame
-from skyline.matching.ranking import Candidate
+from skyline.match.ranking import Candidate
 from skyline.photo.query import QuerySkyline
 from skyline.report.peaks import Peaks
+from skyline.skylines import Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
-from skyline.views import Views
 
 Render = Callable[[Viewpoints, Sequence[int]], Views]
 """Renders N eyes with one heading each."""

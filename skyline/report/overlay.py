@@ -13,13 +13,13 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
 from skyline.arrays import Float64Array, UInt8Array
-from skyline.matching.ranking import Candidate
+from skyline.match.ranking import Candidate
+from skyline.match.records import pose_name
 from skyline.photo.query import QuerySkyline
 from skyline.report.labels import Placed, extent_px, place_labels
 from skyline.report.peaks import Sighting
 from skyline.report.pictures import encode_figure
 from skyline.report.posed_picture import Panorama, PosedPicture
-from skyline.report.records import pose_name
 
 FOUND_COLOUR, RENDERED_COLOUR = "#ff2d6f", "#00e0ff"
 

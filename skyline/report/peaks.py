@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 
 from skyline.arrays import Float64Array
-from skyline.errors import InputError, MissingFileError
+from skyline.errors import InputError, MissingFileError, printable
 from skyline.geodesy import Curvature, Frame
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import prominence_m
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.text import printable
 
 SUMMIT_RADIUS_M = 150.0
 """How far from the place named a summit is looked for; terrain this near to it does not hide it."""

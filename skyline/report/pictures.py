@@ -4,14 +4,19 @@ import io
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from skyline.arrays import Float32Array
 from skyline.camera import HEADINGS
-from skyline.files import write_with_folders
-from skyline.views import Views
+from skyline.files import write_whole, write_with_folders
+from skyline.render.depth import DepthRenderer
+from skyline.render.horizon import RenderConfig
+from skyline.skylines import Views
+from skyline.terrain.heightfield import HeightField
+from skyline.terrain.viewpoints import Viewpoints
 
 HEADING_NAMES = ("grid north", "grid east", "grid south", "grid west")
 DPI = 110
@@ -67,3 +72,21 @@ def encode_figure(figure: Figure, kind: str = "png", dpi: float = DPI) -> bytes:
     picture = io.BytesIO()
     figure.savefig(picture, format=kind, dpi=dpi, **_OPTIONS.get(kind, {}))
     return picture.getvalue()
+
+
+def save_depth_pictures(
+    terrain: HeightField, viewpoints: Viewpoints, folder: Path, config: RenderConfig
+) -> None:
+    """Save depth images (TIFF, float32 metres, inf = sky) and a picture of each viewpoint.
+
+    The files are ``NNNN_heading_H.tif`` and ``NNNN.png``, numbered in the viewpoints' order.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with DepthRenderer(terrain, config.width, config.curvature) as renderer:
+        for index in range(len(viewpoints)):
+            images = renderer.depth_images(viewpoints, index)
+            for heading in HEADINGS:
+                picture = cv2.imencode(".tif", images[heading])[1].tobytes()
+                write_whole(folder / f"{index:04d}_heading_{heading}.tif", picture)
+            views = renderer.render(viewpoints[index : index + 1])
+            save_depth_images(images, views, folder / f"{index:04d}.png")

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array
-from skyline.matching.query_rays import level, project
-from skyline.matching.ranking import Candidate
+from skyline.match.query_rays import level, project
+from skyline.match.ranking import Candidate
 from skyline.photo.projection import Projection, distorted
 from skyline.photo.query import QuerySkyline
 from skyline.report.peaks import Sighting
-from skyline.views import Views
+from skyline.skylines import Views
 
 
 @dataclass(frozen=True, slots=True)

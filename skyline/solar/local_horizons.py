@@ -11,10 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skyline.arrays import Float32Array, Float64Array
-from skyline.errors import InputError
-from skyline.extras import library
-from skyline.row_arrays import Rows
+from skyline.arrays import Float32Array, Float64Array, Rows
+from skyline.errors import InputError, library
 
 _STEP = timedelta(minutes=1)
 _TO_SECONDS = 0.1

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.camera import columns_u
-from skyline.extras import library
+from skyline.errors import library
 from skyline.geodesy import Frame
-from skyline.horizons import bin_azimuths_rad
-from skyline.places import BINS, DISTANCE_BINS, Places
-from skyline.views import Views
+from skyline.skylines import Views, bin_azimuths_rad
+from skyline.store.places import BINS, DISTANCE_BINS, Places
 
 _METRES, _DEGREES = {"units": "m"}, {"units": "degrees"}
 _ELEVATION = {"long_name": "elevation angle of the skyline", **_DEGREES}
@@ -69,7 +68,7 @@ def dataset_of_views(views: Views, rows: NDArray[np.intp], frame: Frame) -> Any:
     held = {
         "elevation_deg": (columns, views.elevation_deg().astype(np.float32), _ELEVATION),
         "distance_m": (columns, distance_m, distance),
-        "flags": (columns, views.flags, {"long_name": "bits of skyline.views"}),
+        "flags": (columns, views.flags, {"long_name": "bits of skyline.skylines"}),
     }
     return library("xarray", "geo", "a Dataset").Dataset(held, coords)
 

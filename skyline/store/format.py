@@ -1,7 +1,7 @@
 """The format of a store: its header, the layout of its rows, and their checksums.
 
-A row is a rendering (a view with its skyline and keypoints) or a place (see `skyline.places`). The
-same rows and the same header give the same bytes, see `skyline.store.write`.
+A row is a rendering (a view with its skyline and keypoints) or a place (`skyline.store.places`).
+The same rows and the same header give the same bytes, see `skyline.store.write`.
 
 HDF5 guards its own structures (object headers, chunk indexes, the superblock) with checksums, and
 each chunk of rows here with another (Fletcher-32), which readers verify as they read. Those find a
@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS, check_width
 from skyline.errors import InputError, StoreMismatchError
-from skyline.features import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
 from skyline.geodesy import Frame
-from skyline.places import (
+from skyline.skylines import Views
+from skyline.store.keypoints import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
+from skyline.store.places import (
     ALIKE_DEG,
     BINS,
     DISTANCE_BINS,
@@ -38,7 +39,6 @@ from skyline.places import (
     RISE_SIZE,
     Places,
 )
-from skyline.views import Views
 
 SCHEMA = "skyline-store"
 SCHEMA_VERSION = 4

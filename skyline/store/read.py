@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, MissingFileError, StoreError
-from skyline.features import NO_KEYPOINT
 from skyline.geodesy import Frame
-from skyline.places import Places
-from skyline.shown import facts_html
+from skyline.skylines import Views
 from skyline.store.checks import checked_dataset, read_header
 from skyline.store.dataset import dataset_of_places, dataset_of_views, table_of_places
 from skyline.store.format import (
@@ -34,9 +32,11 @@ from skyline.store.format import (
     check_holds,
     checksums_of_bytes,
 )
+from skyline.store.keypoints import NO_KEYPOINT
+from skyline.store.places import Places
 from skyline.store.write import REBUILD, UNREADABLE, explained
+from skyline.terrain.notebook import facts_html
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import Views
 
 RowIndex = int | slice | NDArray[np.integer] | NDArray[np.bool_]
 
@@ -49,7 +49,7 @@ _VIEWS_AT_ONCE = 1024
 
 
 class PlaceMap:
-    """The places of a store, a `skyline.places.PlaceSource`; see `Store.places`.
+    """The places of a store, a `skyline.store.places.PlaceSource`; see `Store.places`.
 
     It holds the file by itself, so the store may be closed, replaced or removed. Pages that are
     read belong to the system's cache. Memory of its own is the offsets: 72 bytes for 1024 places.

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.shown import facts_html, relief
+from skyline.terrain.notebook import facts_html, relief
 
 if TYPE_CHECKING:
     from skyline.terrain.dem import DemOptions

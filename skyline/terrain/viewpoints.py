@@ -7,13 +7,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.arrays import BoolArray, Float64Array
-from skyline.errors import InputError, MissingFileError, OffMapError
+from skyline.arrays import BoolArray, Float64Array, Rows
+from skyline.errors import InputError, MissingFileError, OffMapError, swapped_in_words
 from skyline.geodesy import Frame, Rectangle
-from skyline.row_arrays import Rows
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.summits import highest_within, summit_heights_m
-from skyline.text import swapped_in_words
 
 DEFAULT_EYE_HEIGHT_M = 2.0
 MOST_WITHIN_M = 10_000.0

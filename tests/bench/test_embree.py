@@ -8,8 +8,8 @@ from scenes import field_of, fractal
 
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
+from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA
 from skyline.terrain.viewpoints import stand_on
-from skyline.views import FLAG_HOLE, FLAG_NO_DATA
 from skyline_bench.peers.embree import EmbreePeer, is_installed
 from skyline_bench.truth import oracle
 

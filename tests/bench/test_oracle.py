@@ -8,9 +8,9 @@ from scenes import FRAME, field_from, field_of, fractal
 
 from skyline.camera import columns_u, rotation
 from skyline.geodesy import Curvature
+from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
-from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED
 from skyline_bench.truth import oracle
 
 FLAT = Curvature(enabled=False)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scenes import at_m, field_from, field_of, fractal
 
 from skyline.errors import InputError
-from skyline.matching.query_rays import level
+from skyline.match.query_rays import level
 from skyline.photo.query import QuerySkyline
 from skyline.terrain.viewpoints import Viewpoints
 from skyline_bench.queries.kinds import perturbed, resampled

@@ -7,8 +7,8 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.geodesy import Curvature
+from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED
 from skyline.terrain.viewpoints import stand_on
-from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
 from skyline_bench.truth import oracle
 from skyline_bench.truth.agreement import (
     DEPTH,

@@ -11,7 +11,7 @@ from scenes import field_of, fractal
 
 from skyline.cli.console import run_app
 from skyline.errors import InputError
-from skyline.matching import confidence
+from skyline.match import confidence
 from skyline.photo.extract import extract_skyline
 from skyline.photo.read import extract_photo
 from skyline.render.depth import DepthRenderer

@@ -44,8 +44,8 @@ import skyline
 from skyline import cli, read_dem, stand_at
 from skyline.build.plans import DEFAULT_LOSS
 from skyline.fetch.dem_tiles import SOURCES
-from skyline.matching.full import FullMatcher
-from skyline.matching.match_config import FullConfig
+from skyline.match.full import FullMatcher
+from skyline.match.match_config import FullConfig
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
 from skyline_bench import cli as bench

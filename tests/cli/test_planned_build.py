@@ -7,9 +7,9 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.errors import InputError, StoreMismatchError
+from skyline.paper.candidates import Spacing
+from skyline.paper.plan import PlanConfig
 from skyline.paper.planned import build_planned
-from skyline.paper.planning.candidates import Spacing
-from skyline.paper.planning.plan import PlanConfig
 from skyline.render.horizon import RenderConfig
 from skyline.store import open_store
 

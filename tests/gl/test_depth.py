@@ -7,8 +7,8 @@ from scenes import field_from, field_of, fractal
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
+from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED
 from skyline.terrain.viewpoints import Viewpoints, stand_on
-from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, FLAG_TRUNCATED
 from skyline_bench.truth import oracle
 
 FLAT = Curvature(enabled=False)

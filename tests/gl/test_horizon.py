@@ -9,8 +9,8 @@ from skyline.render import horizon, windows
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.march import RayMarcher
+from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views
 from skyline.terrain.viewpoints import stand_on
-from skyline.views import FLAG_HOLE, FLAG_TRUNCATED, Views
 from skyline_bench.truth import oracle
 
 EXACT_PX = 0.001

@@ -6,11 +6,10 @@ from scenes import at_m, field_of, fractal
 
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.horizons import bin_azimuths_rad, quadrant_azimuths_rad
 from skyline.render import windows
 from skyline.render.panorama import PanoramaRenderer
+from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, bin_azimuths_rad, quadrant_azimuths_rad
 from skyline.terrain.viewpoints import stand_on
-from skyline.views import FLAG_HOLE, FLAG_TRUNCATED
 from skyline_bench.truth import oracle
 
 BINS = 240

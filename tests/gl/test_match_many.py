@@ -9,11 +9,11 @@ from scenes import NORTH_M, WEST_M, fractal, write_dem
 from skyline import MatchConfig, Matcher, Narrowing, build_places, read_dem
 from skyline.build.cluster import remote_runner
 from skyline.errors import InputError, SkylineError
+from skyline.match import batch
+from skyline.match.batch import match_many
+from skyline.match.matchers import FULL
+from skyline.match.queries import Query
 from skyline.photo.trace import write_trace
-from skyline.pipeline import batch
-from skyline.pipeline.batch import match_many
-from skyline.pipeline.matchers import FULL
-from skyline.pipeline.queries import Query
 from skyline.store import open_store
 from skyline_bench.queries.synthetic import QueryConfig, make_queries
 

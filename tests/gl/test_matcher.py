@@ -19,15 +19,15 @@ from skyline import (
     read_dem,
 )
 from skyline.errors import InputError, StoreError, StoreMismatchError
-from skyline.matching.full import FullMatcher
-from skyline.matching.match_config import FullConfig, RefineConfig
-from skyline.matching.retrieval import Retriever
+from skyline.match.batch import _opened
+from skyline.match.full import FullMatcher
+from skyline.match.match_config import FullConfig, RefineConfig
+from skyline.match.rendered_scene import RenderedScene
+from skyline.match.retrieval import Retriever
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
-from skyline.pipeline.batch import _opened
-from skyline.pipeline.rendered_scene import RenderedScene
-from skyline.pipeline.stored_dem import curvature_of
 from skyline.store import open_store
+from skyline.store.stored_dem import curvature_of
 from skyline.terrain.heightfield import ground_of
 from skyline_bench.queries.synthetic import QueryConfig, make_queries, make_queries_together
 

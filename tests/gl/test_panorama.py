@@ -11,7 +11,7 @@ from scipy.ndimage import maximum_filter
 from skyline import PanoramaConfig, Peaks, horizon, read_dem, save_panorama
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.pipeline.labelled_panorama import panorama_view
+from skyline.report.labelled_panorama import panorama_view
 from skyline.report.landscape import Landscape
 from skyline.report.panorama_picture import SUMMIT, draw_panorama
 from skyline.terrain.blocks import TerrainBlocks

@@ -9,12 +9,12 @@ from query_scenes import photographed, poses, rays_of
 from scenes import at_m, field_of, fractal
 
 from skyline.errors import InputError
-from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.match_config import RefineConfig
-from skyline.matching.pose import Refinement, refine
-from skyline.matching.profiles import Panoramas
-from skyline.matching.solver import Curves
-from skyline.matching.together import JointRefinement
+from skyline.match.hypotheses import Hypotheses
+from skyline.match.match_config import RefineConfig
+from skyline.match.pose import Refinement, refine
+from skyline.match.profiles import Panoramas
+from skyline.match.solver import Curves
+from skyline.match.together import JointRefinement
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on

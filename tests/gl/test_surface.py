@@ -8,9 +8,9 @@ from scenes import at_m, field_from, field_of, fractal
 from skyline import horizon, stand_at, stand_on
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.matching.match_config import RefineConfig
-from skyline.matching.pose import refine
-from skyline.pipeline.rendered_scene import RenderedScene
+from skyline.match.match_config import RefineConfig
+from skyline.match.pose import refine
+from skyline.match.rendered_scene import RenderedScene
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import UNKNOWN_M, read_surface

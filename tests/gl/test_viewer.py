@@ -23,9 +23,9 @@ from skyline import (
 )
 from skyline.camera import HEADINGS
 from skyline.photo.projection import Projection
-from skyline.pipeline.stored_dem import curvature_of
 from skyline.render.horizon import HorizonRenderer
 from skyline.report.posed_picture import Panorama, PosedPicture
+from skyline.store.stored_dem import curvature_of
 from skyline.terrain.summits import summit_heights_m
 from skyline.terrain.viewpoints import stand_on
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from skyline.features import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
 from skyline.geodesy import Frame
-from skyline.places import BINS, DISTANCE_BINS, PHASE_BINS, Places
+from skyline.skylines import Views
 from skyline.store import Store, StoreHeader, columns_of, write_store
 from skyline.store.format import PLACES, RENDERINGS
-from skyline.views import Views
+from skyline.store.keypoints import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
+from skyline.store.places import BINS, DISTANCE_BINS, PHASE_BINS, Places
 
 WIDTH = 24
 VIEWS_HEADER = StoreHeader(

@@ -14,8 +14,8 @@ from skyline.build.spacing import (
     spread_over,
 )
 from skyline.errors import InputError
-from skyline.horizons import Horizons
-from skyline.places import BINS, Places
+from skyline.skylines import Horizons
+from skyline.store.places import BINS, Places
 
 AREA = (0.0, 0.0, 2.0 * BLOCK_M, BLOCK_M)
 SPACINGS_M = 1280.0 / 2.0 ** (np.arange(13) / 2.0)

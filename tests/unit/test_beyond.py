@@ -2,7 +2,7 @@
 
 import pytest
 
-from skyline.report.records import beyond_in_words
+from skyline.match.records import beyond_in_words
 
 
 @pytest.mark.parametrize("share", [None, 0.0, 0.09])

@@ -8,13 +8,12 @@ from query_scenes import hills, panorama_of, poses, rays_of, seen
 from scipy.integrate import quad
 
 from skyline.geodesy import Frame
-from skyline.matching.claim import Claim, EyeHeight
-from skyline.matching.ranking import Candidate
-from skyline.matching.solver import Curves as SeenCurves
-from skyline.matching.solver import Solver, SolverConfig
+from skyline.match.claim import Claim, EyeHeight, claim_of
+from skyline.match.ranking import Candidate
+from skyline.match.records import claim_in_words, describe_claim
+from skyline.match.solver import Curves as SeenCurves
+from skyline.match.solver import Solver, SolverConfig
 from skyline.photo.exif import NotedPlace
-from skyline.pipeline.claims import claim_of
-from skyline.report.records import claim_in_words, describe_claim
 
 CLAIM = Claim(1000.0, 2000.0, 25.0)
 THERE = np.array([1000.0 + 2000.0j])

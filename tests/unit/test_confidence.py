@@ -5,9 +5,9 @@ import pytest
 from query_scenes import equally_trusted
 
 from skyline.errors import InputError
-from skyline.matching import confidence
-from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.pose import Poses
+from skyline.match import confidence
+from skyline.match.hypotheses import Hypotheses
+from skyline.match.pose import Poses
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skyline.errors import InputError
-from skyline.matching.hypotheses import Hypotheses
+from skyline.match.hypotheses import Hypotheses
 
 
 def _hypotheses(easting_m: list[float], heading_deg: list[float], score: list[float]) -> Hypotheses:

@@ -5,7 +5,7 @@ import pytest
 from PIL.ExifTags import Base
 from PIL.TiffImagePlugin import IFDRational
 
-from skyline.matching.query_rays import QueryRays
+from skyline.match.query_rays import QueryRays
 from skyline.photo.lens import Lens, lens_of, panorama_of_xmp, swept_lens_of
 from skyline.photo.projection import Projection
 

@@ -9,13 +9,13 @@ from scenes import FRAME, field_of, fractal
 
 from skyline.build.grid import uniform_grid
 from skyline.errors import InputError
-from skyline.features import polyline_keypoints
-from skyline.matching.correlation import CorrelationMatcher
-from skyline.matching.profiles import Profiles
-from skyline.matching.query_rays import Attitudes, QueryCurves, QueryRays, level
+from skyline.match.correlation import CorrelationMatcher
+from skyline.match.profiles import Profiles
+from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays, level
 from skyline.paper.alignment import align_curves
 from skyline.paper.chamfer import chamfer_px
 from skyline.paper.matcher import PaperMatcher
+from skyline.store.keypoints import polyline_keypoints
 from skyline_bench.truth import oracle
 
 LEVEL = Attitudes(pitch_deg=(0.0,))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skyline.errors import InputError
-from skyline.matching.noise import HeightErrors, Noise, judge
+from skyline.match.noise import HeightErrors, Noise, judge
 
 
 def _setting(nodes=6, columns=40):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from place_scenes import AZIMUTH_DEG, Blocks, curve, places_of
 
-from skyline.pipeline import opened
+from skyline.match import opened
 
 
 @pytest.mark.parametrize("size", [1, 3, 7, 23, 100])

@@ -5,14 +5,14 @@ import pytest
 from query_scenes import equally_trusted
 
 from skyline.errors import InputError
-from skyline.features import NO_KEYPOINT, polyline_vertices
-from skyline.matching.profiles import TANGENT_PER_PX, Profiles
-from skyline.matching.query_rays import Attitudes, QueryCurves
+from skyline.match.profiles import TANGENT_PER_PX, Profiles
+from skyline.match.query_rays import Attitudes, QueryCurves
 from skyline.paper.alignment import _normal_equations
 from skyline.paper.matcher import PaperMatcher
 from skyline.paper.patches import QueryCurve
 from skyline.paper.ransac import Ransac, proposals
 from skyline.paper.shortlist import Shortlist
+from skyline.store.keypoints import NO_KEYPOINT, polyline_vertices
 
 BINS = 1024
 OFFSETS = np.arange(-10, 11) * 2

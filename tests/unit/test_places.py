@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from skyline.errors import InputError
-from skyline.horizons import Horizons, bin_azimuths_rad, check_bins
-from skyline.places import BINS, DISTANCE_BINS, RISES, Places, decode_rises, encode_rises
+from skyline.skylines import Horizons, bin_azimuths_rad, check_bins
+from skyline.store.places import BINS, DISTANCE_BINS, RISES, Places, decode_rises, encode_rises
 
 STEP = np.diff(np.sort(RISES))
 """From each rise to the next."""

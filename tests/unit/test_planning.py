@@ -5,12 +5,12 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.errors import InputError
-from skyline.paper.planning.candidates import Spacing, lay_out
-from skyline.paper.planning.coverage import CandidateGrid, Coverage, Problem
-from skyline.paper.planning.plan import PlanConfig, plan
-from skyline.paper.planning.strategies import STRATEGIES
-from skyline.paper.planning.verify import verify_coverage, wilson_interval
-from skyline.views import Views
+from skyline.paper.candidates import Spacing, lay_out
+from skyline.paper.coverage import CandidateGrid, Coverage, Problem
+from skyline.paper.plan import PlanConfig, plan
+from skyline.paper.strategies import STRATEGIES
+from skyline.paper.verify import verify_coverage, wilson_interval
+from skyline.skylines import Views
 from skyline_bench.truth.simulation import TABLE_1, Simulation, simulate
 
 REACH = 4

@@ -9,7 +9,7 @@ from scenes import field_from
 
 from skyline.camera import columns_u
 from skyline.errors import InputError
-from skyline.paper.planning.predicted import (
+from skyline.paper.prediction import (
     MAX_DEPTH_RATIO,
     MIN_DEPTH_M,
     NO_VIEW,
@@ -19,9 +19,9 @@ from skyline.paper.planning.predicted import (
     reach_m,
     seen_from,
 )
-from skyline.paper.planning.reprojection import displacements_m
+from skyline.paper.reprojection import displacements_m
+from skyline.skylines import FLAG_NO_DATA, Views
 from skyline.terrain.viewpoints import Viewpoints, stand_on
-from skyline.views import FLAG_NO_DATA, Views
 from skyline_bench.truth import oracle
 
 PX = 2.0 / WIDTH

@@ -8,8 +8,8 @@ from prediction_scenes import WIDTH, U, mountains, views_of
 
 from skyline.camera import columns_u
 from skyline.errors import InputError
-from skyline.paper.planning.reprojection import IDENTITY
-from skyline.paper.planning.truth import MAX_CHANGE, block_means, fitted_warps, true_errors_px
+from skyline.paper.reprojection import IDENTITY
+from skyline.paper.true_errors import MAX_CHANGE, block_means, fitted_warps, true_errors_px
 
 PX = 2.0 / WIDTH
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from query_scenes import equally_trusted
 
 from skyline.errors import InputError
-from skyline.matching.query_rays import QueryRays, level, project
+from skyline.match.query_rays import QueryRays, level, project
 
 
 def _rays(fov_range_deg: tuple[float, float] | None = None) -> QueryRays:

@@ -9,8 +9,8 @@ from hypothesis import given
 from scenes import at_m, candidate_at
 
 from skyline.geodesy import Frame
-from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.ranking import Ranking
+from skyline.match.hypotheses import Hypotheses
+from skyline.match.ranking import Ranking
 
 FRAMES = {
     name: Frame.from_crs(name) for name in ("EPSG:32632", "EPSG:2056", "EPSG:3413", "EPSG:2193")

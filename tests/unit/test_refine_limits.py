@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from skyline.errors import InputError
-from skyline.matching.match_config import RefineConfig
-from skyline.matching.noise import HeightErrors, Noise
+from skyline.match.match_config import RefineConfig
+from skyline.match.noise import HeightErrors, Noise
 
 
 @pytest.mark.parametrize(

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.matching.match_config import MatchConfig
-from skyline.matching.query_rays import QueryRays
+from skyline.match.match_config import MatchConfig
+from skyline.match.query_rays import QueryRays
+from skyline.match.refusals import at_bound, lens_in_doubt, sure_within_m
 from skyline.photo.query import QuerySkyline
-from skyline.pipeline.refusals import at_bound, lens_in_doubt, sure_within_m
 
 GIVEN_DEG, SD_DEG = 60.0, 1.5
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from skyline.errors import InputError
-from skyline.report.results_file import RESULTS, open_results, row_of
+from skyline.match.results_file import RESULTS, open_results, row_of
 
 PLACE = dict.fromkeys(
     (

@@ -8,7 +8,7 @@ from prediction_scenes import WIDTH, U, mountains, views_of
 from scenes import field_from
 
 from skyline.errors import InputError
-from skyline.paper.planning.reprojection import IDENTITY, PREDICTORS, equation_4, least_squares
+from skyline.paper.reprojection import IDENTITY, PREDICTORS, equation_4, least_squares
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
 

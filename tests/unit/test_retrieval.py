@@ -11,8 +11,8 @@ from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 from query_scenes import equally_trusted, swept
 
 from skyline.errors import InputError
-from skyline.matching.query_rays import QueryRays
-from skyline.matching.retrieval import RetrievalConfig, Retriever, _middles
+from skyline.match.query_rays import QueryRays
+from skyline.match.retrieval import RetrievalConfig, Retriever, _middles
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ from place_scenes import AZIMUTH_DEG, Blocks, curve, photo, places_of, rays
 from query_scenes import equally_trusted
 
 from skyline.geodesy import Frame
-from skyline.matching import screening
-from skyline.matching.narrowing import Narrowing
-from skyline.matching.screening import (
+from skyline.match import screening
+from skyline.match.narrowing import Narrowing
+from skyline.match.screening import (
     Alike,
     Screen,
     query_waves,
@@ -22,7 +22,7 @@ from skyline.matching.screening import (
     turn_heading_deg,
     turns_within,
 )
-from skyline.places import PHASE_BINS, PHASES, RISE_TO_TURN, Places
+from skyline.store.places import PHASE_BINS, PHASES, RISE_TO_TURN, Places
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
 

@@ -8,11 +8,11 @@ from query_scenes import BINS, hills, panorama_of, poses, rays_of, seen, swept
 
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.matching.claim import EyeHeight
-from skyline.matching.noise import Noise
-from skyline.matching.profiles import Panoramas
-from skyline.matching.query_rays import QueryRays, level, level_with_changes, thinned
-from skyline.matching.solver import Curves, Solver, SolverConfig
+from skyline.match.claim import EyeHeight
+from skyline.match.noise import Noise
+from skyline.match.profiles import Panoramas
+from skyline.match.query_rays import QueryRays, level, level_with_changes, thinned
+from skyline.match.solver import Curves, Solver, SolverConfig
 from skyline.photo.projection import distorted
 from skyline.terrain.edge import DataEdge
 

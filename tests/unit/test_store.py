@@ -36,7 +36,7 @@ from skyline.errors import (
     StoreError,
     StoreMismatchError,
 )
-from skyline.places import BINS, Places
+from skyline.skylines import Views
 from skyline.store import (
     check_store,
     columns_of,
@@ -48,8 +48,8 @@ from skyline.store import (
 )
 from skyline.store.checks import PLACE_CODING
 from skyline.store.merge import examine
+from skyline.store.places import BINS, Places
 from skyline.store.read import part_name, parts_folder
-from skyline.views import Views
 from skyline_bench.measuring.workers import outcome_of
 from skyline_bench.runs.store_durability import mutated
 

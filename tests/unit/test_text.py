@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from skyline import InputError, MissingFileError
-from skyline.text import printable
+from skyline.errors import printable
 
 
 @pytest.mark.parametrize(

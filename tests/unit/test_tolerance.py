@@ -6,7 +6,7 @@ from prediction_scenes import WIDTH, U, mountains, views_of
 from scenes import field_from
 
 from skyline.errors import InputError
-from skyline.paper.planning.reprojection import PREDICTORS, ToleranceMeter
+from skyline.paper.reprojection import PREDICTORS, ToleranceMeter
 from skyline.terrain.heightfield import ground_of
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle

@@ -7,9 +7,9 @@ import typer
 from typer import Option
 
 from skyline.cli.console import progress_bar
-from skyline.paper.planning.plan import PlanConfig
-from skyline.paper.planning.strategies import STRATEGIES
-from skyline.pipeline.matchers import FULL
+from skyline.match.matchers import FULL
+from skyline.paper.plan import PlanConfig
+from skyline.paper.strategies import STRATEGIES
 from skyline.store.format import RENDERINGS
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField

@@ -25,11 +25,11 @@ import numpy as np
 from PIL import Image
 
 from skyline import Matcher, build_places, read_dem, stand_at
-from skyline.build.cluster import Progress
+from skyline.arrays import Progress
 from skyline.cli.console import progress_bar
 from skyline.errors import BuildError, InputError
-from skyline.pipeline.reports import matched, report_matches
 from skyline.render.depth import DepthRenderer
+from skyline.report.reports import matched, report_matches
 from skyline_bench.commands import options
 from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import Row

@@ -17,14 +17,14 @@ from typer import Option
 
 from skyline.arrays import BoolArray, Float32Array, Float64Array
 from skyline.errors import InputError
-from skyline.paper.planning.reprojection import PREDICTORS, displacements_m
-from skyline.paper.planning.strategies import STRATEGIES
-from skyline.paper.planning.truth import true_errors_px
+from skyline.paper.reprojection import PREDICTORS, displacements_m
+from skyline.paper.strategies import STRATEGIES
+from skyline.paper.true_errors import true_errors_px
 from skyline.render.horizon import HorizonRenderer
+from skyline.skylines import Views
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
-from skyline.views import Views
 from skyline_bench.commands import options
 from skyline_bench.measuring.record import Row
 from skyline_bench.truth.simulation import TABLE_1, Run, Simulation, simulate

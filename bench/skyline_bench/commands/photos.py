@@ -29,10 +29,10 @@ from skyline.arrays import Float64Array
 from skyline.build.grid import map_bounds
 from skyline.cli.console import progress_bar
 from skyline.geodesy import Bounds
+from skyline.match.records import describe_claim
 from skyline.photo.read import read_picture
 from skyline.report.html import Page, Part, Picture, Section, Table
 from skyline.report.overlay import Overlay
-from skyline.report.records import describe_claim
 from skyline.terrain.dem import DemOptions
 from skyline_bench.commands import options
 from skyline_bench.measuring.record import Row, shown, write_record

@@ -19,22 +19,20 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from skyline.arrays import Float64Array
-from skyline.build.cluster import Progress
+from skyline.arrays import Float64Array, Progress
 from skyline.camera import DEFAULT_WIDTH, elevation_deg
 from skyline.cli.console import progress_bar
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Frame
-from skyline.horizons import Horizons
-from skyline.pipeline.horizon_at import DEFAULT_STEP_DEG
-from skyline.places import BINS
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import HorizonRenderer
 from skyline.render.panorama import DEFAULT_TOLERANCE_DEG, PanoramaRenderer
+from skyline.skylines import Horizons, Views
+from skyline.solar.horizon_at import DEFAULT_STEP_DEG
+from skyline.store.places import BINS
 from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
-from skyline.views import Views
 from skyline_bench.commands import options
 from skyline_bench.measuring.record import Row, machine
 from skyline_bench.measuring.timing import central_viewpoints, in_turns, over_cores, peak_bytes

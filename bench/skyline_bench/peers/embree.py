@@ -22,10 +22,10 @@ from skyline.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, ground_directions
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
+from skyline.skylines import FLAG_NO_DATA, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import FLAG_NO_DATA, Views
 from skyline_bench.measuring.timing import core_count, over_cores
 
 _HALF_FIELD_TAN = 1.0

@@ -17,10 +17,10 @@ from scipy import ndimage
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, Rectangle
-from skyline.horizons import Horizons, bin_azimuths_rad
-from skyline.matching.query_rays import QueryRays
+from skyline.match.query_rays import QueryRays
 from skyline.photo.query import QuerySkyline
 from skyline.render.panorama import PanoramaRenderer
+from skyline.skylines import Horizons, bin_azimuths_rad
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, stand_on
 from skyline_bench.queries.occluders import Occluder, random_occluders, random_runs

@@ -22,9 +22,9 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from skyline.arrays import Float32Array, Float64Array, Int64Array
 from skyline.errors import InputError
 from skyline.geodesy import Curvature, is_metric
-from skyline.pipeline.horizon_at import horizon, horizons_of
-from skyline.places import BINS
 from skyline.render.panorama import PanoramaRenderer
+from skyline.solar.horizon_at import horizon, horizons_of
+from skyline.store.places import BINS
 from skyline.terrain.dem import DemOptions, clean, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.tiles import Grid, mosaic_grid, open_tile, read_mosaic

@@ -8,11 +8,11 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 
-from skyline.build.cluster import Progress
+from skyline.arrays import Progress
 from skyline.build.grid import map_bounds
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Rectangle
-from skyline.pipeline.matchers import FULL
+from skyline.match.matchers import FULL
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.measuring.record import Row
 from skyline_bench.measuring.timing import unseen

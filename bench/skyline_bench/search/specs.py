@@ -11,18 +11,18 @@ from typing import Any, cast
 import numpy as np
 
 from skyline import build_places, build_uniform
-from skyline.build.cluster import Progress
+from skyline.arrays import Progress
 from skyline.build.grid import map_bounds, uniform_grid
 from skyline.build.plans import DEFAULT_LOSS
 from skyline.build.spacing import lost_shares
 from skyline.camera import HEADINGS
 from skyline.errors import InputError
 from skyline.geodesy import Bounds, Rectangle
+from skyline.paper.plan import PlanConfig
 from skyline.paper.planned import build_planned
-from skyline.paper.planning.plan import PlanConfig
-from skyline.places import Places
 from skyline.store import open_store
 from skyline.store.format import PLACES, RENDERINGS
+from skyline.store.places import Places
 from skyline.store.read import parts_folder
 from skyline.terrain.heightfield import HeightField
 

@@ -19,14 +19,13 @@ import numpy as np
 import skyline
 import skyline_bench
 from skyline import Candidate, JointResult, Matcher, MatchResult, Narrowing
-from skyline.arrays import Float64Array
-from skyline.build.cluster import Progress
+from skyline.arrays import Float64Array, Progress
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
-from skyline.matching.full import FullMatcher
-from skyline.matching.hypotheses import Hypotheses
-from skyline.matching.match_config import MatchConfig
-from skyline.pipeline.matchers import FULL, MATCHERS
+from skyline.match.full import FullMatcher
+from skyline.match.hypotheses import Hypotheses
+from skyline.match.match_config import MatchConfig
+from skyline.match.matchers import FULL, matcher_class
 from skyline.render.shaders import SHADER_FOLDERS
 from skyline.store import open_store
 from skyline.store.format import RENDERINGS
@@ -59,7 +58,7 @@ _SAMPLE = 100_000
 
 def searched_by(matcher: str) -> str:
     """Return the kind of rows, places or renderings, that a matcher searches."""
-    return MATCHERS[FULL if matcher == RETRIEVED else matcher].searches
+    return matcher_class(FULL if matcher == RETRIEVED else matcher).searches
 
 
 @dataclass(frozen=True, slots=True)

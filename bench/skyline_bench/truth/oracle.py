@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from skyline.arrays import BoolArray, Float64Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, directions_at
 from skyline.geodesy import Curvature
+from skyline.skylines import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED, Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.triangles import Triangles
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import FLAG_HOLE, FLAG_NO_DATA, FLAG_TRUNCATED, Views
 
 _CROSSINGS_AT_ONCE = 400_000
 """Crossings evaluated together: small enough to stay in the processor's cache."""

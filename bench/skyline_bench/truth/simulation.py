@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from skyline.arrays import Float32Array, Int64Array
 from skyline.camera import DEFAULT_WIDTH, columns_u, pixel_size
-from skyline.paper.planning.coverage import CandidateGrid, Coverage, Problem, Strategy
+from skyline.paper.coverage import CandidateGrid, Coverage, Problem, Strategy
 
 _CURVE_POINTS = 513
 _FEWEST_POINTS = 3

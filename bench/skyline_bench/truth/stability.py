@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skyline.errors import OffMapError
+from skyline.skylines import Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
-from skyline.views import Views
 from skyline_bench.measuring.record import Row
 from skyline_bench.truth.agreement import Agreement, RenderPath, SkylineScene, SkylineTruth
 from skyline_bench.truth.closed_forms import (

@@ -1,0 +1,190 @@
+r"""How likely an answer is right: within 200 m of where the query was taken.
+
+A logistic model of a few figures that a match leaves behind, learned from synthetic queries on
+other terrain than any result is reported on (``python -m skyline_training confidence``, which also
+draws the reliability diagram):
+
+.. math::
+
+    P = \frac{1}{1 + \exp(-(b + \sum_f w_f (x_f - m_f) / s_f))}
+
+The figures say how well the best pose fits, how much better it fits than any elsewhere, how unusual
+its camera is, and how much there was to fit. Where a query shows too little, no fit is believed.
+How far the camera is tilted up is no figure: synthetic queries tilt less than photos do.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import resources
+
+import numpy as np
+
+from skyline.arrays import Float64Array
+from skyline.errors import InputError
+from skyline.match.hypotheses import Hypotheses
+from skyline.match.pose import Poses
+from skyline.match.query_rays import QueryRays
+
+RIGHT_WITHIN_M = 200.0
+"""An answer this near is right."""
+ROUGHLY_WITHIN_M = 1000.0
+"""One this near is roughly right."""
+DISTANCES_M = (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M)
+
+_MAX_MARGIN = 60.0
+"""Margins beyond teach no more, with caps of up to 1,000: strangers have been fitted with 124."""
+_MIN_MARGIN = 1e-3
+_MOST_VISIBLE_DEG = 90.0
+"""What was learned is of photos: a panorama counts as a wide one."""
+_MOST_LENS_DEVIATIONS = 4.0
+_MODELS = "confidence.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Logistic:
+    """A logistic model."""
+
+    names: tuple[str, ...]
+    """Of the F figures."""
+    mean: tuple[float, ...]
+    scale: tuple[float, ...]
+    weight: tuple[float, ...]
+    """``mean``, ``scale``, ``weight``: F each."""
+    bias: float
+
+    def probability(self, figures: Mapping[str, Float64Array]) -> Float64Array:
+        """Return probabilities (M,) from figures by name, (M,) each."""
+        missing = [name for name in self.names if name not in figures]
+        if missing:
+            raise InputError(
+                f"a confidence needs {', '.join(missing)}; there are {', '.join(figures)}"
+            )
+        logit = np.full(np.shape(figures[self.names[0]]), self.bias)
+        for name, mean, scale, weight in zip(
+            self.names, self.mean, self.scale, self.weight, strict=True
+        ):
+            logit = logit + weight * (figures[name] - mean) / scale
+        return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
+
+
+def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[str, Float64Array]:
+    """Return what a refinement says of each of its M poses, (M,) by name.
+
+    That with what the retrieval it began with says of its best: skylines of elsewhere can be bent
+    to fit some place well, but were hardly like it before. Where all that was retrieved is one
+    place, there is nothing to be told apart from, and no margin. Where none lies beyond 1 km, as
+    in a narrow search, the margin over those nearer counts for both.
+    """
+    retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
+    widest_m = found.apart_m().max(initial=0.0)
+    margin = poses.margin if widest_m > RIGHT_WITHIN_M else np.zeros(len(poses))
+    far_margin = poses.far_margin if widest_m > ROUGHLY_WITHIN_M else margin
+    return _pose_figures(poses, query, margin, far_margin) | {
+        "retrieved_score": np.full(len(poses), retrieved["score"][best]),
+        "retrieved_log_margin": np.full(len(poses), retrieved["log_margin"][best]),
+        "retrieved_log_far_margin": np.full(len(poses), retrieved["log_far_margin"][best]),
+    }
+
+
+def lone_figures(poses: Poses, query: QueryRays, model: Logistic) -> dict[str, Float64Array]:
+    """Return the figures of M poses that no search found, (M,) by name, for a model.
+
+    No pose elsewhere was tried. The figures are those of a search in which nothing else fits: of
+    the greatest margin that counts, after a retrieval like the mean of those that the model was
+    learned from.
+    """
+    most = np.full(len(poses), _MAX_MARGIN)
+    usual = {
+        name: np.full(len(poses), mean) for name, mean in zip(model.names, model.mean, strict=True)
+    }
+    return usual | _pose_figures(poses, query, most, most)
+
+
+def _pose_figures(
+    poses: Poses, query: QueryRays, margin: Float64Array, far_margin: Float64Array
+) -> dict[str, Float64Array]:
+    """Return the figures of M poses with these margins, but for those of their retrieval."""
+    trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
+    lens_off = np.abs(query.log_scale(poses.hypotheses.fov_deg)) / query.log_scale_sd
+    return {
+        "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
+        "inlier_share": poses.inlier_share,
+        "log_columns": np.log(np.maximum(poses.effective_columns, 1.0)),
+        "margin": _margin(margin),
+        "log_margin": _log_margin(margin),
+        "far_margin": _margin(far_margin),
+        "log_far_margin": _log_margin(far_margin),
+        "log_position_sd": 0.5 * np.log(np.maximum(trace_m2, 1e-2)),
+        "log_height_sd": np.log(np.maximum(poses.height_sd_m, 1e-2)),
+        "lens_deviations": np.minimum(lens_off, _MOST_LENS_DEVIATIONS),
+        "roll_deg": np.abs(poses.hypotheses.roll_deg),
+    } | _query_figures(query, len(poses))
+
+
+def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64Array]:
+    """Return what a retrieval says of each of its M poses, (M,) by name."""
+    margin = _lead(found, RIGHT_WITHIN_M, np.zeros(len(found)))
+    far_margin = _lead(found, ROUGHLY_WITHIN_M, margin)
+    return {
+        "score": found.score,
+        "margin": _margin(margin),
+        "log_margin": _log_margin(margin),
+        "log_far_margin": _log_margin(far_margin),
+    } | _query_figures(query, len(found))
+
+
+def mean_figures(each: Sequence[dict[str, Float64Array]]) -> dict[str, Float64Array]:
+    """Return the means of the figures (M,) of several queries at the same places.
+
+    Queries of one place share what is wrong with the terrain model there, and nobody has learned
+    how much: together they are taken to say what one of them says in the mean.
+    """
+    return {name: np.mean([figures[name] for figures in each], axis=0) for name in each[0]}
+
+
+def model_name(stage: str, within_m: float) -> str:
+    """Return the name of the model of a stage, refined or retrieved, for a distance."""
+    return f"{stage}, {within_m:g} m"
+
+
+def models() -> dict[str, Logistic]:
+    """Return the learned models by `model_name`."""
+    text = resources.files(__package__).joinpath(_MODELS).read_text(encoding="utf-8")
+    return {
+        name: Logistic(
+            tuple(model["names"]),
+            tuple(model["mean"]),
+            tuple(model["scale"]),
+            tuple(model["weight"]),
+            float(model["bias"]),
+        )
+        for name, model in json.loads(text)["models"].items()
+    }
+
+
+def _lead(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Float64Array:
+    """Return by how much each pose's score is better than the best one's that far off, (M,)."""
+    is_far_from_any = (found.apart_m() > least_m).any(axis=1)
+    return np.where(is_far_from_any, found.lead(least_m), otherwise)
+
+
+def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
+    """Return how much of a skyline the query shows and how much that rises and falls."""
+    azimuth, y = query.levelled(0.0, 0.0)
+    # What a pitch and a roll cannot explain.
+    trend = np.polynomial.Polynomial.fit(azimuth, y, 1, w=np.sqrt(query.weight))
+    relief = np.sqrt(np.average((y - trend(azimuth)) ** 2, weights=query.weight))
+    visible_deg = np.degrees(np.ptp(azimuth))
+    return {
+        "log_relief": np.full(count, np.log(max(np.degrees(relief), 1e-2))),
+        "log_visible": np.full(count, np.log(np.clip(visible_deg, 1.0, _MOST_VISIBLE_DEG))),
+    }
+
+
+def _margin(margin: Float64Array) -> Float64Array:
+    return np.asarray(np.clip(margin, -_MAX_MARGIN, _MAX_MARGIN))
+
+
+def _log_margin(margin: Float64Array) -> Float64Array:
+    return np.asarray(np.log(np.clip(margin, _MIN_MARGIN, _MAX_MARGIN)))

@@ -1,0 +1,126 @@
+r"""Sliding normalized correlation, exact over every heading, location and assumed attitude.
+
+With the query q, its weights w, the profile y, n = 1 where y is known (else y = n = 0) and a
+turn of s bins, over the bins i of the query:
+
+.. math::
+
+    W = \sum w_i n_{i+s}, \quad
+    a = \tfrac1W \sum w_i n_{i+s} q_i, \quad
+    b = \tfrac1W \sum w_i y_{i+s}
+
+.. math::
+
+    \mathrm{ncc}(s) = \frac{\sum w_i q_i y_{i+s} - W a b}
+    {\sqrt{(\sum w_i n_{i+s} q_i^2 - W a^2)\,(\sum w_i y_{i+s}^2 - W b^2)}}
+
+Each sum is a circular correlation of one array of the query with one of the profile, so all
+turns come from one product of Fourier transforms. Turns where too little overlaps
+(W below a share of the query's weight), or where either curve is flat over the overlap, have no
+correlation. The score is 1 - ncc, in [0, 2].
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from skyline.arrays import Float64Array
+from skyline.match.profiles import TANGENT_PER_PX, Profiles
+from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
+from skyline.match.ranker import ProfileRanker
+from skyline.match.ranking import Fits
+
+_CHUNK = 8
+"""Locations at a time; keeps the transforms' arrays in the cache."""
+_MIN_OVERLAP = 0.8
+"""Least share of the query's weight that must lie over known profile."""
+_FLAT_PX = 0.1
+"""Curves with a smaller standard deviation over the overlap have no correlation."""
+_Transforms = tuple[NDArray[np.complex128] | None, NDArray[np.complex128], NDArray[np.complex128]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrelationMatcher(ProfileRanker):
+    """The plain baseline: the greatest normalized correlation wins.
+
+    Nothing is computed before a query: the transforms of profiles are few beside those that a query
+    needs, and would take several times the profiles' memory.
+    """
+
+    profiles: Profiles
+    """Of the store it matches to."""
+    attitudes: Attitudes = field(default_factory=Attitudes)
+    """Assumed pitches and rolls."""
+
+    def fit(self, query: QueryRays) -> Fits:
+        """Return the best pose at every location; score is 1 - ncc."""
+        profiles = self.profiles
+        curves = QueryCurves.of(query, self.attitudes, profiles.bins)
+        chunks = [profiles.y[k : k + _CHUNK] for k in range(0, len(profiles), _CHUNK)]
+        ncc = [self._greatest(curves, chunk) for chunk in chunks]
+        peak, attitude, turn = (np.concatenate(parts) for parts in zip(*ncc, strict=True))
+        axis = turn + profiles.bins // 2
+        return Fits(
+            1.0 - peak,
+            axis % profiles.bins * (360.0 / profiles.bins),
+            curves.pitch_deg[attitude],
+            curves.roll_deg[attitude],
+        )
+
+    def _greatest(
+        self, curves: QueryCurves, y: NDArray[np.float32]
+    ) -> tuple[Float64Array, NDArray[np.intp], NDArray[np.intp]]:
+        """Return the greatest ncc of each location (-inf if none), its attitude and its turn."""
+        known = _transformed(y)
+        row = np.arange(len(y))
+        best = np.full(len(y), -np.inf)
+        attitude, turn = np.zeros((2, len(y)), dtype=np.intp)
+        for number, (q, weight) in enumerate(zip(curves.y, curves.weight, strict=True)):
+            ncc = self._ncc(known, q, weight)
+            peak = ncc.argmax(axis=1)
+            greater = ncc[row, peak] > best
+            best = np.where(greater, ncc[row, peak], best)
+            attitude = np.where(greater, number, attitude)
+            turn = np.where(greater, peak, turn)
+        return best, attitude, turn
+
+    def _ncc(self, known: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
+        """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""
+        # Deviations from the mean keep the differences of sums below well conditioned.
+        q = np.where(weight > 0.0, q, 0.0)
+        q = np.where(weight > 0.0, q - np.average(q, weights=weight), 0.0)
+        known_n, known_y, known_y2 = known
+        flat_w, flat_wq, flat_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
+        bins = len(q)
+        sum_y, sum_y2 = fft.irfft(known_y * flat_w, bins), fft.irfft(known_y2 * flat_w, bins)
+        covariance = fft.irfft(known_y * flat_wq, bins)
+        if known_n is None:
+            # Then all of the query lands on known profile, and its mean over that is 0.
+            total, enough = np.full(1, weight.sum()), np.full(1, True)
+            variance_q = np.full(1, np.sum(weight * q**2))
+        else:
+            total = fft.irfft(known_n * flat_w, bins)
+            enough = total >= _MIN_OVERLAP * weight.sum() - 1e-9
+            total = np.where(enough, total, 1.0)
+            sum_q = fft.irfft(known_n * flat_wq, bins)
+            variance_q = fft.irfft(known_n * flat_wq2, bins) - sum_q**2 / total
+            covariance -= sum_q * sum_y / total
+        variance_y = sum_y2 - sum_y**2 / total
+        flat = (_FLAT_PX * TANGENT_PER_PX) ** 2 * total
+        usable = enough & (variance_q > flat) & (variance_y > flat)
+        scale = np.sqrt(np.where(usable, variance_q * variance_y, 1.0))
+        return np.where(usable, covariance / scale, -np.inf)
+
+
+def _transformed(y: NDArray[np.float32]) -> _Transforms:
+    """Return the Fourier transforms (L, B / 2 + 1) of where profiles are known, of y and of y**2.
+
+    The first is None where all is known.
+    """
+    n = np.isfinite(y).astype(np.float64)
+    y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)
+    mean = y0.sum(axis=1, keepdims=True) / np.maximum(n.sum(axis=1, keepdims=True), 1.0)
+    y0 = (y0 - mean) * n
+    return None if n.all() else fft.rfft(n), fft.rfft(y0), fft.rfft(y0**2)

@@ -1,0 +1,195 @@
+"""Queries to match: a file each, with what is known of it alone, and lists of them."""
+
+import csv
+import math
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+from skyline.errors import InputError, MissingFileError
+from skyline.match.matcher import Matcher
+from skyline.match.narrowing import Narrowing
+from skyline.match.results import MatchResult
+from skyline.match.screening import Alike
+from skyline.photo.lens import Lens
+from skyline.photo.projection import Projection
+from skyline.photo.query import QuerySkyline
+from skyline.photo.read import check_fov, read_query
+from skyline.photo.sky_model import load_sky_model
+
+_COLUMNS = (
+    "path", "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",
+    "heading_deg", "heading_slack_deg",
+)  # fmt: skip
+_PICTURES = (
+    ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".avif", ".jp2", ".bmp",
+)  # fmt: skip
+"""What is taken of a folder."""
+_TOGETHER = (("lon", "lat", "radius_km"), ("heading_deg", "heading_slack_deg"))
+
+_sky_model = lru_cache(maxsize=1)(load_sky_model)
+"""Once for all the queries of a process."""
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """One photo, mask or trace, how it is read, and what is known of where it was taken."""
+
+    path: str
+    fov_deg: float | None = None
+    """By default what the file says."""
+    fov_slack: float | None = None
+    """Deviation of a field of view that is given, as a share of it; by default the matcher's."""
+    projection: Projection | None = None
+    sky_model: Path | None = None
+    """Loaded once a process."""
+    narrowing: Narrowing = Narrowing()  # noqa: RUF009  (it is frozen)
+
+    def check(self) -> None:
+        """Refuse at once what needs no picture to be refused; raises as `read`."""
+        if not Path(self.path).exists():
+            raise MissingFileError(
+                f"{self.path} does not exist; expected a photo, a mask or a trace"
+            )
+        check_fov(self.fov_deg, self.projection)
+        if self.fov_slack is not None and not 0.0 <= self.fov_slack < 1.0:
+            raise InputError(
+                f"{self.path}: the field of view's slack is {self.fov_slack:g}; expected 0 to 1"
+            )
+        if Path(self.path).suffix.lower() == ".csv":
+            self.read()
+
+    def read(self) -> QuerySkyline:
+        """Find the skyline; raises as `skyline.photo.read.read_query`."""
+        model = None if self.sky_model is None else _sky_model(self.sky_model.absolute())
+        query = read_query(self.path, self.fov_deg, projection=self.projection, sky_model=model)
+        if self.fov_deg is None or self.fov_slack is None:
+            return query
+        return replace(query, lens=Lens(self.fov_deg, self.fov_slack * self.fov_deg))
+
+    def match(
+        self,
+        matcher: Matcher,
+        top: int = 5,
+        skyline: QuerySkyline | None = None,
+        screened: Alike | None = None,
+    ) -> MatchResult:
+        """Match it; its seconds count from the file to the candidates.
+
+        Parameters
+        ----------
+        skyline : QuerySkyline, optional
+            What `read` has returned before.
+        screened : Alike, optional
+            As of `Matcher.match`, which says what it raises.
+        """
+        started = time.perf_counter()
+        skyline = self.read() if skyline is None else skyline
+        found = matcher.match(skyline, None, top, self.narrowing, screened)
+        return replace(found, seconds=time.perf_counter() - started)
+
+
+def listed(paths: Iterable[Path], one: Query) -> Iterator[Query]:
+    """Yield the queries that files stand for: each itself, a folder its pictures, a list its rows.
+
+    A path that does not exist and has a wildcard stands for what it matches. A list is a CSV file
+    whose header begins with ``path``. Paths count from the list's folder, and what a row leaves
+    empty is as for all.
+
+    Raises `InputError` for a list with a column that is not known, or a value that is none; a
+    folder without pictures.
+
+    Parameters
+    ----------
+    one : Query
+        What is known of all; its path is not used.
+    """
+    for path in _expanded(paths):
+        rows = _rows(path) if path.suffix.lower() == ".csv" and path.is_file() else None
+        if rows is None:
+            yield replace(one, path=str(path))
+            continue
+        for number, row in enumerate(rows, start=2):
+            yield _query(path, number, row, one)
+
+
+def _expanded(paths: Iterable[Path]) -> Iterator[Path]:
+    for path in paths:
+        if path.is_dir():
+            some = [one for one in path.iterdir() if one.suffix.lower() in _PICTURES]
+        elif not path.exists() and any(mark in path.name for mark in "*?["):
+            some = list(path.parent.glob(path.name))
+        else:
+            yield path
+            continue
+        if not some:
+            raise InputError(f"{path} has no pictures; expected {', '.join(_PICTURES)}")
+        yield from sorted(some)
+
+
+def _rows(path: Path) -> list[dict[str, str]] | None:
+    """Return the rows of a list; None for another file, such as a trace."""
+    try:
+        # Names in a list are whatever bytes name the files.
+        with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
+            reader = csv.DictReader(file, skipinitialspace=True)
+            names = [name.strip() for name in reader.fieldnames or ("",)]
+            if names[0] != "path":
+                return None
+            reader.fieldnames = names
+            rows = list(reader)
+    except (OSError, csv.Error):
+        return None  # Reading it as a trace says what is wrong.
+    unknown = [name for name in names if name not in _COLUMNS]
+    if unknown:
+        raise InputError(
+            f"{path} has the column {unknown[0]!r}; expected some of {', '.join(_COLUMNS)}"
+        )
+    return [{name: value for name, value in row.items() if name is not None} for row in rows]
+
+
+def _query(path: Path, number: int, row: Mapping[str, str | None], one: Query) -> Query:
+    where = f"{path}, line {number}"
+    name = (row.get("path") or "").strip()
+    if not name:
+        raise InputError(f"{where} has no path; expected a photo, a mask or a trace")
+    given = {
+        column: finite_number(where, column, text)
+        for column in _COLUMNS[1:]
+        if (text := (row.get(column) or "").strip())
+    }
+    for group in _TOGETHER:
+        if 0 < sum(column in given for column in group) < len(group):
+            raise InputError(f"{where} has some of {', '.join(group)}; expected all or none")
+    narrowing = one.narrowing
+    try:
+        if "lon" in given:
+            near = given["lon"], given["lat"], given["radius_km"]
+            narrowing = replace(narrowing, near=near)
+        if "heading_deg" in given:
+            heading = given["heading_deg"], given["heading_slack_deg"]
+            narrowing = replace(narrowing, heading_deg=heading)
+        if "eye_height_m" in given:
+            narrowing = replace(narrowing, eye_height_m=given["eye_height_m"])
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from error
+    return replace(
+        one,
+        path=str(path.parent / name),
+        fov_deg=given.get("fov_deg", one.fov_deg),
+        fov_slack=given.get("fov_slack", one.fov_slack),
+        narrowing=narrowing,
+    )
+
+
+def finite_number(where: str, column: str, text: str) -> float:
+    """Return the number that a list's field holds; raises `InputError` for anything else."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f"{where}: {column} is {text!r}; expected a number")
+    return value

@@ -1,1 +1,0 @@
-"""The paper's planners of renderings: what a view covers (4.2), which to render next (4.3)."""

@@ -1,1 +1,0 @@
-"""The one place that ties renderer, store, planner, photo and matcher together."""

@@ -1,0 +1,158 @@
+"""Skyline features of the paper's section 3: polyline vertices as keypoints, local patches."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.arrays import Float64Array, IntArray
+from skyline.camera import pixel_size
+from skyline.errors import InputError
+from skyline.skylines import Views
+
+NO_KEYPOINT = 65535
+"""Pads the rows of keypoint tables."""
+
+DEFAULT_MAX_KEYPOINTS = 128
+
+
+def polyline_keypoints(views: Views, tolerance_px: float) -> NDArray[np.uint16]:
+    """Return the `polyline_vertices` of each view's skyline: the paper's key features.
+
+    The tolerance is in px (2 / W in v); of N views come (N, DEFAULT_MAX_KEYPOINTS) columns.
+    """
+    return polyline_vertices(views.elevation_tan, tolerance_px * pixel_size(views.width))
+
+
+def polyline_vertices(
+    curves: NDArray[np.floating], tolerance: float, max_vertices: int = DEFAULT_MAX_KEYPOINTS
+) -> NDArray[np.uint16]:
+    """Approximate curves sampled at equal steps by polylines; return the vertices' columns.
+
+    Douglas-Peucker with the vertical distance, all curves at once: each round splits every
+    segment that misses its curve by more than the tolerance at the column it misses most. The
+    first and last column of every run of finite samples are vertices, so a gap splits the
+    polyline and each run is held to the tolerance on its own.
+
+    Where a curve has more than ``max_vertices``, the ones with the greatest significance stay:
+    the miss that made the vertex, but never more than that of the vertex whose segment it
+    splits, so what stays is the polyline of a coarser tolerance (and misses the curve by more
+    than the one asked for). The ends of runs come first, those of longer runs before others.
+
+    Raises `InputError` where the tolerance is not a finite number of at least 0, or
+    ``max_vertices`` is below 2.
+
+    Parameters
+    ----------
+    curves : (N, W) floating
+        NaN marks a gap; W below 65535.
+    tolerance : float
+        Greatest vertical distance, in the unit of ``curves``; 0 keeps every bend.
+    max_vertices : int
+        At least 2.
+
+    Returns
+    -------
+    (N, max_vertices) uint16
+        Ascending columns, padded with `NO_KEYPOINT`.
+    """
+    if not (np.isfinite(tolerance) and tolerance >= 0.0):
+        raise InputError(f"polyline tolerance is {tolerance}; expected a finite number, at least 0")
+    if max_vertices < 2:
+        raise InputError(f"{max_vertices} keypoints a skyline; expected at least 2")
+    count, width = curves.shape
+    flat = curves.astype(np.float64).reshape(-1)
+    first, last = _runs(curves)
+    inner, significance = _split(flat, first, last, tolerance)
+    bent = last > first
+    position = np.concatenate([first, last[bent], inner])
+    length = (last - first).astype(np.float64)
+    rank = np.concatenate([np.full(len(first) + bent.sum(), np.inf), significance])
+    run_length = np.concatenate([length, length[bent], np.zeros(len(inner))])
+    order = np.lexsort((-run_length, -rank, position // width))
+    return _most_significant(position[order], (count, width), max_vertices)
+
+
+def local_patches(
+    curves: NDArray[np.floating], row: IntArray, column: IntArray, offsets: IntArray
+) -> NDArray[np.floating]:
+    """Return closed curves, 360 degree profiles, around keypoints relative to the keypoint.
+
+    Parameters
+    ----------
+    curves : (N, W) floating
+    row, column : (M,) int
+        Where the keypoints are.
+    offsets : (S,) int
+        Columns relative to the keypoint.
+
+    Returns
+    -------
+    (M, S) of the curves' type
+        ``curves[row, column + offset] - curves[row, column]``, NaN in a gap.
+    """
+    at = (column[:, np.newaxis] + offsets) % curves.shape[1]
+    patch: NDArray[np.floating] = (
+        curves[row[:, np.newaxis], at] - curves[row, column][:, np.newaxis]
+    )
+    return patch
+
+
+def _runs(curves: NDArray[np.floating]) -> tuple[IntArray, IntArray]:
+    """Return the flat index of the first and last sample of every run of finite samples."""
+    width = curves.shape[1]
+    finite = np.pad(np.isfinite(curves), ((0, 0), (1, 1))).astype(np.int8)
+    change = np.diff(finite, axis=1)
+    row, column = np.nonzero(change == 1)
+    first = row * width + column
+    row, column = np.nonzero(change == -1)
+    return first, row * width + column - 1
+
+
+def _split(
+    flat: Float64Array, left: IntArray, right: IntArray, tolerance: float
+) -> tuple[IntArray, Float64Array]:
+    """Return flat indices and significances of the vertices inside segments left..right."""
+    positions, significances = [np.zeros(0, dtype=np.intp)], [np.zeros(0)]
+    bound = np.full(len(left), np.inf)
+    while (long := right - left > 1).any():
+        left, right, bound = left[long], right[long], bound[long]
+        worst, middle = _worst_miss(flat, left, right)
+        missed = worst > tolerance
+        left, right, middle = left[missed], right[missed], middle[missed]
+        bound = np.minimum(bound, worst)[missed]
+        positions.append(middle)
+        significances.append(bound)
+        left, right = np.concatenate([left, middle]), np.concatenate([middle, right])
+        bound = np.concatenate([bound, bound])
+    return np.concatenate(positions), np.concatenate(significances)
+
+
+def _worst_miss(
+    flat: Float64Array, left: IntArray, right: IntArray
+) -> tuple[Float64Array, IntArray]:
+    """Return each segment's greatest vertical distance to its chord and where it is."""
+    count = right - left - 1
+    start = np.cumsum(count) - count
+    segment = np.repeat(np.arange(len(left)), count)
+    step = np.arange(len(segment)) - start[segment] + 1
+    slope = (flat[right] - flat[left]) / (right - left)
+    at = left[segment] + step
+    miss = np.abs(flat[at] - flat[left][segment] - slope[segment] * step)
+    worst = np.maximum.reduceat(miss, start)
+    hit = np.flatnonzero(miss == worst[segment])
+    # The leftmost of equals.
+    hit = hit[np.diff(segment[hit], prepend=-1) > 0]
+    return worst, at[hit]
+
+
+def _most_significant(
+    position: IntArray, shape: tuple[int, int], max_vertices: int
+) -> NDArray[np.uint16]:
+    """Return a padded table of columns from flat indices in (row, significance) order."""
+    count, width = shape
+    row = position // width
+    per_row = np.bincount(row, minlength=count)
+    place = np.arange(len(row)) - (np.cumsum(per_row) - per_row)[row]
+    kept = place < max_vertices
+    table = np.full((count, max_vertices), NO_KEYPOINT, dtype=np.uint16)
+    table[row[kept], place[kept]] = position[kept] % width
+    return np.sort(table, axis=1)

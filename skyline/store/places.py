@@ -1,0 +1,223 @@
+r"""Places: what a search compares a photo with, in few bytes each.
+
+A place is an eye, its skyline all the way round, how far off that skyline is, and how far around
+the eye it stands for. Places are rendered when a store is built and mapped when it is opened.
+
+A skyline's tangents y are held as rises from bin to bin, one signed byte k each:
+
+.. math::
+
+    y_b = y_{b-1} + \mathrm{sgn}(k_b)\, a\, (e^{c |k_b|} - 1)
+
+A smooth skyline rises little, and small rises have small steps: 0.012 degrees where it is level,
+a thirtieth of the rise where it is steep. Each rise is taken from what the bytes before it have
+come to, so errors do not add up. A rise beyond the greatest, 0.5, is made up for in the bins
+that follow. Distances are bytes on a logarithmic scale.
+
+The first comparison of a search needs the rises d between the means of neighbouring runs of bins,
+as phases. A pitch hardly changes them, and a roll adds nearly the same to each. Two rises are alike
+by a bounded kernel,
+
+.. math::
+
+    k(d, d') = \cos(\omega (d - d')) = \mathrm{Re}\, e^{i \omega d} \overline{e^{i \omega d'}}
+
+so what is far off counts no more than what is off, and the sum over many rises is a product of
+matrices. A phase takes a byte.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skyline.arrays import Float32Array, Float64Array, IntArray, Rows, UInt8Array
+from skyline.skylines import Horizons
+
+_Item = TypeVar("_Item", bound=np.generic)
+
+Int8Array = NDArray[np.int8]
+Complex64Array = NDArray[np.complex64]
+
+BINS = 360
+"""Azimuth bins of a place's skyline: twice as many find no more (docs/accuracy.md)."""
+DISTANCE_BINS = 120
+"""Azimuth bins of its distance."""
+PHASE_BINS = 180
+"""Azimuth bins of its phases."""
+
+UNKNOWN_RISE = np.int8(-128)
+"""A bin without a skyline; the next rise is taken from the last that has one."""
+
+RISE_SIZE, RISE_GROWTH = 0.006, 0.035
+"""a and c."""
+_MOST = 127
+_SIGNED = np.arange(256).astype(np.uint8).view(np.int8).astype(np.float64)
+_RISES = np.sign(_SIGNED) * RISE_SIZE * np.expm1(RISE_GROWTH * np.abs(_SIGNED))
+RISES: Float32Array = np.where(_SIGNED == UNKNOWN_RISE, 0.0, _RISES).astype(np.float32)
+"""Of each byte (256,), the bytes read as unsigned; 0 for unknown."""
+
+NEAREST_M = 1.0
+DISTANCE_STEP = 0.05
+"""Of the natural logarithm of the distance: code 255 is 327 km."""
+_DISTANCES = (NEAREST_M * np.exp(DISTANCE_STEP * (np.arange(256) - 1.0))).astype(np.float32)
+_DISTANCES[0] = np.nan
+
+PHASES = 255
+"""Phases are counted in so many steps of a turn; code 0 stands for an unknown rise."""
+ALIKE_DEG = 0.75
+"""Rises over 2 degrees of azimuth that differ by this much elevation count nothing."""
+RISE_TO_TURN = float(np.pi / 2.0 / np.radians(ALIKE_DEG))
+"""Omega, radians per unit of tangent: `ALIKE_DEG` is a quarter turn."""
+_PHASE = (np.arange(PHASES) + 0.5) * (2.0 * np.pi / PHASES)
+_WAVES = np.concatenate([[0.0], np.exp(1j * _PHASE)]).astype(np.complex64)
+
+
+def encode_rises(elevation_tan: Float32Array) -> tuple[Float32Array, Int8Array]:
+    """Return the first tangents (N,) float32 and the rises (N, B) int8 of skylines (N, B).
+
+    The first bin's byte is 0; where it has no skyline, the rises begin from 0.
+    """
+    # A bin a row: what is worked on together lies together.
+    y = np.ascontiguousarray(elevation_tan.T)
+    known = np.isfinite(y)
+    first = np.where(known[0], y[0], np.float32(0.0))
+    codes = np.zeros(y.shape, dtype=np.int8)
+    held = first.copy()
+    for b in range(1, len(y)):
+        rise = np.where(known[b], y[b] - held, np.float32(0.0))
+        k = np.log1p(np.abs(rise) / np.float32(RISE_SIZE)) / np.float32(RISE_GROWTH)
+        codes[b] = np.copysign(np.minimum(np.rint(k), _MOST), rise)
+        held += RISES[codes[b].view(np.uint8)]
+    codes[~known] = UNKNOWN_RISE
+    return first, np.ascontiguousarray(codes.T)
+
+
+def decode_rises(first: Float32Array, codes: Int8Array) -> Float32Array:
+    """Return the tangents (N, B) float32; NaN where a bin has no skyline."""
+    rises = looked_up(codes.view(np.uint8), RISES)
+    rises[:, 0] += first
+    y: Float32Array = np.cumsum(rises, axis=1, dtype=np.float32)
+    y[codes == UNKNOWN_RISE] = np.nan
+    return y
+
+
+def encode_distance(distance_m: Float32Array) -> UInt8Array:
+    """Return codes (N, D) uint8 of distances (N, B): of the nearest within each of D bins.
+
+    0 stands for no skyline. The nearest moves most as the eye does.
+    """
+    nearest = np.fmin.reduce(distance_m.reshape(len(distance_m), DISTANCE_BINS, -1), axis=2)
+    code = np.rint(np.log(np.maximum(nearest, NEAREST_M)) / np.float32(DISTANCE_STEP)) + 1.0
+    return np.where(np.isnan(code), 0.0, np.minimum(code, 255.0)).astype(np.uint8)
+
+
+def looked_up(codes: UInt8Array, table: NDArray[_Item]) -> NDArray[_Item]:
+    """Return ``table[codes]`` (N, ...) for a table (256,) of items of 4 or 8 bytes.
+
+    OpenCV does this five times as fast as indexing does.
+    """
+    if not codes.size:
+        return np.empty(codes.shape, dtype=table.dtype)
+    kind = np.float32 if table.dtype.itemsize == 4 else np.float64
+    found: NDArray[Any] = np.asarray(cv2.LUT(np.ascontiguousarray(codes), table.view(kind)))
+    return found.view(table.dtype).reshape(codes.shape)
+
+
+def encode_phases(elevation_tan: Float32Array) -> UInt8Array:
+    """Return the phases' codes (N, 180) of skylines (N, B): 1 + floor(255 phase / 2 pi).
+
+    A rise is from the mean of a run of bins to that of the next, from the last to the first run.
+    It is unknown, and its code 0, where either run has a bin without a skyline.
+    """
+    mean = elevation_tan.reshape(len(elevation_tan), PHASE_BINS, -1).mean(axis=2)
+    turns = (np.roll(mean, -1, axis=1) - mean) * np.float32(RISE_TO_TURN / (2.0 * np.pi))
+    turns -= np.floor(turns)
+    known = np.isfinite(turns)
+    steps = np.minimum(np.where(known, turns, 0.0) * PHASES, PHASES - 1)
+    return np.where(known, steps.astype(np.uint8) + 1, 0).astype(np.uint8)
+
+
+def decode_phases(codes: UInt8Array) -> Complex64Array:
+    """Return exp(i phase) (N, 180) complex64 of codes; 0 where the rise is unknown."""
+    return looked_up(codes, _WAVES)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places(Rows):
+    """N places; 692 bytes each.
+
+    Attributes
+    ----------
+    easting_m, northing_m : (N,) float64
+        Of the eye, in the DEM's frame.
+    eye_elevation_m : (N,) float32
+        Above the DEM's datum.
+    tolerance_m : (N,) float32
+        How far from the eye, east and north, the place stands for: half the spacing of a grid.
+    first_tan : (N,) float32
+        Tangent of the skyline's elevation angle in the first bin.
+    rise : (N, 360) int8
+        Rises from bin to bin; see `encode_rises`.
+    distance : (N, 120) uint8
+        Codes of the skyline's horizontal distance.
+    phase : (N, 180) uint8
+        Codes that a search compares first; see `encode_phases`.
+    """
+
+    easting_m: Float64Array
+    northing_m: Float64Array
+    eye_elevation_m: Float32Array
+    tolerance_m: Float32Array
+    first_tan: Float32Array
+    rise: NDArray[np.int8]
+    distance: NDArray[np.uint8]
+    phase: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, horizons: Horizons, tolerance_m: float | Float32Array) -> "Places":
+        """Return the places of rendered skylines in 360 bins, each with its tolerance."""
+        first, rise = encode_rises(horizons.elevation_tan)
+        return cls(
+            horizons.easting_m,
+            horizons.northing_m,
+            horizons.eye_elevation_m.astype(np.float32),
+            np.broadcast_to(np.float32(tolerance_m), first.shape).copy(),
+            first,
+            rise,
+            encode_distance(horizons.distance_m),
+            # Of what the bytes say, so that phases can be made again from a store.
+            encode_phases(decode_rises(first, rise)),
+        )
+
+    def elevation_tan(self) -> Float32Array:
+        """Return the tangents of the skylines' elevation angles (N, 360); NaN where unknown."""
+        return decode_rises(self.first_tan, self.rise)
+
+    def distance_m(self) -> Float32Array:
+        """Return the skylines' horizontal distances (N, 120); NaN where unknown."""
+        return looked_up(self.distance, _DISTANCES)
+
+    def blocks(self) -> Iterator["Places"]:
+        """Yield these places; see `PlaceSource`."""
+        yield self
+
+    def take(self, rows: IntArray) -> "Places":
+        """Return some places, in order; see `PlaceSource`."""
+        return self[rows]
+
+
+class PlaceSource(Protocol):
+    """Places that need not be in memory: those of a store, or `Places`."""
+
+    def __len__(self) -> int:
+        """Return the number of places."""
+
+    def blocks(self) -> Iterator[Places]:
+        """Yield all places in order, in blocks whose arrays may be mapped from a file."""
+
+    def take(self, rows: IntArray) -> Places:
+        """Return copies of the places ``rows``, in order."""
