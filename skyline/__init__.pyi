@@ -11,12 +11,11 @@ from .errors import (
     StoreMismatchError,
 )
 from .geodesy import Curvature, Frame
-from .match.match_config import FullConfig, MatchConfig, RefineConfig
 from .match.matcher import Matcher
-from .match.narrowing import Narrowing
+from .match.matchers import MatchConfig
+from .match.prior import Narrowing
 from .match.ranking import Candidate
 from .match.results import JointResult, MatchResult, to_geodataframe
-from .match.retrieval import RetrievalConfig
 from .match.screening import Alike
 from .photo.correction import Correction, Stroke, StrokeKind
 from .photo.exif import NotedPlace
@@ -57,7 +56,6 @@ __all__ = [
     "DemOptions",
     "FetchError",
     "Frame",
-    "FullConfig",
     "HeightField",
     "InputError",
     "JointResult",
@@ -79,11 +77,9 @@ __all__ = [
     "Projection",
     "Provenance",
     "QuerySkyline",
-    "RefineConfig",
     "ReliefTiles",
     "RenderConfig",
     "RenderThread",
-    "RetrievalConfig",
     "SeenPeak",
     "Sight",
     "SkylineError",

@@ -12,9 +12,8 @@ import typer
 
 from skyline.cli.console import complain, keeps, patience, remark, say, told
 from skyline.errors import SkylineError, printable
-from skyline.match.match_config import MatchConfig
 from skyline.match.matcher import Matcher
-from skyline.match.opened import terrain_at_hand
+from skyline.match.matchers import MatchConfig
 from skyline.match.queries import Query
 from skyline.match.ranking import Candidate
 from skyline.match.records import (
@@ -26,6 +25,7 @@ from skyline.match.records import (
 )
 from skyline.match.results import JointResult, MatchResult
 from skyline.match.results_file import Results, open_results, row_of
+from skyline.match.scene import terrain_at_hand
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import export_matches
 from skyline.report.peaks import Peaks

@@ -26,10 +26,9 @@ from skyline.cli.console import (
 )
 from skyline.errors import InputError, MissingFileError, SkylineError
 from skyline.match.batch import match_many
-from skyline.match.match_config import MatchConfig
 from skyline.match.matcher import Matcher
-from skyline.match.matchers import FULL, MATCHERS
-from skyline.match.narrowing import Narrowing
+from skyline.match.matchers import FULL, MATCHERS, MatchConfig
+from skyline.match.prior import Narrowing
 from skyline.match.queries import Query, listed
 from skyline.match.results import MatchResult
 from skyline.match.results_file import RESULTS

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from skyline.errors import InputError, MissingFileError
 from skyline.match.matcher import Matcher
-from skyline.match.narrowing import Narrowing
+from skyline.match.prior import Narrowing
 from skyline.match.results import MatchResult
 from skyline.match.screening import Alike
 from skyline.photo.lens import Lens

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from skyline.match.confidence import DISTANCES_M
-from skyline.match.match_config import MatchConfig
+from skyline.match.matchers import MIN_VISIBLE_DEG, MatchConfig
 from skyline.match.query_rays import QueryRays
 from skyline.match.ranking import Candidate
 from skyline.match.records import apart_in_words
@@ -20,12 +20,12 @@ def too_little(query: QuerySkyline, config: MatchConfig) -> str | None:
     widest_deg = config.fov_range_deg[1] if query.fov_deg is None else query.fov_deg
     if query.lens is not None and query.lens.most_deg is not None:
         widest_deg = query.lens.most_deg
-    visible_deg, least_deg = query.visible_deg(widest_deg), config.min_visible_deg
-    if visible_deg >= least_deg:
+    visible_deg = query.visible_deg(widest_deg)
+    if visible_deg >= MIN_VISIBLE_DEG:
         return None
     return (
-        f"{visible_deg:.1f} degrees of skyline are visible, {least_deg:g} are needed; correct "
-        "the skyline by a trace or a mask, or check the field of view"
+        f"{visible_deg:.1f} degrees of skyline are visible, {MIN_VISIBLE_DEG:g} are needed; "
+        "correct the skyline by a trace or a mask, or check the field of view"
     )
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from skyline import report
 from skyline.match.matcher import Matcher
-from skyline.match.rendered_scene import RenderedScene
 from skyline.match.results import MatchResult
+from skyline.match.scene import RenderedScene
 from skyline.photo.read import read_picture
 from skyline.render.horizon import RenderConfig
 from skyline.report.matched import Matched, Surroundings

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError
-from skyline.match.hypotheses import Hypotheses
 from skyline.match.matcher import Matcher
-from skyline.match.ranking import Candidate, Ranking
-from skyline.match.rendered_scene import RenderedScene
+from skyline.match.ranking import Candidate, Hypotheses, Ranking
+from skyline.match.scene import RenderedScene
 from skyline.photo.query import QuerySkyline
 from skyline.render.horizon import RenderConfig
 from skyline.report.matched import Surroundings

@@ -1,10 +1,8 @@
 """Non-maximum suppression among hypotheses."""
 
 import numpy as np
-import pytest
 
-from skyline.errors import InputError
-from skyline.match.hypotheses import Hypotheses
+from skyline.match.ranking import Hypotheses
 
 
 def _hypotheses(easting_m: list[float], heading_deg: list[float], score: list[float]) -> Hypotheses:
@@ -42,8 +40,3 @@ def test_parts_are_joined_in_order() -> None:
     one, two = _hypotheses([1.0], [0.0], [5.0]), _hypotheses([2.0], [0.0], [4.0])
     assert Hypotheses.concatenate([one, two]).easting_m.tolist() == [1.0, 2.0]
     assert Hypotheses.concatenate([one, two])[1:].score.tolist() == [4.0]
-
-
-def test_no_count_is_refused() -> None:
-    with pytest.raises(InputError, match="at least 1"):
-        _hypotheses([0.0], [0.0], [1.0]).suppress_non_maxima(0, 1.0)

@@ -60,11 +60,6 @@ def test_a_panorama_s_scale_is_its_field_of_view_s() -> None:
         replace(around, fov_deg=361.0)
 
 
-def test_a_deviation_that_is_none_is_refused() -> None:
-    with pytest.raises(InputError, match="deviation"):
-        QueryRays(np.zeros(1), np.zeros(1), np.ones(1), 60.0, (50.0, 70.0), 0.0)
-
-
 @pytest.mark.parametrize("fov_range_deg", [(61.0, 70.0), (50.0, 59.0), (0.0, 70.0), (50.0, 180.0)])
 def test_a_range_without_the_field_of_view_is_refused(fov_range_deg: tuple[float, float]) -> None:
     with pytest.raises(InputError, match="range"):

@@ -9,8 +9,7 @@ from hypothesis import given
 from scenes import at_m, candidate_at
 
 from skyline.geodesy import Frame
-from skyline.match.hypotheses import Hypotheses
-from skyline.match.ranking import Ranking
+from skyline.match.ranking import Hypotheses, Ranking, RefinedPoses
 
 FRAMES = {
     name: Frame.from_crs(name) for name in ("EPSG:32632", "EPSG:2056", "EPSG:3413", "EPSG:2193")
@@ -66,16 +65,20 @@ def test_a_ranking_is_its_poses_in_order():
     columns = np.arange(27.0).reshape(9, 3)
     columns[:2] += np.array([[6e5], [5.2e6]])
     covariance_m2 = np.arange(12.0).reshape(3, 2, 2)
-    ranking = Ranking(Hypotheses(*columns), np.array([0.3, 0.2, 0.1]), covariance_m2)
+    poses, confidence, shares = Hypotheses(*columns), np.array([0.3, 0.2, 0.1]), np.full(3, 0.5)
+    refined = RefinedPoses(poses, covariance_m2, *[shares] * 7)
+    ranking = Ranking(poses, confidence, confidence, refined)
     found = ranking.candidates(frame)
     assert [one.confidence for one in found] == [0.3, 0.2, 0.1]
     assert [one.score for one in found] == [24.0, 25.0, 26.0]
     assert [one.eye_elevation_m for one in found] == [6.0, 7.0, 8.0]
     assert found[1].covariance_m2 == ((4.0, 5.0), (6.0, 7.0))
     assert all(one.refined for one in found)
+    assert all(one.residual_deg == one.terrain_share == one.beyond_share == 0.5 for one in found)
     plain = Ranking(ranking.poses).candidates(frame)
-    bare = dataclasses.replace(found[0], confidence=None, refined=False, covariance_m2=None)
-    assert plain[0] == bare
+    bare = dataclasses.replace(found[0], confidence=None, confidence_1km=None, refined=False)
+    names = ("covariance_m2", "residual_deg", "terrain_share", "beyond_share")
+    assert plain[0] == dataclasses.replace(bare, **dict.fromkeys(names))
     assert Ranking(ranking.poses[:0]).candidates(frame) == ()
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.match.match_config import MatchConfig
+from skyline.match.matchers import MatchConfig
 from skyline.match.query_rays import QueryRays
 from skyline.match.refusals import at_bound, lens_in_doubt, sure_within_m
 from skyline.photo.query import QuerySkyline

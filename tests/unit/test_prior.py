@@ -1,4 +1,4 @@
-"""What a photo claims as a prior: its probability, its pull, and what is said of it."""
+"""The place that a photo notes as a prior: its density, its pull, and its words."""
 
 from dataclasses import replace
 
@@ -8,21 +8,21 @@ from query_scenes import hills, panorama_of, poses, rays_of, seen
 from scipy.integrate import quad
 
 from skyline.geodesy import Frame
-from skyline.match.claim import Claim, EyeHeight, claim_of
+from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.ranking import Candidate
 from skyline.match.records import claim_in_words, describe_claim
-from skyline.match.solver import Curves as SeenCurves
-from skyline.match.solver import Solver, SolverConfig
+from skyline.match.solver import FINE, Curves, Solver
 from skyline.photo.exif import NotedPlace
 
-CLAIM = Claim(1000.0, 2000.0, 25.0)
+NOTED = PlacePrior(1000.0, 2000.0, 25.0)
+of_noted = PlacePrior.of_noted
 THERE = np.array([1000.0 + 2000.0j])
 NORTH = SEA = np.zeros(1)
 
 
-def density(distance_m, claim=CLAIM):
-    """Return the probability a square metre, of 1e9 where nothing is known."""
-    return float(np.exp(-claim.cost(THERE + distance_m, SEA, NORTH)[0])) / 1e9
+def density(distance_m, prior=NOTED):
+    """Return the density per square metre, relative to a uniform one over 1e9 square metres."""
+    return float(np.exp(-prior.cost(THERE + distance_m, SEA, NORTH)[0])) / 1e9
 
 
 def test_its_probabilities_sum_to_one():
@@ -31,50 +31,50 @@ def test_its_probabilities_sum_to_one():
 
 
 def test_a_place_far_off_is_not_impossible():
-    assert CLAIM.cost(THERE + 1e7, SEA, NORTH)[0] == pytest.approx(-np.log(0.05), abs=1e-6)
+    assert NOTED.cost(THERE + 1e7, SEA, NORTH)[0] == pytest.approx(-np.log(0.05), abs=1e-6)
     assert density(6400.0) > density(1e6)
 
 
-def test_its_compass_says_little():
-    looking = replace(CLAIM, heading_deg=350.0)
+def test_its_compass_is_a_weak_hint():
+    looking = replace(NOTED, heading_deg=350.0)
     said = looking.cost(np.repeat(THERE, 3), np.zeros(3), np.radians([350.0, 10.0, 170.0]))
     assert said[0] < said[1] < said[2]
     assert said[2] - said[0] < 4.0
     turns = np.radians(np.linspace(0.0, 360.0, 3601)[:-1])
     more = np.exp(
-        CLAIM.cost(THERE, SEA, NORTH) - looking.cost(np.repeat(THERE, 3600), np.zeros(3600), turns)
+        NOTED.cost(THERE, SEA, NORTH) - looking.cost(np.repeat(THERE, 3600), np.zeros(3600), turns)
     )
     assert more.mean() == pytest.approx(1.0, abs=1e-3)
 
 
 def test_its_precision_is_the_cost_s_slope():
-    heavy = replace(CLAIM, weight=8.0)
+    heavy = replace(NOTED, weight=8.0)
     for off_m in (1.0, 30.0, 300.0):
         after, before = (heavy.cost(THERE + off_m + step, SEA, NORTH)[0] for step in (0.01, -0.01))
         drawn = heavy.precision(THERE + off_m)[0] * heavy.offset_m(THERE + off_m)[0, 0]
         assert drawn == pytest.approx((after - before) / 0.02, rel=1e-4)
 
 
-def test_its_altitude_draws_the_eye():
-    high = replace(CLAIM, elevation_m=50.0, elevation_sd_m=15.0, weight=8.0)
+def test_its_altitude_pulls_the_eye():
+    high = replace(NOTED, elevation_m=50.0, elevation_sd_m=15.0, weight=8.0)
     for eye_m in (2.0, 45.0, 90.0):
         after, before = (high.cost(THERE, SEA + eye_m + step, NORTH)[0] for step in (0.01, -0.01))
-        precision, off_m = high.lift(SEA + eye_m)
+        precision, off_m = high.elevation_pull(SEA + eye_m)
         assert precision[0] * off_m[0] == pytest.approx((after - before) / 0.02, rel=1e-4)
-    assert CLAIM.lift(SEA)[0] == 0.0
+    assert NOTED.elevation_pull(SEA)[0] == 0.0
 
 
-@pytest.mark.parametrize("claim", [CLAIM, None])
-def test_a_step_is_drawn_to_the_claim(claim):
+@pytest.mark.parametrize("prior", [NOTED, None])
+def test_a_step_is_pulled_to_the_noted_place(prior):
     query = rays_of(*seen(hills, 350.0), 60.0)
-    solver = Solver(query, SolverConfig(), EyeHeight(2.0, 5.0), 5.0, claim)
-    curves = SeenCurves.of(
-        panorama_of(hills, distance_m=1e6), THERE + 60.0, SEA, np.zeros((1, 2)), np.full(1, 2.0)
+    solver = Solver(query, FINE, EyeHeightPrior(2.0, 5.0), 5.0, prior)
+    curves = Curves.of(
+        *panorama_of(hills, distance_m=1e6), THERE + 60.0, SEA, np.zeros((1, 2)), np.full(1, 2.0)
     )
     fit = solver.settle(curves, solver.start(poses(heading_deg=350.0)))
     east = solver.improve(curves, fit, np.full(1, 1e4)).state[0, 0]
-    # Terrain so far away says nothing of the place.
-    assert (east < -50.0) == (claim is not None)
+    # Terrain so far away tells nothing about the place.
+    assert (east < -50.0) == (prior is not None)
 
 
 BEST = Candidate(
@@ -106,7 +106,7 @@ def test_what_is_left_aside_is_said_with_the_reason():
     assert (record["distance_m"], record["heading_is_magnetic"]) == (None, None)
     assert record["left_aside"] == reason
     assert claim_in_words(NotedPlace(left_aside=reason), None, False) == reason
-    assert claim_of(noted, Frame.local(lon=9.8, lat=46.7)) is None
+    assert of_noted(noted, Frame.local(lon=9.8, lat=46.7)) is None
 
 
 def test_disagreement_is_said():
@@ -116,29 +116,29 @@ def test_disagreement_is_said():
     assert "5,821 km from candidate 1" in said
 
 
-def test_a_claim_in_a_frame_is_as_good_as_the_photo_says():
+def test_the_prior_is_as_precise_as_the_photo_notes():
     frame = Frame.local(lon=9.8, lat=46.7)
-    plain = claim_of(NotedPlace((9.8, 46.7), heading_deg=10.0), frame)
+    plain = of_noted(NotedPlace((9.8, 46.7), heading_deg=10.0), frame)
     assert (plain.easting_m, plain.northing_m) == pytest.approx((0.0, 0.0), abs=1e-6)
     assert (plain.sd_m, plain.heading_deg, plain.heading_sd_deg) == (30.0, 10.0, 20.0)
-    said = claim_of(NotedPlace((9.8, 46.7), None, 10.0, True, 80.0), frame)
+    said = of_noted(NotedPlace((9.8, 46.7), None, 10.0, True, 80.0), frame)
     assert (said.sd_m, said.heading_sd_deg) == (80.0, 30.0)
-    assert claim_of(NotedPlace((9.8, 46.7), None, 10.0, None), frame).heading_sd_deg == 30.0
-    # An altitude is worth something where the photo says how good its position is.
-    assert claim_of(NotedPlace((9.8, 46.7), 900.0), frame).elevation_m is None
-    sure = claim_of(NotedPlace((9.8, 46.7), 900.0, accuracy_m=20.0), frame)
+    assert of_noted(NotedPlace((9.8, 46.7), None, 10.0, None), frame).heading_sd_deg == 30.0
+    # An altitude counts only beside a noted accuracy.
+    assert of_noted(NotedPlace((9.8, 46.7), 900.0), frame).elevation_m is None
+    sure = of_noted(NotedPlace((9.8, 46.7), 900.0, accuracy_m=20.0), frame)
     assert (sure.elevation_m, sure.elevation_sd_m) == (900.0, 60.0)
-    # A model of the terrain is no better than so.
-    assert claim_of(NotedPlace((9.8, 46.7), accuracy_m=1.0), frame).sd_m == 15.0
-    assert claim_of(NotedPlace(heading_deg=10.0), frame) is None
+    # The terrain model's own error bounds the scale from below.
+    assert of_noted(NotedPlace((9.8, 46.7), accuracy_m=1.0), frame).sd_m == 15.0
+    assert of_noted(NotedPlace(heading_deg=10.0), frame) is None
     beside = frame.to_lonlat(40_000.0, 0.0)
-    east = claim_of(NotedPlace((float(beside[0]), float(beside[1])), heading_deg=0.0), frame)
+    east = of_noted(NotedPlace((float(beside[0]), float(beside[1])), heading_deg=0.0), frame)
     turn_deg = float(frame.convergence_deg(easting_m=40_000.0, northing_m=0.0))
     assert abs(turn_deg) > 0.1
     assert east.heading_deg == pytest.approx(-turn_deg)
 
 
-def test_what_notes_nothing_claims_nothing():
+def test_a_photo_without_a_position_gives_no_prior():
     assert describe_claim(NotedPlace(), BEST) is None
     alone = describe_claim(NotedPlace((9.8, 46.7)), None)
     assert alone["distance_m"] is None
