@@ -121,20 +121,28 @@ class PlacePrior:
             cost = cost + np.log1p(((eye_m - self.elevation_m) / self.elevation_sd_m) ** 2)
         return np.asarray(self.weight * cost)
 
-    def precision(self, place_m: Complex128Array) -> Float64Array:
-        """Return the precision (M,) of the normal distribution that pulls places as strongly."""
+    def pull(
+        self, place_m: Complex128Array, eye_m: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return the normal distribution that pulls eyes as strongly as this density does.
+
+        Returns
+        -------
+        precision, offset_m : (M, 3) float64
+            Precisions along easting, northing and elevation, and the offsets of the eyes from the
+            noted place; precision times offset is the gradient of `cost`.
+        """
         tail = self._tail(place_m)
         pull = 3.0 * self._peak * tail**-2.5 / self.sd_m**2
-        return np.asarray(self.weight * pull / (_WRONG_SHARE + self._peak * tail**-1.5))
+        across = self.weight * pull / (_WRONG_SHARE + self._peak * tail**-1.5)
+        offset_m = np.column_stack([self._offset_m(place_m), np.zeros_like(eye_m)])
+        precision = np.stack([across, across, np.zeros_like(across)], axis=1)
+        if self.elevation_m is not None:
+            offset_m[:, 2] = eye_m - self.elevation_m
+            precision[:, 2] = 2.0 * self.weight / (self.elevation_sd_m**2 + offset_m[:, 2] ** 2)
+        return precision, offset_m
 
-    def elevation_pull(self, eye_m: Float64Array) -> tuple[Float64Array, Float64Array]:
-        """Return the same precision (M,) for elevations of eyes, and their offsets (M,), metres."""
-        if self.elevation_m is None:
-            return np.zeros_like(eye_m), np.zeros_like(eye_m)
-        off_m = eye_m - self.elevation_m
-        return 2.0 * self.weight / (self.elevation_sd_m**2 + off_m**2), off_m
-
-    def offset_m(self, place_m: Complex128Array) -> Float64Array:
+    def _offset_m(self, place_m: Complex128Array) -> Float64Array:
         """Return the offsets (M, 2) of places to the east and north of the noted one."""
         off = place_m - complex(self.easting_m, self.northing_m)
         return np.stack([off.real, off.imag], axis=-1)
@@ -144,7 +152,7 @@ class PlacePrior:
         return (1.0 - _WRONG_SHARE) * _ANYWHERE_M2 / (2.0 * np.pi * self.sd_m**2)
 
     def _tail(self, place_m: Complex128Array) -> Float64Array:
-        return np.asarray(1.0 + (self.offset_m(place_m) ** 2).sum(axis=-1) / self.sd_m**2)
+        return np.asarray(1.0 + (self._offset_m(place_m) ** 2).sum(axis=-1) / self.sd_m**2)
 
 
 @dataclass(frozen=True, slots=True)

@@ -79,7 +79,7 @@ _HEADING_STEP_DEG = 6.0
 _EYE = slice(EYE_HEIGHT + 1)
 """Columns of a state that all queries of one eye share."""
 _LEAST_SHARE = 1e-6
-"""Smallest weight of a query, so that the mean of the steps exists where no query fits."""
+"""Least weight of a query, so that the mean of the steps exists where no query fits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,13 +266,11 @@ class Refinement:
         along = heading.astype(np.uint8)
         y, distance_m = joined_views(self._scene.render(eyes, along), row, len(place_m), bins)
         surface = self._scene.render_surface(eyes, along)
-        if surface is not None:
-            surface_y, _ = joined_views(surface, row, len(place_m), bins)
+        surface_y = None if surface is None else joined_views(surface, row, len(place_m), bins)[0]
         slope = ground_slope(self._scene.ground_m, easting_m, northing_m, _SLOPE_REACH_M)
         # An eye off the map fits nowhere, whatever its ground is.
         ground_m = np.nan_to_num(ground_m)
-        over = None if surface is None else surface_y
-        return Curves.of(y, distance_m, place_m, ground_m, slope, height_m, over)
+        return Curves.of(y, distance_m, place_m, ground_m, slope, height_m, surface_y)
 
     def _left(self, particles: Particles, count: int) -> Particles:
         """Return the best particles, and the rivals of the very best, best first."""
@@ -346,11 +344,11 @@ def best_and_rivals(standing: Hypotheses, count: int, turn_deg: float = 360.0) -
 
 
 class JointRefinement:
-    """The refinement of several queries of one eye, by one `Refinement` for each query."""
+    """The joint refinement of several queries of one eye, each with its own `Refinement`."""
 
     def __init__(self, refinements: Sequence[Refinement], effort: Effort) -> None:
-        self._each, self._effort = refinements, effort
-        self._solvers = [one.rough for one in refinements]
+        self._solos, self._effort = refinements, effort
+        self._solvers = [solo.rough for solo in refinements]
         self._least = np.full(len(refinements), np.inf)
 
     def run(
@@ -375,82 +373,82 @@ class JointRefinement:
             Whether each query was more likely taken at the place than somewhere else.
         """
         effort = self._effort
-        now = [
-            one.started(one.rough, places[: effort.particles])
-            for one, places in zip(self._each, found, strict=True)
+        particles = [
+            solo.started(solo.rough, places[: effort.particles])
+            for solo, places in zip(self._solos, found, strict=True)
         ]
         for _ in range(effort.rounds - 1):
-            kept = max(_JOINT_LEAST, int(_JOINT_SHARE * len(now[0])))
-            now = self._moved(self._kept(now, kept))
-        now = self._joined(now, self._restarted(now))
-        now = self._kept(now, effort.finalists)
+            kept = max(_JOINT_LEAST, int(_JOINT_SHARE * len(particles[0])))
+            particles = self._moved(self._kept(particles, kept))
+        particles = self._joined(particles, self._restarted(particles))
+        particles = self._kept(particles, effort.finalists)
         own_m = [poses.easting_m + 1j * poses.northing_m for poses in alone]
-        best_m = np.concatenate([now[0].curves.place_m[:1], *own_m])
-        now = self._joined(now, self._looked_round(best_m))
-        self._solvers = [one.fine for one in self._each]
-        self._least = np.array([one.score.min(initial=np.inf) for one in alone])
-        now = [one.reweighted(some) for one, some in zip(self._each, now, strict=True)]
+        best_m = np.concatenate([particles[0].curves.place_m[:1], *own_m])
+        particles = self._joined(particles, self._at_best_headings(best_m))
+        self._solvers = [solo.fine for solo in self._solos]
+        self._least = np.array([poses.score.min(initial=np.inf) for poses in alone])
+        particles = [solo.reweighted(own) for solo, own in zip(self._solos, particles, strict=True)]
         for _ in range(effort.final_rounds):
-            now = self._moved(now)
-        return self._poses(self._kept(now, effort.finalists))
+            particles = self._moved(particles)
+        return self._poses(self._kept(particles, effort.finalists))
 
-    def _moved(self, now: Sequence[Particles]) -> list[Particles]:
+    def _moved(self, particles: Sequence[Particles]) -> list[Particles]:
         """Return particles after one common step, where the renderings from there fit better."""
         solved = [
-            replace(some, fit=solver.improve(some.curves, some.fit, some.step_m))
-            for solver, some in zip(self._solvers, now, strict=True)
+            replace(own, fit=solver.improve(own.curves, own.fit, own.step_m))
+            for solver, own in zip(self._solvers, particles, strict=True)
         ]
-        precision = self._precision(solved, self._share(self._off(now)))
-        steps = np.stack([some.fit.state[:, _EYE] for some in solved])[..., np.newaxis]
+        precision = self._precision(solved, self._share(self._off(particles)))
+        steps = np.stack([own.fit.state[:, _EYE] for own in solved])[..., np.newaxis]
         step = np.linalg.solve(precision.sum(axis=0), (precision @ steps).sum(axis=0))[..., 0]
         new = [
-            one.stepped(solver, some, step, solver.at_height(some.fit, step[:, EYE_HEIGHT]))
-            for one, solver, some in zip(self._each, self._solvers, solved, strict=True)
+            solo.stepped(solver, own, step, solver.at_height(own.fit, step[:, EYE_HEIGHT]))
+            for solo, solver, own in zip(self._solos, self._solvers, solved, strict=True)
         ]
-        before, after = np.split(self._cost(self._off(self._joined(now, new))), 2)
+        before, after = np.split(self._cost(self._off(self._joined(particles, new))), 2)
         return [
-            one.kept(old, some, after < before)
-            for one, old, some in zip(self._each, now, new, strict=True)
+            solo.kept(old, own, after < before)
+            for solo, old, own in zip(self._solos, particles, new, strict=True)
         ]
 
-    def _restarted(self, now: Sequence[Particles]) -> list[Particles]:
+    def _restarted(self, particles: Sequence[Particles]) -> list[Particles]:
         """Return the particles that started around each of the best places."""
-        best = self._kept(now, self._effort.restarts)
-        around = [one.around(some) for one, some in zip(self._each, best, strict=True)]
+        best = self._kept(particles, self._effort.restarts)
+        around = [solo.around(own) for solo, own in zip(self._solos, best, strict=True)]
         for _ in range(_RESTART_ROUNDS - 1):
             around = self._moved(around)
         return around
 
-    def _looked_round(self, place_m: Complex128Array) -> list[Particles]:
+    def _at_best_headings(self, place_m: Complex128Array) -> list[Particles]:
         """Return the best particle of each query at each place, of all headings."""
         turn_deg = np.arange(0.0, 360.0, _HEADING_STEP_DEG)
         at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
         none, heading_deg = np.zeros(len(at_m)), np.tile(turn_deg, len(place_m))
-        looked = []
-        for one in self._each:
-            fov_deg = none + one.scout.query.fov_deg
+        best_of_each = []
+        for solo in self._solos:
+            fov_deg = none + solo.scout.query.fov_deg
             every = Hypotheses(
                 at_m.real, at_m.imag, none, heading_deg, none, none, fov_deg, none, none
             )
-            seen = one.started(one.scout, every)
+            seen = solo.started(solo.scout, every)
             cost = seen.fit.cost.reshape(len(place_m), len(turn_deg))
             best = seen[np.arange(len(place_m)) * len(turn_deg) + cost.argmin(axis=1)]
-            looked.append(one.started(one.rough, one.hypotheses(best, one.scout)))
-        return looked
+            best_of_each.append(solo.started(solo.rough, solo.hypotheses(best, solo.scout)))
+        return best_of_each
 
     def _joined(self, *parts: Sequence[Particles]) -> list[Particles]:
-        return [Particles.concatenate(list(some)) for some in zip(*parts, strict=True)]
+        return [Particles.concatenate(list(own)) for own in zip(*parts, strict=True)]
 
-    def _kept(self, now: Sequence[Particles], count: int) -> list[Particles]:
+    def _kept(self, particles: Sequence[Particles], count: int) -> list[Particles]:
         """Return the best distinct places, and rivals of the very best, best first."""
-        standing = self._each[0].hypotheses(now[0], self._solvers[0])
-        standing = replace(standing, score=self._cost(self._off(now)))
+        standing = self._solos[0].hypotheses(particles[0], self._solvers[0])
+        standing = replace(standing, score=self._cost(self._off(particles)))
         chosen = best_and_rivals(standing, count)
-        return [some[chosen] for some in now]
+        return [own[chosen] for own in particles]
 
-    def _off(self, now: Sequence[Particles]) -> Float64Array:
+    def _off(self, particles: Sequence[Particles]) -> Float64Array:
         """Return the costs of queries (N, M) above the least cost of each anywhere."""
-        cost = np.stack([some.fit.cost for some in now])
+        cost = np.stack([own.fit.cost for own in particles])
         least = np.minimum(self._least, cost.min(axis=1, initial=np.inf))
         return cost - np.where(np.isfinite(least), least, 0.0)[:, np.newaxis]
 
@@ -464,25 +462,25 @@ class JointRefinement:
         odds = _STRANGER - off / TEMPERATURE
         return 1.0 / (1.0 + np.exp(-np.clip(odds, -_GREATEST_LOG_ODDS, _GREATEST_LOG_ODDS)))
 
-    def _precision(self, now: Sequence[Particles], share: Float64Array) -> Float64Array:
+    def _precision(self, particles: Sequence[Particles], share: Float64Array) -> Float64Array:
         """Return the precisions (N, M, 3, 3) of the eye by each query, times its ``share``."""
         covariance = np.stack(
             [
-                solver.covariance(*solver.evaluate(some.curves, some.fit))[:, _EYE, _EYE]
-                for solver, some in zip(self._solvers, now, strict=True)
+                solver.covariance(*solver.evaluate(own.curves, own.fit))[:, _EYE, _EYE]
+                for solver, own in zip(self._solvers, particles, strict=True)
             ]
         )
         share = np.maximum(share, _LEAST_SHARE)[..., np.newaxis, np.newaxis]
         return np.asarray(np.linalg.inv(covariance) * share)
 
-    def _poses(self, now: Sequence[Particles]) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
-        off = self._off(now)
+    def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
+        off = self._off(particles)
         cost, share = self._cost(off), self._share(off)
         agrees = share >= 0.5
-        mean = self._precision(now, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
+        mean = self._precision(particles, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
         covariance_m2 = np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
         covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
-        poses = [one.poses(some) for one, some in zip(self._each, now, strict=True)]
+        poses = [solo.poses(own) for solo, own in zip(self._solos, particles, strict=True)]
         standing = replace(poses[0].hypotheses, score=cost)
         # Margins and covariances are those of one query in the mean, and so are these odds.
         covariance_m2 = spread(replace(standing, score=cost / len(poses)), covariance_m2)
@@ -491,5 +489,5 @@ class JointRefinement:
             for least_m in (SAME_ANSWER_M, ROUGHLY_SAME_M)
         )
         joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
-        scored = (replace(one, hypotheses=replace(one.hypotheses, score=cost)) for one in poses)
-        return tuple(replace(one, **joint) for one in scored), agrees
+        each = (replace(own, hypotheses=replace(own.hypotheses, score=cost)) for own in poses)
+        return tuple(replace(own, **joint) for own in each), agrees

@@ -109,7 +109,8 @@ class Retriever:
         self, places: PlaceSource, ground: Ground | None = None, edge: DataEdge | None = None
     ) -> None:
         self.places, self._ground, self._edge = places, ground, edge
-        self._screened = screened_count(len(places))
+        share = math.ceil(_SCREENED_SHARE * len(places))
+        self._screened = min(max(share, _SCREENED_LEAST), _SCREENED_MOST)
 
     @cached_property
     def _sample(self) -> Places:
@@ -275,11 +276,6 @@ class Retriever:
             return np.zeros((len(places), 2), dtype=np.float32)
         slope = ground_slope(self._ground, places.easting_m, places.northing_m, _SLOPE_REACH_M)
         return slope.astype(np.float32)
-
-
-def screened_count(places: int) -> int:
-    """Return to how many of a store's places poses are fitted roughly."""
-    return min(max(math.ceil(_SCREENED_SHARE * places), _SCREENED_LEAST), _SCREENED_MOST)
 
 
 def ground_slope(

@@ -485,10 +485,7 @@ class Solver:
         """Add the pull of eyes (M,) to the place noted in EXIF to normal equations, in place."""
         if self._noted is None:
             return
-        precision = self._noted.precision(linear.place_m)
-        gradient[:, :EYE_HEIGHT] += precision[:, np.newaxis] * self._noted.offset_m(linear.place_m)
-        for axis in (EAST, NORTH):
-            normal[:, axis, axis] += precision
-        precision, off_m = self._noted.elevation_pull(linear.eye_m)
-        gradient[:, EYE_HEIGHT] += precision * off_m
-        normal[:, EYE_HEIGHT, EYE_HEIGHT] += precision
+        precision, offset_m = self._noted.pull(linear.place_m, linear.eye_m)
+        gradient[:, _MOVES] += precision * offset_m
+        for axis in (EAST, NORTH, EYE_HEIGHT):
+            normal[:, axis, axis] += precision[:, axis]

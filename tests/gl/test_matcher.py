@@ -142,7 +142,7 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries, mon
         np.testing.assert_array_equal(chosen.hypotheses.score, expected.hypotheses.score)
         assert not np.array_equal(chosen.hypotheses.score, other.hypotheses.score)
         if sure:
-            # Both end where the fit cannot tell places apart: within three deviations.
+            # Both end where the fit cannot separate places: within three deviations.
             one, other = (
                 (h.easting_m[0], h.northing_m[0]) for h in (quick.hypotheses, thorough.hypotheses)
             )
@@ -256,7 +256,7 @@ def test_below_the_least_confidence_there_are_only_candidates(store, terrain, qu
     assert "confidence" in result.refusal
 
 
-def test_how_many_candidates_are_asked_for_changes_none_of_them(store, terrain, queries):
+def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):
     with Matcher(store, terrain, config=BOLD) as matcher:
         for query in queries[:3]:
             few, usual, many = (matcher.match(query.skyline, top=top) for top in (1, 5, 30))
@@ -319,7 +319,7 @@ def test_a_process_keeps_one_matcher_open(store, terrain, queries, monkeypatch):
         released.append(matcher)
 
     monkeypatch.setattr(Matcher, "release", release)
-    # What an earlier test left open is not this one's.
+    # A matcher that an earlier test left open must not be counted.
     monkeypatch.setattr(sys.modules[_opened.__module__], "_here", {})
     first = _opened(1, str(store), None, "full")
     assert _opened(1, str(store), None, "full") is first

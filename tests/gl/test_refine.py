@@ -194,8 +194,8 @@ def test_a_place_with_nothing_round_it_is_refined_where_it_is(scene, rays):
     query = rays_of(*rays, 60.0, 61.5, (57.0, 63.0))
     found = Refinement(query, island, SHORT).run(_around(2, 10.0))
     assert _off_m(found.hypotheses)[0] < 3.0
-    nobody = poses(2, easting_m=-500.0, northing_m=-6000.0, heading_deg=160.0)
-    assert len(Refinement(query, island, replace(SHORT, rounds=1)).run(nobody)) == 0
+    outside = poses(2, easting_m=-500.0, northing_m=-6000.0, heading_deg=160.0)
+    assert len(Refinement(query, island, replace(SHORT, rounds=1)).run(outside)) == 0
 
 
 def test_no_hypotheses_have_no_poses(scene, rays):
@@ -235,14 +235,14 @@ def _seen_from(scene, place_m, heading_deg):
 
 
 def test_queries_of_one_eye_move_together_and_a_stranger_is_named(scene):
-    elsewhere = PLACE + np.array([900.0, 700.0])
-    asked = [(PLACE, 160.0), (PLACE, 290.0), (elsewhere, 40.0)]
-    queries = [_seen_from(scene, *one) for one in asked]
+    other = PLACE + np.array([900.0, 700.0])
+    views = [(PLACE, 160.0), (PLACE, 290.0), (other, 40.0)]
+    queries = [_seen_from(scene, *one) for one in views]
     found = [
         replace(_around(), heading_deg=heading_deg + 2.0 * (-1.0) ** np.arange(6))
-        for _, heading_deg in asked
+        for _, heading_deg in views
     ]
-    own = poses(easting_m=elsewhere[0], northing_m=elsewhere[1], heading_deg=40.0, score=-1e6)
+    own = poses(easting_m=other[0], northing_m=other[1], heading_deg=40.0, score=-1e6)
     alone = [
         Refinement(query, scene, SHORT).run(some)
         for some, query in zip(found, queries, strict=True)
@@ -252,7 +252,7 @@ def test_queries_of_one_eye_move_together_and_a_stranger_is_named(scene):
     joint, agrees = together.run(found, [one.hypotheses[:1] for one in alone])
     assert agrees[:, 0].tolist() == [True, True, False]
     assert (np.diff(joint[0].hypotheses.score) >= 0.0).all()
-    for one, (_, heading_deg) in zip(joint[:2], asked, strict=False):
+    for one, (_, heading_deg) in zip(joint[:2], views, strict=False):
         assert _off_m(one.hypotheses)[0] < 2.0
         assert one.hypotheses.heading_deg[0] == pytest.approx(heading_deg, abs=0.05)
         assert np.linalg.eigvalsh(one.covariance_m2[0]).min() > 0.0

@@ -41,7 +41,7 @@ def test_the_packaged_models_know_the_figures_they_are_given() -> None:
         models[NEAR_REFINED].probability({"margin": zero})
 
 
-def test_a_margin_is_over_the_best_place_elsewhere() -> None:
+def test_a_margin_is_over_the_best_rival() -> None:
     # The second stands beside the first, so the third is the rival of both.
     some = retrieved([0.0, 50.0, 900.0], [1.0, 2.0, 5.0])
     assert confidence.retrieved_figures(some, QUERY)["margin"].tolist() == [4.0, 3.0, -4.0]

@@ -30,7 +30,7 @@ def test_one_place_may_be_seen_in_two_ways() -> None:
     assert some.suppress_non_maxima(9, separation_m=100.0, turn_deg=10.0).tolist() == [0, 2]
 
 
-def test_what_fits_nowhere_is_left_out_and_count_is_kept() -> None:
+def test_poses_that_fit_nowhere_are_left_out_and_the_count_is_kept() -> None:
     some = _hypotheses([0.0, 500.0, 900.0], [0.0, 0.0, 0.0], [np.inf, 1.0, 2.0])
     assert some.suppress_non_maxima(1, separation_m=1.0).tolist() == [1]
     assert some.suppress_non_maxima(5, separation_m=1.0).tolist() == [1, 2]

@@ -30,7 +30,7 @@ def test_without_height_errors_the_cost_is_the_mixture_s():
     np.testing.assert_allclose(found.odds, terrain / (terrain + other), atol=1e-9)
 
 
-def test_what_may_rise_so_far_lies_anywhere_up_to_there_and_seldom_beyond():
+def test_a_column_under_a_known_rise_has_a_uniform_density_up_to_it():
     errors, _, _ = _setting()
     sigma, stray = np.radians(0.1), 0.02 / np.radians(15.0)
     rise = np.radians(np.tile([0.0, 0.1, 1.0, 40.0, np.nan], 8))[np.newaxis]
@@ -105,7 +105,7 @@ def test_an_unknown_column_costs_as_much_as_a_tree(nodes):
     assert costs[0] == pytest.approx(costs[1], abs=1e-6)
 
 
-def test_what_stands_over_the_skyline_is_likelier_than_what_is_missing():
+def test_a_column_above_the_skyline_is_likelier_than_one_below():
     errors, _, _ = _setting()
     cost = []
     for sign in (1.0, -1.0):

@@ -47,21 +47,18 @@ def test_its_compass_is_a_weak_hint():
     assert more.mean() == pytest.approx(1.0, abs=1e-3)
 
 
-def test_its_precision_is_the_cost_s_slope():
-    heavy = replace(NOTED, weight=8.0)
-    for off_m in (1.0, 30.0, 300.0):
-        after, before = (heavy.cost(THERE + off_m + step, SEA, NORTH)[0] for step in (0.01, -0.01))
-        drawn = heavy.precision(THERE + off_m)[0] * heavy.offset_m(THERE + off_m)[0, 0]
-        assert drawn == pytest.approx((after - before) / 0.02, rel=1e-4)
-
-
-def test_its_altitude_pulls_the_eye():
-    high = replace(NOTED, elevation_m=50.0, elevation_sd_m=15.0, weight=8.0)
-    for eye_m in (2.0, 45.0, 90.0):
-        after, before = (high.cost(THERE, SEA + eye_m + step, NORTH)[0] for step in (0.01, -0.01))
-        precision, off_m = high.elevation_pull(SEA + eye_m)
-        assert precision[0] * off_m[0] == pytest.approx((after - before) / 0.02, rel=1e-4)
-    assert NOTED.elevation_pull(SEA)[0] == 0.0
+def test_its_pull_is_the_slope_of_the_cost():
+    heavy = replace(NOTED, elevation_m=50.0, elevation_sd_m=15.0, weight=8.0)
+    for off_m, eye_m in ((1.0, 2.0), (30.0, 45.0), (300.0, 90.0)):
+        place, eye = THERE + off_m, SEA + eye_m
+        precision, offset_m = heavy.pull(place, eye)
+        pull = (precision * offset_m)[0]
+        east = [heavy.cost(place + step, eye, NORTH)[0] for step in (-0.01, 0.01)]
+        up = [heavy.cost(place, eye + step, NORTH)[0] for step in (-0.01, 0.01)]
+        assert pull[0] == pytest.approx(np.diff(east)[0] / 0.02, rel=1e-4)
+        assert pull[1] == 0.0
+        assert pull[2] == pytest.approx(np.diff(up)[0] / 0.02, rel=1e-4)
+    assert NOTED.pull(THERE, SEA)[0][0, 2] == 0.0
 
 
 @pytest.mark.parametrize("prior", [NOTED, None])
@@ -84,7 +81,7 @@ BEST = Candidate(
 )  # fmt: skip
 
 
-def test_what_is_said():
+def test_the_noted_place_in_words():
     noted = NotedPlace((9.8, 46.7 + 240.0 / 111_170.0), 1800.0, 112.0, True, 5.0)
     record = describe_claim(noted, BEST)
     assert record["distance_m"] == pytest.approx(240.0, abs=0.5)
@@ -96,7 +93,7 @@ def test_what_is_said():
     assert "46.7" not in claim_in_words(noted, BEST, True, with_place=False)
 
 
-def test_what_is_left_aside_is_said_with_the_reason():
+def test_words_give_the_reason_for_tags_left_aside():
     reason = "The photo's GPS position is left aside: the latitude does not say N or S."
     noted = NotedPlace(heading_deg=112.0, is_magnetic=None, left_aside=reason)
     said = claim_in_words(noted, BEST, True, with_place=False)
@@ -109,7 +106,7 @@ def test_what_is_left_aside_is_said_with_the_reason():
     assert of_noted(noted, Frame.local(lon=9.8, lat=46.7)) is None
 
 
-def test_disagreement_is_said():
+def test_words_name_a_disagreement():
     noted = NotedPlace((-70.0, 46.7), None, 359.0)
     said = claim_in_words(noted, BEST, False)
     assert "position and compass and candidate 1 disagree" in said

@@ -67,7 +67,7 @@ def test_a_range_without_the_field_of_view_is_refused(fov_range_deg: tuple[float
 
 
 @given(pitch_deg=st.floats(-60.0, 60.0), roll_deg=st.floats(-180.0, 180.0))
-def test_what_is_levelled_projects_back_to_where_it_was(pitch_deg: float, roll_deg: float) -> None:
+def test_levelled_rays_project_back(pitch_deg: float, roll_deg: float) -> None:
     u, v = np.meshgrid(np.linspace(-1.5, 1.5, 7), np.linspace(-0.3, 0.3, 5))
     back = project(*level(u, v, pitch_deg, roll_deg), pitch_deg, roll_deg)
     np.testing.assert_allclose(back, (u, v), rtol=0.0, atol=1e-10)

@@ -1,8 +1,5 @@
 """Retrieval: poses found back among places."""
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -13,7 +10,7 @@ from query_scenes import equally_trusted, swept
 from skyline.match import retrieval
 from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.query_rays import QueryRays
-from skyline.match.retrieval import Retriever, _middles, _start_zooms, screened_count
+from skyline.match.retrieval import Retriever, _middles
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +110,7 @@ def test_a_place_between_entries_is_found(heading_deg):
     y, distance_m = wall(0.0, 0.0)(AZIMUTH_DEG)
     # Its tolerance makes a move of 20 m one standard deviation.
     entry = places_of(y[np.newaxis], distance_m, tolerance_m=20.0 * np.sqrt(3.0))
-    # A view this wide holds walls at several distances, which tell a move from a turn.
+    # A view this wide holds walls at several distances, which separate a move from a turn.
     u, v = photo(lambda azimuth: wall(12.0, -9.0)(azimuth)[0], heading_deg, fov_deg=100.0)
     found = Retriever(entry).shortlist(equally_trusted(u, v, 100.0), 1)
     # The eye is 15 m from the place. What is left of that is the first order's error, and that
@@ -174,31 +171,6 @@ def test_profiles_of_nothing_are_answered():
     assert np.isfinite(found.score).all()
 
 
-@pytest.mark.parametrize(
-    ("places", "screened"),
-    [(1, 16_384), (327_680, 16_384), (1_000_000, 50_000), (100_000_000, 262_144)],
-)
-def test_a_part_of_all_places_is_fitted(places, screened):
-    assert screened_count(places) == screened
-
-
-@pytest.mark.parametrize(
-    ("given_deg", "sd_deg", "range_deg", "screened", "started"),
-    [
-        (60.0, math.inf, None, 1, 1),
-        (60.0, 1.5, (54.0, 66.0), 1, 4),
-        (55.0, 14.0, (25.0, 100.0), 9, 26),
-        (55.0, math.inf, (25.0, 100.0), 10, 26),
-    ],
-)
-def test_fields_of_view_are_as_many_as_the_lens_is_unknown(
-    places, given_deg, sd_deg, range_deg, screened, started
-):
-    query = replace(rays(0, 0.0), fov_deg=given_deg, fov_range_deg=range_deg, fov_sd_deg=sd_deg)
-    assert len(Retriever(places)._screen(query, NOTHING_KNOWN).mean) == screened
-    assert len(_start_zooms(query)) == started
-
-
 @given(st.floats(-2.0, 2.0), st.floats(0.0, 3.0), st.floats(0.01, 1.0))
 def test_middles_leave_no_gap(low, width, step):
     middles = _middles(low, low + width, step)
@@ -222,8 +194,7 @@ def test_queries_of_one_place_find_it_together_where_few_do_alone(places):
 @pytest.mark.parametrize("stranger", [3, 20, 39])
 def test_a_query_of_another_place_vetoes_nothing(places, stranger):
     queries = [rays(7, 30.0), rays(7, 200.0), rays(stranger, 90.0)]
-    asked = [(query, NOTHING_KNOWN) for query in queries]
-    found = Retriever(places).shortlist_together(asked, 2)
+    found = Retriever(places).shortlist_together([(one, NOTHING_KNOWN) for one in queries], 2)
     assert found[0].easting_m[0] == pytest.approx(700.0, abs=50.0)
     assert turned(found[0].heading_deg[0], 30.0) < 0.5
     assert turned(found[1].heading_deg[0], 200.0) < 0.5
