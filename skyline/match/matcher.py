@@ -197,17 +197,18 @@ class Matcher:
         """
         started = time.perf_counter()
         _check_top(top)
-        known = [None] * len(queries) if narrowings is None else narrowings
-        if len(queries) < 2 or len(known) != len(queries):
+        if narrowings is None:
+            narrowings = [None] * len(queries)
+        if len(queries) < 2 or len(narrowings) != len(queries):
             raise InputError(
-                f"{len(queries)} photos and {len(known)} narrowings; expected two photos or more "
-                "and as many narrowings"
+                f"{len(queries)} photos and {len(narrowings)} narrowings; expected two photos or "
+                "more and as many narrowings"
             )
         skylines = [_skyline_of(query, fov_deg) for query in queries]
         refusals = [too_little(query, self._config) for query in skylines]
         usable = [
             (self._rays(query), self._prior(query, narrowing))
-            for query, narrowing, refusal in zip(skylines, known, refusals, strict=True)
+            for query, narrowing, refusal in zip(skylines, narrowings, refusals, strict=True)
             if refusal is None
         ]
         with reporting_progress(report_progress):

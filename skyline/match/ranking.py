@@ -8,6 +8,11 @@ import numpy as np
 from skyline.arrays import Float64Array, IntArray, Rows
 from skyline.geodesy import Frame
 
+RIGHT_WITHIN_M, ROUGHLY_WITHIN_M = 200.0, 1000.0
+"""Largest errors of an answer that is right, and of one that is roughly right. Poses farther apart
+are different answers, and not even roughly the same answer."""
+DISTANCES_M = (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
@@ -187,10 +192,9 @@ class RefinedPoses(Rows):
     beyond_share: Float64Array
     """(M,) float64. As in `Candidate`."""
     margin: Float64Array
-    """(M,) float64. `Hypotheses.rival_margin` over the poses of other answers: below 0 for all but
-    the best pose."""
     far_margin: Float64Array
-    """(M,) float64. The same over poses that are not even roughly the same answer."""
+    """``margin``, ``far_margin``: (M,) float64. `Hypotheses.rival_margin` for either of
+    `DISTANCES_M`; below 0 for all but the best pose."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,8 +5,7 @@ from typing import NotRequired, TypedDict, cast
 
 from pyproj import Geod
 
-from skyline.match.confidence import DISTANCES_M
-from skyline.match.ranking import Candidate
+from skyline.match.ranking import DISTANCES_M, Candidate
 from skyline.photo.exif import NotedPlace
 
 _WORTH_SAYING = 0.1

@@ -35,7 +35,7 @@ from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, R
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.profiles import joined_views
 from skyline.match.query_rays import QueryRays, thinned
-from skyline.match.ranking import Hypotheses, RefinedPoses
+from skyline.match.ranking import DISTANCES_M, RIGHT_WITHIN_M, Hypotheses, RefinedPoses
 from skyline.match.retrieval import ground_slope
 from skyline.match.scene import RenderedScene
 from skyline.match.screening import report_progress
@@ -45,8 +45,6 @@ from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 TEMPERATURE = 8.0
 """T: differences of costs, divided by this, are log odds. Neighbouring columns share errors that
 are not modelled."""
-SAME_ANSWER_M, ROUGHLY_SAME_M = 200.0, 1000.0
-"""Poses farther apart are different answers, and not even roughly the same answer."""
 
 _SEPARATION_M, _SAME_VIEW_DEG = 12.0, 30.0
 """Poses nearer to each other, that look within this angle of each other, are one."""
@@ -61,8 +59,6 @@ _LONGER, _SHORTER = 1.5, 0.4
 """Factors on the next step after a step was kept, and after one was not."""
 _SETTLING = 3
 """Fits without a step after which the chosen errors no longer change."""
-_SLOPE_REACH_M = 15.0
-"""Half the distance over which the ground's slope is taken."""
 _SCOUT_BINS, _BINS = 480, 1440
 """Azimuth bins of a panorama while scouting, and afterwards: about as fine as the renderings."""
 _SECTOR_MARGIN_DEG = 3.0
@@ -267,7 +263,7 @@ class Refinement:
         y, distance_m = joined_views(self._scene.render(eyes, along), row, len(place_m), bins)
         surface = self._scene.render_surface(eyes, along)
         surface_y = None if surface is None else joined_views(surface, row, len(place_m), bins)[0]
-        slope = ground_slope(self._scene.ground_m, easting_m, northing_m, _SLOPE_REACH_M)
+        slope = ground_slope(self._scene.ground_m, easting_m, northing_m)
         # An eye off the map fits nowhere, whatever its ground is.
         ground_m = np.nan_to_num(ground_m)
         return Curves.of(y, distance_m, place_m, ground_m, slope, height_m, surface_y)
@@ -277,7 +273,7 @@ class Refinement:
         ordered = particles.best(len(particles))
         chosen = np.arange(min(count, len(ordered)))
         place = ordered.curves.place_m
-        for least_m in (SAME_ANSWER_M, ROUGHLY_SAME_M):
+        for least_m in DISTANCES_M:
             rivals = np.flatnonzero(np.abs(place - place[:1]) > least_m)
             chosen = np.union1d(chosen, rivals[:_RIVALS])
         return ordered[chosen]
@@ -311,8 +307,7 @@ class Refinement:
             found.effective_columns,
             solver.height_sd_m(particles.fit),
             np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
-            hypotheses.rival_margin(SAME_ANSWER_M),
-            hypotheses.rival_margin(ROUGHLY_SAME_M),
+            *(hypotheses.rival_margin(least_m) for least_m in DISTANCES_M),
         )
 
 
@@ -323,7 +318,7 @@ def spread(hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
     """
     place = np.stack([hypotheses.easting_m, hypotheses.northing_m], axis=1)
     apart = place[:, np.newaxis] - place
-    near = (apart**2).sum(axis=-1) <= SAME_ANSWER_M**2
+    near = (apart**2).sum(axis=-1) <= RIGHT_WITHIN_M**2
     better = hypotheses.score[:, np.newaxis] - hypotheses.score
     odds = near * np.exp(np.minimum(better / TEMPERATURE, _GREATEST_LOG_ODDS))
     share = odds / odds.sum(axis=1, keepdims=True)
@@ -335,7 +330,7 @@ def best_and_rivals(standing: Hypotheses, count: int, turn_deg: float = 360.0) -
     """Return the indices of the best distinct poses and of the best one's rivals, best first."""
     chosen = standing.suppress_non_maxima(count, _SEPARATION_M, turn_deg)
     apart_m = standing.distances_m()[chosen[:1]]
-    for least_m in (SAME_ANSWER_M, ROUGHLY_SAME_M):
+    for least_m in DISTANCES_M:
         others = np.flatnonzero((apart_m > least_m).any(axis=0))
         if len(others):
             rivals = standing[others].suppress_non_maxima(_RIVALS, _SEPARATION_M, turn_deg)
@@ -486,7 +481,7 @@ class JointRefinement:
         covariance_m2 = spread(replace(standing, score=cost / len(poses)), covariance_m2)
         margin, far_margin = (
             standing.rival_margin(least_m) / np.maximum(agrees.sum(axis=0), 1)
-            for least_m in (SAME_ANSWER_M, ROUGHLY_SAME_M)
+            for least_m in DISTANCES_M
         )
         joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
         each = (replace(own, hypotheses=replace(own.hypotheses, score=cost)) for own in poses)

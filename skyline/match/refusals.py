@@ -2,10 +2,9 @@
 
 from collections.abc import Sequence
 
-from skyline.match.confidence import DISTANCES_M
 from skyline.match.matchers import MIN_VISIBLE_DEG, MatchConfig
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Candidate
+from skyline.match.ranking import DISTANCES_M, Candidate
 from skyline.match.records import apart_in_words
 from skyline.photo.query import QuerySkyline
 

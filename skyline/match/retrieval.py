@@ -274,18 +274,16 @@ class Retriever:
         """Return the rise of the ground (N, 2) to the east and to the north; 0 where unknown."""
         if self._ground is None:
             return np.zeros((len(places), 2), dtype=np.float32)
-        slope = ground_slope(self._ground, places.easting_m, places.northing_m, _SLOPE_REACH_M)
+        slope = ground_slope(self._ground, places.easting_m, places.northing_m)
         return slope.astype(np.float32)
 
 
-def ground_slope(
-    ground: Ground, easting_m: Float64Array, northing_m: Float64Array, reach_m: float
-) -> Float64Array:
+def ground_slope(ground: Ground, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
     """Return the rise of the ground (M, 2) a metre east and north; 0 beside unknown ground."""
     place = easting_m + 1j * northing_m
-    around = np.concatenate([place + reach_m * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
+    around = np.concatenate([place + _SLOPE_REACH_M * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
     east, west, north, south = ground(around.real, around.imag).reshape(4, -1)
-    return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * reach_m))
+    return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * _SLOPE_REACH_M))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

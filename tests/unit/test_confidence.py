@@ -6,14 +6,14 @@ from query_scenes import equally_trusted
 
 from skyline.errors import InputError
 from skyline.match import confidence
-from skyline.match.ranking import Hypotheses, RefinedPoses
+from skyline.match.ranking import DISTANCES_M, RIGHT_WITHIN_M, Hypotheses, RefinedPoses
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
 
 
 NEAR_REFINED, NEAR_RETRIEVED = (
-    confidence.model_name(stage, confidence.RIGHT_WITHIN_M) for stage in ("refined", "retrieved")
+    confidence.model_name(stage, RIGHT_WITHIN_M) for stage in ("refined", "retrieved")
 )
 
 
@@ -32,7 +32,7 @@ def test_the_packaged_models_know_the_figures_they_are_given() -> None:
     assert set(models) == {
         confidence.model_name(stage, within_m)
         for stage in ("refined", "retrieved")
-        for within_m in confidence.DISTANCES_M
+        for within_m in DISTANCES_M
     }
     sure = models[NEAR_RETRIEVED].probability(figures)
     assert sure.shape == (3,)
@@ -59,7 +59,7 @@ def test_a_place_without_rivals_has_no_margin() -> None:
     assert confidence.refined_figures(poses, found, QUERY)["margin"].tolist() == [0.0]
 
 
-@pytest.mark.parametrize("within_m", confidence.DISTANCES_M)
+@pytest.mark.parametrize("within_m", DISTANCES_M)
 def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m) -> None:
     model = confidence.models()[confidence.model_name("refined", within_m)]
     residual_deg, one = np.array([0.02, 0.1, 0.5, 1.44]), np.ones(4)
