@@ -87,12 +87,12 @@ class CorrelationMatcher(Ranker):
         self, curves: QueryCurves, y: Float32Array
     ) -> tuple[Float64Array, IntArray, IntArray]:
         """Return the greatest ncc of each location (-inf if none), its attitude and its turn."""
-        known = _transformed(y)
+        transforms = _transformed(y)
         row = np.arange(len(y))
         best = np.full(len(y), -np.inf)
         attitude, turn = np.zeros((2, len(y)), dtype=np.intp)
         for number, (q, weight) in enumerate(zip(curves.y, curves.weight, strict=True)):
-            ncc = self._ncc(known, q, weight)
+            ncc = self._ncc(transforms, q, weight)
             peak = ncc.argmax(axis=1)
             greater = ncc[row, peak] > best
             best = np.where(greater, ncc[row, peak], best)
@@ -100,26 +100,26 @@ class CorrelationMatcher(Ranker):
             turn = np.where(greater, peak, turn)
         return best, attitude, turn
 
-    def _ncc(self, known: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
+    def _ncc(self, transforms: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
         """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""
         # Deviations from the mean keep the differences of sums below well conditioned.
         q = np.where(weight > 0.0, q, 0.0)
         q = np.where(weight > 0.0, q - np.average(q, weights=weight), 0.0)
-        known_n, known_y, known_y2 = known
-        flat_w, flat_wq, flat_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
+        of_n, of_y, of_y2 = transforms
+        query_w, query_wq, query_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
         bins = len(q)
-        sum_y, sum_y2 = fft.irfft(known_y * flat_w, bins), fft.irfft(known_y2 * flat_w, bins)
-        covariance = fft.irfft(known_y * flat_wq, bins)
-        if known_n is None:
+        sum_y, sum_y2 = fft.irfft(of_y * query_w, bins), fft.irfft(of_y2 * query_w, bins)
+        covariance = fft.irfft(of_y * query_wq, bins)
+        if of_n is None:
             # All of the query then lands on known profile, and its mean over that is 0.
             total, enough = np.full(1, weight.sum()), np.full(1, True)
             variance_q = np.full(1, np.sum(weight * q**2))
         else:
-            total = fft.irfft(known_n * flat_w, bins)
+            total = fft.irfft(of_n * query_w, bins)
             enough = total >= _MIN_OVERLAP * weight.sum() - 1e-9
             total = np.where(enough, total, 1.0)
-            sum_q = fft.irfft(known_n * flat_wq, bins)
-            variance_q = fft.irfft(known_n * flat_wq2, bins) - sum_q**2 / total
+            sum_q = fft.irfft(of_n * query_wq, bins)
+            variance_q = fft.irfft(of_n * query_wq2, bins) - sum_q**2 / total
             covariance -= sum_q * sum_y / total
         variance_y = sum_y2 - sum_y**2 / total
         flat = (_FLAT_PX * TANGENT_PER_PX) ** 2 * total

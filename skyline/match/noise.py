@@ -144,9 +144,9 @@ class Likelihood(Rows):
     def product(self, left: Float64Array, right: Float64Array) -> Float64Array:
         """Return left^T C^-1 right, (M, P, Q), of (M, R, P) and (M, R, Q), C the covariance."""
         weighted = self.weight[..., np.newaxis] * right
-        held = (self.weight[..., np.newaxis] * left).swapaxes(1, 2) @ self.factor
-        answer = self.inner @ (self.factor.swapaxes(1, 2) @ weighted)
-        return np.asarray(left.swapaxes(1, 2) @ weighted - held @ answer)
+        left_nodes = (self.weight[..., np.newaxis] * left).swapaxes(1, 2) @ self.factor
+        right_nodes = self.inner @ (self.factor.swapaxes(1, 2) @ weighted)
+        return np.asarray(left.swapaxes(1, 2) @ weighted - left_nodes @ right_nodes)
 
     def scaled(self) -> "Likelihood":
         """Return the likelihood with all errors multiplied by the most likely common factor.
@@ -168,12 +168,12 @@ class Likelihood(Rows):
     def magnification_pull(self, residual_rad: Float64Array) -> Float64Array:
         """Return how fast the cost (M,) falls as the log magnification rises.
 
-        The residuals ``residual_rad`` (M, R) are held; they are 0 where the terrain is unknown.
+        The residuals ``residual_rad`` (M, R) are held fixed; they are 0 where the terrain is unknown.
         """
-        held = (self.weight * residual_rad)[..., np.newaxis]
-        reached = self.factor @ self.inner
-        explained = (reached @ (self.factor.swapaxes(1, 2) @ held))[..., 0]
-        spread = (reached * self.factor).sum(axis=-1)
+        weighted = (self.weight * residual_rad)[..., np.newaxis]
+        spread_factor = self.factor @ self.inner
+        explained = (spread_factor @ (self.factor.swapaxes(1, 2) @ weighted))[..., 0]
+        spread = (spread_factor * self.factor).sum(axis=-1)
         off = self.weight * ((residual_rad - explained) ** 2 + spread)
         shown = self.trusted_odds
         return np.asarray((shown - self.photo_share * (shown - off)).sum(axis=1))

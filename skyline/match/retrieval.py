@@ -238,10 +238,10 @@ class Retriever:
         rays = in_runs(query, stage.rays)
 
         def fitted(first: int) -> Hypotheses:
-            some = start[slice(first, first + _FITS_AT_ONCE)]
-            places, slope = some.places, self._slope(some.places)
+            part = start[slice(first, first + _FITS_AT_ONCE)]
+            places, slope = part.places, self._slope(part.places)
             fit = _CurveFit(places, slope, rays, stage, self._edge)
-            pose, score = fit.fit(some.heading_rad, some.zoom)
+            pose, score = fit.fit(part.heading_rad, part.zoom)
             heading, pitch, roll, zoom = pose[:, :4].T.astype(np.float64)
             move = pose[:, 4:].astype(np.float64)
             return Hypotheses(
@@ -254,7 +254,7 @@ class Retriever:
                 _fov_deg(query, zoom),
                 np.zeros(len(zoom)),
                 # A fit knows more than screening, but trusts that the query is near its place.
-                score.astype(np.float64) - some.score,
+                score.astype(np.float64) - part.score,
             )
 
         parts = range(0, max(len(start), 1), _FITS_AT_ONCE)

@@ -233,12 +233,14 @@ def given_terrain(header: StoreHeader, dem: Dem | None) -> HeightField | None:
 def _spaced(places: PlaceSource) -> Viewpoints:
     """Return the eyes of every n-th place, without reading any skyline."""
     step = max(1, len(places) // _SHOWN_EYES)
-    some, first = [np.empty((3, 0))], 0
+    parts, first = [np.empty((3, 0))], 0
     for block in places.blocks():
         eyes = (block.easting_m, block.northing_m, block.eye_elevation_m)
-        some.append(np.stack([column[-first % step :: step] for column in eyes]).astype(np.float64))
+        parts.append(
+            np.stack([column[-first % step :: step] for column in eyes]).astype(np.float64)
+        )
         first += len(block)
-    return _viewpoints(np.concatenate(some, axis=1))
+    return _viewpoints(np.concatenate(parts, axis=1))
 
 
 def _viewpoints(eyes: Float64Array) -> Viewpoints:

@@ -193,9 +193,9 @@ class Screen:
         wanted = PHASE_BINS + self.span - 1
         strip = np.concatenate([phase[:, self.first :], phase, phase], axis=1)[:, :wanted]
         waves = decode_phases(strip).view(np.float32)
-        met = sliding_window_view(waves, self.matrices.shape[1], axis=1)[:, :: 2 * _TURNS_AT_ONCE]
+        runs = sliding_window_view(waves, self.matrices.shape[1], axis=1)[:, :: 2 * _TURNS_AT_ONCE]
         # Two products: the halves of one would lie apart, and squaring them takes as long again.
-        level, rolled = np.matmul(met[:, parts].transpose(1, 0, 2), self.matrices[:, np.newaxis])
+        level, rolled = np.matmul(runs[:, parts].transpose(1, 0, 2), self.matrices[:, np.newaxis])
         np.square(rolled, out=rolled)
         level += rolled
         return np.reshape(level, (len(level), len(phase), len(self.mean), _TURNS_AT_ONCE))
@@ -212,11 +212,12 @@ def _rolled(level: Complex128Array) -> Complex128Array:
 def _at_turns(waves: Complex128Array) -> Float32Array:
     """Return matrices (P, 2 (S + T - 1), F T) that hold waves (P, F, S) at T turns."""
     kinds, fovs, span = waves.shape
-    held = np.zeros((kinds, span + _TURNS_AT_ONCE - 1, 2, fovs, _TURNS_AT_ONCE), dtype=np.float32)
+    bins = span + _TURNS_AT_ONCE - 1
+    matrices = np.zeros((kinds, bins, 2, fovs, _TURNS_AT_ONCE), dtype=np.float32)
     for turn in range(_TURNS_AT_ONCE):
-        held[:, turn : turn + span, 0, :, turn] = waves.real.swapaxes(1, 2)
-        held[:, turn : turn + span, 1, :, turn] = waves.imag.swapaxes(1, 2)
-    return held.reshape(kinds, 2 * (span + _TURNS_AT_ONCE - 1), -1)
+        matrices[:, turn : turn + span, 0, :, turn] = waves.real.swapaxes(1, 2)
+        matrices[:, turn : turn + span, 1, :, turn] = waves.imag.swapaxes(1, 2)
+    return matrices.reshape(kinds, 2 * bins, -1)
 
 
 def _peaks(sums: Float32Array) -> Float32Array:

@@ -472,8 +472,8 @@ class Solver:
         outside = bounded != state
         if outside.any():
             # An unknown that meets a bound is held there, and the others are solved again.
-            held = np.where(outside, _HELD, 0.0)
-            normal += held[:, np.newaxis] * np.eye(self.size)
+            hold = np.where(outside, _HELD, 0.0)
+            normal += hold[:, np.newaxis] * np.eye(self.size)
             gradient += np.where(outside, _HELD * (fit.state - bounded), 0.0)
             state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
             state = np.clip(state, self._low, self._high)
