@@ -168,7 +168,7 @@ class Likelihood(Rows):
     def magnification_pull(self, residual_rad: Float64Array) -> Float64Array:
         """Return how fast the cost (M,) falls as the log magnification rises.
 
-        The residuals ``residual_rad`` (M, R) are held fixed; they are 0 where the terrain is unknown.
+        The residuals ``residual_rad`` (M, R), 0 where the terrain is unknown, are held fixed.
         """
         weighted = (self.weight * residual_rad)[..., np.newaxis]
         spread_factor = self.factor @ self.inner
