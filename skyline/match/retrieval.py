@@ -215,7 +215,7 @@ class Retriever:
     ) -> "_Start":
         """Return the starts of fits; few places at a time, as each is seen at every turn."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            parts = range(0, max(len(places), 1), _PLACES_AT_ONCE)
+            parts = range(0, len(places), _PLACES_AT_ONCE)
             turns = pool.map(
                 lambda first: aim.best_turns(places.phase[first : first + _PLACES_AT_ONCE]), parts
             )
@@ -257,7 +257,7 @@ class Retriever:
                 score.astype(np.float64) - part.score,
             )
 
-        parts = range(0, max(len(start), 1), _FITS_AT_ONCE)
+        parts = range(0, len(start), _FITS_AT_ONCE)
         found = []
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             try:

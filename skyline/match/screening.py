@@ -159,7 +159,7 @@ class Screen:
 
     def scores(self, phase: UInt8Array) -> Float32Array:
         """Return the score (N,) of the best turn and field of view for phases (N, B)."""
-        parts = range(0, max(len(phase), 1), _PLACES_AT_ONCE)
+        parts = range(0, len(phase), _PLACES_AT_ONCE)
         return np.concatenate([self._scores(phase[k : k + _PLACES_AT_ONCE]) for k in parts])
 
     def _scores(self, phase: UInt8Array) -> Float32Array:

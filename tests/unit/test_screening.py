@@ -169,18 +169,6 @@ def test_shut_turns_are_not_looked_at(places):
     np.testing.assert_array_equal(screen.scores(places.phase), opened)
 
 
-def test_all_turns_shut_is_no_score(places):
-    screen = Screen.of(wide(1, 0.0), FOVS_DEG, places, np.zeros(PHASE_BINS, dtype=bool))
-    assert np.isneginf(screen.scores(places.phase)).all()
-
-
-def test_no_places_have_no_scores(places):
-    screen = Screen.of(wide(1, 0.0), FOVS_DEG, places)
-    assert screen.scores(places.phase[:0]).shape == (0,)
-    heading_deg, fov = screen.best_turns(places.phase[:0])
-    assert heading_deg.shape == fov.shape == (0,)
-
-
 def test_turns_cover_the_circle():
     assert len(np.unique(turn_heading_deg(np.arange(PHASE_BINS)))) == PHASE_BINS
     assert turns_within(0.0, 180.0).all()
