@@ -306,6 +306,7 @@ class Matcher:
         return Prior.of(narrowing, self.frame, noted)
 
     def _rays(self, query: QuerySkyline) -> QueryRays:
+        """Return a query's rays; raises `InputError` if the matcher needs its field of view."""
         fov_deg, is_panorama = query.fov_deg, query.projection.is_panorama
         weight = query.confidence[query.trusted]
         if fov_deg is not None:
