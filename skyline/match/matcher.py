@@ -10,6 +10,18 @@ from typing import Self
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.match.answer import (
+    DISAGREES,
+    JointResult,
+    MatchResult,
+    at_bound,
+    lens_in_doubt,
+    misfit,
+    sure_within_m,
+    too_little,
+    unsure,
+)
+from skyline.match.candidate import Candidate
 from skyline.match.claim import claim_of
 from skyline.match.hypotheses import Hypotheses
 from skyline.match.match_config import MatchConfig
@@ -18,17 +30,6 @@ from skyline.match.narrowing import Narrowed, Narrowing
 from skyline.match.opened import OpenedSource, given_terrain
 from skyline.match.progress import telling
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Candidate
-from skyline.match.refusals import (
-    DISAGREES,
-    at_bound,
-    lens_in_doubt,
-    misfit,
-    sure_within_m,
-    too_little,
-    unsure,
-)
-from skyline.match.results import JointResult, MatchResult
 from skyline.match.screening import Alike
 from skyline.photo.lens import Lens
 from skyline.photo.projection import MAX_PANORAMA_DEG
@@ -155,7 +156,7 @@ class Matcher:
             The store was damaged or cut short since it was opened.
         """
         started = time.perf_counter()
-        query = _skyline_of(query, fov_deg)
+        name, query = _name_of(query), _skyline_of(query, fov_deg)
         candidates: tuple[Candidate, ...] = ()
         refusal = too_little(query, self._config)
         if refusal is None:
@@ -168,7 +169,8 @@ class Matcher:
                 refusal += lens_in_doubt(candidates, query, rays)
             refusal = refusal or at_bound(candidates, rays)
         within_m = None if refusal else sure_within_m(candidates[0], self._config)
-        return MatchResult(query, candidates, time.perf_counter() - started, refusal, within_m)
+        seconds = time.perf_counter() - started
+        return MatchResult(query, candidates, seconds, refusal, within_m, name)
 
     def match_together(
         self,
@@ -224,12 +226,14 @@ class Matcher:
             within_m = sure_within_m(best[0], self._config)
         seconds = time.perf_counter() - started
         results = tuple(
-            MatchResult(query, places, seconds, refusal, within_m)
+            MatchResult(query, places, seconds, refusal, within_m, name)
             if places
-            else MatchResult(query, (), seconds, little or DISAGREES)
-            for query, places, little in zip(skylines, found, refusals, strict=True)
+            else MatchResult(query, (), seconds, little or DISAGREES, name=name)
+            for name, query, places, little in zip(
+                map(_name_of, queries), skylines, found, refusals, strict=True
+            )
         )
-        return JointResult(results, tuple(map(bool, found)), seconds, refusal)
+        return JointResult(results, seconds, refusal)
 
     def _cameras(
         self, asked: Sequence[tuple[QueryRays, Narrowed | None]], top: int
@@ -335,6 +339,10 @@ class Matcher:
         raise InputError(
             "the query's field of view is not known: it is not in the image; give --fov-deg"
         )
+
+
+def _name_of(query: str | Path | QuerySkyline) -> str:
+    return "" if isinstance(query, QuerySkyline) else str(query)
 
 
 def _skyline_of(query: str | Path | QuerySkyline, fov_deg: float | None) -> QuerySkyline:

@@ -1,6 +1,5 @@
-"""What every matcher answers with, and how a list of answers is drawn from all scores."""
+"""Rankings: the poses that a matcher returns, and how they are selected from all scores."""
 
-import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -8,100 +7,9 @@ import numpy as np
 from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.match.candidate import Candidate
 from skyline.match.hypotheses import Hypotheses
 from skyline.match.profiles import Profiles
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
-    """A place the query may have been taken at, and how the camera stood there.
-
-    Attributes
-    ----------
-    lon, lat : float
-        Degrees, WGS 84.
-    heading_deg : float
-        Of the optical axis, clockwise from true north, in [0, 360).
-    pitch_deg, roll_deg : float
-        Optical axis above the horizon; camera turned clockwise as seen from behind.
-    fov_deg : float
-        Horizontal field of view.
-    distortion : float
-        Of a wide lens: a point at r halves of the photo's width from its middle is seen where a
-        lens without distortion has 1 + ``distortion * r**2`` times r. 0 of others.
-    easting_m, northing_m : float
-        The place again, in the store's frame.
-    eye_elevation_m : float
-        Of the camera, above the DEM's datum.
-    convergence_deg : float
-        Grid convergence at the place: what true azimuths are more than grid azimuths.
-    score : float
-        Lower is better; its unit is the matcher's. NaN of a pose set by hand.
-    confidence : float or None
-        Probability that the place is right within 200 m, where something has estimated it.
-    confidence_1km : float or None
-        The same within 1 km.
-    refined : bool
-        Whether the pose was fitted by rendering again.
-    covariance_m2 : ((float, float), (float, float)) or None
-        Covariance of easting and northing, square metres, where something has estimated it.
-    beyond_share : float or None
-        Part of the query's skyline in which terrain past the elevation model's edge may stand above
-        the model's, where the pose was fitted by rendering.
-    residual_deg : float or None
-        Root mean square of how far the query's skyline and the rendered one are apart in elevation,
-        over the part of the query's that shows terrain, where the pose was fitted by rendering.
-    terrain_share : float or None
-        How much of the query's skyline that part is.
-    rank : int or None
-        Place among the candidates of its search, 1 for the best; None where no search found the
-        pose.
-    """
-
-    lon: float
-    lat: float
-    heading_deg: float
-    pitch_deg: float
-    roll_deg: float
-    fov_deg: float
-    easting_m: float
-    northing_m: float
-    eye_elevation_m: float
-    convergence_deg: float
-    score: float
-    distortion: float = 0.0
-    confidence: float | None = None
-    confidence_1km: float | None = None
-    refined: bool = False
-    covariance_m2: tuple[tuple[float, float], tuple[float, float]] | None = None
-    beyond_share: float | None = None
-    residual_deg: float | None = None
-    terrain_share: float | None = None
-    rank: int | None = None
-
-    @property
-    def origin(self) -> str:
-        """Where the pose comes from: "found, rank 1", "fitted" or "set by hand"."""
-        if self.rank is not None:
-            return f"found, rank {self.rank}"
-        return "fitted" if self.refined else "set by hand"
-
-    @property
-    def radius_m(self) -> float | None:
-        """Within which 68 % of the probability about the pose lies, if the candidate is right.
-
-        Of a round normal distribution with the covariance's mean variance.
-        """
-        if self.covariance_m2 is None:
-            return None
-        (east_m2, _), (_, north_m2) = self.covariance_m2
-        return math.sqrt(-2.0 * math.log(1.0 - 0.68) * (east_m2 + north_m2) / 2.0)
-
-    @property
-    def grid_heading_deg(self) -> float:
-        """Grid azimuth of the optical axis, in [0, 360): what views are rendered by."""
-        return (self.heading_deg - self.convergence_deg) % 360.0
-
 
 _MEASURED = ("confidence", "confidence_1km", "beyond_share", "residual_deg", "terrain_share")
 

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 
 from skyline.geodesy import Frame
 from skyline.match.claim import Claim, EyeHeight, claim_of
-from skyline.match.ranking import Candidate
+from skyline.match.candidate import Candidate
 from skyline.match.records import claim_in_words, describe_claim
 from skyline.match.solver import Curves as SeenCurves
 from skyline.match.solver import Solver, SolverConfig
