@@ -7,8 +7,9 @@ import rasterio
 from rasterio.transform import Affine
 
 from skyline.geodesy import Frame
+from skyline.match.candidate import Candidate
 from skyline.match.hypotheses import Hypotheses
-from skyline.match.ranking import Candidate, Ranking
+from skyline.match.ranking import Ranking
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.truth import closed_forms
 

@@ -12,6 +12,7 @@ from typing import Annotated, Any, TypeVar
 import typer
 from typer import Argument, Option
 
+from skyline import report as reports
 from skyline.build.cluster import runner_of
 from skyline.cli.console import (
     AsJson,
@@ -29,7 +30,7 @@ from skyline.cli.console import (
     progress_lines,
 )
 from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
-from skyline.errors import InputError, SkylineError, printable
+from skyline.errors import InputError, SkylineError, named, printable
 from skyline.match.answer import JointResult, MatchResult
 from skyline.match.batch import match_many
 from skyline.match.match_config import MatchConfig
@@ -41,7 +42,6 @@ from skyline.match.queries import Query, listed
 from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
 from skyline.report.exports import EXPORTS, check_export, export_matches
-from skyline.report.match_report import report_matches
 from skyline.report.peaks import read_peaks
 from skyline.terrain.tiles import absolute_name
 
@@ -176,7 +176,7 @@ def match(
             export_matches(path, found, matching.frame)
         if report is not None:
             terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
-            report_matches(report, matching, found, terrain, gazetteer, done=done)
+            reports.report_matches(report, matching, found, terrain, gazetteer, done=done)
     if output.exit_code:
         raise typer.Exit(output.exit_code)
 
@@ -317,7 +317,8 @@ def _narrowing(near: str | None, heading: str | None, use_gps: bool) -> Narrowin
 
 
 def _check_options(matcher: str, use_gps: bool, report: Path | None, peaks: Path | None) -> None:
-    """Refuse options that do not go together."""
+    """Refuse an unknown matcher, and options that do not go together."""
+    named("matcher", matcher, dict.fromkeys(_CHOICES))
     if peaks is not None and report is None:
         raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
     if use_gps and matcher == _UNREFINED:

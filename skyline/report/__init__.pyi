@@ -1,6 +1,6 @@
 from .html import Page, Picture, Section, Table, Text
 from .landscape import Landscape
-from .match_report import write_match_report
+from .match_report import report_matches, write_match_report
 from .panorama_picture import (
     PanoramaView,
     count_names,
@@ -29,6 +29,7 @@ __all__ = [
     "encode_panorama",
     "picture_azimuths_deg",
     "read_peaks",
+    "report_matches",
     "save_coverage_map",
     "save_depth_images",
     "save_depth_pictures",

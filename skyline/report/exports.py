@@ -187,11 +187,13 @@ def write_kml(
     for number, result in enumerate(results, start=1):
         href = None
         if packed:
-            picture = read_picture(result.name) if photos is None else photos[number - 1]
+            picture = None if photos is None else photos[number - 1]
+            if photos is None and result.name:
+                picture = read_picture(result.name)
             if picture is not None:
                 href = f"files/{number:02d}.jpg"
                 pictures[href] = picture
-        elif Path(result.name).suffix.lower() != ".csv":
+        elif result.name and Path(result.name).suffix.lower() != ".csv":
             href = _href(Path(result.name), path.parent if photos is None else None)
         _add_match(folder, result, frame, href)
     content = Xml.tostring(root, encoding="utf-8", xml_declaration=True)

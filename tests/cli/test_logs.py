@@ -23,7 +23,7 @@ def test_every_line_is_json(store, photo, tmp_path):
     empty = tmp_path / "empty.jpg"
     empty.write_bytes(b"")
     results = tmp_path / "results.csv"
-    common = ("--fov-deg", "60", "--no-refine", "--json", "--results", results)
+    common = ("--fov-deg", "60", "--matcher", "unrefined", "--json", "--results", results)
     code, out, lines = told("match", store, photo, empty, *common)
     assert code == 2
     assert [set(json.loads(line)) >= {"query"} for line in out.splitlines()] == [True, True]

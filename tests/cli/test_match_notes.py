@@ -42,7 +42,7 @@ def test_what_a_photo_notes_of_its_lens_is_weighed(run, store, photo, tmp_path):
     assert "cropped" in lenses[1]["said"]
     assert lenses[2]["fov_deg"] is None
     assert lenses[3]["fov_deg"] == pytest.approx(42.3, abs=0.1)
-    said = run("match", store, plain, cropped, lie, "--no-refine").out
+    said = run("match", store, plain, cropped, lie, "--matcher", "unrefined").out
     assert "field of view: 60.3 degrees, give or take 5; EXIF's 35 mm equivalent alone" in said
     assert "field of view: 53.7 degrees, give or take 12; EXIF's 35 mm equivalent alone," in said
     assert "field of view: not known; EXIF's 35 mm equivalent alone left aside: 0.21" in said
@@ -111,5 +111,5 @@ def test_a_wrong_claim_does_not_hide_the_right_place(run, store, dem, photo, tmp
 
 
 def test_the_gps_acts_in_refinement(run, store, photo):
-    done = run("match", store, photo, "--use-gps", "--no-refine")
+    done = run("match", store, photo, "--use-gps", "--matcher", "unrefined")
     assert_refused(done, "--use-gps acts in refinement")

@@ -1,4 +1,4 @@
-"""What a photo claims as a prior: its probability, its pull, and what is said of it."""
+"""The place that a photo's EXIF notes as a prior: its probability and its pull."""
 
 from dataclasses import replace
 
@@ -9,8 +9,6 @@ from scipy.integrate import quad
 
 from skyline.geodesy import Frame
 from skyline.match.claim import Claim, EyeHeight, claim_of
-from skyline.match.candidate import Candidate
-from skyline.match.records import claim_in_words, describe_claim
 from skyline.match.solver import Curves as SeenCurves
 from skyline.match.solver import Solver, SolverConfig
 from skyline.photo.exif import NotedPlace
@@ -77,45 +75,6 @@ def test_a_step_is_drawn_to_the_claim(claim):
     assert (east < -50.0) == (claim is not None)
 
 
-BEST = Candidate(
-    lon=9.8, lat=46.7, heading_deg=131.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=60.0,
-    easting_m=0.0, northing_m=0.0, eye_elevation_m=0.0, convergence_deg=0.0, score=0.0,
-    rank=1,
-)  # fmt: skip
-
-
-def test_what_is_said():
-    noted = NotedPlace((9.8, 46.7 + 240.0 / 111_170.0), 1800.0, 112.0, True, 5.0)
-    record = describe_claim(noted, BEST)
-    assert record["distance_m"] == pytest.approx(240.0, abs=0.5)
-    assert record["heading_off_deg"] == pytest.approx(19.0)
-    said = claim_in_words(noted, BEST, True)
-    assert "lon 9.80000, 240 m from the answer (good to 5 m). Its" in said
-    assert "compass says 112 degrees, from magnetic north, the answer 131." in said
-    assert "disagree" not in said
-    assert "46.7" not in claim_in_words(noted, BEST, True, with_place=False)
-
-
-def test_what_is_left_aside_is_said_with_the_reason():
-    reason = "The photo's GPS position is left aside: the latitude does not say N or S."
-    noted = NotedPlace(heading_deg=112.0, is_magnetic=None, left_aside=reason)
-    said = claim_in_words(noted, BEST, True, with_place=False)
-    assert said.startswith("Its compass says 112 degrees, from a north that it does not name, the")
-    assert said.endswith(reason)
-    record = describe_claim(noted, BEST)
-    assert (record["distance_m"], record["heading_is_magnetic"]) == (None, None)
-    assert record["left_aside"] == reason
-    assert claim_in_words(NotedPlace(left_aside=reason), None, False) == reason
-    assert claim_of(noted, Frame.local(lon=9.8, lat=46.7)) is None
-
-
-def test_disagreement_is_said():
-    noted = NotedPlace((-70.0, 46.7), None, 359.0)
-    said = claim_in_words(noted, BEST, False)
-    assert "position and compass and candidate 1 disagree" in said
-    assert "5,821 km from candidate 1" in said
-
-
 def test_a_claim_in_a_frame_is_as_good_as_the_photo_says():
     frame = Frame.local(lon=9.8, lat=46.7)
     plain = claim_of(NotedPlace((9.8, 46.7), heading_deg=10.0), frame)
@@ -136,13 +95,3 @@ def test_a_claim_in_a_frame_is_as_good_as_the_photo_says():
     turn_deg = float(frame.convergence_deg(easting_m=40_000.0, northing_m=0.0))
     assert abs(turn_deg) > 0.1
     assert east.heading_deg == pytest.approx(-turn_deg)
-
-
-def test_what_notes_nothing_claims_nothing():
-    assert describe_claim(NotedPlace(), BEST) is None
-    alone = describe_claim(NotedPlace((9.8, 46.7)), None)
-    assert alone["distance_m"] is None
-    assert (
-        claim_in_words(NotedPlace((9.8, 46.7)), None, False)
-        == "The photo says lat 46.70000 lon 9.80000."
-    )
