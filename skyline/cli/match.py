@@ -194,12 +194,10 @@ def _left(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
 
 
 class _Output:
-    """Prints results, and writes them into a file of results where there is one.
+    """Prints results, and adds them to the file of results if there is one.
 
-    Parameters
-    ----------
-    goes_on : bool
-        Whether to go on where standard output has no reader any more: files are written.
+    ``goes_on``: other files are written too, so matching goes on when standard output has no
+    reader any more. ``exit_code`` is that of the last error.
     """
 
     def __init__(self, as_json: bool, file: ResultsFile | None, goes_on: bool) -> None:
@@ -297,7 +295,7 @@ def _match_together(
 
 
 def _search_of(store: Path, matcher: str, common: Query, surfaces: Iterable[str]) -> str:
-    """Return a digest that tells this search from others: the store and the options."""
+    """Return a digest of the store and the options, which differs between searches."""
     written = store.stat().st_mtime_ns if store.exists() else 0
     settings = repr((store.name, written, matcher, MatchConfig(), common, *surfaces))
     return hashlib.sha256(settings.encode()).hexdigest()[:12]

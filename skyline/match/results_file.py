@@ -1,4 +1,4 @@
-"""Files of ``match --results``: a row for each photo, from which a stopped search continues.
+"""Files of ``match --results``: a row for each photo, with which a stopped search continues.
 
 A row is written as soon as its photo is done: to CSV (RFC 4180), or to a GeoPackage (OGC
 12-128r18), whose points are the best candidates.

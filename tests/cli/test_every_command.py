@@ -1,4 +1,4 @@
-"""How every command ends after Ctrl-C, and where nobody reads its output any more."""
+"""How every command ends after Ctrl-C, and when its output has no reader any more."""
 
 import os
 import subprocess
@@ -174,7 +174,7 @@ def test_files_are_written_all_the_same(run, store, trace, tmp_path, monkeypatch
     arguments = "match", store, trace, second, "--matcher", "unrefined"
     unread()
     assert run(*arguments).code == 0
-    assert len(matched) == 1, "nobody reads the second answer"
+    assert len(matched) == 1, "the second answer has no reader"
     files = [tmp_path / name for name in ("r.csv", "x.geojson", "page")]
     unread()
     options = "--results", files[0], "--export", files[1], "--report", files[2]
@@ -200,7 +200,7 @@ def test_failures_stay_failures(run, store, trace, tmp_path, unread):
 
 
 def test_in_a_shell(dem, tmp_path):
-    """Nothing is said as Python ends, and no file gets the number of a stream that is closed."""
+    """Python prints nothing at its end, and no file gets the number of a closed stream."""
     skyline = f"{sys.executable} -m skyline"
 
     def end_of(line):

@@ -112,5 +112,5 @@ def test_a_search_with_swapped_coordinates_says_so(run, store, photo, options):
         (("--heading", "140,0"), "expected a slack above 0"),
     ],
 )
-def test_a_narrowing_that_is_none_is_one_line(run, store, photo, options, said):
+def test_a_bad_narrowing_is_refused_in_one_line(run, store, photo, options, said):
     assert_refused(run("match", store, photo, "--fov-deg", "60", *options), said)

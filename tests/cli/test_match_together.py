@@ -58,7 +58,7 @@ def test_photos_of_one_place_are_matched_together(run, store, photos_of_one_plac
     assert at[0] == at[1]
 
 
-def test_what_does_not_go_with_one_place_is_refused_at_once(run, photo, tmp_path):
+def test_options_that_do_not_go_with_one_place_are_refused_at_once(run, photo, tmp_path):
     def refused(*arguments):
         return run("match", tmp_path / "no_store.h5", photo, *arguments, "--same-place")
 

@@ -51,7 +51,7 @@ def test_results_of_another_search_are_not_mixed(path):
         ResultsFile(path, "another")
 
 
-def test_what_is_no_file_of_results_is_refused(path):
+def test_another_file_is_refused_and_kept(path):
     path.write_bytes(b"column_px,row_px\n1,2\n")
     with pytest.raises(InputError, match="--results"):
         ResultsFile(path, "one")
@@ -91,7 +91,7 @@ def test_a_geopackage_in_a_folder_without_file_locks(tmp_path, monkeypatch):
     assert [file.name for file in tmp_path.iterdir()] == ["results.gpkg"]
 
 
-def test_a_geopackage_is_one_for_others(tmp_path):
+def test_geopandas_reads_the_geopackage(tmp_path):
     geopandas = pytest.importorskip("geopandas")
     path = tmp_path / "results.gpkg"
     kept = ResultsFile(path, "one")
