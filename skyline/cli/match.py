@@ -124,9 +124,25 @@ def match(
 ) -> None:
     """Find where photos were taken and in which direction the camera looked."""
     exports = export or []
-    _check_options(matcher, use_gps, report, peaks)
-    if same_place:
-        _check_same_place(matcher, results, workers)
+    named("matcher", matcher, dict.fromkeys(_CHOICES))
+    for is_wrong, error in (
+        (peaks and not report, f"--peaks {peaks} names peaks in a report; give --report DIR too"),
+        (
+            use_gps and matcher == _UNREFINED,
+            f"--use-gps acts in refinement; leave --matcher {_UNREFINED} out",
+        ),
+        (
+            same_place and matcher != FULL,
+            "--same-place compares renderings of the terrain; leave --matcher out",
+        ),
+        (
+            same_place and results,
+            "--same-place has one answer, not a row a photo; leave --results out",
+        ),
+        (same_place and workers, "--same-place matches in this process; leave --workers out"),
+    ):
+        if is_wrong:
+            raise InputError(error)
     config = MatchConfig(refine=matcher != _UNREFINED)
     common = Query("", fov_deg, None, projection, _narrowing(near, heading, use_gps))
     queries = list(listed(query, common))
@@ -171,12 +187,11 @@ def match(
             if runner is not None:
                 each = match_many(runner, asked, usable)
             found = _match_each(output, queries, refused, each)
-    if found:
-        for path in exports:
-            export_matches(path, found, matching.frame)
-        if report is not None:
-            terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
-            reports.report_matches(report, matching, found, terrain, gazetteer, done=done)
+    for path in exports if found else ():
+        export_matches(path, found, matching.frame)
+    if report is not None and found:
+        terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
+        reports.report_matches(report, matching, found, terrain, gazetteer, done=done)
     if output.exit_code:
         raise typer.Exit(output.exit_code)
 
@@ -312,23 +327,3 @@ def _narrowing(near: str | None, heading: str | None, use_gps: bool) -> Narrowin
         error = f"--heading is `{heading}`; expected 2 numbers DEG,SLACK"
         sector = parse_numbers(heading, 2, error)
     return Narrowing(circle, box, sector, use_gps=use_gps)  # type: ignore[arg-type]
-
-
-def _check_options(matcher: str, use_gps: bool, report: Path | None, peaks: Path | None) -> None:
-    """Refuse an unknown matcher, and options that do not go together."""
-    named("matcher", matcher, dict.fromkeys(_CHOICES))
-    if peaks is not None and report is None:
-        raise InputError(f"--peaks {peaks} names peaks in a report; give --report DIR too")
-    if use_gps and matcher == _UNREFINED:
-        raise InputError(f"--use-gps acts in refinement; leave --matcher {_UNREFINED} out")
-
-
-def _check_same_place(matcher: str, results: Path | None, workers: str | None) -> None:
-    """Refuse options that do not go with photos of one place."""
-    for is_given, why in (
-        (matcher != FULL, "compares renderings of the terrain; leave --matcher out"),
-        (results is not None, "has one answer, not a row a photo; leave --results out"),
-        (workers is not None, "matches in this process; leave --workers out"),
-    ):
-        if is_given:
-            raise InputError(f"--same-place {why}")

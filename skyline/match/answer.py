@@ -26,17 +26,17 @@ _OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "
 _COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
 
 _BEYOND_SHARE = 0.1
-"""Share of a skyline from which on terrain beyond the elevation model is worth a sentence."""
-_FAR_M, _FAR_ACCURACIES = 500.0, 5.0
-_FAR_DEG = 45.0
-"""The photo's own position and compass disagree with the answer from these on; phones are seldom
-as far off."""
+"""From this share of a skyline on, terrain beyond the elevation model is mentioned."""
+_FAR_M, _FAR_ACCURACIES, _FAR_DEG = 500.0, 5.0, 45.0
+"""A photo's own position that is farther off than both of the first two, and a compass that is
+farther off than the third, disagree with the answer: phones are seldom as wrong."""
 _NORTH = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
 _WGS84 = Geod(ellps="WGS84")
 
 DISAGREES = "the photo does not fit where the others were taken"
 _AT_BOUND_SHARE = 1e-3
-"""Of the range searched: a fit is held to its bound but for rounding."""
+"""A field of view within this share of the range searched is at the range's end: fits that are
+held to a bound miss it by rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,9 +280,14 @@ class JointResult:
         return tuple(bool(one.candidates) for one in self.results)
 
     @property
+    def first(self) -> MatchResult | None:
+        """The result of the first query that agrees; None if no query does."""
+        return next((one for one in self.results if one.candidates), None)
+
+    @property
     def places(self) -> tuple[Candidate, ...]:
         """The places, best first, with the camera of the first query that agrees."""
-        return next((one.candidates for one in self.results if one.candidates), ())
+        return () if self.first is None else self.first.candidates
 
     @property
     def answer(self) -> Candidate | None:
@@ -292,22 +297,23 @@ class JointResult:
     @property
     def within_m(self) -> float | None:
         """Distance within which the answer is sure to be right; None without an answer."""
-        return next((one.within_m for one in self.results if one.candidates), None)
+        return None if self.first is None else self.first.within_m
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as ``skyline match --same-place --json`` prints it.
 
         A place is a candidate without its camera; each photo that agrees has its own at the best.
         """
-        places = [one.to_dict() for one in self.places]
-        for name in _OF_CAMERA:
-            for place in places:
-                del place[name]
+        places = [
+            {name: value for name, value in one.to_dict().items() if name not in _OF_CAMERA}
+            for one in self.places
+        ]
         photos = []
         for one in self.results:
-            camera = one.candidates[0].to_dict() if one.candidates else {"refusal": one.refusal}
-            about = {name: camera[name] for name in (*_OF_CAMERA, "refusal") if name in camera}
-            agrees = bool(one.candidates)
+            about: dict[str, Any] = {"refusal": one.refusal}
+            if one.best is not None:
+                about = {name: getattr(one.best, name) for name in _OF_CAMERA}
+            agrees = one.best is not None
             photos.append({"query": printable(one.name), "agrees": agrees, **about})
         return {
             "answer": places[0] if self.answer is not None else None,
@@ -330,9 +336,9 @@ class JointResult:
             radius = f"within {one.radius_m:.0f} m (68 %)"
             lines.append(f"{number}. {_place(one)}  {radius}  {_confidences(one)}")
         for result in self.results:
-            view = _view(result.candidates[0]) if result.candidates else ""
-            name = printable(result.name)
-            lines.append(f"{name}: {view or f'does not agree: {result.refusal}'}")
+            refused = f"does not agree: {result.refusal}"
+            view = refused if result.best is None else _view(result.best)
+            lines.append(f"{printable(result.name)}: {view}")
         return "\n  ".join(lines)
 
     def to_geodataframe(self) -> Any:
@@ -340,7 +346,7 @@ class JointResult:
         return to_geodataframe(self.results)
 
     def __repr__(self) -> str:
-        first = next((one for one in self.results if one.candidates), None)
+        first = self.first
         summary = f"Not answered: {self.refusal}." if first is None else first.summary
         return f"JointResult({summary} {sum(self.agrees)} of {len(self.results)} photos agree)"
 

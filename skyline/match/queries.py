@@ -138,19 +138,17 @@ def _query(path: Path, number: int, row: Mapping[str, str | None], common: Query
     for group in _TOGETHER:
         if 0 < sum(column in given for column in group) < len(group):
             raise InputError(f"{where} has some of {', '.join(group)}; expected all or none")
-    narrowing = common.narrowing
+    known: dict[str, object] = {}
+    if "lon" in given:
+        known["near"] = given["lon"], given["lat"], given["radius_km"]
+    if "heading_deg" in given:
+        known["heading_deg"] = given["heading_deg"], given["heading_slack_deg"]
+    if "lowest_m" in given:
+        known["elevation_m"] = given["lowest_m"], given["highest_m"]
+    if "eye_height_m" in given:
+        known["eye_height_m"] = given["eye_height_m"]
     try:
-        if "lon" in given:
-            near = given["lon"], given["lat"], given["radius_km"]
-            narrowing = replace(narrowing, near=near)
-        if "heading_deg" in given:
-            heading = given["heading_deg"], given["heading_slack_deg"]
-            narrowing = replace(narrowing, heading_deg=heading)
-        if "lowest_m" in given:
-            elevation = given["lowest_m"], given["highest_m"]
-            narrowing = replace(narrowing, elevation_m=elevation)
-        if "eye_height_m" in given:
-            narrowing = replace(narrowing, eye_height_m=given["eye_height_m"])
+        narrowing = replace(common.narrowing, **known)  # type: ignore[arg-type]
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
     return replace(
