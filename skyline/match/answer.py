@@ -15,7 +15,7 @@ from pyproj import Geod
 
 from skyline.errors import library, printable
 from skyline.match.candidate import COLUMNS, Candidate
-from skyline.match.confidence import DISTANCES_M
+from skyline.match.confidence import DISTANCES_M, ROUGHLY_WITHIN_M
 from skyline.match.match_config import MatchConfig
 from skyline.match.query_rays import QueryRays
 from skyline.photo.exif import NOTHING_NOTED
@@ -80,7 +80,7 @@ class MatchResult:
     @property
     def confidence(self) -> float | None:
         """The estimated chance that the answer is right within `within_m`; None without any."""
-        return None if self.answer is None else self.answer.confidence_within(self.within_m)
+        return None if self.answer is None else _confidence_within(self.answer, self.within_m)
 
     @property
     def summary(self) -> str:
@@ -92,7 +92,7 @@ class MatchResult:
             f"latitude {best.lat:.5f}°, longitude {best.lon:.5f}°, looking "
             f"{best.heading_deg:.1f}° from true north"
         )
-        confidence = best.confidence_within(self.within_m)
+        confidence = _confidence_within(best, self.within_m)
         if confidence is not None:
             place += f", confidence {100.0 * confidence:.0f}\N{NO-BREAK SPACE}%"
         if self.answer is not None and self.within_m is not None:
@@ -380,6 +380,10 @@ def to_geodataframe(results: Iterable[MatchResult]) -> Any:
                 values.append(math.nan if row[name] is None else row[name])
     places = geopandas.points_from_xy(columns["lon"], columns["lat"])
     return geopandas.GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
+
+
+def _confidence_within(one: Candidate, within_m: float | None) -> float | None:
+    return one.confidence_1km if within_m == ROUGHLY_WITHIN_M else one.confidence
 
 
 def _place(one: Candidate) -> str:

@@ -4,8 +4,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from skyline.match.confidence import ROUGHLY_WITHIN_M
-
 COLUMNS = {
     "latitude °": ("lat", ".5f"), "longitude °": ("lon", ".5f"),
     "heading °": ("heading_deg", ".2f"), "pitch °": ("pitch_deg", ".2f"),
@@ -23,48 +21,49 @@ _JSON = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
-    """A place the query may have been taken at, and how the camera stood there.
+    """A pose that the camera may have had, on the map and in degrees.
 
     Attributes
     ----------
     lon, lat : float
-        Degrees, WGS 84.
+        Longitude and latitude, degrees, WGS 84.
     heading_deg : float
-        Of the optical axis, clockwise from true north, in [0, 360).
+        Direction of the optical axis, clockwise from true north, in [0, 360).
     pitch_deg, roll_deg : float
-        Optical axis above the horizon; camera turned clockwise as seen from behind.
+        Angle of the optical axis above the horizon; clockwise turn of the camera about that axis,
+        as seen from behind the camera.
     fov_deg : float
         Horizontal field of view.
     distortion : float
-        Of a wide lens: a point at r halves of the photo's width from its middle is seen where a
-        lens without distortion has 1 + ``distortion * r**2`` times r. 0 of others.
+        Radial distortion k of a wide lens: a point that an ideal lens images at r half widths of
+        the photo from its middle appears at ``(1 + k * r**2) * r``. 0 for other lenses.
     easting_m, northing_m : float
-        The place again, in the store's frame.
+        The same place in the store's frame.
     eye_elevation_m : float
-        Of the camera, above the DEM's datum.
+        Elevation of the camera above the DEM's datum.
     convergence_deg : float
-        Grid convergence at the place: a true azimuth minus the grid azimuth.
+        Grid convergence at the place: true azimuth minus grid azimuth.
     score : float
-        Lower is better; its unit is the matcher's. NaN of a pose set by hand.
-    confidence : float or None
-        Probability that the place is right within 200 m, where something has estimated it.
-    confidence_1km : float or None
-        The same within 1 km.
+        Lower is better; the unit depends on the matcher. NaN for a pose set by hand.
+    confidence, confidence_1km : float or None
+        Estimated probability that the place is right within 200 m, and within 1 km; None for
+        matchers that estimate none.
     refined : bool
-        Whether the pose was fitted by rendering again.
+        Whether the pose was fitted by rendering.
     covariance_m2 : ((float, float), (float, float)) or None
-        Covariance of easting and northing, square metres, where something has estimated it.
+        Covariance of easting and northing, square metres; None for a pose that was not refined.
     beyond_share : float or None
-        Share of the query's skyline in which terrain past the elevation model's edge may stand
-        above the model's, where the pose was fitted by rendering.
+        Share of the query's skyline in which terrain past the elevation model's edge may rise
+        above the model's skyline; None for a pose that was not refined.
     residual_deg : float or None
         Root mean square difference in elevation between the query's skyline and the rendered one,
-        over the part of the query's that shows terrain, where the pose was fitted by rendering.
+        over the part of the query that shows terrain; None for a pose that was not refined.
     terrain_share : float or None
-        Share of the query's skyline that shows terrain.
+        Share of the query's skyline that shows terrain, as against trees or houses; None for a
+        pose that was not refined.
     rank : int or None
-        Place among the candidates of its search, 1 for the best; None where no search found the
-        pose.
+        Rank among the candidates of its search, 1 for the best; None for a pose that no search
+        found.
     """
 
     lon: float
@@ -90,7 +89,7 @@ class Candidate:
 
     @property
     def origin(self) -> str:
-        """Where the pose comes from: "found, rank 1", "fitted" or "set by hand"."""
+        """The source of the pose: "found, rank 1", "fitted" or "set by hand"."""
         if self.rank is not None:
             return f"found, rank {self.rank}"
         return "fitted" if self.refined else "set by hand"
@@ -109,9 +108,10 @@ class Candidate:
 
     @property
     def radius_m(self) -> float | None:
-        """Within which 68 % of the probability about the pose lies, if the candidate is right.
+        """Radius of the circle that holds the true place with 68 % probability; None if unknown.
 
-        Of a round normal distribution with the covariance's mean variance.
+        The probability is that of a round normal distribution with the covariance's mean variance,
+        if the candidate is right.
         """
         if self.covariance_m2 is None:
             return None
@@ -120,7 +120,7 @@ class Candidate:
 
     @property
     def grid_heading_deg(self) -> float:
-        """Grid azimuth of the optical axis, in [0, 360), by which views are rendered."""
+        """Grid azimuth of the optical axis, in [0, 360), as renderers take it."""
         return (self.heading_deg - self.convergence_deg) % 360.0
 
     @property
@@ -132,10 +132,6 @@ class Candidate:
             f"the skylines are {self.residual_deg:.2f} degrees apart (rms) over "
             f"{100.0 * self.terrain_share:.0f} % of the skyline"
         )
-
-    def confidence_within(self, within_m: float | None) -> float | None:
-        """Return the confidence within 1 km for 1000 m, and within 200 m for anything else."""
-        return self.confidence_1km if within_m == ROUGHLY_WITHIN_M else self.confidence
 
     def to_dict(self) -> dict[str, Any]:
         """Return the candidate as ``skyline match --json`` prints it."""
