@@ -37,7 +37,7 @@ _DETAIL_SHARE = 0.4
 
 
 def report_matches(
-    folder: Path,
+    folder: str | Path,
     matcher: Matcher,
     results: Iterable[MatchResult],
     terrain: HeightField | None,
@@ -49,7 +49,7 @@ def report_matches(
 
     Parameters
     ----------
-    folder : Path
+    folder : str or Path
         Made if need be; files of the same names are replaced.
     matcher : Matcher
         The one that made the results.
@@ -71,7 +71,7 @@ def report_matches(
     InputError
         A photo cannot be read, or a file cannot be written.
     """
-    around = Surroundings(matcher.frame, matcher.viewpoints)
+    folder, around = Path(folder), Surroundings(matcher.frame, matcher.viewpoints)
     made_by = f"skyline {package_version()}"
     if terrain is None:
         return write_match_report(folder, results, around, photos, done, made_by)
