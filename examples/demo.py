@@ -82,7 +82,7 @@ def main() -> None:
         write_overlay(picture, result.query, query.path.with_suffix(".skyline.png"))
 
     draw(terrain, queries[0], out)
-    page = report_matches(out / "report", matchers[FULL], results[FULL], terrain)
+    page = report_matches(out / "report", matchers[FULL], results[FULL])
     for name, found in results.items():
         console.print(table_of(name, queries, found))
     console.print(f"all in {time.perf_counter() - started:.0f} s; report and pictures:")

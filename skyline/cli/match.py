@@ -37,7 +37,6 @@ from skyline.match.match_config import MatchConfig
 from skyline.match.matcher import Matcher
 from skyline.match.matchers import FULL, MATCHERS
 from skyline.match.narrowing import Narrowing
-from skyline.match.opened import terrain_at_hand
 from skyline.match.queries import Query, listed
 from skyline.match.results_file import RESULTS, ResultsFile
 from skyline.photo.query import QuerySkyline
@@ -190,8 +189,7 @@ def match(
     for path in exports if found else ():
         export_matches(path, found, matching.frame)
     if report is not None and found:
-        terrain = matching.terrain or terrain_at_hand(matching.header, "no relief")
-        reports.report_matches(report, matching, found, terrain, gazetteer, done=done)
+        reports.report_matches(report, matching, found, gazetteer, done=done)
     if output.exit_code:
         raise typer.Exit(output.exit_code)
 

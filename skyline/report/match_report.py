@@ -12,6 +12,7 @@ from skyline.files import write_with_folders
 from skyline.match.answer import MatchResult
 from skyline.match.candidate import COLUMNS, Candidate
 from skyline.match.matcher import Matcher
+from skyline.match.opened import terrain_at_hand
 from skyline.match.rendered_scene import RenderedScene
 from skyline.photo.read import read_picture
 from skyline.render.horizon import RenderConfig
@@ -27,7 +28,6 @@ from skyline.report.shapes import Ellipse
 from skyline.report.surroundings import Surroundings
 from skyline.store.format import package_version
 from skyline.store.stored_dem import curvature_of
-from skyline.terrain.heightfield import HeightField
 
 _PICTURE_WIDTH = 2048
 """Columns of a view drawn over a photo: about one a pixel at 1600 px and 60 degrees."""
@@ -40,7 +40,6 @@ def report_matches(
     folder: str | Path,
     matcher: Matcher,
     results: Iterable[MatchResult],
-    terrain: HeightField | None,
     peaks: Peaks | None = None,
     photos: Iterable[UInt8Array | None] | None = None,
     done: str = "",
@@ -52,12 +51,11 @@ def report_matches(
     folder : str or Path
         Made if need be; files of the same names are replaced.
     matcher : Matcher
-        The one that made the results.
+        The one that made the results. Relief and the candidates' skylines are drawn from its
+        terrain, or else from the DEM that its store names; without either they are left out.
     results : iterable of MatchResult
         Each is shown with its photo, its candidates and a map. The pose drawn over the photo is
         that of the first candidate.
-    terrain : HeightField or None
-        Of the matcher's store, for relief and for the candidates' skylines.
     peaks : Peaks, optional
         To name in pictures and maps.
     photos : iterable of (H, W, 3) uint8 or None, optional
@@ -73,6 +71,7 @@ def report_matches(
     """
     folder, around = Path(folder), Surroundings(matcher.frame, matcher.viewpoints)
     made_by = f"skyline {package_version()}"
+    terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief")
     if terrain is None:
         return write_match_report(folder, results, around, photos, done, made_by)
     curvature = curvature_of(matcher.header)

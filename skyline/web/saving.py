@@ -63,10 +63,7 @@ def saved(
             if kind == "report":
                 peaks = None if engine.viewer is None else engine.viewer.peaks
                 done = f"{candidates[0].origin.capitalize()} on the page."
-                page = report_matches(
-                    beside, matcher, [result], matcher.terrain, peaks, photos, done
-                )
-                page.rename(path)
+                report_matches(beside, matcher, [result], peaks, photos, done).rename(path)
             else:
                 export_matches(path, [result], matcher.frame, photos)
         return path.read_bytes()

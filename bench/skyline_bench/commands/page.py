@@ -342,7 +342,7 @@ def _save_match(path: Path, width: int) -> dict[str, object]:
             )
         with Matcher(store, terrain) as matcher:
             result = matcher.match(photo, fov_deg=_PICTURE_CAMERA.fov_deg)
-            report_matches(report, matcher, [result], terrain)
+            report_matches(report, matcher, [result])
         pictures = [Image.open(path) for path in (report / "01-overlay.jpg", report / "01-map.png")]
         _side_by_side(pictures).save(path, quality=85, optimize=True)
     best = result.candidates[0]
