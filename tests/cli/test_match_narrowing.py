@@ -35,10 +35,12 @@ def test_match_near_a_place(run, store, dem, photo):
     assert max(off_m(place, 601_000.0, 5_179_000.0) for place in found) < 401.0
 
 
-def test_match_within_bounds(run, store, dem, photo):
+@pytest.mark.parametrize("matcher", ["unrefined", "full"])
+def test_match_within_bounds(run, store, dem, photo, matcher):
     west, south = lonlat_of(dem, 600_800.0, 5_177_500.0)
     east, north = lonlat_of(dem, 601_500.0, 5_178_500.0)
-    for place in retrieved(run, store, photo, "--near", f"{west},{south},{east},{north}"):
+    options = ("--near", f"{west},{south},{east},{north}", "--matcher", matcher)
+    for place in retrieved(run, store, photo, *options):
         # Meridians are not parallel to the map's north.
         assert 600_800.0 - 20.0 < place["easting_m"] < 601_500.0 + 20.0
         assert 5_177_500.0 - 20.0 < place["northing_m"] < 5_178_500.0 + 20.0
@@ -63,17 +65,6 @@ def test_match_between_elevations(run, store, dem, photo, tmp_path):
     # A retrieved eye stands where the slope of its place says that the ground is.
     for place in between(true_m + 40.0, true_m + 400.0):
         assert ground_m(place["easting_m"], place["northing_m"]) > true_m + 30.0
-
-
-def test_refined_places_stay_within_bounds(run, store, dem, photo):
-    west, south = lonlat_of(dem, 600_800.0, 5_177_500.0)
-    east, north = lonlat_of(dem, 601_500.0, 5_178_500.0)
-    found = run(
-        *("match", store, photo, "--fov-deg", "60", "--json"),
-        *("--near", f"{west},{south},{east},{north}"),
-    )
-    for place in json.loads(found.out)["candidates"]:
-        assert 600_800.0 - 20.0 < place["easting_m"] < 601_500.0 + 20.0
 
 
 def test_a_search_narrowed_to_nothing_is_one_line(run, store, photo, tmp_path):

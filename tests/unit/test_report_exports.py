@@ -122,9 +122,11 @@ def test_a_trace_has_no_picture_in_the_landscape(tmp_path, suffix):
     assert len(kml.findall(".//{*}Placemark")) == 2
 
 
-def test_kmz_holds_the_photo(tmp_path):
-    path = tmp_path / "answer.kmz"
-    export_matches(path, matches(), FRAME, [PHOTO])
+@pytest.mark.parametrize("photos", [[PHOTO], None], ids=["given", "read"])
+def test_kmz_holds_the_photo(tmp_path, photos):
+    path, name = tmp_path / "answer.kmz", str(tmp_path / "photo.png")
+    Image.fromarray(PHOTO).save(name)
+    export_matches(path, [replace(matches()[0], name=name)], FRAME, photos)
     with zipfile.ZipFile(path) as archive:
         assert archive.testzip() is None
         assert archive.namelist() == ["doc.kml", "files/01.jpg"]
