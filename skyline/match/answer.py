@@ -435,6 +435,16 @@ def too_little(query: QuerySkyline, config: MatchConfig) -> str | None:
     )
 
 
+def refusal_of(
+    candidates: Sequence[Candidate], config: MatchConfig, query: QuerySkyline, rays: QueryRays
+) -> str | None:
+    """Return why the best candidate of a search is not the answer; None if it is the answer."""
+    refusal = unsure(candidates, config)
+    if refusal is None:
+        return _at_bound(candidates[0], rays)
+    return refusal + (_of_other_lens(candidates[0], query, rays) if candidates else "")
+
+
 def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
     """Return the refusal of a best candidate that is not sure enough; None if it is."""
     if not candidates:
@@ -463,22 +473,6 @@ def misfit(fitted: Candidate, config: MatchConfig) -> str | None:
     )
 
 
-def lens_in_doubt(candidates: Sequence[Candidate], query: QuerySkyline, rays: QueryRays) -> str:
-    """Return the addition to a refusal that the best candidate needs another field of view.
-
-    Empty if its field of view is within two standard deviations of the query's.
-    """
-    if not candidates or query.fov_deg is None:
-        return ""
-    found_deg = candidates[0].fov_deg
-    if abs(found_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
-        return ""
-    return (
-        f"; it has a field of view of {found_deg:.1f} degrees, and {query.fov_deg:.1f} was given: "
-        "check that"
-    )
-
-
 def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
     """Return the distance within which a candidate is sure enough to be right, 200 or 1000 m.
 
@@ -493,16 +487,26 @@ def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
     return None
 
 
-def at_bound(candidates: Sequence[Candidate], rays: QueryRays) -> str | None:
-    """Return the refusal of a best candidate whose field of view is the least or greatest searched.
+def _of_other_lens(best: Candidate, query: QuerySkyline, rays: QueryRays) -> str:
+    """Return a hint that the best candidate needs another field of view than the query's.
 
-    None if it lies between them.
+    Empty if the two are within two standard deviations.
     """
+    if query.fov_deg is None or abs(best.fov_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
+        return ""
+    return (
+        f"; it has a field of view of {best.fov_deg:.1f} degrees, and {query.fov_deg:.1f} was "
+        "given: check that"
+    )
+
+
+def _at_bound(best: Candidate, rays: QueryRays) -> str | None:
+    """Return the refusal of a field of view that is the least or greatest searched; else None."""
     low_deg, high_deg = rays.fov_bounds_deg
-    found_deg, near_deg = candidates[0].fov_deg, _AT_BOUND_SHARE * (high_deg - low_deg)
-    if low_deg == high_deg or low_deg + near_deg < found_deg < high_deg - near_deg:
+    near_deg = _AT_BOUND_SHARE * (high_deg - low_deg)
+    if low_deg == high_deg or low_deg + near_deg < best.fov_deg < high_deg - near_deg:
         return None
     return (
-        f"the best place needs a field of view of {found_deg:.1f} degrees, and {low_deg:.1f} to "
+        f"the best place needs a field of view of {best.fov_deg:.1f} degrees, and {low_deg:.1f} to "
         f"{high_deg:.1f} were searched; give another one (--fov-deg)"
     )

@@ -14,9 +14,8 @@ from skyline.match.answer import (
     DISAGREES,
     JointResult,
     MatchResult,
-    at_bound,
-    lens_in_doubt,
     misfit,
+    refusal_of,
     sure_within_m,
     too_little,
     unsure,
@@ -164,10 +163,7 @@ class Matcher:
             with telling(told):
                 ranking = self._ranker.rank(rays, top, narrowed, screened)
             candidates = ranking.candidates(self.frame)
-            refusal = unsure(candidates, self._config)
-            if refusal is not None:
-                refusal += lens_in_doubt(candidates, query, rays)
-            refusal = refusal or at_bound(candidates, rays)
+            refusal = refusal_of(candidates, self._config, query, rays)
         within_m = None if refusal else sure_within_m(candidates[0], self._config)
         seconds = time.perf_counter() - started
         return MatchResult(query, candidates, seconds, refusal, within_m, name)

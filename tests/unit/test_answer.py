@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import candidate_at
 
-from skyline.match.answer import MatchResult, at_bound, lens_in_doubt, sure_within_m
+from skyline.match.answer import MatchResult, refusal_of, sure_within_m
 from skyline.match.match_config import MatchConfig
 from skyline.match.query_rays import QueryRays
 from skyline.photo.exif import NOTHING_NOTED, NotedPlace
@@ -26,26 +26,35 @@ def query(fov_deg=GIVEN_DEG, noted=NOTHING_NOTED, lens=None):
     return QuerySkyline(np.full(40, 12.0), np.ones(40), 40, 30, fov_deg, noted=noted, lens=lens)
 
 
+def refusal(rays, found_deg, given_deg=GIVEN_DEG, confidence=None):
+    """Return the refusal of a candidate with a field of view."""
+    found = candidate_at(
+        0.0, 0.0, fov_deg=found_deg, confidence=confidence, confidence_1km=confidence
+    )
+    return refusal_of([found], MatchConfig(), query(given_deg), rays)
+
+
 @pytest.mark.parametrize("found_deg", [56.9, 63.1])
 def test_a_field_of_view_that_hardly_fits_is_named(rays, found_deg):
-    said = lens_in_doubt([candidate_at(0.0, 0.0, fov_deg=found_deg)], query(GIVEN_DEG), rays)
-    assert f"field of view of {found_deg:.1f} degrees, and {GIVEN_DEG:.1f} was given" in said
+    why = refusal(rays, found_deg, confidence=0.1)
+    assert why.startswith(
+        "the best place has confidence 0.10, within 1 km 0.10; 0.80 is needed; it"
+    )
+    assert f"field of view of {found_deg:.1f} degrees, and {GIVEN_DEG:.1f} was given" in why
 
 
-def test_a_field_of_view_that_fits_or_was_not_given_is_no_matter(rays):
-    near = [candidate_at(0.0, 0.0, fov_deg=62.9)]
-    far = [candidate_at(0.0, 0.0, fov_deg=65.0)]
-    assert lens_in_doubt(near, query(GIVEN_DEG), rays) == ""
-    assert lens_in_doubt(far, query(None), rays) == ""
-    assert lens_in_doubt([], query(GIVEN_DEG), rays) == ""
+def test_a_field_of_view_that_fits_or_was_not_given_is_not_named(rays):
+    assert refusal(rays, 62.9, confidence=0.1).endswith("is needed")
+    assert refusal(rays, 65.0, None, confidence=0.1).endswith("is needed")
+    assert refusal_of([], MatchConfig(), query(), rays) == "no place fits"
 
 
 @pytest.mark.parametrize(("found_deg", "refused"), [(54.0, True), (66.0, True), (65.9, False)])
-def test_a_field_of_view_at_the_end_of_what_is_searched_is_no_answer(rays, found_deg, refused):
+def test_a_field_of_view_at_the_end_of_the_range_searched_is_no_answer(rays, found_deg, refused):
     assert rays.fov_bounds_deg == (54.0, 66.0)
-    said = at_bound([candidate_at(0.0, 0.0, fov_deg=found_deg)], rays)
-    assert (said is not None) == refused
-    assert not refused or "--fov-deg" in said
+    why = refusal(rays, found_deg)
+    assert (why is not None) == refused
+    assert not refused or "--fov-deg" in why
 
 
 @pytest.mark.parametrize(
