@@ -22,13 +22,9 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
+from skyline.match.candidate import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import (
-    RIGHT_WITHIN_M,
-    ROUGHLY_WITHIN_M,
-    Hypotheses,
-    RefinedPoses,
-)
+from skyline.match.ranking import Hypotheses, RefinedPoses
 
 _MAX_MARGIN = 60.0
 """Cap of margins. Caps of up to 1,000 teach no more: strangers have been fitted with margins of

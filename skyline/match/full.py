@@ -12,11 +12,12 @@ from threadpoolctl import ThreadpoolController
 from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 from skyline.match import confidence
+from skyline.match.candidate import DISTANCES_M
 from skyline.match.confidence import model_name
 from skyline.match.matchers import Ranker
 from skyline.match.prior import NOTHING_KNOWN, Prior
 from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import DISTANCES_M, Hypotheses, Ranking, RefinedPoses
+from skyline.match.ranking import Hypotheses, Ranking, RefinedPoses
 from skyline.match.refine import QUICK, WHOLE, JointRefinement, Refinement
 from skyline.match.retrieval import Retriever
 from skyline.match.scene import OpenedStore, RenderedScene

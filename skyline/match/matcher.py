@@ -10,20 +10,21 @@ from typing import Self
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.match.matchers import FULL, MatchConfig, matcher_class
-from skyline.match.prior import Narrowing, PlacePrior, Prior
-from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Candidate, Hypotheses
-from skyline.match.refusals import (
+from skyline.match.answer import (
     DISAGREES,
-    at_bound,
-    lens_in_doubt,
+    JointResult,
+    MatchResult,
     misfit,
+    refusal_of,
     sure_within_m,
     too_little,
     unsure,
 )
-from skyline.match.results import JointResult, MatchResult
+from skyline.match.candidate import Candidate
+from skyline.match.matchers import FULL, MatchConfig, matcher_class
+from skyline.match.prior import Narrowing, PlacePrior, Prior
+from skyline.match.query_rays import QueryRays
+from skyline.match.ranking import Hypotheses
 from skyline.match.scene import OpenedStore, given_terrain
 from skyline.match.screening import Alike, ReportProgress, reporting_progress
 from skyline.photo.lens import Lens
@@ -150,7 +151,7 @@ class Matcher:
         """
         started = time.perf_counter()
         _check_top(top)
-        query = _skyline_of(query, fov_deg)
+        name, query = _name_of(query), _skyline_of(query, fov_deg)
         candidates: tuple[Candidate, ...] = ()
         refusal = too_little(query, self._config)
         if refusal is None:
@@ -158,12 +159,10 @@ class Matcher:
             with reporting_progress(report_progress):
                 ranking = self._ranker.rank(rays, top, prior, screened)
             candidates = ranking.candidates(self.frame)
-            refusal = unsure(candidates, self._config)
-            if refusal is not None:
-                refusal += lens_in_doubt(candidates, query, rays)
-            refusal = refusal or at_bound(candidates, rays)
+            refusal = refusal_of(candidates, self._config, query, rays)
         within_m = None if refusal else sure_within_m(candidates[0], self._config)
-        return MatchResult(query, candidates, time.perf_counter() - started, refusal, within_m)
+        seconds = time.perf_counter() - started
+        return MatchResult(query, candidates, seconds, refusal, within_m, name)
 
     def match_together(
         self,
@@ -222,12 +221,14 @@ class Matcher:
             within_m = sure_within_m(best[0], self._config)
         seconds = time.perf_counter() - started
         results = tuple(
-            MatchResult(query, places, seconds, refusal, within_m)
+            MatchResult(query, places, seconds, refusal, within_m, name)
             if places
-            else MatchResult(query, (), seconds, little or DISAGREES)
-            for query, places, little in zip(skylines, found, refusals, strict=True)
+            else MatchResult(query, (), seconds, little or DISAGREES, name=name)
+            for name, query, places, little in zip(
+                map(_name_of, queries), skylines, found, refusals, strict=True
+            )
         )
-        return JointResult(results, tuple(map(bool, found)), seconds, refusal)
+        return JointResult(results, seconds, refusal)
 
     def _cameras(
         self, queries: Sequence[tuple[QueryRays, Prior]], top: int
@@ -329,6 +330,10 @@ class Matcher:
         raise InputError(
             "the query's field of view is not known: it is not in the image; give --fov-deg"
         )
+
+
+def _name_of(query: str | Path | QuerySkyline) -> str:
+    return "" if isinstance(query, QuerySkyline) else str(query)
 
 
 def _skyline_of(query: str | Path | QuerySkyline, fov_deg: float | None) -> QuerySkyline:

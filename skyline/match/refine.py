@@ -32,10 +32,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
+from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.profiles import joined_views
 from skyline.match.query_rays import QueryRays, thinned
-from skyline.match.ranking import DISTANCES_M, RIGHT_WITHIN_M, Hypotheses, RefinedPoses
+from skyline.match.ranking import Hypotheses, RefinedPoses
 from skyline.match.retrieval import ground_slope
 from skyline.match.scene import RenderedScene
 from skyline.match.screening import report_progress

@@ -84,7 +84,7 @@ def _outcome(result: MatchResult, engine: Engine) -> dict[str, Any]:
         "within": result.within_m,
         "chance": result.confidence,
         "refusal": result.refusal,
-        "claim": result.claim,
+        "claim": result.exif_in_words(),
         "beyond": result.beyond,
         "seconds": result.seconds,
     }

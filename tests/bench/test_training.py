@@ -12,7 +12,7 @@ from scenes import field_of, fractal
 from skyline.cli.console import run_app
 from skyline.errors import InputError
 from skyline.match import confidence
-from skyline.match.ranking import DISTANCES_M, RIGHT_WITHIN_M
+from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.photo.extract import extract_skyline
 from skyline.photo.read import extract_photo
 from skyline.render.depth import DepthRenderer

@@ -1,4 +1,4 @@
-"""The place that a photo notes as a prior: its density, its pull, and its words."""
+"""The place that a photo notes as a prior: its density and its pull."""
 
 from dataclasses import replace
 
@@ -9,8 +9,6 @@ from scipy.integrate import quad
 
 from skyline.geodesy import Frame
 from skyline.match.prior import EyeHeightPrior, PlacePrior
-from skyline.match.ranking import Candidate
-from skyline.match.records import claim_in_words, describe_claim
 from skyline.match.solver import FINE, Curves, Solver
 from skyline.photo.exif import NotedPlace
 
@@ -74,45 +72,6 @@ def test_a_step_is_pulled_to_the_noted_place(prior):
     assert (east < -50.0) == (prior is not None)
 
 
-BEST = Candidate(
-    lon=9.8, lat=46.7, heading_deg=131.0, pitch_deg=0.0, roll_deg=0.0, fov_deg=60.0,
-    easting_m=0.0, northing_m=0.0, eye_elevation_m=0.0, convergence_deg=0.0, score=0.0,
-    rank=1,
-)  # fmt: skip
-
-
-def test_the_noted_place_in_words():
-    noted = NotedPlace((9.8, 46.7 + 240.0 / 111_170.0), 1800.0, 112.0, True, 5.0)
-    record = describe_claim(noted, BEST)
-    assert record["distance_m"] == pytest.approx(240.0, abs=0.5)
-    assert record["heading_off_deg"] == pytest.approx(19.0)
-    said = claim_in_words(noted, BEST, True)
-    assert "lon 9.80000, 240 m from the answer (good to 5 m). Its" in said
-    assert "compass says 112 degrees, from magnetic north, the answer 131." in said
-    assert "disagree" not in said
-    assert "46.7" not in claim_in_words(noted, BEST, True, with_place=False)
-
-
-def test_words_give_the_reason_for_tags_left_aside():
-    reason = "The photo's GPS position is left aside: the latitude does not say N or S."
-    noted = NotedPlace(heading_deg=112.0, is_magnetic=None, left_aside=reason)
-    said = claim_in_words(noted, BEST, True, with_place=False)
-    assert said.startswith("Its compass says 112 degrees, from a north that it does not name, the")
-    assert said.endswith(reason)
-    record = describe_claim(noted, BEST)
-    assert (record["distance_m"], record["heading_is_magnetic"]) == (None, None)
-    assert record["left_aside"] == reason
-    assert claim_in_words(NotedPlace(left_aside=reason), None, False) == reason
-    assert of_noted(noted, Frame.local(lon=9.8, lat=46.7)) is None
-
-
-def test_words_name_a_disagreement():
-    noted = NotedPlace((-70.0, 46.7), None, 359.0)
-    said = claim_in_words(noted, BEST, False)
-    assert "position and compass and candidate 1 disagree" in said
-    assert "5,821 km from candidate 1" in said
-
-
 def test_the_prior_is_as_precise_as_the_photo_notes():
     frame = Frame.local(lon=9.8, lat=46.7)
     plain = of_noted(NotedPlace((9.8, 46.7), heading_deg=10.0), frame)
@@ -133,13 +92,3 @@ def test_the_prior_is_as_precise_as_the_photo_notes():
     turn_deg = float(frame.convergence_deg(easting_m=40_000.0, northing_m=0.0))
     assert abs(turn_deg) > 0.1
     assert east.heading_deg == pytest.approx(-turn_deg)
-
-
-def test_a_photo_without_a_position_gives_no_prior():
-    assert describe_claim(NotedPlace(), BEST) is None
-    alone = describe_claim(NotedPlace((9.8, 46.7)), None)
-    assert alone["distance_m"] is None
-    assert (
-        claim_in_words(NotedPlace((9.8, 46.7)), None, False)
-        == "The photo says lat 46.70000 lon 9.80000."
-    )
