@@ -34,12 +34,12 @@ import numpy as np
 from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.profiles import joined_views
-from skyline.match.query_rays import QueryRays, thinned
+from skyline.match.query_rays import QueryRays
 from skyline.match.ranking import DISTANCES_M, RIGHT_WITHIN_M, Hypotheses, RefinedPoses
 from skyline.match.retrieval import ground_slope
 from skyline.match.scene import RenderedScene
 from skyline.match.screening import report_progress
-from skyline.match.solver import EYE_HEIGHT, FINE, HEADING, ROUGH, Curves, Fit, Solver
+from skyline.match.solver import EYE_HEIGHT, FINE, HEADING, ROUGH, SCOUT, Curves, Fit, Solver
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 TEMPERATURE = 8.0
@@ -59,8 +59,6 @@ _LONGER, _SHORTER = 1.5, 0.4
 """Factors on the next step after a step was kept, and after one was not."""
 _SETTLING = 3
 """Fits without a step after which the chosen errors no longer change."""
-_SCOUT_BINS, _BINS = 480, 1440
-"""Azimuth bins of a panorama while scouting, and afterwards: about as fine as the renderings."""
 _SECTOR_MARGIN_DEG = 3.0
 """A view is rendered if the query comes this near to it."""
 _GREATEST_LOG_ODDS = 50.0
@@ -148,11 +146,10 @@ class Refinement:
         eye = EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
         if eye_height_m is not None:
             eye = EyeHeightPrior(eye_height_m, 0.0)
-        scouting, query = thinned(query, _SCOUT_BINS), thinned(query, _BINS)
-        terrain = eye, scene.height_sd_m, noted, scene.edge
-        self.scout = Solver(scouting, ROUGH, *terrain)
-        self.rough = Solver(query, ROUGH, *terrain)
-        self.fine = Solver(query, FINE, *terrain)
+        self.scout, self.rough, self.fine = (
+            Solver(query, mode, eye, scene.height_sd_m, noted, scene.edge)
+            for mode in (SCOUT, ROUGH, FINE)
+        )
         self._rendered = 0
         self._expected = effort.rounds + _RESTART_ROUNDS + effort.final_rounds
         self._expected += effort.shortlist > effort.particles
@@ -235,8 +232,7 @@ class Refinement:
         state = fit.state.copy()
         state[:, :EYE_HEIGHT] = 0.0
         fit = replace(fit, state=state)
-        bins = _SCOUT_BINS if solver is self.scout else _BINS
-        curves = self._seen(place_m, state, solver.fov_deg(state), bins)
+        curves = self._seen(place_m, state, solver.fov_deg(state), solver.mode.bins)
         is_new = bool(np.isinf(fit.cost).all())
         still = np.zeros(len(state))
         fit = solver.settle(curves, fit) if is_new else solver.improve(curves, fit, still)
