@@ -35,12 +35,12 @@ from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, R
 from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.match.prior import EyeHeightPrior, PlacePrior
 from skyline.match.profiles import joined_views
-from skyline.match.query_rays import QueryRays, thinned
+from skyline.match.query_rays import QueryRays
 from skyline.match.ranking import Hypotheses, RefinedPoses
 from skyline.match.retrieval import ground_slope
 from skyline.match.scene import RenderedScene
 from skyline.match.screening import report_progress
-from skyline.match.solver import EYE_HEIGHT, FINE, HEADING, ROUGH, Curves, Fit, Solver
+from skyline.match.solver import EYE_HEIGHT, FINE, HEADING, ROUGH, SCOUT, Curves, Fit, Solver
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
 
 TEMPERATURE = 8.0
@@ -60,8 +60,6 @@ _LONGER, _SHORTER = 1.5, 0.4
 """Factors on the next step after a step was kept, and after one was not."""
 _SETTLING = 3
 """Fits without a step after which the chosen errors no longer change."""
-_SCOUT_BINS, _BINS = 480, 1440
-"""Azimuth bins of a panorama while scouting, and afterwards: about as fine as the renderings."""
 _SECTOR_MARGIN_DEG = 3.0
 """A view is rendered if the query comes this near to it."""
 _GREATEST_LOG_ODDS = 50.0
@@ -101,9 +99,16 @@ class Effort:
     """Most renderings of each in the last rounds."""
 
 
-QUICK = Effort(64, 16, 4, 0.6, 6, restarts=1, finalists=6, final_rounds=3)
+QUICK = Effort(
+    shortlist=64, particles=16, rounds=4, keep_share=0.6, keep_least=6,
+    restarts=1, finalists=6, final_rounds=3,
+)  # fmt: skip
 """Enough for the many skylines that fit one place far better than any other."""
-WHOLE = Effort(400, 128, 8, 0.9, 48, restarts=6, finalists=12, final_rounds=5)
+WHOLE = Effort(
+    shortlist=400, particles=128, rounds=8, keep_share=0.9, keep_least=48,
+    restarts=6, finalists=12, final_rounds=5,
+)  # fmt: skip
+"""For all others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,11 +154,10 @@ class Refinement:
         eye = EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
         if eye_height_m is not None:
             eye = EyeHeightPrior(eye_height_m, 0.0)
-        scouting, query = thinned(query, _SCOUT_BINS), thinned(query, _BINS)
-        terrain = eye, scene.height_sd_m, noted, scene.edge
-        self.scout = Solver(scouting, ROUGH, *terrain)
-        self.rough = Solver(query, ROUGH, *terrain)
-        self.fine = Solver(query, FINE, *terrain)
+        self.scout, self.rough, self.fine = (
+            Solver(query, mode, eye, scene.height_sd_m, noted, scene.edge)
+            for mode in (SCOUT, ROUGH, FINE)
+        )
         self._rendered = 0
         self._expected = effort.rounds + _RESTART_ROUNDS + effort.final_rounds
         self._expected += effort.shortlist > effort.particles
@@ -236,16 +240,13 @@ class Refinement:
         state = fit.state.copy()
         state[:, :EYE_HEIGHT] = 0.0
         fit = replace(fit, state=state)
-        bins = _SCOUT_BINS if solver is self.scout else _BINS
-        curves = self._seen(place_m, state, solver.fov_deg(state), bins)
+        curves = self._seen(solver, place_m, state)
         is_new = bool(np.isinf(fit.cost).all())
         still = np.zeros(len(state))
         fit = solver.settle(curves, fit) if is_new else solver.improve(curves, fit, still)
         return Particles(curves, fit, np.full(len(state), _FIRST_STEP_M))
 
-    def _seen(
-        self, place_m: Complex128Array, state: Float64Array, fov_deg: Float64Array, bins: int
-    ) -> Curves:
+    def _seen(self, solver: Solver, place_m: Complex128Array, state: Float64Array) -> Curves:
         """Render the directions of the query from M eyes, at the heights of their states."""
         report_progress("refining", min(1.0, self._rendered / self._expected))
         self._rendered += 1
@@ -253,14 +254,15 @@ class Refinement:
         ground_m, height_m = self._scene.ground_m(easting_m, northing_m), state[:, EYE_HEIGHT]
         turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
         off = np.abs((turn + 180.0) % 360.0 - 180.0)
-        wanted = off < 45.0 + 0.5 * fov_deg[:, np.newaxis] + _SECTOR_MARGIN_DEG
+        half_deg = 0.5 * solver.fov_deg(state)[:, np.newaxis]
+        wanted = off < 45.0 + half_deg + _SECTOR_MARGIN_DEG
         row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
         eyes = Viewpoints(
             easting_m=easting_m[row],
             northing_m=northing_m[row],
             eye_elevation_m=ground_m[row] + height_m[row],
         )
-        along = heading.astype(np.uint8)
+        along, bins = heading.astype(np.uint8), solver.mode.bins
         y, distance_m = joined_views(self._scene.render(eyes, along), row, len(place_m), bins)
         surface = self._scene.render_surface(eyes, along)
         surface_y = None if surface is None else joined_views(surface, row, len(place_m), bins)[0]

@@ -29,7 +29,7 @@ from skyline.match.noise import (
     likelihood,
 )
 from skyline.match.prior import EyeHeightPrior, PlacePrior
-from skyline.match.query_rays import QueryRays, level_with_changes
+from skyline.match.query_rays import QueryRays, level_with_changes, thinned
 from skyline.match.ranking import Hypotheses
 from skyline.terrain.edge import DataEdge
 
@@ -83,9 +83,13 @@ class SolverMode:
     choices: int
     """Number of steps, from the first, before which the errors' deviations are chosen anew."""
     nodes: int
-    """See `HeightErrors.of`."""
+    """Height errors along a skyline; see `HeightErrors.of`."""
+    bins: int = 1440
+    """Steps of azimuth of the query and of the curves; by default about as fine as renderings."""
 
 
+SCOUT = SolverMode(steps=3, choices=4, nodes=0, bins=480)
+"""For a first look at many hypotheses."""
 ROUGH = SolverMode(steps=3, choices=4, nodes=0)
 """For the search: quick, and it converges from farther away."""
 FINE = SolverMode(steps=2, choices=1, nodes=32)
@@ -196,6 +200,10 @@ class Solver:
 
     Parameters
     ----------
+    query : QueryRays
+        Averaged within the mode's steps of azimuth.
+    mode : SolverMode
+    eye : EyeHeightPrior
     height_sd_m : float
         Expected standard deviation of the terrain model's heights.
     noted : PlacePrior, optional
@@ -213,7 +221,7 @@ class Solver:
         noted: PlacePrior | None = None,
         edge: DataEdge | None = None,
     ) -> None:
-        self.query, self._mode, self._eye = query, mode, eye
+        self.query, self.mode, self._eye = thinned(query, mode.bins), mode, eye
         self._noted, self._edge = noted, edge
         self._heights_m = HEIGHT_SHARES * height_sd_m
         low, high = query.log_scale_bounds
@@ -289,12 +297,12 @@ class Solver:
         ``step_m`` (M,) is the deviation that damps the eye's displacement; with 0 the eye stays.
         """
         errors = None
-        for step in range(self._mode.steps + 1):
+        for step in range(self.mode.steps + 1):
             linear = self.linearize(curves, fit.state)
             errors = self._errors(linear, curves) if errors is None else errors
-            tried = _NEIGHBOURS if step < self._mode.choices else ()
+            tried = _NEIGHBOURS if step < self.mode.choices else ()
             fit, found = self._with_deviations(fit, linear, errors, tried)
-            if step < self._mode.steps:
+            if step < self.mode.steps:
                 fit = self._stepped(fit, linear, found, step_m)
         return fit
 
@@ -388,7 +396,7 @@ class Solver:
             linear.azimuth_rad,
             linear.distance_m,
             blur_rad,
-            self._mode.nodes,
+            self.mode.nodes,
             linear.rise_rad,
             self.beyond_rad(linear),
         )

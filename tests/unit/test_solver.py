@@ -33,9 +33,8 @@ def curves_of(y, distance_m):
 
 def settled(hypotheses, panoramas, query, edge=None):
     """Solve heading, pitch, roll and field of view of hypotheses where they stand."""
-    y, distance_m = panoramas
-    solver = Solver(thinned(query, y.shape[1]), LONG, EYE, HEIGHT_SD_M, edge=edge)
-    curves = curves_of(y, distance_m)
+    solver = Solver(query, LONG, EYE, HEIGHT_SD_M, edge=edge)
+    curves = curves_of(*panoramas)
     fit = solver.settle(curves, solver.start(hypotheses))
     return solver.hypotheses(fit, curves.place_m, curves.ground_m)
 
