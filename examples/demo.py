@@ -18,15 +18,15 @@ from rich.console import Console
 from rich.table import Table
 
 from skyline.build.parts import build_places, build_uniform
+from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher
 from skyline.match.matchers import FULL, MATCHERS
-from skyline.match.results import MatchResult
 from skyline.photo.read import write_overlay
 from skyline.render.depth import DepthRenderer
 from skyline.render.horizon import RenderConfig
 from skyline.report.labelled_panorama import save_panorama
+from skyline.report.match_report import report_matches
 from skyline.report.pictures import save_depth_pictures
-from skyline.report.reports import matched, report_matches
 from skyline.terrain.dem import read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import stand_at, stand_on
@@ -82,8 +82,7 @@ def main() -> None:
         write_overlay(picture, result.query, query.path.with_suffix(".skyline.png"))
 
     draw(terrain, queries[0], out)
-    told = [matched(query.path, one) for query, one in zip(queries, results[FULL], strict=True)]
-    page = report_matches(out / "report", matchers[FULL], told, terrain)
+    page = report_matches(out / "report", matchers[FULL], results[FULL])
     for name, found in results.items():
         console.print(table_of(name, queries, found))
     console.print(f"all in {time.perf_counter() - started:.0f} s; report and pictures:")

@@ -11,12 +11,11 @@ from .errors import (
     StoreMismatchError,
 )
 from .geodesy import Curvature, Frame
-from .match.match_config import FullConfig, MatchConfig, RefineConfig
+from .match.answer import JointResult, MatchResult, to_geodataframe
+from .match.candidate import Candidate
 from .match.matcher import Matcher
-from .match.narrowing import Narrowing
-from .match.ranking import Candidate
-from .match.results import JointResult, MatchResult, to_geodataframe
-from .match.retrieval import RetrievalConfig
+from .match.matchers import MatchConfig
+from .match.prior import Narrowing
 from .match.screening import Alike
 from .photo.correction import Correction, Stroke, StrokeKind
 from .photo.exif import NotedPlace
@@ -30,10 +29,9 @@ from .render.thread import RenderThread
 from .report.exports import export_matches
 from .report.labelled_panorama import PanoramaConfig, save_panorama
 from .report.located import write_located
-from .report.matched import Matched
+from .report.match_report import report_matches
 from .report.peaks import Peaks, read_peaks
 from .report.relief_tiles import ReliefTiles
-from .report.reports import report_matches
 from .report.viewer import SeenPeak, Sight, Viewer
 from .skylines import Views
 from .solar.horizon_at import horizon
@@ -57,7 +55,6 @@ __all__ = [
     "DemOptions",
     "FetchError",
     "Frame",
-    "FullConfig",
     "HeightField",
     "InputError",
     "JointResult",
@@ -65,7 +62,6 @@ __all__ = [
     "LocalHorizons",
     "MatchConfig",
     "MatchResult",
-    "Matched",
     "Matcher",
     "MissingFileError",
     "Narrowing",
@@ -79,11 +75,9 @@ __all__ = [
     "Projection",
     "Provenance",
     "QuerySkyline",
-    "RefineConfig",
     "ReliefTiles",
     "RenderConfig",
     "RenderThread",
-    "RetrievalConfig",
     "SeenPeak",
     "Sight",
     "SkylineError",

@@ -60,7 +60,7 @@ def no_gl_error():
 def run_main(monkeypatch, capsys):
     """Return a function that runs a command's main with arguments."""
     # How long a command takes here must not be in what it says.
-    monkeypatch.setattr(console, "_PATIENCE_S", 1e6)
+    monkeypatch.setattr(console, "_SLOW_S", 1e6)
     # A command's name is its script's, also where pytest was started as a module.
     monkeypatch.setattr(sys.modules["__main__"], "__package__", None)
 

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from skyline.match.hypotheses import Hypotheses
-from skyline.match.profiles import Panoramas
 from skyline.match.query_rays import QueryRays
+from skyline.match.ranking import Hypotheses
 
 BINS = 1440
 
@@ -63,10 +62,10 @@ def hills(azimuth_rad):
 
 
 def panorama_of(function, count=1, distance_m=4000.0):
-    """Return the same skyline for every one of ``count`` eyes."""
+    """Return elevation tangents and distances of the same skyline for each of ``count`` eyes."""
     azimuth = 2.0 * np.pi / BINS * np.arange(BINS)
     y = np.tile(function(azimuth), (count, 1))
-    return Panoramas(y, np.full_like(y, distance_m))
+    return y, np.full_like(y, distance_m)
 
 
 def seen(function, heading_deg, pitch_deg=0.0, roll_deg=0.0, fov_deg=60.0, columns=4000):

@@ -7,8 +7,8 @@ import rasterio
 from rasterio.transform import Affine
 
 from skyline.geodesy import Frame
-from skyline.match.hypotheses import Hypotheses
-from skyline.match.ranking import Candidate, Ranking
+from skyline.match.candidate import Candidate
+from skyline.match.ranking import Hypotheses, Ranking
 from skyline.terrain.heightfield import HeightField
 from skyline_bench.truth import closed_forms
 
@@ -24,13 +24,15 @@ def candidate_at(
 ) -> Candidate:  # fmt: skip
     """Return the candidate of one pose."""
     pose = easting_m, northing_m, eye_elevation_m, grid_heading_deg, pitch_deg, roll_deg, fov_deg
-    ranking = Ranking(
-        Hypotheses(*(np.array([float(value)]) for value in (*pose, 0.0, score))),
-        None if confidence is None else np.array([confidence]),
-        None if covariance_m2 is None else np.array([covariance_m2]),
-        None if confidence_1km is None else np.array([confidence_1km]),
+    poses = Hypotheses(*(np.array([float(value)]) for value in (*pose, 0.0, score)))
+    return replace(
+        Ranking(poses).candidates(frame)[0],
+        rank=rank,
+        confidence=confidence,
+        confidence_1km=confidence_1km,
+        refined=covariance_m2 is not None,
+        covariance_m2=covariance_m2,
     )
-    return replace(ranking.candidates(frame)[0], rank=rank)
 
 
 def at_m(place):

@@ -53,16 +53,15 @@ _log = logging.getLogger(__name__)
 _job_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="skyline-jobs")
 
 
-def runner_of(workers: int | None, scheduler: str | None) -> AbstractContextManager[Runner | None]:
-    """Return the context of a `Runner` on new processes, or on a cluster; of None without either.
+def runner_of(workers: str | None) -> AbstractContextManager[Runner | None]:
+    """Return the context of a `Runner`: on so many new processes, or on the cluster at an address.
 
-    Raises `InputError` for both, and as `local_runner` and `remote_runner` do.
+    Without either, the context of None. Raises as `local_runner` and `remote_runner`.
     """
-    if workers is not None and scheduler is not None:
-        raise InputError("give one of --workers and --scheduler: a cluster has its own workers")
-    if workers is not None:
-        return local_runner(workers)
-    return remote_runner(scheduler) if scheduler is not None else nullcontext()
+    if workers is None:
+        return nullcontext()
+    is_number = workers.removeprefix("-").isdecimal()
+    return local_runner(int(workers)) if is_number else remote_runner(workers)
 
 
 @contextmanager

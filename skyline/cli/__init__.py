@@ -10,7 +10,7 @@ from skyline.cli.console import command_line, run_app
 
 COMMANDS = {
     "Photos": {
-        "photo.match": "Find where photos were taken and in which direction the camera looked.",
+        "match.match": "Find where photos were taken and in which direction the camera looked.",
         "photo.extract": "Find the skyline in a photo and write it as a trace that a person "
         "can correct.",
         "photo.serve": "Open a page in the browser: drop photos, mend skylines, find places, "
@@ -39,7 +39,7 @@ COMMANDS = {
         "fetch.dem": "Elevation data for an area.",
     },
 }
-"""Commands by subject: the module and the name of each, and the first line of its own help."""
+"""Commands by subject: the module and the name of each, and the first line of its help."""
 
 _MODULES = {
     name: module
@@ -49,7 +49,7 @@ _MODULES = {
 
 
 class _Commands(TyperGroup):
-    """Commands that are loaded when they are called: what some of them need takes a second."""
+    """Commands that are loaded when they are called: some need imports of a second."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the name of a command, the command, which is loaded here, and its arguments."""

@@ -15,12 +15,11 @@ from skyline.cli.console import (
     NoCurvature,
     RefractionK,
     Reproject,
-    Scheduler,
     Workers,
-    keeps,
+    on_interrupt,
     parse_bounds,
+    print_line,
     progress_bar,
-    say,
 )
 from skyline.errors import InputError
 from skyline.geodesy import DEFAULT_REFRACTION_K, Curvature
@@ -56,14 +55,13 @@ def build(
         Option("--map", metavar="PNG", help="Draw a map of the places and how far apart they lie."),
     ] = None,
     workers: Workers = None,
-    scheduler: Scheduler = None,
     k: RefractionK = DEFAULT_REFRACTION_K,
     no_curvature: NoCurvature = False,
     crs: Crs = None,
     reproject: Reproject = False,
 ) -> None:
     """Build the store that `match` searches. After Ctrl-C, the same command continues."""
-    keeps("what was built is kept, and the same command continues from there")
+    on_interrupt("what was built is kept, and the same command continues from there")
     if spacing is not None and loss is not None:
         raise InputError("give one of --spacing (a uniform grid) and --loss (planned places)")
     plan = PlacePlan(
@@ -72,7 +70,7 @@ def build(
         DEFAULT_LOSS if loss is None else loss,
         Curvature(refraction_k=k, enabled=not no_curvature),
     )
-    with runner_of(workers, scheduler) as runner, progress_bar("rendering") as bar:
+    with runner_of(workers) as runner, progress_bar("rendering") as bar:
         terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
         result = build_store(terrain, output, plan, runner, bar)
     print_built(result, output, "places")
@@ -86,10 +84,10 @@ def print_built(result: BuildResult, path: Path, rows: str) -> None:
     """Print how many rows a store has, and how many of them were rendered now."""
     size = f"{path.stat().st_size / 1e6:.1f} MB"
     if not result.rendered:
-        say(f"{path}: {result.rows} {rows}, complete: nothing was left to render, {size}")
+        print_line(f"{path}: {result.rows} {rows}, complete: nothing was left to render, {size}")
         return
     rate = result.rendered / max(result.seconds, 1e-9)
-    say(
+    print_line(
         f"{path}: {result.rows} {rows}, {result.rendered} of them new in "
         f"{result.seconds:.1f} s ({rate:.0f}/s), {size}"
     )

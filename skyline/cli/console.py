@@ -1,6 +1,7 @@
-"""What the command lines share: an error is one line and an exit code; progress is a bar.
+"""Printing, progress and errors of all commands, and the options that several of them have.
 
-With ``SKYLINE_LOG=json`` all of it is JSON lines; see `skyline.errors`.
+An error is one line and an exit code; progress is a bar. With ``SKYLINE_LOG=json`` messages and
+progress are JSON lines; see `skyline.errors`.
 """
 
 import logging
@@ -12,6 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -41,32 +43,35 @@ _UsageError: Any = typer.BadParameter.__base__
 
 _INTERRUPTED = 130
 """Exit code of a command stopped with Ctrl-C, which newer typers return instead of raising."""
-_PATIENCE_S = 5.0
-_TOLD_EACH_S = 1.0
-"""How often progress is a JSON line, at most; its end always is."""
+_SLOW_S = 5.0
+"""From this time on a message says what takes so long."""
+_PROGRESS_EVERY_S = 1.0
+"""Progress is a JSON line this often at most; the last step always is."""
 
 _log = logging.getLogger(__name__)
-_kept: ContextVar[str] = ContextVar("kept", default="")
+_on_interrupt: ContextVar[str] = ContextVar("on_interrupt", default="")
 
 
 def panel(title: str) -> Callable[..., Any]:
-    """Return what makes an option that stands under a title in the help."""
+    """Return a maker of options that stand under a title in the help."""
     return partial(Option, rich_help_panel=title)
 
 
 _terrain, _spread = panel("Terrain and rendering"), panel("Many processors")
 
+StoreFile = Annotated[Path, Argument(metavar="STORE.h5")]
 AsJson = Annotated[bool, Option("--json", help="Print JSON.")]
 StoreDem = Annotated[
     list[str] | None,
     Option(metavar="DEM", help="The store's DEM, if it has moved; repeat for each tile."),
 ]
 Workers = Annotated[
-    int | None, _spread(metavar="N", help="Spread the work over N processes of this machine.")
-]
-Scheduler = Annotated[
     str | None,
-    _spread(metavar="ADDRESS", help="Spread the work over a dask cluster, e.g. tcp://host:8786."),
+    _spread(
+        metavar="N|ADDRESS",
+        help="Spread the work over N processes of this machine, or over the dask cluster whose "
+        "scheduler has this address, e.g. tcp://host:8786.",
+    ),
 ]
 
 Dems = Annotated[
@@ -92,9 +97,9 @@ Tolerance = Annotated[
 
 
 def command_line(name: str, about: str, commands: type[TyperGroup] | None = None) -> typer.Typer:
-    """Return a command line that says, without a command, its help or the version.
+    """Return a command line that prints its help or, with ``--version``, its version.
 
-    Its help says first what it is ``about``; ``commands`` may be a group of its own kind.
+    ``about`` is the first line of the help; ``commands`` the class of the group of commands.
     """
     app = typer.Typer(name=name, cls=commands, pretty_exceptions_enable=False)
 
@@ -113,19 +118,19 @@ def command_line(name: str, about: str, commands: type[TyperGroup] | None = None
     return app
 
 
-def keeps(what: str) -> None:
-    """Let the message after Ctrl-C say, from now on, which work of this command is kept."""
-    _kept.set(f"; {what}")
+def on_interrupt(message: str) -> None:
+    """Set what the error after Ctrl-C adds from now on: which work of this command is kept."""
+    _on_interrupt.set(f"; {message}")
 
 
 def run_app(app: typer.Typer) -> None:
     """Run a command line; every error is one line, exit code 2 for bad input, 1 for failure.
 
-    A command whose output nobody reads any more, as ``| head`` leaves it, ends with exit code 0.
+    A command whose output has no reader any more, as after ``| head``, ends with exit code 0.
     """
     _open_streams()
     start_logging()
-    _kept.set("")
+    _on_interrupt.set("")
     # Heights in HDF5 and NetCDF are only read, also in folders without file locks.
     os.environ.setdefault("HDF5_USE_FILE_LOCKING", "FALSE")
     try:
@@ -145,7 +150,7 @@ def run_app(app: typer.Typer) -> None:
             sys.exit(2)  # A group of commands without a command has printed its help.
         _fail(error.format_message(), 2)
     except (KeyboardInterrupt, typer.Abort):
-        _fail(f"stopped{_kept.get()}", _INTERRUPTED)
+        _fail(f"stopped{_on_interrupt.get()}", _INTERRUPTED)
     except MemoryError:
         _fail("out of memory; choose a smaller area or a larger spacing", 1)
     except OSError as error:
@@ -155,35 +160,34 @@ def run_app(app: typer.Typer) -> None:
 
 
 @contextmanager
-def progress_bar(what: str) -> "Iterator[Progress]":
-    """Show a bar on the terminal's error stream, from the first step reported on.
+def progress_bar(doing: str) -> "Iterator[Progress]":
+    """Show a bar on standard error from the first step on; yields a function of done and total.
 
-    Where there is no terminal, one line says what takes more than five seconds; or there are JSON
-    lines, where those are asked for.
+    Without a terminal, a line says what takes more than five seconds, or there are JSON lines.
     """
     if as_json():
-        yield told(what)
+        yield progress_lines(doing)
         return
     if not sys.stderr.isatty():
-        with patience(what.partition(",")[0]):
+        with note_if_slow(doing.partition(",")[0]):
             yield lambda done, total: None
         return
     bar = ProgressBar(
-        TextColumn(what),
+        TextColumn(doing),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
         console=Console(stderr=True),
     )
     with bar:
-        task = bar.add_task(what, total=None, visible=False)
+        task = bar.add_task(doing, total=None, visible=False)
         yield lambda done, total: bar.update(task, completed=done, total=total, visible=True)
 
 
 @contextmanager
-def patience(doing: str) -> Iterator[None]:
-    """Say what is being done, on the error stream, where it takes more than five seconds."""
-    timer = threading.Timer(_PATIENCE_S, remark, [f"{doing} takes a while ..."])
+def note_if_slow(doing: str) -> Iterator[None]:
+    """Print a note on standard error if the block takes more than five seconds."""
+    timer = threading.Timer(_SLOW_S, print_note, [f"{doing} takes a while ..."])
     timer.daemon = True
     timer.start()
     try:
@@ -192,45 +196,46 @@ def patience(doing: str) -> Iterator[None]:
         timer.cancel()
 
 
-def told(doing: str) -> "Progress":
-    """Return what logs how far something has come, for a service; nobody else sees it."""
-    last_s = -_TOLD_EACH_S
+def progress_lines(doing: str) -> "Progress":
+    """Return a function that logs steps done and their total; only JSON lines show them."""
+    last_s = -_PROGRESS_EVERY_S
 
-    def tell(done: int, total: int) -> None:
+    def report_progress(done: int, total: int) -> None:
         nonlocal last_s
         now_s = time.monotonic()
-        if done == total or now_s - last_s >= _TOLD_EACH_S:
+        if done == total or now_s - last_s >= _PROGRESS_EVERY_S:
             last_s = now_s
             facts = {"doing": doing, "done": done, "total": total}
             _log.info("%s: %d of %d", doing, done, total, extra={"facts": facts})
 
-    return tell
+    return report_progress
 
 
-def parse_numbers(text: str, count: int, complaint: str) -> tuple[float, ...]:
-    """Return so many numbers between commas; raises `InputError` for anything else."""
+def parse_numbers(text: str, count: int, error: str) -> tuple[float, ...]:
+    """Return ``count`` numbers between commas; raises `InputError` with ``error`` otherwise."""
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         numbers = ()
     if len(numbers) != count:
-        raise InputError(complaint)
+        raise InputError(error)
     return numbers
 
 
 def parse_bounds(text: str) -> tuple[float, float, float, float]:
     """Return W, S, E, N in degrees from ``W,S,E,N``; raises `InputError` for anything else."""
-    wanted = "four numbers W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
-    west, south, east, north = parse_numbers(text, 4, f"bounds are `{text}`; expected {wanted}")
+    error = f"bounds are `{text}`; expected four numbers W,S,E,N in degrees, e.g. 9.8,46.7,9.9,46.8"
+    west, south, east, north = parse_numbers(text, 4, error)
     return west, south, east, north
 
 
 def parse_place(text: str) -> tuple[float, float]:
     """Return longitude and latitude from ``LON,LAT``; raises `InputError` for anything else."""
-    said = f"the place is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
-    lon, lat = parse_numbers(text, 2, said)
+    error = f"the place is `{text}`; expected LON,LAT in degrees (WGS 84), e.g. 9.84,46.80"
+    lon, lat = parse_numbers(text, 2, error)
     if not are_degrees(lon, lat):
-        raise InputError(f"{said}; {swapped_in_words(lon, lat)}" if are_degrees(lat, lon) else said)
+        swapped = f"; {swapped_in_words(lon, lat)}" if are_degrees(lat, lon) else ""
+        raise InputError(error + swapped)
     return lon, lat
 
 
@@ -239,32 +244,32 @@ def are_degrees(lon: float, lat: float) -> bool:
     return -180.0 <= lon <= 360.0 and -90.0 <= lat <= 90.0
 
 
-def say(line: str) -> None:
-    """Print one line to standard output, whatever is in the names that it has."""
-    typer.echo(printable(line))
+def print_line(text: str) -> None:
+    """Print one line to standard output; characters that cannot be shown are escaped."""
+    typer.echo(printable(text))
 
 
-def complain(message: str) -> None:
+def print_error(message: str) -> None:
     """Print an error as one line to standard error."""
-    _note(logging.ERROR, "error: ", " ".join(message.split()))
+    _print_message(logging.ERROR, "error: ", " ".join(message.split()))
 
 
-def remark(message: str) -> None:
+def print_note(message: str) -> None:
     """Print a message that is no error as one line to standard error."""
-    _note(logging.INFO, "", message)
+    _print_message(logging.INFO, "", message)
 
 
-def _note(level: int, prefix: str, message: str) -> None:
+def _print_message(level: int, prefix: str, message: str) -> None:
     if as_json():
         _log.log(level, "%s", message)
         return
-    # Work goes on where nobody reads messages.
+    # Work goes on if standard error has no reader any more.
     with suppress(BrokenPipeError):
         print(prefix + printable(message), file=sys.stderr, flush=True)
 
 
 def _open_streams() -> None:
-    """Open what the shell has closed (``>&-``), so that no other file gets its number."""
+    """Open the streams that the shell has closed (``>&-``): no other file must get their number."""
     for number in range(3):
         try:
             os.fstat(number)
@@ -275,7 +280,7 @@ def _open_streams() -> None:
 
 
 def _flush_streams() -> None:
-    """Let what cannot be written go nowhere: Python would complain of it as it ends."""
+    """Discard output that cannot be written: Python would print an error of its own at its end."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
@@ -286,5 +291,5 @@ def _flush_streams() -> None:
 
 
 def _fail(message: str, code: int) -> None:
-    complain(message)
+    print_error(message)
     sys.exit(code)

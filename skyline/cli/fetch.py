@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
-from skyline.cli.console import keeps, parse_bounds, progress_bar, say
+from skyline.cli.console import on_interrupt, parse_bounds, print_line, progress_bar
 from skyline.fetch.dem_tiles import SOURCES, fetch_dem
 from skyline.fetch.overpass import fetch_peaks
 from skyline.fetch.remote import HttpOptions
@@ -49,14 +49,18 @@ def fetch(
     failure, the same command continues.
     """
     bounds = parse_bounds(bbox)
-    keeps("the tiles that were fetched are kept, and the same command continues with the others")
+    on_interrupt(
+        "the tiles that were fetched are kept, and the same command continues with the others"
+    )
     options = HttpOptions(retries=retries, timeout_s=timeout)
     with progress_bar("fetching tiles") as progress:
         done = fetch_dem(bounds, source, folder, options, progress)
     held = sum(path.stat().st_size for path in done.files)
-    say(f"{folder}: {len(done.files)} tiles, {done.fetched} of them new, {held / 1e6:.1f} MB")
+    print_line(
+        f"{folder}: {len(done.files)} tiles, {done.fetched} of them new, {held / 1e6:.1f} MB"
+    )
     if done.missing:
-        say(f"the source has no tile (usually sea) for: {', '.join(done.missing)}")
+        print_line(f"the source has no tile (usually sea) for: {', '.join(done.missing)}")
 
 
 def peaks(
@@ -73,4 +77,4 @@ def peaks(
     """Fetch the named peaks of a box from an Overpass server, for `--peaks`."""
     options = HttpOptions(retries=retries, timeout_s=timeout)
     count = fetch_peaks(parse_bounds(bbox), server, output, options)
-    say(f"{output}: {count} peaks (OpenStreetMap contributors, ODbL)")
+    print_line(f"{output}: {count} peaks (OpenStreetMap contributors, ODbL)")

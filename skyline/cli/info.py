@@ -19,7 +19,7 @@ from skyline.cli.console import (
     Tolerance,
     Width,
     parse_numbers,
-    say,
+    print_line,
 )
 from skyline.errors import InputError, printable
 from skyline.geodesy import Curvature, Frame
@@ -101,13 +101,13 @@ def explain(
 
 def _say_facts(facts: Facts, as_json: bool) -> None:
     if as_json:
-        say(json.dumps(facts))
+        print_line(json.dumps(facts))
         return
     for name, value in facts.items():
         values = value if isinstance(value, list) else [value]
         for line, item in enumerate(values):
             shown = f"{item:.9g}" if isinstance(item, float) else item
-            say(f"{name if line == 0 else '':<24} {shown}")
+            print_line(f"{name if line == 0 else '':<24} {shown}")
 
 
 def _describe_terrain(field: HeightField) -> Facts:

@@ -18,15 +18,14 @@ from skyline.cli.console import (
     NoCurvature,
     RefractionK,
     Reproject,
-    Scheduler,
     Tolerance,
     Width,
     Workers,
-    keeps,
+    on_interrupt,
     panel,
     parse_bounds,
+    print_line,
     progress_bar,
-    say,
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -101,7 +100,6 @@ def render(
         _of_planners("--map", metavar="PNG", help="Draw a map of the viewpoints and their areas."),
     ] = None,
     workers: Workers = None,
-    scheduler: Scheduler = None,
     width: Width = _DEFAULTS.width,
     tolerance_px: Tolerance = _DEFAULTS.tolerance_px,
     k: RefractionK = _DEFAULTS.curvature.refraction_k,
@@ -122,7 +120,7 @@ def render(
         "--seed": seed,
         "--map": drawn,
     }
-    others = {"--workers": workers, "--scheduler": scheduler, "--depth-images": depth_images}
+    others = {"--workers": workers, "--depth-images": depth_images}
     if planner is not None:
         _refuse_given(others, "leave it out: a planner plans one area as a whole, in this process")
         spacing = replace(
@@ -139,11 +137,11 @@ def render(
         )
         _build_planned(read_dem(dem, options), output, planned, corners, config, drawn)
         return
-    keeps("what was built is kept, and the same command continues from there")
+    on_interrupt("what was built is kept, and the same command continues from there")
     _refuse_given(of_planners, "give --planner too")
     if viewpoints is not None:
         _refuse_given({"--bounds": bounds}, "leave it out: all viewpoints are rendered")
-    with runner_of(workers, scheduler) as runner, progress_bar("rendering") as bar:
+    with runner_of(workers) as runner, progress_bar("rendering") as bar:
         terrain = read_dem(dem, options)
         if viewpoints is not None:
             plan = RenderingPlan.given(read_viewpoints(viewpoints, terrain), config)
@@ -187,11 +185,11 @@ def _build_planned(
                 f"{output} is complete, and a map is drawn as viewpoints are planned; remove the "
                 "store to plan it again"
             )
-        say(f"{output}: complete: nothing was left to render")
+        print_line(f"{output}: complete: nothing was left to render")
         return
     print_built(done.built, output, "renderings")
     proof, made = done.verification, done.plan.progress
-    say(
+    print_line(
         f"to {done.plan.threshold_px:.3g} px: coverage {100 * proof.predicted:.1f} % predicted, "
         f"{100 * proof.verified:.1f} % verified by rendering ({proof.sampled} covered locations: "
         f"{100 * proof.share:.1f} % hold, 95 % interval {100 * proof.low:.1f} to "

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 from typer import Argument, Option
 
-from skyline.cli.console import AsJson, say
+from skyline.cli.console import AsJson, print_line
 from skyline.errors import InputError, printable
 from skyline.report.geopackage import write_geopackage
 from skyline.store import CopyReport, check_store, merge_stores, open_store, repair_store
@@ -31,13 +31,15 @@ def check(store: StoreFile, as_json: AsJson = False) -> None:
     if as_json:
         # The exit code is true also where nobody reads this.
         with suppress(BrokenPipeError):
-            say(json.dumps({"store": printable(store), "whole": report.whole, **asdict(report)}))
+            print_line(
+                json.dumps({"store": printable(store), "whole": report.whole, **asdict(report)})
+            )
         raise typer.Exit(0 if report.whole else _DAMAGED)
     if not report.whole:
         first = "; ".join(damage.what for damage in report.damage[:3])
         more = f"; and {len(report.damage) - 3} more" if len(report.damage) > 3 else ""
         raise InputError(f"{store} is damaged: {first}{more}")
-    say(f"{store}: {report.rows:,} {report.holds}, whole")
+    print_line(f"{store}: {report.rows:,} {report.holds}, whole")
 
 
 @store.command()
@@ -47,7 +49,7 @@ def repair(store: StoreFile, output: NewStore) -> None:
     _print_copied(report, output)
     for damage in report.damage:
         rows = f"rows {damage.first_row} to {damage.first_row + damage.rows - 1}"
-        say(f"  left out {rows}: {damage.what}")
+        print_line(f"  left out {rows}: {damage.what}")
 
 
 @store.command()
@@ -66,7 +68,7 @@ def export(
     """Write where the places are as a GeoPackage, for QGIS, with its style (extra `geo`)."""
     with open_store(store) as opened:
         count = write_geopackage(opened, output)
-    say(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
+    print_line(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
 
 
 def _print_copied(report: CopyReport, path: Path) -> None:
@@ -75,4 +77,4 @@ def _print_copied(report: CopyReport, path: Path) -> None:
     again = f", {report.duplicates} duplicates left out" if report.duplicates else ""
     lost = sum(damage.rows for damage in report.damage)
     damaged = f", {lost} damaged rows left out" if lost else ""
-    say(f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}")
+    print_line(f"{path}: {report.rows:,} {report.holds}{each}{again}{damaged}")

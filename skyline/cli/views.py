@@ -16,11 +16,11 @@ from skyline.cli.console import (
     RefractionK,
     Reproject,
     Surfaces,
+    note_if_slow,
     parse_place,
-    patience,
+    print_line,
+    print_note,
     progress_bar,
-    remark,
-    say,
 )
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
@@ -129,11 +129,11 @@ def sun(
         terrain = read_dem(dem, DemOptions(crs=crs, reproject=reproject))
         eyes = _eyes(terrain, at or [], eye_height, summit_within)
         found = horizons_of(terrain, eyes, progress=progress)
-    say("lon,lat,from_utc,to_utc")
+    print_line("lon,lat,from_utc,to_utc")
     for place in range(len(found)):
         for begin, end in found.sun_above(asked, place):
             times = ",".join(f"{time:%Y-%m-%dT%H:%M:%SZ}" for time in (begin, end))
-            say(f"{found.lon[place]:.7f},{found.lat[place]:.7f},{times}")
+            print_line(f"{found.lon[place]:.7f},{found.lat[place]:.7f},{times}")
     _warn(found)
 
 
@@ -163,7 +163,7 @@ def panorama(
     lonlat = parse_place(at)
     config = PanoramaConfig(heading, fov_deg, eye_height, summit_within)
     options = DemOptions(crs=crs, reproject=reproject)
-    with patience(f"drawing {output}"):
+    with note_if_slow(f"drawing {output}"):
         if surface:
             terrain = read_dem(dem, options)
             blocks, over = TerrainBlocks.of(terrain), read_surface(surface, terrain)
@@ -177,7 +177,7 @@ def panorama(
     named = "" if gazetteer is None else f", {seen} of {len(gazetteer)} peaks are seen"
     if drawn.unnamed:
         named += f", {drawn.unnamed} of them without a name for want of room"
-    say(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
+    print_line(f"{output}: {output.stat().st_size / 1e6:.1f} MB{named}")
 
 
 def _eyes(
@@ -207,14 +207,14 @@ def _say_where(
     if summit_within_m:
         lon, lat = (float(one[0]) for one in terrain.frame.to_lonlat(eye.easting_m, eye.northing_m))
         away_m = np.hypot(eye.easting_m[0] - asked_m[0], eye.northing_m[0] - asked_m[1])
-        remark(
+        print_note(
             f"{said}: the highest point within {summit_within_m:g} m is {lon:.5f},{lat:.5f}, "
             f"{stands_m:.0f} m high and {away_m:.0f} m away"
         )
         return
     surface_m = float(terrain.height_at(lon=asked[0], lat=asked[1]))
     if summit_within_m is None and stands_m - surface_m > 0.01:
-        remark(
+        print_note(
             f"{said} is beside a summit of the model: the eye stands as high as it, {stands_m:.0f} "
             f"m, and not on its slope, {surface_m:.0f} m (as --summit-within 0 would have it)"
         )

@@ -1,16 +1,16 @@
-r"""How likely an answer is right: within 200 m of where the query was taken.
+r"""Confidence: the probability that a place is right within 200 m, and within 1 km.
 
-A logistic model of a few figures that a match leaves behind, learned from synthetic queries on
-other terrain than any result is reported on (``python -m skyline_training confidence``, which also
-draws the reliability diagram):
+It is a logistic model of figures that a match gives, learned from synthetic queries on other
+terrain than any result is reported on (``python -m skyline_training confidence``, which also draws
+the reliability diagram):
 
 .. math::
 
     P = \frac{1}{1 + \exp(-(b + \sum_f w_f (x_f - m_f) / s_f))}
 
-The figures say how well the best pose fits, how much better it fits than any elsewhere, how unusual
-its camera is, and how much there was to fit. Where a query shows too little, no fit is believed.
-How far the camera is tilted up is no figure: synthetic queries tilt less than photos do.
+The figures describe how well the best pose fits, its margin over all other answers, how unusual its
+camera is, and how much skyline there was to fit: no fit to too little of a skyline is believed. The
+camera's tilt is not a figure, since synthetic queries tilt less than photos do.
 """
 
 import json
@@ -22,39 +22,37 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.errors import InputError
-from skyline.match.hypotheses import Hypotheses
-from skyline.match.pose import Poses
+from skyline.match.candidate import RIGHT_WITHIN_M, ROUGHLY_WITHIN_M
 from skyline.match.query_rays import QueryRays
-
-RIGHT_WITHIN_M = 200.0
-"""An answer this near is right."""
-ROUGHLY_WITHIN_M = 1000.0
-"""One this near is roughly right."""
-DISTANCES_M = (RIGHT_WITHIN_M, ROUGHLY_WITHIN_M)
+from skyline.match.ranking import Hypotheses, RefinedPoses
 
 _MAX_MARGIN = 60.0
-"""Margins beyond teach no more, with caps of up to 1,000: strangers have been fitted with 124."""
+"""Cap of margins. Caps of up to 1,000 teach no more: strangers have been fitted with margins of
+124."""
 _MIN_MARGIN = 1e-3
 _MOST_VISIBLE_DEG = 90.0
-"""What was learned is of photos: a panorama counts as a wide one."""
+"""Cap of the visible skyline: the model is learned from photos, and a panorama counts as a wide
+one."""
 _MOST_LENS_DEVIATIONS = 4.0
 _MODELS = "confidence.json"
 
 
 @dataclass(frozen=True, slots=True)
 class Logistic:
-    """A logistic model."""
+    """A logistic model of F figures."""
 
     names: tuple[str, ...]
-    """Of the F figures."""
     mean: tuple[float, ...]
     scale: tuple[float, ...]
     weight: tuple[float, ...]
-    """``mean``, ``scale``, ``weight``: F each."""
+    """``names``, ``mean``, ``scale``, ``weight``: F each."""
     bias: float
 
     def probability(self, figures: Mapping[str, Float64Array]) -> Float64Array:
-        """Return probabilities (M,) from figures by name, (M,) each."""
+        """Return probabilities (M,) from figures (M,) by name.
+
+        Raises `InputError` where a figure is missing.
+        """
         missing = [name for name in self.names if name not in figures]
         if missing:
             raise InputError(
@@ -68,16 +66,18 @@ class Logistic:
         return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logit, -50.0, 50.0))))
 
 
-def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[str, Float64Array]:
-    """Return what a refinement says of each of its M poses, (M,) by name.
+def refined_figures(
+    poses: RefinedPoses, found: Hypotheses, query: QueryRays
+) -> dict[str, Float64Array]:
+    """Return the figures (M,) of refined poses by name, with those of the best retrieved pose.
 
-    That with what the retrieval it began with says of its best: skylines of elsewhere can be bent
-    to fit some place well, but were hardly like it before. Where all that was retrieved is one
-    place, there is nothing to be told apart from, and no margin. Where none lies beyond 1 km, as
-    in a narrow search, the margin over those nearer counts for both.
+    The skyline of another region can be bent to fit some place well, but is hardly like that place
+    in retrieval. The margin is 0 where all retrieved poses are one place, so that there is no
+    rival. Where none lies beyond 1 km, as in a narrow search, the margin over nearer rivals counts
+    for both.
     """
     retrieved, best = retrieved_figures(found, query), int(np.argmin(found.score))
-    widest_m = found.apart_m().max(initial=0.0)
+    widest_m = found.distances_m().max(initial=0.0)
     margin = poses.margin if widest_m > RIGHT_WITHIN_M else np.zeros(len(poses))
     far_margin = poses.far_margin if widest_m > ROUGHLY_WITHIN_M else margin
     return _pose_figures(poses, query, margin, far_margin) | {
@@ -87,12 +87,11 @@ def refined_figures(poses: Poses, found: Hypotheses, query: QueryRays) -> dict[s
     }
 
 
-def lone_figures(poses: Poses, query: QueryRays, model: Logistic) -> dict[str, Float64Array]:
-    """Return the figures of M poses that no search found, (M,) by name, for a model.
+def lone_figures(poses: RefinedPoses, query: QueryRays, model: Logistic) -> dict[str, Float64Array]:
+    """Return the figures (M,) for a model, by name, of poses that were fitted without a search.
 
-    No pose elsewhere was tried. The figures are those of a search in which nothing else fits: of
-    the greatest margin that counts, after a retrieval like the mean of those that the model was
-    learned from.
+    They are those of a search in which nothing else fits: with the greatest margin, after a
+    retrieval like the mean of those that the model was learned from.
     """
     most = np.full(len(poses), _MAX_MARGIN)
     usual = {
@@ -102,14 +101,14 @@ def lone_figures(poses: Poses, query: QueryRays, model: Logistic) -> dict[str, F
 
 
 def _pose_figures(
-    poses: Poses, query: QueryRays, margin: Float64Array, far_margin: Float64Array
+    poses: RefinedPoses, query: QueryRays, margin: Float64Array, far_margin: Float64Array
 ) -> dict[str, Float64Array]:
-    """Return the figures of M poses with these margins, but for those of their retrieval."""
+    """Return the figures of M poses with given margins, without those of their retrieval."""
     trace_m2 = np.trace(poses.covariance_m2, axis1=1, axis2=2)
     lens_off = np.abs(query.log_scale(poses.hypotheses.fov_deg)) / query.log_scale_sd
     return {
         "log_residual": np.log(np.maximum(poses.residual_deg, 1e-3)),
-        "inlier_share": poses.inlier_share,
+        "inlier_share": poses.terrain_share,
         "log_columns": np.log(np.maximum(poses.effective_columns, 1.0)),
         "margin": _margin(margin),
         "log_margin": _log_margin(margin),
@@ -123,9 +122,9 @@ def _pose_figures(
 
 
 def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64Array]:
-    """Return what a retrieval says of each of its M poses, (M,) by name."""
-    margin = _lead(found, RIGHT_WITHIN_M, np.zeros(len(found)))
-    far_margin = _lead(found, ROUGHLY_WITHIN_M, margin)
+    """Return the figures (M,) of retrieved poses by name."""
+    margin = _margin_or(found, RIGHT_WITHIN_M, np.zeros(len(found)))
+    far_margin = _margin_or(found, ROUGHLY_WITHIN_M, margin)
     return {
         "score": found.score,
         "margin": _margin(margin),
@@ -137,8 +136,8 @@ def retrieved_figures(found: Hypotheses, query: QueryRays) -> dict[str, Float64A
 def mean_figures(each: Sequence[dict[str, Float64Array]]) -> dict[str, Float64Array]:
     """Return the means of the figures (M,) of several queries at the same places.
 
-    Queries of one place share what is wrong with the terrain model there, and nobody has learned
-    how much: together they are taken to say what one of them says in the mean.
+    Queries of one place share the errors of the terrain model there, to an unknown degree. Together
+    they therefore count as one query with the mean figures.
     """
     return {name: np.mean([figures[name] for figures in each], axis=0) for name in each[0]}
 
@@ -163,16 +162,16 @@ def models() -> dict[str, Logistic]:
     }
 
 
-def _lead(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Float64Array:
-    """Return by how much each pose's score is better than the best one's that far off, (M,)."""
-    is_far_from_any = (found.apart_m() > least_m).any(axis=1)
-    return np.where(is_far_from_any, found.lead(least_m), otherwise)
+def _margin_or(found: Hypotheses, least_m: float, otherwise: Float64Array) -> Float64Array:
+    """Return the margin (M,) of each pose over rivals, or ``otherwise`` (M,) without any."""
+    has_rivals = (found.distances_m() > least_m).any(axis=1)
+    return np.where(has_rivals, found.rival_margin(least_m), otherwise)
 
 
 def _query_figures(query: QueryRays, count: int) -> dict[str, Float64Array]:
-    """Return how much of a skyline the query shows and how much that rises and falls."""
+    """Return the figures of the width and of the relief of the query's skyline."""
     azimuth, y = query.levelled(0.0, 0.0)
-    # What a pitch and a roll cannot explain.
+    # Relief is the deviation from a line: a pitch and a roll can explain the line.
     trend = np.polynomial.Polynomial.fit(azimuth, y, 1, w=np.sqrt(query.weight))
     relief = np.sqrt(np.average((y - trend(azimuth)) ** 2, weights=query.weight))
     visible_deg = np.degrees(np.ptp(azimuth))

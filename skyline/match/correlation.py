@@ -14,50 +14,64 @@ turn of s bins, over the bins i of the query:
     \mathrm{ncc}(s) = \frac{\sum w_i q_i y_{i+s} - W a b}
     {\sqrt{(\sum w_i n_{i+s} q_i^2 - W a^2)\,(\sum w_i y_{i+s}^2 - W b^2)}}
 
-Each sum is a circular correlation of one array of the query with one of the profile, so all
-turns come from one product of Fourier transforms. Turns where too little overlaps
-(W below a share of the query's weight), or where either curve is flat over the overlap, have no
-correlation. The score is 1 - ncc, in [0, 2].
+Each sum is a circular correlation of an array of the query with one of the profile, so all turns
+come from one product of Fourier transforms. A turn has no correlation where too little of the query
+overlaps the profile (W below a share of the query's weight), or where either curve is flat over the
+overlap. The score is 1 - ncc, in [0, 2].
 """
 
-from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-from skyline.arrays import Float64Array
-from skyline.match.profiles import TANGENT_PER_PX, Profiles
+from skyline.arrays import Complex128Array, Float32Array, Float64Array, IntArray
+from skyline.match.matchers import Ranker
+from skyline.match.prior import NOTHING_KNOWN, Prior
+from skyline.match.profiles import TANGENT_PER_PX, Fits, Profiles
 from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
-from skyline.match.ranker import ProfileRanker
-from skyline.match.ranking import Fits
+from skyline.match.ranking import Ranking
+from skyline.match.scene import OpenedStore
+from skyline.match.screening import Alike
 
 _CHUNK = 8
-"""Locations at a time; keeps the transforms' arrays in the cache."""
+"""Locations at a time; keeps the arrays of the transforms in the cache."""
 _MIN_OVERLAP = 0.8
 """Least share of the query's weight that must lie over known profile."""
 _FLAT_PX = 0.1
 """Curves with a smaller standard deviation over the overlap have no correlation."""
-_Transforms = tuple[NDArray[np.complex128] | None, NDArray[np.complex128], NDArray[np.complex128]]
+_Transforms = tuple[Complex128Array | None, Complex128Array, Complex128Array]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CorrelationMatcher(ProfileRanker):
+class CorrelationMatcher(Ranker):
     """The plain baseline: the greatest normalized correlation wins.
 
-    Nothing is computed before a query: the transforms of profiles are few beside those that a query
-    needs, and would take several times the profiles' memory.
+    The transforms of profiles are computed anew for each query: they are few beside those that a
+    query needs, and would take several times the memory of the profiles.
     """
 
-    profiles: Profiles
-    """Of the store it matches to."""
-    attitudes: Attitudes = field(default_factory=Attitudes)
-    """Assumed pitches and rolls."""
+    def __init__(self, profiles: Profiles, attitudes: Attitudes | None = None) -> None:
+        self.profiles, self._attitudes = profiles, attitudes or Attitudes()
+
+    @classmethod
+    def open(cls, store: OpenedStore) -> Self:
+        """See `Ranker.open`."""
+        return cls(store.profiles())
+
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        prior: Prior = NOTHING_KNOWN,
+        screened: Alike | None = None,
+    ) -> Ranking:
+        """See `Ranker.rank`."""
+        return self.profiles.ranked(self.fit(query), query.fov_deg, top)
 
     def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score is 1 - ncc."""
         profiles = self.profiles
-        curves = QueryCurves.of(query, self.attitudes, profiles.bins)
+        curves = QueryCurves.of(query, self._attitudes, profiles.bins)
         chunks = [profiles.y[k : k + _CHUNK] for k in range(0, len(profiles), _CHUNK)]
         ncc = [self._greatest(curves, chunk) for chunk in chunks]
         peak, attitude, turn = (np.concatenate(parts) for parts in zip(*ncc, strict=True))
@@ -70,15 +84,15 @@ class CorrelationMatcher(ProfileRanker):
         )
 
     def _greatest(
-        self, curves: QueryCurves, y: NDArray[np.float32]
-    ) -> tuple[Float64Array, NDArray[np.intp], NDArray[np.intp]]:
+        self, curves: QueryCurves, y: Float32Array
+    ) -> tuple[Float64Array, IntArray, IntArray]:
         """Return the greatest ncc of each location (-inf if none), its attitude and its turn."""
-        known = _transformed(y)
+        transforms = _transformed(y)
         row = np.arange(len(y))
         best = np.full(len(y), -np.inf)
         attitude, turn = np.zeros((2, len(y)), dtype=np.intp)
         for number, (q, weight) in enumerate(zip(curves.y, curves.weight, strict=True)):
-            ncc = self._ncc(known, q, weight)
+            ncc = self._ncc(transforms, q, weight)
             peak = ncc.argmax(axis=1)
             greater = ncc[row, peak] > best
             best = np.where(greater, ncc[row, peak], best)
@@ -86,26 +100,26 @@ class CorrelationMatcher(ProfileRanker):
             turn = np.where(greater, peak, turn)
         return best, attitude, turn
 
-    def _ncc(self, known: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
+    def _ncc(self, transforms: _Transforms, q: Float64Array, weight: Float64Array) -> Float64Array:
         """Return ncc (L, B) of one query curve at every turn, -inf where there is none."""
         # Deviations from the mean keep the differences of sums below well conditioned.
         q = np.where(weight > 0.0, q, 0.0)
         q = np.where(weight > 0.0, q - np.average(q, weights=weight), 0.0)
-        known_n, known_y, known_y2 = known
-        flat_w, flat_wq, flat_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
+        of_n, of_y, of_y2 = transforms
+        query_w, query_wq, query_wq2 = fft.rfft(weight * np.stack([q**0, q, q**2])).conj()
         bins = len(q)
-        sum_y, sum_y2 = fft.irfft(known_y * flat_w, bins), fft.irfft(known_y2 * flat_w, bins)
-        covariance = fft.irfft(known_y * flat_wq, bins)
-        if known_n is None:
-            # Then all of the query lands on known profile, and its mean over that is 0.
+        sum_y, sum_y2 = fft.irfft(of_y * query_w, bins), fft.irfft(of_y2 * query_w, bins)
+        covariance = fft.irfft(of_y * query_wq, bins)
+        if of_n is None:
+            # All of the query then lands on known profile, and its mean over that is 0.
             total, enough = np.full(1, weight.sum()), np.full(1, True)
             variance_q = np.full(1, np.sum(weight * q**2))
         else:
-            total = fft.irfft(known_n * flat_w, bins)
+            total = fft.irfft(of_n * query_w, bins)
             enough = total >= _MIN_OVERLAP * weight.sum() - 1e-9
             total = np.where(enough, total, 1.0)
-            sum_q = fft.irfft(known_n * flat_wq, bins)
-            variance_q = fft.irfft(known_n * flat_wq2, bins) - sum_q**2 / total
+            sum_q = fft.irfft(of_n * query_wq, bins)
+            variance_q = fft.irfft(of_n * query_wq2, bins) - sum_q**2 / total
             covariance -= sum_q * sum_y / total
         variance_y = sum_y2 - sum_y**2 / total
         flat = (_FLAT_PX * TANGENT_PER_PX) ** 2 * total
@@ -114,10 +128,10 @@ class CorrelationMatcher(ProfileRanker):
         return np.where(usable, covariance / scale, -np.inf)
 
 
-def _transformed(y: NDArray[np.float32]) -> _Transforms:
-    """Return the Fourier transforms (L, B / 2 + 1) of where profiles are known, of y and of y**2.
+def _transformed(y: Float32Array) -> _Transforms:
+    """Return the Fourier transforms (L, B / 2 + 1) of n, y and y**2 of profiles.
 
-    The first is None where all is known.
+    The first is None where the profiles are known throughout.
     """
     n = np.isfinite(y).astype(np.float64)
     y0 = np.where(n > 0.0, y, 0.0).astype(np.float64)

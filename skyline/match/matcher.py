@@ -1,8 +1,8 @@
-"""Matching queries to a store, and to the terrain it was rendered from."""
+"""`Matcher`: matches queries to a store, and to the terrain that the store was rendered from."""
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -10,26 +10,23 @@ from typing import Self
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.match.claim import claim_of
-from skyline.match.hypotheses import Hypotheses
-from skyline.match.match_config import MatchConfig
-from skyline.match.matchers import FULL, check_narrows, matcher_class
-from skyline.match.narrowing import Narrowed, Narrowing
-from skyline.match.opened import OpenedSource, given_terrain
-from skyline.match.progress import telling
-from skyline.match.query_rays import QueryRays
-from skyline.match.ranking import Candidate
-from skyline.match.refusals import (
+from skyline.match.answer import (
     DISAGREES,
-    at_bound,
-    lens_in_doubt,
+    JointResult,
+    MatchResult,
     misfit,
+    refusal_of,
     sure_within_m,
     too_little,
     unsure,
 )
-from skyline.match.results import JointResult, MatchResult
-from skyline.match.screening import Alike
+from skyline.match.candidate import Candidate
+from skyline.match.matchers import FULL, MatchConfig, matcher_class
+from skyline.match.prior import Narrowing, PlacePrior, Prior
+from skyline.match.query_rays import QueryRays
+from skyline.match.ranking import Hypotheses
+from skyline.match.scene import OpenedStore, given_terrain
+from skyline.match.screening import Alike, ReportProgress, reporting_progress
 from skyline.photo.lens import Lens
 from skyline.photo.projection import MAX_PANORAMA_DEG
 from skyline.photo.query import QuerySkyline
@@ -40,9 +37,9 @@ from skyline.terrain.surface import Dem
 from skyline.terrain.viewpoints import Viewpoints
 
 _WIDE_DEG = 75.0
-"""Lenses of a wider field of view may distort: phones correct what their main camera does."""
+"""Lenses of a wider field of view may distort; phones correct the distortion of others."""
 _DISTORTION_SD = 0.05
-"""Of what those leave."""
+"""Standard deviation of the distortion that remains."""
 
 
 class Matcher:
@@ -52,25 +49,25 @@ class Matcher:
     ----------
     store : str or Path
     dem : path, paths or HeightField, optional
-        The DEM the store was rendered from; by default read from where it lay then. The full
-        matcher takes heights from it, and renders it to refine. Where it is not to be had,
-        answers stay unrefined, which is logged.
+        The DEM that the store was rendered from; by default it is read from the file that the store
+        names. The full matcher takes heights from it, and renders it for refinement. If it cannot
+        be read, a warning is logged and answers stay unrefined.
     matcher : str
-        One of `skyline.match.matchers.MATCHERS`: ``full``, which is ours and searches places,
+        A name in `skyline.match.matchers.MATCHERS`: ``full``, which is ours and searches places,
         or one that compares renderings.
     config : MatchConfig, optional
     render_thread : RenderThread, optional
-        Renders, so that any thread may match, and several at a time; by default the thread that
-        makes the matcher renders, and it alone may match.
+        A thread that renders, so that any thread may match, and several at a time. By default the
+        thread that makes the matcher renders, and only that thread may match.
     surface : path, paths or HeightField, optional
-        A surface or canopy model: how far trees and houses may rise above the DEM's skyline. For
-        the full matcher, which heeds it in refinement.
+        A surface or canopy model: the height to which trees and houses may rise above the DEM's
+        skyline. The full matcher uses it in refinement.
 
     Raises
     ------
     InputError
-        No such matcher, a store that does not hold what the matcher compares with, or a surface
-        that is not over the DEM, or for who does not refine.
+        The matcher's name is unknown, the store is not of the kind that the matcher searches, the
+        surface does not cover the DEM, or a surface is given to a matcher that does not refine.
     StoreError
         The store cannot be read.
     StoreMismatchError
@@ -88,30 +85,28 @@ class Matcher:
     ) -> None:
         kind = matcher_class(matcher)
         self._config = config or MatchConfig()
-        if surface is not None and not (matcher == FULL and self._config.refine):
+        refine = self._config.refine
+        if surface is not None and not (matcher == FULL and refine):
             raise InputError("a surface acts in refinement; use the full matcher, and refine")
-        with open_store(store) as opened:
-            self.header = opened.header
-            self.rows, self.holds = len(opened), opened.header.holds
+        with open_store(store) as file:
+            self.header = file.header
+            self.rows, self.holds = len(file), file.header.holds
             terrain = given_terrain(self.header, dem)
-            source = OpenedSource(store, opened, terrain, self._config, render_thread, surface)
-            self._ranker = kind.open(source)
-            self._eyes = source.eyes()
-        self.terrain, self._scene = source.terrain, source.rendered
-        if surface is not None and self._scene is None:
-            raise InputError("a surface needs the store's DEM, which is not at hand; give it")
+            opened = OpenedStore(store, file, terrain, refine, render_thread, surface)
+            self._ranker = kind.open(opened)
+            self._eyes = opened.eyes()
+        self.terrain = opened.terrain
         self.render_thread = render_thread
         self.frame = Frame(self.header.frame_wkt)
 
     @cached_property
     def viewpoints(self) -> Viewpoints:
-        """Where the store's eyes stand, evenly chosen ones of very many."""
+        """The eyes of the store, or an even selection of very many."""
         return self._eyes()
 
     def release(self) -> None:
-        """Free what the matcher holds on the GPU; it cannot refine after that."""
-        if self._scene is not None:
-            self._scene.release()
+        """Free the matcher's GPU memory; it cannot refine after that."""
+        self._ranker.release()
 
     def __enter__(self) -> Self:
         return self
@@ -126,7 +121,7 @@ class Matcher:
         top: int = 5,
         narrowing: Narrowing | None = None,
         screened: Alike | None = None,
-        told: Callable[[str, float], None] | None = None,
+        report_progress: ReportProgress | None = None,
     ) -> MatchResult:
         """Find where a photo, a sky mask, a trace or a query skyline was taken.
 
@@ -136,39 +131,38 @@ class Matcher:
         fov_deg : float, optional
             Horizontal field of view; by default the query's own.
         top : int
-            How many candidates to return at most; how many has no influence on what they are.
+            Most candidates to return; the candidates themselves do not depend on it.
         narrowing : Narrowing, optional
-            What is known of where the photo was taken; for the full matcher alone.
+            Knowledge about the photo's pose; only the full matcher takes any.
         screened : Alike, optional
-            What `screen` found in all parts of the store, joined; by default the store is
+            The results of `screen` for all parts of the store, joined; by default the store is
             screened here.
-        told : callable, optional
-            Called, in this thread, with the step that the match is at and the share of the step
-            that is done, 0 to 1. What it raises ends the match.
+        report_progress : callable, optional
+            Called, in this thread, with the current step of the match and the share of that step
+            that is done, 0 to 1. An exception that it raises ends the match.
 
         Raises
         ------
         InputError
-            The query has no usable skyline, the matcher needs a field of view and none is
-            known, or there is no place within what the search is narrowed to.
+            The query has no usable skyline, its field of view is unknown and the matcher needs one,
+            the search is narrowed to no place, or ``top`` is below 1.
         StoreError
             The store was damaged or cut short since it was opened.
         """
         started = time.perf_counter()
-        query = _skyline_of(query, fov_deg)
+        _check_top(top)
+        name, query = _name_of(query), _skyline_of(query, fov_deg)
         candidates: tuple[Candidate, ...] = ()
         refusal = too_little(query, self._config)
         if refusal is None:
-            rays, narrowed = self._rays(query), self._narrowed(narrowing, query)
-            with telling(told):
-                ranking = self._ranker.rank(rays, top, narrowed, screened)
+            rays, prior = self._rays(query), self._prior(query, narrowing)
+            with reporting_progress(report_progress):
+                ranking = self._ranker.rank(rays, top, prior, screened)
             candidates = ranking.candidates(self.frame)
-            refusal = unsure(candidates, self._config)
-            if refusal is not None:
-                refusal += lens_in_doubt(candidates, query, rays)
-            refusal = refusal or at_bound(candidates, rays)
+            refusal = refusal_of(candidates, self._config, query, rays)
         within_m = None if refusal else sure_within_m(candidates[0], self._config)
-        return MatchResult(query, candidates, time.perf_counter() - started, refusal, within_m)
+        seconds = time.perf_counter() - started
+        return MatchResult(query, candidates, seconds, refusal, within_m, name)
 
     def match_together(
         self,
@@ -176,46 +170,49 @@ class Matcher:
         fov_deg: float | None = None,
         top: int = 5,
         narrowings: Sequence[Narrowing | None] | None = None,
-        told: Callable[[str, float], None] | None = None,
+        report_progress: ReportProgress | None = None,
     ) -> JointResult:
         """Find the one place where several photos were taken.
 
-        Photos that look different ways tell more than each by itself. One that was taken
-        elsewhere is named where it fits nowhere near, and seldom spoils the answer.
+        Photos that look in different directions hold more information together than each alone. A
+        photo that was taken somewhere else is named where it fits nowhere near, and seldom spoils
+        the answer.
 
         Parameters
         ----------
         queries : sequence of path or QuerySkyline
             Two or more.
-        fov_deg, top, told
-            As of `match`.
+        fov_deg, top, report_progress
+            See `match`.
         narrowings : sequence of Narrowing or None, optional
-            What is known of each query.
+            Knowledge about the pose of each query.
 
         Raises
         ------
         InputError
-            Fewer than two queries, a matcher that does not render, or as `match`.
+            There are fewer than two queries, the matcher does not render, or as in `match`.
         StoreError
-            As `match`.
+            See `match`.
         """
         started = time.perf_counter()
-        known = [None] * len(queries) if narrowings is None else narrowings
-        if len(queries) < 2 or len(known) != len(queries):
+        _check_top(top)
+        if narrowings is None:
+            narrowings = [None] * len(queries)
+        if len(queries) < 2 or len(narrowings) != len(queries):
             raise InputError(
-                f"{len(queries)} photos and {len(known)} narrowings; expected two photos or more "
-                "and as many narrowings"
+                f"{len(queries)} photos and {len(narrowings)} narrowings; expected two photos or "
+                "more and as many narrowings"
             )
         skylines = [_skyline_of(query, fov_deg) for query in queries]
         refusals = [too_little(query, self._config) for query in skylines]
-        asked = [
-            (self._rays(query), self._narrowed(narrowing, query))
-            for query, narrowing, refusal in zip(skylines, known, refusals, strict=True)
+        usable = [
+            (self._rays(query), self._prior(query, narrowing))
+            for query, narrowing, refusal in zip(skylines, narrowings, refusals, strict=True)
             if refusal is None
         ]
-        with telling(told):
-            left = iter(self._cameras(asked, top) if len(asked) > 1 else ())
-        found = [() if refusal else next(left, ()) for refusal in refusals]
+        with reporting_progress(report_progress):
+            cameras = iter(self._cameras(usable, top) if len(usable) > 1 else ())
+        found = [() if refusal else next(cameras, ()) for refusal in refusals]
         best = next((one for one in found if one), ())
         refusal, within_m = unsure(best, self._config), None
         if sum(map(bool, found)) < 2:
@@ -224,43 +221,41 @@ class Matcher:
             within_m = sure_within_m(best[0], self._config)
         seconds = time.perf_counter() - started
         results = tuple(
-            MatchResult(query, places, seconds, refusal, within_m)
+            MatchResult(query, places, seconds, refusal, within_m, name)
             if places
-            else MatchResult(query, (), seconds, little or DISAGREES)
-            for query, places, little in zip(skylines, found, refusals, strict=True)
+            else MatchResult(query, (), seconds, little or DISAGREES, name=name)
+            for name, query, places, little in zip(
+                map(_name_of, queries), skylines, found, refusals, strict=True
+            )
         )
-        return JointResult(results, tuple(map(bool, found)), seconds, refusal)
+        return JointResult(results, seconds, refusal)
 
     def _cameras(
-        self, asked: Sequence[tuple[QueryRays, Narrowed | None]], top: int
+        self, queries: Sequence[tuple[QueryRays, Prior]], top: int
     ) -> list[tuple[Candidate, ...]]:
-        """Return the candidates of each query of one place; none of one that does not agree."""
-        joint = self._ranker.rank_together(asked, top)
-        if joint is None:
+        """Return the candidates of each query; none for a query of another place."""
+        rankings = self._ranker.rank_together(queries, top)
+        if rankings is None:
             raise InputError(
                 "photos are matched together by rendering alone; use the full matcher, refine, and "
                 "say where the DEM lies"
             )
-        return [
-            ranking.candidates(self.frame) if agrees else ()
-            for ranking, agrees in zip(joint.rankings, joint.agrees.tolist(), strict=True)
-        ]
+        return [ranking.candidates(self.frame) for ranking in rankings]
 
     def fit(self, query: QuerySkyline, start: Candidate) -> MatchResult:
-        """Fit a pose nearby by rendering.
+        """Refine a pose by rendering, without a search.
 
-        The one candidate of the result holds how far the skylines are apart. It has no confidence,
-        since no other place was tried. The fit has failed, and there is no answer, where a search
-        would not stand by the pose even if nothing else fitted: the candidate then has no
-        covariance. Where this pose does not fit either, there is no candidate.
+        The result's one candidate holds the difference between the skylines. It has no confidence,
+        since no other place was tried. The fit has failed, and there is no answer, if a search
+        would refuse the pose even where nothing else fitted; the candidate then has no covariance.
+        There is no candidate where the pose does not fit at all.
 
         Parameters
         ----------
         query : QuerySkyline
         start : Candidate
-            Some 100 m from the place and 5 degrees from the heading at most; the field of view is
-            taken to be right within the matcher's slack. The eye keeps its height above the
-            ground.
+            A pose at most some 100 m and 5 degrees of heading from the true one. Its field of view
+            is right within the matcher's slack. The eye keeps its height above the ground.
 
         Raises
         ------
@@ -292,27 +287,27 @@ class Matcher:
     def screen(
         self, query: QuerySkyline, narrowing: Narrowing | None = None, part: slice = slice(None)
     ) -> Alike | None:
-        """Return the places of a part of the store most like a query.
+        """Return the places of a part of the store that are most like a query.
 
-        None where there is nothing to screen: a query that shows too little, or another matcher.
-        ``part`` is of the store's blocks of places. Raises as `match`.
+        ``part`` selects blocks of places. None for a query that shows too little, and for matchers
+        that do not screen. Raises as `match`.
         """
         if too_little(query, self._config) is not None:
             return None
-        return self._ranker.screened(self._rays(query), self._narrowed(narrowing, query), part)
+        return self._ranker.screened(self._rays(query), self._prior(query, narrowing), part)
 
-    def _narrowed(self, narrowing: Narrowing | None, query: QuerySkyline) -> Narrowed | None:
+    def _prior(self, query: QuerySkyline, narrowing: Narrowing | None) -> Prior:
+        """Return the prior of a query; raises `InputError` if the matcher cannot take it."""
         narrowing = narrowing or Narrowing()
-        known_m = query.eye_height_m if self._ranker.narrows else None
-        if narrowing.eye_height_m is None and known_m is not None:
-            narrowing = replace(narrowing, eye_height_m=known_m)
-        claim = claim_of(query.noted, self.frame) if narrowing.use_gps else None
-        narrowed = narrowing.within(self.frame, claim)
-        if narrowed is not None:
-            check_narrows(self._ranker)
-        return narrowed
+        if narrowing.eye_height_m is None and self._ranker.narrows:
+            narrowing = replace(narrowing, eye_height_m=query.eye_height_m)
+        if narrowing != Narrowing() and not self._ranker.narrows:
+            raise InputError(f"only the {FULL} matcher can narrow its search; leave it wide")
+        noted = PlacePrior.of_noted(query.noted, self.frame) if narrowing.use_gps else None
+        return Prior.of(narrowing, self.frame, noted)
 
     def _rays(self, query: QuerySkyline) -> QueryRays:
+        """Return a query's rays; raises `InputError` if the matcher needs its field of view."""
         fov_deg, is_panorama = query.fov_deg, query.projection.is_panorama
         weight = query.confidence[query.trusted]
         if fov_deg is not None:
@@ -337,7 +332,16 @@ class Matcher:
         )
 
 
+def _name_of(query: str | Path | QuerySkyline) -> str:
+    return "" if isinstance(query, QuerySkyline) else str(query)
+
+
 def _skyline_of(query: str | Path | QuerySkyline, fov_deg: float | None) -> QuerySkyline:
     if not isinstance(query, QuerySkyline):
         return read_query(query, fov_deg)
     return query if fov_deg is None else query.with_fov(fov_deg)
+
+
+def _check_top(top: int) -> None:
+    if top < 1:
+        raise InputError(f"top is {top}; expected at least 1 candidate")

@@ -1,12 +1,19 @@
-"""The matchers by name: each is one class, which says what it can do, and one line here."""
+"""The interface of matchers, the settings of a match, and the matchers by name."""
 
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pkgutil import resolve_name
 from types import MappingProxyType
-from typing import cast
+from typing import ClassVar, Self, cast
 
 from skyline.errors import InputError, named
-from skyline.match.ranker import Ranker
+from skyline.match.prior import Prior
+from skyline.match.query_rays import QueryRays
+from skyline.match.ranking import Hypotheses, Ranking
+from skyline.match.scene import OpenedStore
+from skyline.match.screening import Alike
+from skyline.store.format import RENDERINGS
 
 FULL = "full"
 
@@ -17,16 +24,129 @@ MATCHERS: Mapping[str, str] = MappingProxyType(
         "correlation": "skyline.match.correlation:CorrelationMatcher",
     }
 )
-"""Where the class of each matcher is: ours, the paper's, the plain baseline. A class is imported
-when it is asked for, so that a matcher may stand above the matching that it is made of."""
+"""The module and the class of each matcher: ours, the paper's, the plain baseline. A class is
+imported when it is first used, so that a matcher may lie in a layer above this one."""
+
+MIN_VISIBLE_DEG = 14.0
+"""Least width of a skyline for an answer. Screening compares rises over 2 degrees, and a pose has
+seven unknowns: below 14 degrees there are fewer rises than unknowns."""
+
+
+@dataclass(frozen=True, slots=True)
+class MatchConfig:
+    """Settings of a match.
+
+    Attributes
+    ----------
+    refine : bool
+        Whether the full matcher refines the retrieved poses by rendering.
+    min_confidence : float
+        Least probability, 0 to 1, that the best place is right within 1 km for it to be the answer.
+        It is the answer within 200 m where half of the doubt is left: with the default, at a
+        probability of 0.9. Of answers to queries as hard as those that the confidence was learned
+        from, on other terrain, 93 % are right; of easier queries more.
+    fov_slack : float
+        Standard deviation of a given field of view, as a share of it, 0 to 1.
+    fov_range_deg : (float, float)
+        Range of fields of view that the full matcher searches where none is given.
+    usual_fov_deg : (float, float)
+        Mean and standard deviation of those fields of view: most photos are taken with a phone or
+        a usual zoom lens.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
+    """
+
+    refine: bool = True
+    min_confidence: float = 0.8
+    fov_slack: float = 0.025
+    fov_range_deg: tuple[float, float] = (25.0, 100.0)
+    usual_fov_deg: tuple[float, float] = (55.0, 14.0)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.min_confidence <= 1.0:
+            raise InputError(
+                f"least confidence is {self.min_confidence}; expected 0 (always answer) to 1"
+            )
+        if not 0.0 <= self.fov_slack < 1.0:
+            raise InputError(f"slack of the field of view is {self.fov_slack}; expected 0 to 1")
+        low, high = self.fov_range_deg
+        if not 0.0 < low < high < 180.0:
+            raise InputError(
+                f"fields of view to search are {low:g} to {high:g} degrees; expected two that "
+                "increase, within 0 to 180"
+            )
+        mean, deviation = self.usual_fov_deg
+        if not (low <= mean <= high and deviation > 0.0):
+            raise InputError(
+                f"the usual field of view is {mean:g} degrees with a deviation of {deviation:g}; "
+                f"expected one within {low:g} to {high:g} and a deviation above 0"
+            )
+
+
+class Ranker(ABC):
+    """Base class of matchers: opened on a store, it ranks poses for queries.
+
+    A new matcher is one subclass in a file of its own, and one line in `MATCHERS`.
+    """
+
+    narrows: ClassVar[bool] = False
+    """Whether it takes prior knowledge of a pose; others are only called without any."""
+    finds_fov: ClassVar[bool] = False
+    """Whether it can match a photo of unknown field of view."""
+    searches: ClassVar[str] = RENDERINGS
+    """Kind of store that it searches, `PLACES` or `RENDERINGS` of `skyline.store.format`."""
+
+    @classmethod
+    @abstractmethod
+    def open(cls, store: OpenedStore) -> Self:
+        """Return a matcher of an opened store, with all that its queries share."""
+
+    @abstractmethod
+    def rank(self, query: QueryRays, top: int, prior: Prior, screened: Alike | None) -> Ranking:
+        """Return up to ``top`` poses, best first, at most one a location.
+
+        Locations where nothing fits are left out, so there may be none. Headings are grid azimuths.
+        A ranking without confidences always counts as an answer.
+
+        Parameters
+        ----------
+        query : QueryRays
+        top : int
+        prior : Prior
+            `NOTHING_KNOWN` for matchers that cannot narrow a search.
+        screened : Alike or None
+            The results of `screened` for all parts of the store, joined; None to screen here.
+        """
+
+    def rank_together(
+        self, queries: Sequence[tuple[QueryRays, Prior]], top: int
+    ) -> Sequence[Ranking] | None:
+        """Return up to ``top`` places of queries of one eye, as each query's poses there.
+
+        A query that was likely taken somewhere else has no poses. A place lies within the
+        narrowings of all queries that agree. None if this matcher cannot match jointly.
+        """
+        return None
+
+    def fit_from(self, query: QueryRays, start: Hypotheses) -> Ranking | None:
+        """Return one pose, refined by rendering; an empty ranking where nothing fits.
+
+        The eye keeps its height above the ground. The confidence is that of a search in which
+        nothing else fits. None if this matcher cannot render.
+        """
+        return None
+
+    def screened(self, query: QueryRays, prior: Prior, part: slice) -> Alike | None:
+        """Return the best places of a part of the store; None if this matcher does not screen."""
+        return None
+
+    def release(self) -> None:  # noqa: B027  (most matchers hold nothing)
+        """Free the matcher's GPU memory, if it holds any."""
 
 
 def matcher_class(name: str) -> type[Ranker]:
-    """Return the matcher of a name; raises `InputError` for a name that is not known."""
+    """Return the class of a matcher; raises `InputError` for an unknown name."""
     return cast(type[Ranker], resolve_name(named("matcher", name, MATCHERS)))
-
-
-def check_narrows(matcher: Ranker) -> None:
-    """Raise `InputError` for a matcher that cannot narrow its search."""
-    if not matcher.narrows:
-        raise InputError(f"only the {FULL} matcher can narrow its search; leave it wide")

@@ -1,4 +1,4 @@
-"""Views of eyes joined all the way round: stored ones to profiles, rendered ones to panoramas."""
+"""Rendered views joined to skylines all the way round, and poses fitted to those of a store."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 from skyline.arrays import Float32Array, Float64Array, IntArray, Rows
 from skyline.camera import DEFAULT_WIDTH, pixel_size
 from skyline.errors import InputError
-from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views, check_bins
+from skyline.match.ranking import Hypotheses, Ranking
+from skyline.skylines import FLAG_NO_DATA, FLAG_OUT_OF_IMAGE, Views
 from skyline.store.keypoints import NO_KEYPOINT
 
 DEFAULT_BINS = 2048
-"""At 2048 a bin is 0.176 degrees, as good as a pixel at the centre of a 640 column view."""
+"""A bin of 0.176 degrees is as fine as a pixel at the centre of a 640 column view."""
 
 TANGENT_PER_PX = pixel_size(DEFAULT_WIDTH)
 """Scores are in px of a view of the paper's width, whatever the width of the store."""
@@ -24,8 +25,44 @@ _Float = TypeVar("_Float", np.float32, np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Fits(Rows):
+    """The best pose of a query at each of L locations."""
+
+    score: Float64Array
+    """(L,) float64. Lower is better; infinite where nothing fits."""
+    heading_deg: Float64Array
+    pitch_deg: Float64Array
+    roll_deg: Float64Array
+    """``heading_deg``, ``pitch_deg``, ``roll_deg``: (L,) float64. The heading is a grid azimuth."""
+
+    @classmethod
+    def none(cls, locations: int) -> "Fits":
+        """Return no fit at any location."""
+        return cls(np.full(locations, np.inf), *np.zeros((3, locations)))
+
+    def placed_among(self, rows: IntArray, locations: int) -> "Fits":
+        """Return these as the fits of ``rows`` among ``locations``, without a fit at the others."""
+        wide = Fits.none(locations)
+        for name in self._names():
+            getattr(wide, name)[rows] = getattr(self, name)
+        return wide
+
+    def split(self, parts: int) -> list["Fits"]:
+        """Return ``parts`` pieces of equal length, in order."""
+        return [self[rows] for rows in np.split(np.arange(len(self.score)), parts)]
+
+    def best_with(self, other: "Fits") -> "Fits":
+        """Return the better fit at each location; this one where the scores are equal."""
+        return self.replaced(other.score < self.score, other)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Profiles:
-    """Skylines of L locations all the way round, in B equal steps of grid azimuth."""
+    """Skylines of L locations all the way round, in B equal steps of grid azimuth.
+
+    `QueryCurves.of` samples a query on the same steps, with bin B / 2 straight ahead. A query whose
+    bin i lies over bin i + s of a profile therefore looks along azimuth 180 + 360 s / B degrees.
+    """
 
     easting_m: Float64Array
     northing_m: Float64Array
@@ -35,7 +72,7 @@ class Profiles:
     """(L, B) float32. Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN
     where no view looks or the view has no data."""
     keypoint_bin: IntArray
-    """(M,) intp. Bins of the keypoints, ascending within each location, the locations one after
+    """(M,) intp. Bins of the keypoints, ascending within each location, one location after
     another."""
     keypoint_start: IntArray
     """(L + 1,) intp. Location l has keypoints ``keypoint_bin[keypoint_start[l]:keypoint_start[l +
@@ -54,18 +91,32 @@ class Profiles:
         """Width of a bin in px, so that azimuth and elevation have one unit at the horizon."""
         return 2.0 * np.pi / self.bins / TANGENT_PER_PX
 
+    def ranked(self, fits: Fits, fov_deg: float, top: int) -> Ranking:
+        """Return the ``top`` best fits, best first; equal scores keep the order of locations."""
+        poses = Hypotheses(
+            self.easting_m,
+            self.northing_m,
+            self.eye_elevation_m,
+            fits.heading_deg % 360.0,
+            fits.pitch_deg,
+            fits.roll_deg,
+            np.full(len(self), fov_deg),
+            np.zeros(len(self)),
+            fits.score,
+        )
+        return Ranking(poses[poses.suppress_non_maxima(top, 0.0)])
+
     @classmethod
     def from_views(
         cls, chunks: Iterable[tuple[Views, KeypointTable]], bins: int = DEFAULT_BINS
     ) -> "Profiles":
-        """Join views of one eye position; a location may have any of the four headings.
+        """Join views by location; a location may have views in any of the four headings.
 
-        Of two views with the same eye and heading the later one counts. Beside the views of a chunk
-        are their keypoint columns (N, K) uint16, padded with 65535 (`features.polyline_keypoints`);
-        the views of one location may lie in different chunks. Raises `InputError` for bins that are
-        no positive multiple of 8, and where there is no view.
+        With the views of a chunk come their keypoint columns (N, K) uint16, padded with 65535
+        (`features.polyline_keypoints`). The views of one location may lie in different chunks. Of
+        two views with the same eye and heading the later one counts. Raises `InputError` where
+        there is no view.
         """
-        check_bins(bins)
         eyes, quadrants, keypoints = [], [], []
         count = 0
         for views, table in chunks:
@@ -89,61 +140,37 @@ class Profiles:
             joined[row, _quadrant_bins(heading, bins)] = y
             first += len(y)
         view, bin_ = np.hstack(keypoints)
-        # Each of a location once, the locations in order.
+        # Each keypoint of a location once, the locations in order.
         key = np.unique(location[view] * bins + bin_)
         start = np.searchsorted(key, np.arange(len(eye) + 1) * bins)
         easting_m, northing_m, eye_m = np.ascontiguousarray(eye.T)
         return cls(easting_m, northing_m, eye_m, joined, key % bins, start)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Panoramas(Rows):
-    """Skylines of M eyes in B equal steps of grid azimuth; a part of the turn may be unknown.
+def joined_views(
+    views: Views, row: IntArray, count: int, bins: int
+) -> tuple[Float64Array, Float64Array]:
+    """Return elevation tangents and horizontal distances (M, B) of views joined by eye.
 
-    Raises `InputError` where the shapes differ or are not (M, B) with at least 8 bins.
+    ``row`` (N,) is the eye, of ``count`` M, that each view belongs to. Directions without a view,
+    or without data, are NaN. On the border of the data and behind a hole the skyline is a lower
+    bound and taken as it is: something else may rise above it in the query, as where a tree stands.
     """
-
-    y: Float64Array
-    """(M, B) float64. Tangent of the skyline's elevation angle at azimuth 360 b / B degrees; NaN
-    where unknown."""
-    distance_m: Float64Array
-    """(M, B) float64. Horizontal distance of the skyline; NaN where unknown."""
-
-    def __post_init__(self) -> None:
-        if self.y.shape != self.distance_m.shape or self.y.ndim != 2 or self.y.shape[1] < 8:
-            raise InputError(
-                f"panoramas have shapes {self.y.shape} and {self.distance_m.shape}; expected two "
-                "of (M, B), B at least 8"
-            )
-
-    @property
-    def bins(self) -> int:
-        """Number of azimuth bins B."""
-        return int(self.y.shape[1])
-
-    @classmethod
-    def from_views(cls, views: Views, row: IntArray, count: int, bins: int) -> "Panoramas":
-        """Join views, each of the one of ``count`` eyes that ``row`` (N,) says, to panoramas.
-
-        Columns that meet no data are unknown. On the border of the data and behind a hole the
-        skyline is a lower bound, and taken as it is: what the query shows above it may be
-        something else, as where a tree stands. Raises as `check_bins` of `skyline.skylines`.
-        """
-        y, nearest, cosine = _quadrants(views, check_bins(bins), FLAG_NO_DATA, np.float64)
-        distance = views.depth_m[:, nearest].astype(np.float64) / cosine
-        bin_ = _quadrant_bins(views.heading, bins)
-        joined = np.full((2, count, bins), np.nan)
-        joined[0, row[:, np.newaxis], bin_] = y
-        joined[1, row[:, np.newaxis], bin_] = np.where(np.isfinite(y), distance, np.nan)
-        return cls(joined[0], joined[1])
+    y, nearest, cosine = _quadrants(views, bins, FLAG_NO_DATA, np.float64)
+    distance = views.depth_m[:, nearest].astype(np.float64) / cosine
+    bin_ = _quadrant_bins(views.heading, bins)
+    joined = np.full((2, count, bins), np.nan)
+    joined[0, row[:, np.newaxis], bin_] = y
+    joined[1, row[:, np.newaxis], bin_] = np.where(np.isfinite(y), distance, np.nan)
+    return joined[0], joined[1]
 
 
 def _quadrants(
     views: Views, bins: int, unusable: int, dtype: type[_Float]
 ) -> tuple[NDArray[_Float], IntArray, NDArray[_Float]]:
-    """Return y (N, B / 4) at the bins of each view, but for columns of ``unusable`` flags.
+    """Return y (N, B / 4) at the bins of each view; NaN in columns with ``unusable`` flags.
 
-    Beside it are the nearest columns (B / 4,) and the cosines (B / 4,) of the bins' azimuths from
+    Also return the nearest columns (B / 4,), and the cosines (B / 4,) of the bins' azimuths from
     the heading, from 45 degrees left of it on. The left seam lies half a column outside the
     columns' centres and is extrapolated by that; the right one belongs to the next heading.
     """
@@ -159,7 +186,7 @@ def _quadrants(
 
 
 def _quadrant_bins(heading: NDArray[np.integer], bins: int) -> IntArray:
-    """Return which bins (N, B / 4) of the turn those of views of headings (N,) are."""
+    """Return the bins (N, B / 4) of the full turn that views along headings (N,) cover."""
     quarter = bins // 4
     first = heading[:, np.newaxis].astype(np.intp) * quarter - quarter // 2
     return (first + np.arange(quarter)) % bins

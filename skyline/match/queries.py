@@ -1,54 +1,50 @@
-"""Queries to match: a file each, with what is known of it alone, and lists of them."""
+"""Queries: photos, masks and traces to match, each with its camera and narrowing, and lists."""
 
 import csv
 import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from pathlib import Path
 
 from skyline.errors import InputError, MissingFileError
+from skyline.match.answer import MatchResult
 from skyline.match.matcher import Matcher
-from skyline.match.narrowing import Narrowing
-from skyline.match.results import MatchResult
-from skyline.match.screening import Alike
+from skyline.match.prior import Narrowing
 from skyline.photo.lens import Lens
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.photo.read import check_fov, read_query
-from skyline.photo.sky_model import load_sky_model
 
 _COLUMNS = (
     "path", "fov_deg", "fov_slack", "eye_height_m", "lon", "lat", "radius_km",
-    "heading_deg", "heading_slack_deg",
+    "heading_deg", "heading_slack_deg", "lowest_m", "highest_m",
 )  # fmt: skip
 _PICTURES = (
     ".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp", ".heic", ".heif", ".avif", ".jp2", ".bmp",
 )  # fmt: skip
-"""What is taken of a folder."""
-_TOGETHER = (("lon", "lat", "radius_km"), ("heading_deg", "heading_slack_deg"))
-
-_sky_model = lru_cache(maxsize=1)(load_sky_model)
-"""Once for all the queries of a process."""
+"""Suffixes of the files of a folder that are matched."""
+_TOGETHER = (
+    ("lon", "lat", "radius_km"), ("heading_deg", "heading_slack_deg"), ("lowest_m", "highest_m"),
+)  # fmt: skip
+"""Columns that a row fills all or none of."""
 
 
 @dataclass(frozen=True, slots=True)
 class Query:
-    """One photo, mask or trace, how it is read, and what is known of where it was taken."""
+    """One photo, mask or trace, its camera as far as it is known, and where to search for it."""
 
     path: str
     fov_deg: float | None = None
-    """By default what the file says."""
+    """By default from the file."""
     fov_slack: float | None = None
-    """Deviation of a field of view that is given, as a share of it; by default the matcher's."""
+    """Standard deviation of a given field of view, as a share of it; by default the matcher's."""
     projection: Projection | None = None
-    sky_model: Path | None = None
-    """Loaded once a process."""
+    """By default from the file."""
     narrowing: Narrowing = Narrowing()  # noqa: RUF009  (it is frozen)
 
     def check(self) -> None:
-        """Refuse at once what needs no picture to be refused; raises as `read`."""
+        """Refuse errors that can be found without decoding a picture; raises as `read`."""
         if not Path(self.path).exists():
             raise MissingFileError(
                 f"{self.path} does not exist; expected a photo, a mask or a trace"
@@ -62,57 +58,36 @@ class Query:
             self.read()
 
     def read(self) -> QuerySkyline:
-        """Find the skyline; raises as `skyline.photo.read.read_query`."""
-        model = None if self.sky_model is None else _sky_model(self.sky_model.absolute())
-        query = read_query(self.path, self.fov_deg, projection=self.projection, sky_model=model)
+        """Return the skyline; raises as `skyline.photo.read.read_query`."""
+        query = read_query(self.path, self.fov_deg, projection=self.projection)
         if self.fov_deg is None or self.fov_slack is None:
             return query
         return replace(query, lens=Lens(self.fov_deg, self.fov_slack * self.fov_deg))
 
-    def match(
-        self,
-        matcher: Matcher,
-        top: int = 5,
-        skyline: QuerySkyline | None = None,
-        screened: Alike | None = None,
-    ) -> MatchResult:
-        """Match it; its seconds count from the file to the candidates.
-
-        Parameters
-        ----------
-        skyline : QuerySkyline, optional
-            What `read` has returned before.
-        screened : Alike, optional
-            As of `Matcher.match`, which says what it raises.
-        """
+    def match(self, matcher: Matcher) -> MatchResult:
+        """Match it, with seconds from the file to the candidates; raises as `Matcher.match`."""
         started = time.perf_counter()
-        skyline = self.read() if skyline is None else skyline
-        found = matcher.match(skyline, None, top, self.narrowing, screened)
-        return replace(found, seconds=time.perf_counter() - started)
+        found = matcher.match(self.read(), narrowing=self.narrowing)
+        return replace(found, seconds=time.perf_counter() - started, name=self.path)
 
 
-def listed(paths: Iterable[Path], one: Query) -> Iterator[Query]:
-    """Yield the queries that files stand for: each itself, a folder its pictures, a list its rows.
+def listed(paths: Iterable[Path], common: Query) -> Iterator[Query]:
+    """Yield the queries that paths name: photos, all pictures of folders, all rows of lists.
 
-    A path that does not exist and has a wildcard stands for what it matches. A list is a CSV file
-    whose header begins with ``path``. Paths count from the list's folder, and what a row leaves
-    empty is as for all.
+    A path that does not exist and has a wildcard names the files that it matches. A list is a CSV
+    file whose header begins with ``path``. Paths count from the list's folder; fields that a row
+    leaves empty are those of ``common``, whose own path is not used.
 
-    Raises `InputError` for a list with a column that is not known, or a value that is none; a
-    folder without pictures.
-
-    Parameters
-    ----------
-    one : Query
-        What is known of all; its path is not used.
+    Raises `InputError` for a list with an unknown column or a bad value, and for a folder without
+    pictures.
     """
     for path in _expanded(paths):
         rows = _rows(path) if path.suffix.lower() == ".csv" and path.is_file() else None
         if rows is None:
-            yield replace(one, path=str(path))
+            yield replace(common, path=str(path))
             continue
         for number, row in enumerate(rows, start=2):
-            yield _query(path, number, row, one)
+            yield _query(path, number, row, common)
 
 
 def _expanded(paths: Iterable[Path]) -> Iterator[Path]:
@@ -141,7 +116,7 @@ def _rows(path: Path) -> list[dict[str, str]] | None:
             reader.fieldnames = names
             rows = list(reader)
     except (OSError, csv.Error):
-        return None  # Reading it as a trace says what is wrong.
+        return None  # Reading it as a trace raises the error.
     unknown = [name for name in names if name not in _COLUMNS]
     if unknown:
         raise InputError(
@@ -150,7 +125,7 @@ def _rows(path: Path) -> list[dict[str, str]] | None:
     return [{name: value for name, value in row.items() if name is not None} for row in rows]
 
 
-def _query(path: Path, number: int, row: Mapping[str, str | None], one: Query) -> Query:
+def _query(path: Path, number: int, row: Mapping[str, str | None], common: Query) -> Query:
     where = f"{path}, line {number}"
     name = (row.get("path") or "").strip()
     if not name:
@@ -163,29 +138,30 @@ def _query(path: Path, number: int, row: Mapping[str, str | None], one: Query) -
     for group in _TOGETHER:
         if 0 < sum(column in given for column in group) < len(group):
             raise InputError(f"{where} has some of {', '.join(group)}; expected all or none")
-    narrowing = one.narrowing
+    known: dict[str, object] = {}
+    if "lon" in given:
+        known["near"] = given["lon"], given["lat"], given["radius_km"]
+    if "heading_deg" in given:
+        known["heading_deg"] = given["heading_deg"], given["heading_slack_deg"]
+    if "lowest_m" in given:
+        known["elevation_m"] = given["lowest_m"], given["highest_m"]
+    if "eye_height_m" in given:
+        known["eye_height_m"] = given["eye_height_m"]
     try:
-        if "lon" in given:
-            near = given["lon"], given["lat"], given["radius_km"]
-            narrowing = replace(narrowing, near=near)
-        if "heading_deg" in given:
-            heading = given["heading_deg"], given["heading_slack_deg"]
-            narrowing = replace(narrowing, heading_deg=heading)
-        if "eye_height_m" in given:
-            narrowing = replace(narrowing, eye_height_m=given["eye_height_m"])
+        narrowing = replace(common.narrowing, **known)  # type: ignore[arg-type]
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
     return replace(
-        one,
+        common,
         path=str(path.parent / name),
-        fov_deg=given.get("fov_deg", one.fov_deg),
-        fov_slack=given.get("fov_slack", one.fov_slack),
+        fov_deg=given.get("fov_deg", common.fov_deg),
+        fov_slack=given.get("fov_slack", common.fov_slack),
         narrowing=narrowing,
     )
 
 
 def finite_number(where: str, column: str, text: str) -> float:
-    """Return the number that a list's field holds; raises `InputError` for anything else."""
+    """Return the number in a field of a list; raises `InputError` for anything else."""
     try:
         value = float(text)
     except ValueError:

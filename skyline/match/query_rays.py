@@ -1,4 +1,4 @@
-"""The query's skyline as rays, and what it looks like at an assumed pitch and roll."""
+"""A query's skyline as rays of a camera, and its directions for a pitch and a roll."""
 
 import math
 from collections.abc import Sequence
@@ -12,65 +12,52 @@ from skyline.arrays import Float64Array, IntArray
 from skyline.errors import InputError
 
 REFERENCE_FOV_DEG = 60.0
-"""That of a usual photo."""
+"""Field of view of a usual photo."""
 _FULL_CIRCLE_DEG = 360.0
 _FOV_DEVIATIONS = 4.0
-"""To either side of the one that is given."""
+"""Standard deviations to either side of a given field of view that are searched."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QueryRays:
     """The trusted columns of a query skyline in the camera's frame.
 
-    Raises `InputError` where lengths differ, a value is not finite, a weight is negative or all are
-    0, or the range does not hold the field of view.
+    Raises `InputError` where all weights are 0, or the field of view is not in its range.
     """
 
     u: Float64Array
     v: Float64Array
-    """``u``, ``v``: (W,) float64. On an image of unit focal length, to the right of its middle and
-    up: of a lens rays (u, v, 1), right and up over forward; of a panorama, whose image is a
-    cylinder, rays (sin u, v, cos u)."""
+    """``u``, ``v``: (W,) float64. Positions on an image of unit focal length, to the right of its
+    middle and up. The rays (right, up, forward) are (u, v, 1) for a lens, and (sin u, v, cos u) for
+    a panorama, whose image is a cylinder."""
     weight: Float64Array
-    """(W,) float64. How far each ray is trusted, at least 0; only ratios matter."""
+    """(W,) float64. Trust in each ray, at least 0; only ratios matter."""
     fov_deg: float
-    """Horizontal field of view that u and v were made with."""
+    """Horizontal field of view that u and v were computed with."""
     fov_range_deg: tuple[float, float] | None = None
-    """Between which the true field of view lies; by default it is `fov_deg` exactly."""
+    """Range of the true field of view; by default it is `fov_deg` exactly."""
     fov_sd_deg: float = math.inf
-    """Standard deviation of the true field of view about `fov_deg`; infinite where any in the range
-    is as likely."""
+    """Standard deviation of the true field of view about `fov_deg`; infinite for a uniform
+    distribution over the range."""
     is_panorama: bool = False
     distortion_sd: float = 0.0
-    """Standard deviation of the lens's distortion about none; 0 where it has none. A distortion k
+    """Standard deviation of the lens's distortion about 0; 0 for a lens without any. A distortion k
     moves a ray outwards by k times its `reach`; see `skyline.photo.projection.undistorted`."""
 
     def __post_init__(self) -> None:
-        if not self.u.shape == self.v.shape == self.weight.shape or self.u.ndim != 1:
-            raise InputError(
-                f"query rays have shapes {self.u.shape}, {self.v.shape} and {self.weight.shape}; "
-                "expected three of one length"
-            )
-        if not all(np.isfinite(values).all() for values in (self.u, self.v, self.weight)):
-            raise InputError("a query ray is not finite; leave untrusted columns out")
-        if (self.weight < 0.0).any() or not self.weight.any():
-            raise InputError("query weights must be at least 0 with some above; nothing to match")
+        if not self.weight.any():
+            raise InputError("all weights of the query are 0, so there is nothing to match")
         low, high = self.fov_bounds_deg
         most_deg = _FULL_CIRCLE_DEG if self.is_panorama else np.nextafter(180.0, 0.0)
         if not 0.0 < low <= self.fov_deg <= high <= most_deg:
             raise InputError(
                 f"the field of view, {self.fov_deg:g} degrees, is not in its range, {low:g} to "
-                f"{high:g}; expected a range within 0 to {most_deg:.0f} degrees that holds it"
-            )
-        if not self.fov_sd_deg > 0.0:
-            raise InputError(
-                f"the field of view's deviation is {self.fov_sd_deg:g} degrees; expected more than "
-                "0, or infinity where nothing is known"
+                f"{high:g}; expected a range within 0 to {most_deg:.0f} degrees that contains it"
             )
 
     @property
     def fov_bounds_deg(self) -> tuple[float, float]:
-        """The least and the greatest field of view to consider."""
+        """The smallest and the largest field of view that are searched."""
         return self.fov_range_deg or (self.fov_deg, self.fov_deg)
 
     @property
@@ -80,31 +67,31 @@ class QueryRays:
 
     @property
     def log_scale_bounds(self) -> tuple[float, float]:
-        """The least and the greatest `log_scale`."""
+        """The smallest and the largest `log_scale`."""
         low, high = self.log_scale(np.array(self.fov_bounds_deg))
         return float(low), float(high)
 
     @property
     def log_scale_sd(self) -> float:
-        """Deviation of `log_scale`."""
+        """Standard deviation of `log_scale`."""
         sd_rad, fov_rad = math.radians(self.fov_sd_deg), math.radians(self.fov_deg)
         return sd_rad / (fov_rad if self.is_panorama else math.sin(fov_rad))
 
     def log_scale(self, fov_deg: Float64Array | float) -> Float64Array:
-        """Return by what fields of view scale u and v, as logarithms."""
+        """Return the logarithm of the factor on u and v that gives each field of view."""
         return np.asarray(
             np.log(self._half_width(fov_deg)) - np.log(self._half_width(self.fov_deg))
         )
 
     def fov_at(self, log_scale: Float64Array) -> Float64Array:
-        """Return the fields of view, degrees, that scale u and v so; the inverse of `log_scale`."""
+        """Return the fields of view, degrees, of factors on u and v; the inverse of `log_scale`."""
         half_width = self._half_width(self.fov_deg) * np.exp(log_scale)
         half_rad = half_width if self.is_panorama else np.arctan(half_width)
         return np.asarray(np.degrees(2.0 * half_rad))
 
     @property
     def reach(self) -> Float64Array:
-        """Squared distance (W,) from the middle, in halves of the image's width."""
+        """Squared distance (W,) from the image's middle, in half widths."""
         return np.asarray((self.u**2 + self.v**2) / self._half_width(self.fov_deg) ** 2)
 
     def _half_width(self, fov_deg: Float64Array | float) -> Float64Array:
@@ -115,7 +102,7 @@ class QueryRays:
     def with_fov(self, fov_deg: float) -> "QueryRays":
         """Return the same photo's rays for another field of view, degrees, within the range.
 
-        The field of view that was given, and how likely others are, is forgotten.
+        The new rays have no standard deviation of the field of view.
         """
         scale = self._half_width(fov_deg) / self._half_width(self.fov_deg)
         return replace(
@@ -127,10 +114,10 @@ class QueryRays:
         return level(self.u, self.v, pitch_deg, roll_deg, is_panorama=self.is_panorama)
 
     def about(self, sd_deg: float, most_deg: float = math.inf) -> "QueryRays":
-        """Return the rays with a field of view that is about the one that they were made with.
+        """Return the rays with a normally distributed field of view.
 
-        Four deviations about it are searched, up to the greatest that is possible; without a
-        deviation it is just that.
+        Four standard deviations about the current one are searched, as far as a camera allows and
+        up to ``most_deg``. With a deviation of 0 the field of view is known exactly.
         """
         if sd_deg == 0.0:
             return self
@@ -143,19 +130,12 @@ class QueryRays:
 
 @dataclass(frozen=True, slots=True)
 class Attitudes:
-    """The pitches and rolls a matcher assumes, each with each."""
+    """The pitches and rolls that a matcher assumes, in all combinations."""
 
     pitch_deg: tuple[float, ...] = (-10.0, -5.0, 0.0, 5.0, 10.0)
-    """Optical axis above the horizon."""
+    """Angles of the optical axis above the horizon."""
     roll_deg: tuple[float, ...] = (0.0,)
-    """Camera turned clockwise as seen from behind it: its right side down."""
-
-    def __post_init__(self) -> None:
-        for name, angles in (("pitch", self.pitch_deg), ("roll", self.roll_deg)):
-            if not angles or not all(abs(angle) <= 80 for angle in angles):
-                raise InputError(
-                    f"assumed {name}s are {angles}; expected at least one, within 80 degrees"
-                )
+    """Clockwise turns of the camera as seen from behind it, its right side down."""
 
 
 def level(
@@ -166,10 +146,11 @@ def level(
     *,
     is_panorama: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
-    """Turn `QueryRays` of a pitched and rolled camera to azimuth and elevation tangent.
+    """Return azimuths and elevation tangents of rays of a pitched and rolled camera.
 
-    Azimuths are radians clockwise from the vertical plane of the optical axis, in (-pi, pi]; the
-    tangent is up over horizontal distance. The attitude is as in `Attitudes`.
+    Azimuths are radians clockwise from the vertical plane of the optical axis, in (-pi, pi]. The
+    elevation tangent is up over horizontal distance. Angles are as in `Attitudes`, u and v as in
+    `QueryRays`.
     """
     right, up, forward = level_axes(
         u, v, np.radians(pitch_deg), np.radians(roll_deg), is_panorama=is_panorama
@@ -180,10 +161,10 @@ def level(
 def level_axes(
     u: Any, v: Any, pitch: Any, roll: Any, *, is_panorama: bool = False
 ) -> tuple[Any, Any, Any]:
-    """Return `QueryRays` as right, up and forward of a level camera; angles in radians.
+    """Return rays as right, up and forward components of a level camera; angles in radians.
 
-    A panorama's camera turns about an upright axis, so that its pitch raises the horizon alike all
-    round.
+    A panorama's camera turns about an upright axis, so its pitch raises the horizon equally all the
+    way round.
     """
     if is_panorama:
         across, above = np.sin(u), v + np.tan(pitch)
@@ -204,7 +185,7 @@ def project(
     *,
     is_panorama: bool = False,
 ) -> tuple[Float64Array, Float64Array]:
-    """Return u and v of directions as `level` has them: its inverse.
+    """Return u and v of directions; the inverse of `level`.
 
     NaN for directions that are not in front of a lens.
     """
@@ -230,15 +211,15 @@ def level_with_changes(
     log_scale: Float64Array,
     distortion: Float64Array | None = None,
 ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
-    """Level a query's R rays at M attitudes, scales and distortions, with derivatives; as `level`.
+    """Level a query's R rays at M attitudes, scales and distortions, with derivatives.
 
     Returns
     -------
     azimuth_rad, y : (M, R) float64
         As of `level`.
     azimuth_change, y_change : (M, R, 3 or 4) float64
-        Derivatives by pitch, by roll, both in radians, by the logarithm of the scale, and by the
-        distortion of a lens that has one.
+        Derivatives by pitch and roll, in radians, by the logarithm of the scale, and, if
+        ``distortion`` is given, by the distortion.
     """
     axes = _panorama_axes if query.is_panorama else _lens_axes
     pitch, roll = pitch_rad[:, np.newaxis], roll_rad[:, np.newaxis]
@@ -249,7 +230,7 @@ def level_with_changes(
         query.u * scale * stretch, query.v * scale * stretch, turns
     )
     if distortion is not None:
-        # Like the scale, it moves rays outwards, but the more the farther out they are.
+        # Distortion moves rays outwards like the scale, but the more the farther out they are.
         share = (query.reach / stretch)[..., np.newaxis]
         right_change, up_change, forward_change = (
             np.concatenate([change, change[..., 2:] * share], axis=-1)
@@ -267,15 +248,15 @@ def level_with_changes(
 
 
 _Axes = tuple[Float64Array, Float64Array, Float64Array]
-"""To the right, up and forward."""
+"""Components to the right, up and forward."""
 
 
 def _lens_axes(
     u: Float64Array, v: Float64Array, turns: Sequence[Float64Array]
 ) -> tuple[_Axes, _Axes]:
-    """Return rays (M, R) on the axes of a level camera, and (M, R, 3) how they change.
+    """Return components (M, R) of rays on the axes of a level camera, and their derivatives.
 
-    The changes are by pitch, by roll, and by the logarithm of the scale.
+    The derivatives (M, R, 3) are by pitch, by roll, and by the logarithm of the scale.
     """
     cos_roll, sin_roll, cos_pitch, sin_pitch = turns
     right = u * cos_roll + v * sin_roll
@@ -292,7 +273,7 @@ def _lens_axes(
 def _panorama_axes(
     u: Float64Array, v: Float64Array, turns: Sequence[Float64Array]
 ) -> tuple[_Axes, _Axes]:
-    """Return the same of a panorama."""
+    """Return the same as `_lens_axes` for a panorama."""
     cos_roll, sin_roll, cos_pitch, sin_pitch = turns
     across, forward = np.sin(u), np.cos(u)
     above = v + sin_pitch / cos_pitch
@@ -307,11 +288,11 @@ def _panorama_axes(
 
 
 def thinned(query: QueryRays, bins: int) -> QueryRays:
-    """Average rays that fall into one of ``bins`` steps of azimuth, as a level camera has them.
+    """Average the rays within each of ``bins`` steps of a level camera's azimuth.
 
-    Averages keep what many columns say together, at the cost of few: the terrain's curve is no
-    finer than its bins. Rays come out from left to right; an average weighs as much as its rays
-    do on average, so the noise of averages is what the weights refer to.
+    The terrain's curve is no finer than its bins, so averages hold nearly all the information of
+    many columns at the cost of few. They are returned from left to right. The weight of an average
+    is the mean weight of its rays, so weights refer to the noise of averages.
     """
     step = np.floor(query.azimuth_rad * (bins / (2.0 * np.pi))).astype(np.intp)
     step -= step.min()
@@ -321,9 +302,9 @@ def thinned(query: QueryRays, bins: int) -> QueryRays:
 
 
 def in_runs(query: QueryRays, count: int) -> QueryRays:
-    """Average rays over ``count`` equal steps of u; steps mostly unseen are left out.
+    """Average rays over ``count`` equal steps of u; steps with few trusted rays are left out.
 
-    Weights are of 1 in the mean. A panorama is joined of photos: it has as many steps in each 60
+    The mean weight is 1. A panorama is joined from photos, so it has ``count`` steps in each 60
     degrees.
     """
     if query.is_panorama:
@@ -337,7 +318,7 @@ def in_runs(query: QueryRays, count: int) -> QueryRays:
 
 
 def _averaged(query: QueryRays, step: IntArray, kept: IntArray, weight: Float64Array) -> QueryRays:
-    """Return the means of the rays in each step that is kept, weighed anew."""
+    """Return the weighted means of the rays in each kept step, with new weights."""
     total = np.bincount(step, query.weight)[kept]
     u, v = (np.bincount(step, query.weight * ray)[kept] / total for ray in (query.u, query.v))
     return replace(query, u=u, v=v, weight=weight)
@@ -345,20 +326,20 @@ def _averaged(query: QueryRays, step: IntArray, kept: IntArray, weight: Float64A
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QueryCurves:
-    """A query on the azimuth bins of a profile, one row per assumed attitude."""
+    """A query sampled on the azimuth bins of a profile, one row per assumed attitude."""
 
     y: Float64Array
-    """(H, B) float64. Tangent of the elevation angle; bin B / 2 is straight ahead; NaN where not
-    seen."""
+    """(H, B) float64. Tangent of the elevation angle; bin B / 2 is straight ahead; NaN outside the
+    photo."""
     weight: Float64Array
-    """(H, B) float64. 0 where not seen."""
+    """(H, B) float64. Trust in each bin; 0 outside the photo."""
     pitch_deg: Float64Array
     roll_deg: Float64Array
     """``pitch_deg``, ``roll_deg``: (H,) float64."""
 
     @classmethod
     def of(cls, query: QueryRays, attitudes: Attitudes, bins: int) -> "QueryCurves":
-        """Level the rays at each attitude and gather them on ``bins`` equal steps of azimuth."""
+        """Level the rays at each attitude and sample them on ``bins`` equal steps of azimuth."""
         pairs = list(product(attitudes.pitch_deg, attitudes.roll_deg))
         y, weight = zip(*(_on_bins(query, *pair, bins) for pair in pairs), strict=True)
         return cls(np.stack(y), np.stack(weight), *np.array(pairs).T)
@@ -369,8 +350,8 @@ def _on_bins(
 ) -> tuple[Float64Array, Float64Array]:
     """Return y (B,) and weight (B,) of the query levelled at one attitude.
 
-    Rays that share a bin are averaged in azimuth and in y alike, so that averaging takes noise
-    away without shifting a slope; bin centres then lie on straight lines between averages.
+    Rays in one bin are averaged both in azimuth and in y, which removes noise without shifting a
+    slope. Values at bin centres are interpolated linearly between these averages.
     """
     azimuth, y = query.levelled(pitch_deg, roll_deg)
     position = azimuth * bins / (2.0 * np.pi) + bins / 2.0

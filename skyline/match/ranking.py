@@ -1,128 +1,115 @@
-"""What every matcher answers with, and how a list of answers is drawn from all scores."""
+"""Poses with their scores, from the hypotheses of a search to the candidates of an answer."""
 
-import math
 from dataclasses import dataclass, fields
 
 import numpy as np
 
-from skyline.arrays import BoolArray, Float64Array, IntArray, Rows
-from skyline.errors import InputError
+from skyline.arrays import Float64Array, IntArray, Rows
 from skyline.geodesy import Frame
-from skyline.match.hypotheses import Hypotheses
-from skyline.match.profiles import Profiles
+from skyline.match.candidate import Candidate
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
-    """A place the query may have been taken at, and how the camera stood there.
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypotheses(Rows):
+    """M poses that the camera may have had, with their scores."""
 
-    Attributes
-    ----------
-    lon, lat : float
-        Degrees, WGS 84.
-    heading_deg : float
-        Of the optical axis, clockwise from true north, in [0, 360).
-    pitch_deg, roll_deg : float
-        Optical axis above the horizon; camera turned clockwise as seen from behind.
-    fov_deg : float
-        Horizontal field of view.
-    distortion : float
-        Of a wide lens: a point at r halves of the photo's width from its middle is seen where a
-        lens without distortion has 1 + ``distortion * r**2`` times r. 0 of others.
-    easting_m, northing_m : float
-        The place again, in the store's frame.
-    eye_elevation_m : float
-        Of the camera, above the DEM's datum.
-    convergence_deg : float
-        Grid convergence at the place: what true azimuths are more than grid azimuths.
-    score : float
-        Lower is better; its unit is the matcher's. NaN of a pose set by hand.
-    confidence : float or None
-        Probability that the place is right within 200 m, where something has estimated it.
-    confidence_1km : float or None
-        The same within 1 km.
-    refined : bool
-        Whether the pose was fitted by rendering again.
-    covariance_m2 : ((float, float), (float, float)) or None
-        Covariance of easting and northing, square metres, where something has estimated it.
-    beyond_share : float or None
-        Part of the query's skyline in which terrain past the elevation model's edge may stand above
-        the model's, where the pose was fitted by rendering.
-    residual_deg : float or None
-        Root mean square of how far the query's skyline and the rendered one are apart in elevation,
-        over the part of the query's that shows terrain, where the pose was fitted by rendering.
-    terrain_share : float or None
-        How much of the query's skyline that part is.
-    rank : int or None
-        Place among the candidates of its search, 1 for the best; None where no search found the
-        pose.
-    """
+    easting_m: Float64Array
+    northing_m: Float64Array
+    eye_elevation_m: Float64Array
+    """``easting_m``, ``northing_m``, ``eye_elevation_m``: (M,) float64. Position of the eye, in
+    the store's frame and above the DEM's datum."""
+    heading_deg: Float64Array
+    """(M,) float64. Grid azimuth of the optical axis, in [0, 360)."""
+    pitch_deg: Float64Array
+    roll_deg: Float64Array
+    fov_deg: Float64Array
+    distortion: Float64Array
+    """``pitch_deg``, ``roll_deg``, ``fov_deg``, ``distortion``: (M,) float64. As in `Candidate`."""
+    score: Float64Array
+    """(M,) float64. Lower is better; the unit depends on the step that gave it. Infinite for a
+    pose that does not fit."""
 
-    lon: float
-    lat: float
-    heading_deg: float
-    pitch_deg: float
-    roll_deg: float
-    fov_deg: float
-    easting_m: float
-    northing_m: float
-    eye_elevation_m: float
-    convergence_deg: float
-    score: float
-    distortion: float = 0.0
-    confidence: float | None = None
-    confidence_1km: float | None = None
-    refined: bool = False
-    covariance_m2: tuple[tuple[float, float], tuple[float, float]] | None = None
-    beyond_share: float | None = None
-    residual_deg: float | None = None
-    terrain_share: float | None = None
-    rank: int | None = None
+    @classmethod
+    def of_pose(cls, *pose: float) -> "Hypotheses":
+        """Return one pose, given as the attributes in order but for the score, which is 0."""
+        return cls(*(np.array([float(value)]) for value in (*pose, 0.0)))
 
-    @property
-    def origin(self) -> str:
-        """Where the pose comes from: "found, rank 1", "fitted" or "set by hand"."""
-        if self.rank is not None:
-            return f"found, rank {self.rank}"
-        return "fitted" if self.refined else "set by hand"
+    def distances_m(self) -> Float64Array:
+        """Return the horizontal distances (M, M) between the poses."""
+        place = self.easting_m + 1j * self.northing_m
+        return np.asarray(np.abs(place[:, np.newaxis] - place))
 
-    @property
-    def radius_m(self) -> float | None:
-        """Within which 68 % of the probability about the pose lies, if the candidate is right.
+    def rival_margin(self, farther_than_m: float) -> Float64Array:
+        """Return the score (M,) of each pose's best rival minus the pose's own score.
 
-        Of a round normal distribution with the covariance's mean variance.
+        Rivals are the poses farther away than ``farther_than_m``. Infinite for a pose without any.
         """
-        if self.covariance_m2 is None:
-            return None
-        (east_m2, _), (_, north_m2) = self.covariance_m2
-        return math.sqrt(-2.0 * math.log(1.0 - 0.68) * (east_m2 + north_m2) / 2.0)
+        is_rival = self.distances_m() > farther_than_m
+        rival = np.where(is_rival, self.score, np.inf).min(axis=1, initial=np.inf)
+        return np.asarray(rival - self.score)
 
-    @property
-    def grid_heading_deg(self) -> float:
-        """Grid azimuth of the optical axis, in [0, 360): what views are rendered by."""
-        return (self.heading_deg - self.convergence_deg) % 360.0
+    def suppress_non_maxima(
+        self, count: int, separation_m: float, turn_deg: float = 360.0
+    ) -> IntArray:
+        """Return the indices of at most ``count`` distinct poses, best first.
+
+        A pose is left out where a better one lies nearer than ``separation_m`` and looks within
+        ``turn_deg`` of the same direction, or where its score is infinite. Equal scores keep their
+        order.
+        """
+        place = self.easting_m + 1j * self.northing_m
+        left = np.isfinite(self.score)
+        chosen: list[int] = []
+        for index in np.argsort(self.score, kind="stable"):
+            if len(chosen) == count:
+                break
+            if not left[index]:
+                continue
+            chosen.append(int(index))
+            turn = np.abs((self.heading_deg - self.heading_deg[index] + 180.0) % 360.0 - 180.0)
+            left &= (np.abs(place - place[index]) >= separation_m) | (turn > turn_deg)
+            left[index] = False
+        return np.array(chosen, dtype=np.intp)
 
 
-_MEASURED = ("confidence", "confidence_1km", "beyond_share", "residual_deg", "terrain_share")
+@dataclass(frozen=True, slots=True, eq=False)
+class RefinedPoses(Rows):
+    """M poses fitted by rendering, best first, with the figures a confidence is learned from."""
+
+    hypotheses: Hypotheses
+    """The score is the negative log-likelihood; only differences within one query are
+    meaningful."""
+    covariance_m2: Float64Array
+    """(M, 2, 2) float64. Covariance of easting and northing, square metres, including other optima
+    of the same answer."""
+    residual_deg: Float64Array
+    """(M,) float64. As in `Candidate`."""
+    terrain_share: Float64Array
+    """(M,) float64. As in `Candidate`."""
+    effective_columns: Float64Array
+    """(M,) float64. Number of independent columns that would hold as much information."""
+    height_sd_m: Float64Array
+    """(M,) float64. Standard deviation of the terrain model's height errors that the fit
+    suggests."""
+    beyond_share: Float64Array
+    """(M,) float64. As in `Candidate`."""
+    margin: Float64Array
+    far_margin: Float64Array
+    """``margin``, ``far_margin``: (M,) float64. `Hypotheses.rival_margin` for either of
+    `DISTANCES_M`; below 0 for all but the best pose."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ranking:
-    """The M poses a matcher answers a query with, best first."""
+    """The M poses that a matcher answers a query with, best first."""
 
     poses: Hypotheses
     confidence: Float64Array | None = None
-    """(M,) float64. Probability that each is right within 200 m, where something has estimated
-    it."""
-    covariance_m2: Float64Array | None = None
-    """(M, 2, 2) float64. Of easting and northing, where the poses were refined."""
     confidence_1km: Float64Array | None = None
-    """(M,) float64. Probability that each is right within 1 km, where something has estimated
-    it."""
-    beyond_share: Float64Array | None = None
-    residual_deg: Float64Array | None = None
-    terrain_share: Float64Array | None = None
-    """``beyond_share``, ``residual_deg``, ``terrain_share``: (M,) float64. See `Candidate`."""
+    """``confidence``, ``confidence_1km``: (M,) float64. Probabilities that each is right within
+    200 m, and within 1 km; None for matchers that estimate none."""
+    refined: RefinedPoses | None = None
+    """The same M poses with what refinement found; None where they were not refined."""
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -142,77 +129,14 @@ class Ranking:
             "convergence_deg": convergence_deg.tolist(),
             "rank": range(1, len(self) + 1),
         }
-        for name in _MEASURED:
+        for name in ("confidence", "confidence_1km"):
             if getattr(self, name) is not None:
                 columns[name] = getattr(self, name).tolist()
-        if self.covariance_m2 is not None:
+        if self.refined is not None:
+            for name in ("beyond_share", "residual_deg", "terrain_share"):
+                columns[name] = getattr(self.refined, name).tolist()
+            covariance_m2 = self.refined.covariance_m2.tolist()
+            columns["covariance_m2"] = [tuple(map(tuple, matrix)) for matrix in covariance_m2]
             columns["refined"] = [True] * len(self)
-            columns["covariance_m2"] = [tuple(map(tuple, m)) for m in self.covariance_m2.tolist()]
         rows = zip(*columns.values(), strict=True)
         return tuple(Candidate(**dict(zip(columns, row, strict=True))) for row in rows)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class JointRanking:
-    """The M places that a matcher answers N queries of one eye with, best first."""
-
-    rankings: tuple[Ranking, ...]
-    """Of each query, M poses; they differ in the camera alone."""
-    agrees: BoolArray
-    """(N,) bool. Whether each query was taken at the best place rather than anywhere else."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fits(Rows):
-    """The best pose of a query at each of L locations."""
-
-    score: Float64Array
-    """(L,) float64. Lower is better; infinite where there is no fit."""
-    heading_deg: Float64Array
-    pitch_deg: Float64Array
-    roll_deg: Float64Array
-    """``heading_deg``, ``pitch_deg``, ``roll_deg``: (L,) float64."""
-
-    @classmethod
-    def none(cls, locations: int) -> "Fits":
-        """Return no fit at any location."""
-        return cls(np.full(locations, np.inf), *np.zeros((3, locations)))
-
-    def placed_among(self, rows: IntArray, locations: int) -> "Fits":
-        """Return these as the fits of ``rows`` among ``locations``, with none elsewhere."""
-        wide = Fits.none(locations)
-        for name in self._names():
-            getattr(wide, name)[rows] = getattr(self, name)
-        return wide
-
-    def split(self, parts: int) -> list["Fits"]:
-        """Return so many parts of equal length, in order."""
-        return [self[rows] for rows in np.split(np.arange(len(self.score)), parts)]
-
-    def best_with(self, other: "Fits") -> "Fits":
-        """Return the better of two at each location; this one where they are equal."""
-        return self.replaced(other.score < self.score, other)
-
-
-def select(
-    profiles: Profiles, fits: Fits, fov_deg: float, top: int, separation_m: float = 0.0
-) -> Ranking:
-    """Return the best poses, none within ``separation_m`` of a better one.
-
-    Equal scores keep the order of the locations. Locations without a fit are left out. Raises
-    `InputError` for a ``top`` below 1.
-    """
-    if top < 1:
-        raise InputError(f"top is {top}; expected at least 1 candidate")
-    poses = Hypotheses(
-        profiles.easting_m,
-        profiles.northing_m,
-        profiles.eye_elevation_m,
-        fits.heading_deg % 360.0,
-        fits.pitch_deg,
-        fits.roll_deg,
-        np.full(len(profiles), fov_deg),
-        np.zeros(len(profiles)),
-        fits.score,
-    )
-    return Ranking(poses[poses.suppress_non_maxima(top, separation_m)])

@@ -1,258 +1,247 @@
-"""Retrieval: from a query's rays to a short list of poses among all places of a store.
+r"""Retrieval: from a query's rays to a short list of poses among all places of a store.
 
-Coarse to fine: every heading of every place by phases (`screening`), then a fit of the whole pose
-to the skylines of the best, first roughly and of many, then well and of fewer (`curve_fit`), then
-the best that differ from one another.
+Coarse to fine: screening compares every heading of every place by phases (`screening`). Then whole
+poses are fitted to the skylines of the best places, first roughly to many of them, then well to
+fewer. The short list holds the best poses that differ from one another.
+
+A pose is fitted to a place without rendering. With the distance D, tangent y and slope y' of the
+place's skyline at azimuth a, and the ground rising by g, an eye moved by t (east, north) sees to
+first order
+
+.. math::
+
+    y(a; t) \approx y(a) + \frac{y' t_\perp + y t_\parallel - g \cdot t}{D}, \quad
+    t_\parallel = t_e \sin a + t_n \cos a, \quad t_\perp = t_e \cos a - t_n \sin a
+
+so heading, pitch, roll, field of view and a small move are fitted together, by damped Gauss-Newton
+with Cauchy weights whose scale shrinks from round to round. The first order neglects an error that
+grows with (t / D)^2, so near terrain is trusted less.
 """
 
 import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from skyline.arrays import Float32Array, Float64Array, Rows
+from skyline.arrays import BoolArray, Float32Array, Float64Array, Rows
 from skyline.errors import InputError
-from skyline.match.curve_fit import CurveFit, FitConfig
-from skyline.match.hypotheses import Hypotheses
-from skyline.match.narrowing import Narrowed
-from skyline.match.progress import tell
-from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, in_runs
-from skyline.match.screening import Alike, Screen, sample_of, screen_places
+from skyline.match.prior import NOTHING_KNOWN, Prior
+from skyline.match.query_rays import REFERENCE_FOV_DEG, QueryRays, in_runs, level_axes
+from skyline.match.ranking import Hypotheses
+from skyline.match.screening import Alike, Screen, report_progress, sample_of, screen_places
 from skyline.store.places import Places, PlaceSource
 from skyline.terrain.edge import DataEdge
 from skyline.terrain.heightfield import Ground
 
+_ZOOM_STEP, _START_ZOOM_STEP = 0.18, 0.065
+"""Steps of the logarithm of the zoom between the fields of view that are screened, and between
+those that fits start from."""
+_SCREENED_SHARE, _SCREENED_LEAST, _SCREENED_MOST = 0.05, 16_384, 262_144
+"""Share of the places to which poses are fitted roughly, and their least and greatest number: they
+are held in memory."""
+_FITTED = 8192
+"""Places to which poses are fitted well."""
+_SEPARATION_M, _TURN_DEG = 30.0, 20.0
+"""Poses nearer to a better one, that look within this angle of it, are left out."""
 _FITS_AT_ONCE = 2048
 """Poses fitted together. Of 256, two threads wait for the interpreter half the time."""
-_SEEN_AT_ONCE = 512
-"""Places seen at every turn together; keeps the arrays in the cache."""
+_PLACES_AT_ONCE = 512
+"""Places whose best turns are found together; keeps the arrays in the cache."""
 _LIKELY_DEVIATIONS = 2.5
-"""Fields of view farther from the one expected are not screened; fits do start from them."""
+"""Fields of view farther from the expected one are not screened, though fits may start there."""
 _UNLIKELY = 0.25
-"""Times the square of how many deviations a field of view is off: what its scores lose."""
+"""Penalty of a field of view in screening, over the square of its standard deviations."""
 _SLOPE_REACH_M = 15.0
+"""Half the distance over which the ground's slope is taken."""
+
+_HEADING, _PITCH, _ROLL, _ZOOM, _EAST, _NORTH = range(6)
+"""Columns of a fitted pose: heading from grid north, pitch and roll, radians; zoom, the
+`QueryRays.log_scale` of the field of view; metres east and north of the stored place."""
+_DAMPING = np.float32(1e-3)
+_LONGEST_STEP = np.array([*np.radians([3.0, 4.0, 3.0]), 0.04, 1.25, 1.25], dtype=np.float32)
+"""Longest step of a round; moves in standard deviations of the place."""
+_MIN_FORWARD = np.float32(0.05)
+"""Rays nearer to a quarter turn from straight ahead are taken to lie there."""
+_QUERY_ERROR_DEG = 0.06
+"""Expected error of a mean of rays, at a field of view of 60 degrees."""
+_CURVATURE = 0.05
+"""Error of the tangent over (t / D)^2, for a query at t from its place and terrain at distance
+D."""
+_PITCH_SD_DEG, _ROLL_SD_DEG = 5.0, 4.0
+"""Prior standard deviations of the attitude."""
+_OUTLIER = 4.0
+"""Largest miss of a ray that is counted, in expected errors."""
+_BEYOND = 2.0
+"""The same for a ray above the profile where terrain past the data's edge may rise as high."""
 
 
 @dataclass(frozen=True, slots=True)
-class RetrievalConfig:
-    """How places are retrieved.
+class FitStage:
+    """How closely poses are fitted."""
 
-    Attributes
-    ----------
-    zoom_step, start_zoom_step : float
-        Fields of view that are screened, and that fits start from, differ by this share.
-    screened_share : float
-        Part of all places whose pose is fitted roughly.
-    screened_least, screened_most : int
-        How many these are at least, where there are as many, and at most: they are held in memory.
-    fitted : int
-        Of these, places whose pose is fitted well.
-    alike_weight : float
-        What a standard deviation of the screening counts in the score of a fit. The fit knows
-        more, but trusts that the query was taken near its place.
-    separation_m, turn_deg : float
-        Hypotheses nearer to a better one, looking within a turn of the same way, are left out.
-    rough, fit : FitConfig
-    """
+    rays: int
+    """Number of runs of the query's columns whose means are fitted."""
+    scales_deg: tuple[float, ...]
+    """Scales of the Cauchy weights, beside the expected error, from round to round."""
 
-    zoom_step: float = 0.18
-    start_zoom_step: float = 0.065
-    screened_share: float = 0.05
-    screened_least: int = 16_384
-    screened_most: int = 262_144
-    fitted: int = 8192
-    alike_weight: float = 1.0
-    separation_m: float = 30.0
-    turn_deg: float = 20.0
-    rough: FitConfig = field(default_factory=lambda: FitConfig(rays=40, rounds_deg=(0.5, 0.3)))
-    fit: FitConfig = field(default_factory=FitConfig)
 
-    def __post_init__(self) -> None:
-        steps = self.zoom_step, self.start_zoom_step
-        if min(self.screened_least, self.fitted) < 1 or not min(steps) > 0.0:
-            raise InputError(
-                f"{self.screened_least} screened and {self.fitted} fitted places, fields of view "
-                f"{steps[0]:g} and {steps[1]:g} apart; expected each above 0"
-            )
-
-    def screened(self, places: int) -> int:
-        """Return how many of so many places are fitted roughly."""
-        share = math.ceil(self.screened_share * places)
-        return min(max(share, self.screened_least), self.screened_most)
+_ROUGHLY = FitStage(40, (0.5, 0.3))
+_WELL = FitStage(100, (0.5, 0.35, 0.25, 0.2, 0.2))
 
 
 class Retriever:
     """Finds short lists of poses among places.
 
-    Without ``ground`` that about a place is taken to be level; without ``edge``, where the
-    terrain's data end, nothing is taken to lie beyond.
+    Parameters
+    ----------
+    places : PlaceSource
+    ground : Ground, optional
+        Heights of the terrain; without it the ground around each place is taken to be level.
+    edge : DataEdge, optional
+        Edge of the terrain's data; without it no terrain is taken to lie past the data.
     """
 
     def __init__(
-        self,
-        places: PlaceSource,
-        ground: Ground | None = None,
-        config: RetrievalConfig | None = None,
-        edge: DataEdge | None = None,
+        self, places: PlaceSource, ground: Ground | None = None, edge: DataEdge | None = None
     ) -> None:
-        self._edge = edge
-        self.config = config or RetrievalConfig()
-        self.places = places
-        self._ground = ground
-        self._screened = self.config.screened(len(places))
+        self.places, self._ground, self._edge = places, ground, edge
+        share = math.ceil(_SCREENED_SHARE * len(places))
+        self._screened = min(max(share, _SCREENED_LEAST), _SCREENED_MOST)
 
     @cached_property
     def _sample(self) -> Places:
         return sample_of(self.places)
 
-    def _nowhere(self, narrowed: Sequence[Narrowed]) -> InputError:
+    def _no_place_error(self, priors: Sequence[Prior]) -> InputError:
         """Return the error that a search is narrowed to no place."""
-        hints = (one.swapped(self._sample) for one in narrowed)
+        hints = (prior.swap_hint(self._sample) for prior in priors)
         return InputError(
             "no place of the store lies within what the search is narrowed to; widen it, or build "
             "a store of that area" + next(filter(None, hints), "")
         )
 
     def screened(
-        self, query: QueryRays, narrowed: Narrowed | None = None, part: slice = slice(None)
+        self, query: QueryRays, prior: Prior = NOTHING_KNOWN, part: slice = slice(None)
     ) -> Alike:
         """Return the places most like a query, of a part of the blocks of places."""
-        screen = self._screen(query, narrowed)
-        return screen_places(screen.scores, self.places, self._screened, narrowed, part)
+        screen = self._screen(query, prior)
+        return screen_places(screen.scores, self.places, self._screened, prior.contains, part)
 
     def shortlist(
         self,
         query: QueryRays,
         count: int,
-        narrowed: Narrowed | None = None,
+        prior: Prior = NOTHING_KNOWN,
         screened: Alike | None = None,
     ) -> Hypotheses:
-        """Return up to ``count`` poses that a query most likely has, best first.
+        """Return up to ``count`` poses that a query is most likely to have, best first.
 
-        Its range of fields of view is searched. ``screened`` is what `screened` returned for all
-        parts, joined; by default this process screens. Scores compare poses of one query. Poses may
-        lie between the places. Raises `InputError` for a ``count`` below 1, and where the search is
-        narrowed to no place.
+        Poses may lie between the places. Scores compare poses of one query only.
+
+        Parameters
+        ----------
+        screened : Alike, optional
+            The results of `screened` for all parts, joined; by default the places are screened
+            here.
+
+        Raises
+        ------
+        InputError
+            The search is narrowed to no place.
         """
-        if count < 1:
-            raise InputError(f"count is {count}; expected at least 1 hypothesis")
-        alike = self.screened(query, narrowed) if screened is None else screened
+        alike = self.screened(query, prior) if screened is None else screened
         alike = alike.best(self._screened)
         if not len(alike):
-            raise self._nowhere([] if narrowed is None else [narrowed])
-        fitted = self._fitted(query, self._aim(query, narrowed), alike)
-        if narrowed is not None:
-            fitted = fitted[narrowed.holds(fitted)]
-        if not len(fitted):
-            return fitted
-        return fitted[
-            fitted.suppress_non_maxima(count, self.config.separation_m, self.config.turn_deg)
-        ]
+            raise self._no_place_error([prior])
+        aim = self._aim(query, prior)
+        start = self._start(query, aim, self.places.take(alike.row), alike.score)
+        fitted = self._fitted([query], [start])[0]
+        fitted = fitted[prior.allows(fitted)]
+        return fitted[fitted.suppress_non_maxima(count, _SEPARATION_M, _TURN_DEG)]
 
     def shortlist_together(
-        self, asked: Sequence[tuple[QueryRays, Narrowed | None]], count: int
+        self, queries: Sequence[tuple[QueryRays, Prior]], count: int
     ) -> list[Hypotheses]:
-        """Return up to ``count`` places that queries of one eye most likely share.
+        """Return up to ``count`` places that queries of one eye most likely share, best first.
 
-        Each query has its poses there, of the same places in the same order, best first. A place
-        lies within the narrowings of all, and counts the sum of the queries' scores. Where a query
-        fits worse than at half of the places, it counts as there, so that one query that is lost
-        vetoes nothing. Raises `InputError` where the search is narrowed to no place.
+        The result holds the poses of each query at the same places, in the same order. A place lies
+        within the narrowings of all queries, and its score is the sum of the queries' scores. A
+        query whose score at a place is worse than its median counts with the median, so a query of
+        another place vetoes nothing. Raises `InputError` where the search is narrowed to no place.
         """
-        tests = [known for _, known in asked if known is not None]
-        screens = [self._screen(*one) for one in asked]
+        priors = [prior for _, prior in queries]
+        screens = [self._screen(*one) for one in queries]
         alike = screen_places(
             lambda phase: np.sum([screen.scores(phase) for screen in screens], axis=0),
             self.places,
             self._screened,
-            (lambda some: np.all([test(some) for test in tests], axis=0)) if tests else None,
+            lambda some: np.all([prior.contains(some) for prior in priors], axis=0),
         )
         if not len(alike):
-            raise self._nowhere(tests)
+            raise self._no_place_error(priors)
         places = self.places.take(alike.row)
         starts = [
-            self._start(query, self._aim(query, narrowed), places, screen.scores(places.phase))
-            for (query, narrowed), screen in zip(asked, screens, strict=True)
+            self._start(query, self._aim(query, prior), places, screen.scores(places.phase))
+            for (query, prior), screen in zip(queries, screens, strict=True)
         ]
-        found = self._fitted_together([query for query, _ in asked], starts)
+        found = self._fitted([query for query, _ in queries], starts)
         shared = {
             name: np.mean([getattr(one, name) for one in found], axis=0)
             for name in ("easting_m", "northing_m")
         } | {"score": _total(found)}
         joint = [replace(one, **shared) for one in found]
-        chosen = joint[0].suppress_non_maxima(count, self.config.separation_m)
+        chosen = joint[0].suppress_non_maxima(count, _SEPARATION_M)
         return [one[chosen] for one in joint]
 
-    def _screen(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
-        """Prepare to find places: few fields of view, the likely ones."""
+    def _screen(self, query: QueryRays, prior: Prior) -> Screen:
+        """Return the screen that finds places: of few, likely fields of view."""
         likely = _LIKELY_DEVIATIONS * query.log_scale_sd
         low, high = np.clip(query.log_scale_bounds, -likely, likely)
-        zooms = _middles(float(low), float(high), self.config.zoom_step * _zoom_share(query))
-        unlikely = _UNLIKELY * np.square(zooms / query.log_scale_sd)
-        return self._prepared(query, narrowed, zooms, unlikely)
+        zooms = _middles(float(low), float(high), _ZOOM_STEP * _zoom_share(query))
+        penalty = _UNLIKELY * np.square(zooms / query.log_scale_sd)
+        return Screen.of(query, _fov_deg(query, zooms), self._sample, prior.open_turns, penalty)
 
-    def _aim(self, query: QueryRays, narrowed: Narrowed | None) -> Screen:
-        """Prepare to find headings and fields of view at places, all that are searched."""
-        return self._prepared(query, narrowed, self._start_zooms(query))
-
-    def _prepared(
-        self,
-        query: QueryRays,
-        narrowed: Narrowed | None,
-        zooms: Float64Array,
-        unlikely: Float64Array | None = None,
-    ) -> Screen:
-        turns = None if narrowed is None else narrowed.open_turns
-        return Screen.of(query, _fov_deg(query, zooms), self._sample, turns, unlikely)
+    def _aim(self, query: QueryRays, prior: Prior) -> Screen:
+        """Return the screen that finds headings and fields of view at places: of all of these."""
+        fovs_deg = _fov_deg(query, _start_zooms(query))
+        return Screen.of(query, fovs_deg, self._sample, prior.open_turns)
 
     def _start(
         self, query: QueryRays, aim: Screen, places: Places, score: Float32Array
     ) -> "_Start":
-        """Return where fits set out from: few places at a time, for each is seen at every turn."""
+        """Return the starts of fits; few places at a time, as each is seen at every turn."""
         with ThreadPoolExecutor(os.cpu_count()) as pool:
-            parts = range(0, max(len(places), 1), _SEEN_AT_ONCE)
+            parts = range(0, len(places), _PLACES_AT_ONCE)
             turns = pool.map(
-                lambda first: aim.best_turns(places.phase[first : first + _SEEN_AT_ONCE]), parts
+                lambda first: aim.best_turns(places.phase[first : first + _PLACES_AT_ONCE]), parts
             )
             heading_deg, fov = (np.concatenate(part) for part in zip(*turns, strict=True))
-        return _Start(places, score, np.radians(heading_deg), self._start_zooms(query)[fov])
+        return _Start(places, score, np.radians(heading_deg), _start_zooms(query)[fov])
 
-    def _start_zooms(self, query: QueryRays) -> Float64Array:
-        step = self.config.start_zoom_step * _zoom_share(query)
-        return _middles(*query.log_scale_bounds, step)
-
-    def _fitted(self, query: QueryRays, aim: Screen, alike: Alike) -> Hypotheses:
-        """Return the fitted poses of the places most alike."""
-        start = self._start(query, aim, self.places.take(alike.row), alike.score)
-        return self._fitted_together([query], [start])[0]
-
-    def _fitted_together(
-        self, queries: Sequence[QueryRays], starts: Sequence["_Start"]
-    ) -> list[Hypotheses]:
+    def _fitted(self, queries: Sequence[QueryRays], starts: Sequence["_Start"]) -> list[Hypotheses]:
         """Return the poses of each query, fitted at the places that fit all of them best."""
         rough = [
-            self._fits(query, start, self.config.rough)
-            for query, start in zip(queries, starts, strict=True)
+            self._fits(query, start, _ROUGHLY) for query, start in zip(queries, starts, strict=True)
         ]
-        best = np.sort(np.argsort(_total(rough), kind="stable")[: self.config.fitted])
+        best = np.sort(np.argsort(_total(rough), kind="stable")[:_FITTED])
         return [
-            self._fits(query, start[best], self.config.fit)
+            self._fits(query, start[best], _WELL)
             for query, start in zip(queries, starts, strict=True)
         ]
 
-    def _fits(self, query: QueryRays, start: "_Start", config: FitConfig) -> Hypotheses:
-        """Return the poses of places fitted from where they start, in order."""
-        rays = in_runs(query, config.rays)
+    def _fits(self, query: QueryRays, start: "_Start", stage: FitStage) -> Hypotheses:
+        """Return the poses fitted from starts, in order."""
+        rays = in_runs(query, stage.rays)
 
         def fitted(first: int) -> Hypotheses:
-            some = start[slice(first, first + _FITS_AT_ONCE)]
-            places, slope = some.places, self._slope(some.places)
-            fit = CurveFit(places, slope, rays, config, self._edge)
-            pose, score = fit.fit(some.heading_rad, some.zoom)
+            part = start[slice(first, first + _FITS_AT_ONCE)]
+            places, slope = part.places, self._slope(part.places)
+            fit = _CurveFit(places, slope, rays, stage, self._edge)
+            pose, score = fit.fit(part.heading_rad, part.zoom)
             heading, pitch, roll, zoom = pose[:, :4].T.astype(np.float64)
             move = pose[:, 4:].astype(np.float64)
             return Hypotheses(
@@ -264,43 +253,42 @@ class Retriever:
                 np.degrees(roll),
                 _fov_deg(query, zoom),
                 np.zeros(len(zoom)),
-                score - self.config.alike_weight * some.score.astype(np.float64),
+                # A fit knows more than screening, but trusts that the query is near its place.
+                score.astype(np.float64) - part.score,
             )
 
-        parts = range(0, max(len(start), 1), _FITS_AT_ONCE)
+        parts = range(0, len(start), _FITS_AT_ONCE)
         found = []
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             try:
                 for fit in pool.map(fitted, parts):
                     found.append(fit)
-                    tell("fitting", len(found) / len(parts))
+                    report_progress("fitting", len(found) / len(parts))
             except BaseException:
-                # Whoever is told may end the match: what has not begun is not waited for.
+                # The progress callback may end the match: fits that have not begun are dropped.
                 pool.shutdown(cancel_futures=True)
                 raise
         return Hypotheses.concatenate(found)
 
     def _slope(self, places: Places) -> Float32Array:
-        """Return the ground's rise (N, 2) to the east and to the north; 0 where unknown."""
+        """Return the rise of the ground (N, 2) to the east and to the north; 0 where unknown."""
         if self._ground is None:
             return np.zeros((len(places), 2), dtype=np.float32)
-        slope = ground_slope(self._ground, places.easting_m, places.northing_m, _SLOPE_REACH_M)
+        slope = ground_slope(self._ground, places.easting_m, places.northing_m)
         return slope.astype(np.float32)
 
 
-def ground_slope(
-    ground: Ground, easting_m: Float64Array, northing_m: Float64Array, reach_m: float
-) -> Float64Array:
-    """Return the rise of the ground (M, 2) a metre east and north; 0 beside the unknown."""
+def ground_slope(ground: Ground, easting_m: Float64Array, northing_m: Float64Array) -> Float64Array:
+    """Return the rise of the ground (M, 2) a metre east and north; 0 beside unknown ground."""
     place = easting_m + 1j * northing_m
-    around = np.concatenate([place + reach_m * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
+    around = np.concatenate([place + _SLOPE_REACH_M * turn for turn in (1.0, -1.0, 1.0j, -1.0j)])
     east, west, north, south = ground(around.real, around.imag).reshape(4, -1)
-    return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * reach_m))
+    return np.nan_to_num(np.stack([east - west, north - south], axis=1) / (2.0 * _SLOPE_REACH_M))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Start(Rows):
-    """Places (N), how alike they are, and the headings and zooms that fits set out from."""
+    """N places, their scores in screening, and the headings and zooms that fits start from."""
 
     places: Places
     score: Float32Array
@@ -316,16 +304,200 @@ def _total(found: Sequence[Hypotheses]) -> Float64Array:
 
 
 def _middles(low: float, high: float, step: float) -> Float64Array:
-    """Return the middles of as few equal parts of a range as are no wider than a step."""
+    """Return the middles of equal parts of a range, as few as are no wider than a step."""
     parts = max(1, math.ceil((high - low) / step))
     return np.asarray(low + (np.arange(parts) + 0.5) * ((high - low) / parts))
 
 
+def _start_zooms(query: QueryRays) -> Float64Array:
+    """Return the zooms that fits start from."""
+    return _middles(*query.log_scale_bounds, _START_ZOOM_STEP * _zoom_share(query))
+
+
 def _zoom_share(query: QueryRays) -> float:
-    """Return the share of a step of the zoom that moves the ends of a wide panorama as far."""
+    """Return the share of a zoom step that moves the ends of a wide panorama as far."""
     return min(1.0, REFERENCE_FOV_DEG / query.fov_deg) if query.is_panorama else 1.0
 
 
 def _fov_deg(query: QueryRays, zoom: Float64Array) -> Float64Array:
     # Rounding must not take a field of view out of the query's range.
     return np.asarray(np.clip(query.fov_at(zoom), *query.fov_bounds_deg))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Misses:
+    """Elevation tangents of rays (M, R) of M poses minus those of the profiles."""
+
+    miss: Float32Array
+    """(M, R) float32. 0 where the profile is unknown."""
+    change: Float32Array
+    """(M, 6, R) float32. Derivatives of the miss by the columns of a pose."""
+    nearness: Float32Array
+    """(M, R) float32. Inverse distance of the profile, 1 / m."""
+    known: BoolArray
+    azimuth: Float32Array
+    tangent: Float32Array
+    """``azimuth``, ``tangent``: (M, R) float32. Azimuths of the rays from grid north, radians, and
+    their elevation tangents."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CurveFit:
+    """Fits one pose of a query to each of M places."""
+
+    places: Places
+    """M places. Queries lie evenly within a place's tolerance, so their standard deviation from it
+    is the tolerance over the root of 3; no fit moves farther than twice that."""
+    ground_slope: Float32Array
+    """(M, 2) float32. Rise of the ground to the east and to the north."""
+    rays: QueryRays
+    """R means of runs of the query's rays; see `in_runs`."""
+    stage: FitStage
+    edge: DataEdge | None
+    """Edge of the terrain's data; without it no terrain is taken to lie past the data."""
+
+    @property
+    def _deviation_m(self) -> Float32Array:
+        """Standard deviation (M,) of a query's easting, and northing, from the place's."""
+        return self.places.tolerance_m / np.float32(np.sqrt(3.0))
+
+    @property
+    def _weight(self) -> Float32Array:
+        return self.rays.weight.astype(np.float32)
+
+    def fit(self, heading: Float64Array, zoom: Float64Array) -> tuple[Float32Array, Float32Array]:
+        """Return poses (M, 6) fitted from headings, radians, and zooms (M,), and their scores (M,).
+
+        A score is the mean over rays of the negative log likelihood, but for a constant.
+        """
+        pose = np.zeros((len(heading), 6), dtype=np.float32)
+        pose[:, _HEADING], pose[:, _ZOOM] = heading, zoom
+        y, nearness = self.places.elevation_tan(), 1.0 / self.places.distance_m()
+        nearness = np.where(np.isfinite(nearness), nearness, np.float32(0.0))
+        misses = self._misses(pose, y, nearness)
+        pose[:, _PITCH] = -np.median(misses.miss, axis=1)
+        prior = self._prior()
+        for scale_deg in self.stage.scales_deg:
+            misses = self._misses(pose, y, nearness)
+            variance = self._variance(pose, misses.nearness)
+            weight = self._weight * misses.known
+            weight = weight / (variance + np.square(misses.miss) + np.radians(scale_deg) ** 2)
+            pose = self._bounded(pose, _step(pose, misses, weight.astype(np.float32), prior))
+        return pose, self._score(pose, self._misses(pose, y, nearness), prior)
+
+    def _misses(self, pose: Float32Array, y: Float32Array, nearness: Float32Array) -> _Misses:
+        azimuth, tangent = self._project(pose)
+        bins = y.shape[1]
+        toward = azimuth + pose[:, :1]
+        position = toward * np.float32(bins / (2.0 * np.pi)) - np.float32(0.5)
+        left = np.floor(position)
+        share = position - left
+        row = (np.arange(len(y)) * bins)[:, np.newaxis]
+        begin = row + left.astype(np.intp) % bins
+        end = row + (left.astype(np.intp) + 1) % bins
+        profile = y.ravel()[begin]
+        rise = y.ravel()[end] - profile
+        known = np.isfinite(rise)
+        rise = np.where(known, rise, np.float32(0.0))
+        profile = np.where(known, profile, np.float32(0.0)) + share * rise
+        slope = rise * np.float32(bins / (2.0 * np.pi))
+        coarse = nearness.shape[1]
+        run = np.floor((position + np.float32(0.5)) * np.float32(coarse / bins)).astype(np.intp)
+        near = nearness.ravel()[(np.arange(len(y)) * coarse)[:, np.newaxis] + run % coarse]
+        sine, cosine = np.sin(toward), np.cos(toward)
+        ground = self.ground_slope[:, :, np.newaxis]
+        east = (slope * cosine + profile * sine - ground[:, 0]) * near
+        north = (profile * cosine - slope * sine - ground[:, 1]) * near
+        miss = tangent - profile - east * pose[:, _EAST, np.newaxis]
+        miss -= north * pose[:, _NORTH, np.newaxis]
+        own_sine, own_cosine = np.sin(azimuth), np.cos(azimuth)
+        if self.rays.is_panorama:
+            pitch, zoom = np.ones_like(tangent), tangent - slope * azimuth
+        else:
+            pitch = own_cosine
+            zoom = tangent * np.square(own_cosine) - slope * own_sine * own_cosine
+        change = np.stack([-slope, pitch, -own_sine, zoom, -east, -north], axis=1)
+        miss = np.where(known, miss, np.float32(0.0))
+        return _Misses(miss, change, near, known, toward, tangent)
+
+    def _project(self, pose: Float32Array) -> tuple[Float32Array, Float32Array]:
+        """Return azimuths from straight ahead and tangents of the rays (M, R); see `level`."""
+        pitch, roll, zoom = (pose[:, k, np.newaxis] for k in (_PITCH, _ROLL, _ZOOM))
+        scale = np.exp(zoom)
+        u, v = (ray.astype(np.float32) * scale for ray in (self.rays.u, self.rays.v))
+        is_panorama = self.rays.is_panorama
+        right, up, forward = level_axes(u, v, pitch, roll, is_panorama=is_panorama)
+        if is_panorama:
+            return np.arctan2(right, forward), up / np.hypot(right, forward)
+        forward = np.maximum(forward, _MIN_FORWARD)
+        return np.arctan(right / forward), up / np.hypot(right, forward)
+
+    def _variance(self, pose: Float32Array, nearness: Float32Array) -> Float32Array:
+        """Return the expected squared error (M, R) of the tangents."""
+        query = np.radians(_QUERY_ERROR_DEG) * self._scale(pose)
+        move = _CURVATURE * np.square(self._deviation_m[:, np.newaxis] * nearness)
+        return np.asarray(np.square(query)[:, np.newaxis] + np.square(move), dtype=np.float32)
+
+    def _scale(self, pose: Float32Array) -> Float32Array:
+        """Return the size (M,) of a pixel over that at a field of view of 60 degrees.
+
+        A camera measures pixels. Without this scale a small enough field of view would make every
+        miss small.
+        """
+        half_rad = np.radians([self.rays.fov_deg, REFERENCE_FOV_DEG]) / 2.0
+        size = 1.0 if self.rays.is_panorama else float(np.divide(*np.tan(half_rad)))
+        return np.asarray(np.exp(pose[:, _ZOOM]) * size, dtype=np.float32)
+
+    def _prior(self) -> Float32Array:
+        """Return the inverse variances (M, 6) of the columns of a pose."""
+        prior = np.zeros((len(self.places), 6), dtype=np.float32)
+        prior[:, _PITCH] = np.radians(_PITCH_SD_DEG) ** -2.0
+        prior[:, _ROLL] = np.radians(_ROLL_SD_DEG) ** -2.0
+        prior[:, _ZOOM] = self.rays.log_scale_sd**-2.0
+        prior[:, _EAST:] = self._deviation_m[:, np.newaxis] ** -2.0
+        return prior
+
+    def _bounded(self, pose: Float32Array, step: Float32Array) -> Float32Array:
+        """Return poses less a step, within the bounds of a step and of a pose."""
+        deviation_m = self._deviation_m[:, np.newaxis]
+        limit = np.tile(_LONGEST_STEP, (len(pose), 1))
+        limit[:, _EAST:] *= deviation_m
+        pose = pose - np.clip(step, -limit, limit)
+        pose[:, _ZOOM] = np.clip(pose[:, _ZOOM], *self.rays.log_scale_bounds)
+        farthest = 2.0 * deviation_m
+        pose[:, _EAST:] = np.clip(pose[:, _EAST:], -farthest, farthest)
+        return pose
+
+    def _score(self, pose: Float32Array, misses: _Misses, prior: Float32Array) -> Float32Array:
+        variance = self._variance(pose, misses.nearness)
+        outlier = np.float32(_OUTLIER)
+        miss = np.abs(misses.miss) / np.sqrt(variance)
+        most = np.where(self._may_hide(misses), np.float32(_BEYOND), outlier)
+        cost = np.where(misses.known, np.minimum(miss, most), outlier)
+        cost += 0.5 * np.log(variance / np.square(self._scale(pose))[:, np.newaxis])
+        unlikely = 0.5 * (np.square(pose) * prior).sum(axis=1) / self.stage.rays
+        mean = (cost * self._weight).mean(axis=1)
+        return np.asarray(mean + unlikely, dtype=np.float32)
+
+    def _may_hide(self, misses: _Misses) -> BoolArray:
+        """Return which rays (M, R) terrain past the data's edge may explain."""
+        if self.edge is None:
+            return np.zeros(misses.miss.shape, dtype=np.bool_)
+        places = self.places
+        eyes = np.stack([places.easting_m, places.northing_m, places.eye_elevation_m])
+        east_m, north_m, eye_m = eyes.astype(np.float32)[..., np.newaxis]
+        most = self.edge.elevation_tan(east_m, north_m, eye_m, misses.azimuth)
+        return np.asarray((misses.miss > 0.0) & (misses.tangent < most))
+
+
+def _step(
+    pose: Float32Array, misses: _Misses, weight: Float32Array, prior: Float32Array
+) -> Float32Array:
+    """Return the damped Gauss-Newton step (M, 6) that is subtracted from poses."""
+    weighted = misses.change * weight[:, np.newaxis]
+    normal = weighted @ misses.change.transpose(0, 2, 1)
+    gradient = (weighted @ misses.miss[:, :, np.newaxis])[:, :, 0] + prior * pose
+    diagonal = np.einsum("mkk->mk", normal)
+    diagonal += prior
+    diagonal += _DAMPING * (diagonal + 1.0)
+    return np.asarray(np.linalg.solve(normal, gradient[:, :, np.newaxis])[:, :, 0])

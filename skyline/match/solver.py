@@ -8,126 +8,140 @@ horizontal distance d move by
     \mathrm{d}a = (n \sin a - e \cos a) / d, \qquad
     \mathrm{d}y = (y\,(e \sin a + n \cos a) - up) / d
 
-and it moves on the ground, whose slope ties up to e and n, at a height above it; so one rendering
-with its depth gives the derivatives by all unknowns. The noise starts wide and is narrowed as
-the fit improves: far terrain, which moves least, leads, and near terrain follows.
+The eye moves on the ground, whose slope ties up to e and n, at a height above it. One rendering
+with its depth therefore gives the derivatives by all unknowns. The assumed errors start large and
+shrink as the fit improves: far terrain, which moves least, is fitted first, and near terrain
+follows.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skyline.arrays import Float64Array, IntArray, Rows
-from skyline.errors import InputError
-from skyline.match.claim import Claim, EyeHeight
-from skyline.match.hypotheses import Hypotheses
-from skyline.match.noise import HeightErrors, Judged, Noise, judge
-from skyline.match.profiles import Panoramas
-from skyline.match.query_rays import QueryRays, level_with_changes
+from skyline.arrays import Complex128Array, Float64Array, IntArray, Rows
+from skyline.match.noise import (
+    ABOVE_SHARE,
+    BELOW_SHARE,
+    RANGE_RAD,
+    HeightErrors,
+    Likelihood,
+    likelihood,
+)
+from skyline.match.prior import EyeHeightPrior, PlacePrior
+from skyline.match.query_rays import QueryRays, level_with_changes, thinned
+from skyline.match.ranking import Hypotheses
 from skyline.terrain.edge import DataEdge
 
 EAST, NORTH, EYE_HEIGHT, HEADING, PITCH, ROLL, LOG_SCALE, DISTORTION = range(8)
-"""Columns of a state: the eye's displacement, metres; its height above the ground, metres; angles,
-radians; `QueryRays.log_scale` of the field of view; and, only where a query's lens may have one,
-its distortion."""
+"""Columns of a state: displacement of the eye, metres; its height above the ground, metres; angles,
+radians; `QueryRays.log_scale` of the field of view; and, for lenses that may distort, the
+distortion."""
 
+ANGLES_DEG = np.array([0.03, 0.05, 0.08, 0.12, 0.2, 0.3, 0.5, 0.8])
+"""Standard deviations of the photo's error, from which the most likely is chosen."""
+HEIGHT_SHARES = np.array([1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 2.0])
+"""Standard deviations of the terrain model's heights, over the expected one, likewise."""
+_WIDEST = len(ANGLES_DEG) - 1, len(HEIGHT_SHARES) - 1
 _NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
+"""Steps of the two indices that are tried."""
+_LOG_HEIGHT_SD = 0.7
+"""Standard deviation of the logarithm of the height shares."""
+_PITCH_SD_RAD, _ROLL_SD_RAD = np.radians((6.0, 3.0))
+"""Prior deviations from a level camera."""
+_POSITION_SD_M = 300.0
+"""Prior deviation of a place: it bounds the covariance for a skyline without information."""
+_TERRAIN_WEIGHT = 4.0
+"""Factor on the log priors of the eye's height and of the height errors. Neighbouring columns share
+errors that the likelihood takes for independent, so costs are too large by about this factor."""
+_LEAST_COLUMNS = 16
+"""A fit needs this many columns with a known skyline on both sides."""
+_BLUR_STEPS = 0.3
+"""Standard deviation of the skyline's azimuth, in steps of the panorama."""
 _MOVES = slice(EAST, HEADING)
 """The columns of a state that move the eye."""
 _DAMPING_RAD = 0.05
 """Deviation that damps a step of the attitude, and of the field of view's logarithm."""
 _UPWARD = 0.25
-"""Steps of the eye's height against those of its place."""
+"""Damping of the eye's height, as a share of that of its place."""
 _NO_STEP_M = 1e-6
-_LOG_HEIGHT_SD = 0.7
-"""Of the logarithm of the heights' deviation about that of the one to be expected."""
 _MOST_DISTORTION = 0.3
-"""A lens that moves the side of its image by more is no lens with a wide field, but a fisheye."""
+"""A lens that moves the side of its image by more is a fisheye."""
 _HELD = 1e14
-"""Precision that holds a parameter."""
+"""Precision that holds an unknown at its bound."""
 _AGREEMENT_RAD = np.radians(np.arange(-4.0, 4.01, 0.25))
 _AGREEMENT_RAD_SD = np.radians(0.3)
-"""Shifts of the whole curve that are tried, and within what columns agree on one."""
+"""Shifts of the whole curve that are tried, and the deviation within which columns agree."""
 
 
 @dataclass(frozen=True, slots=True)
-class SolverConfig:
-    """How a curve is aligned.
+class SolverMode:
+    """How closely the errors are modelled, and how many steps one rendering is used for."""
 
-    Costs are as if neighbouring columns told more than they do, so what is known of the terrain
-    model counts `terrain_weight` times as much as it would.
-    """
-
-    iterations: int = 3
+    steps: int
     """Gauss-Newton steps from one rendering."""
-    choices: int = 4
-    """In how many of them, from the first, the noise is chosen anew."""
-    pitch_sd_deg: float = 6.0
-    roll_sd_deg: float = 3.0
-    """``pitch_sd_deg``, ``roll_sd_deg``: prior deviations about a level camera."""
-    position_sd_m: float = 300.0
-    """Prior deviation of a place, which only bounds what an uninformative skyline can say."""
-    terrain_weight: float = 4.0
-    """Of the probabilities of the eye's height and of the terrain model's error."""
-    min_columns: int = 16
-    """Least columns with a known skyline on both sides for there to be a fit."""
-    blur_steps: float = 0.3
-    """Deviation of the skyline's azimuth, in steps of the panorama."""
-    noise: Noise = field(default_factory=Noise)
+    choices: int
+    """Number of steps, from the first, before which the errors' deviations are chosen anew."""
+    nodes: int
+    """Height errors along a skyline; see `HeightErrors.of`."""
+    bins: int = 1440
+    """Steps of azimuth of the query and of the curves; by default about as fine as renderings."""
 
-    def __post_init__(self) -> None:
-        if self.iterations < 1 or self.min_columns < 1:
-            raise InputError(
-                f"iterations are {self.iterations} and least columns {self.min_columns}; "
-                "expected at least 1 of both"
-            )
-        if min(self.pitch_sd_deg, self.roll_sd_deg, self.position_sd_m) <= 0.0:
-            raise InputError(
-                f"prior deviations are {self.pitch_sd_deg}, {self.roll_sd_deg} degrees and "
-                f"{self.position_sd_m} m; expected all above 0"
-            )
+
+SCOUT = SolverMode(steps=3, choices=4, nodes=0, bins=480)
+"""For a first look at many hypotheses."""
+ROUGH = SolverMode(steps=3, choices=4, nodes=0)
+"""For the search: quick, and it converges from farther away."""
+FINE = SolverMode(steps=2, choices=1, nodes=32)
+"""For the last rounds: near and far terrain have the right weights, and costs and covariances mean
+what they say."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves(Rows):
-    """What M eyes see, and how it changes as they move."""
+    """The skylines that M eyes see, with their derivatives by the eyes' moves."""
 
     channels: Float64Array
-    """(M, B, 6 or 7) float64. Elevation tangent, its slope by azimuth, its change by a metre east,
-    by a metre north and by a metre up, distance, and, where a surface says so, how far above the
-    tangent things may rise, at azimuth 360 b / B degrees; NaN where unknown."""
-    place_m: NDArray[np.complex128]
-    """(M,) complex128. Where they stand: easting, and northing as the imaginary part."""
+    """(M, B, 6 or 7) float64. At azimuth 360 b / B degrees: elevation tangent, its slope by
+    azimuth, its derivatives by a metre east, north and up, distance, and, if there is a surface
+    model, how far things may rise above the tangent. NaN where unknown."""
+    place_m: Complex128Array
+    """(M,) complex128. Eastings of the eyes, and northings as the imaginary part."""
     ground_m: Float64Array
-    """(M,) float64. The ground's height there."""
+    """(M,) float64. Elevation of the ground there."""
     eye_height_m: Float64Array
-    """(M,) float64. Above the ground."""
+    """(M,) float64. Height of the eyes above the ground."""
 
     @classmethod
     def of(
         cls,
-        panoramas: Panoramas,
-        place_m: NDArray[np.complex128],
+        y: Float64Array,
+        distance_m: Float64Array,
+        place_m: Complex128Array,
         ground_m: Float64Array,
         ground_slope: Float64Array,
         eye_height_m: Float64Array,
-        surface: Panoramas | None = None,
+        surface_y: Float64Array | None = None,
     ) -> "Curves":
-        """Prepare panoramas of eyes above ground of slopes (M, 2): rise a metre east, north.
+        """Return the curves of skylines all the way round.
 
-        ``surface`` is what the same eyes see of what may stand on the ground.
+        Parameters
+        ----------
+        y, distance_m : (M, B) float64
+            Elevation tangents and horizontal distances; see `joined_views`.
+        ground_slope : (M, 2) float64
+            Rise of the ground a metre to the east and to the north.
+        surface_y : (M, B) float64, optional
+            Elevation tangents of the surface model, seen by the same eyes.
         """
-        y, distance = panoramas.y, panoramas.distance_m
-        step = 2.0 * np.pi / panoramas.bins
+        step = 2.0 * np.pi / y.shape[1]
         slope = (np.roll(y, -1, axis=1) - np.roll(y, 1, axis=1)) / (2.0 * step)
         sine, cosine = np.sin(step * np.arange(y.shape[1])), np.cos(step * np.arange(y.shape[1]))
-        east = (y * sine + slope * cosine - ground_slope[:, :1]) / distance
-        north = (y * cosine - slope * sine - ground_slope[:, 1:]) / distance
-        channels = [y, slope, east, north, -1.0 / distance, distance]
-        if surface is not None:
-            channels.append(np.maximum(surface.y - y, 0.0))
+        east = (y * sine + slope * cosine - ground_slope[:, :1]) / distance_m
+        north = (y * cosine - slope * sine - ground_slope[:, 1:]) / distance_m
+        channels = [y, slope, east, north, -1.0 / distance_m, distance_m]
+        if surface_y is not None:
+            channels.append(np.maximum(surface_y - y, 0.0))
         return cls(np.stack(channels, axis=-1), place_m, ground_m, eye_height_m)
 
     def at(self, azimuth_rad: Float64Array) -> Float64Array:
@@ -138,96 +152,101 @@ class Curves(Rows):
         share = (position - left)[..., np.newaxis]
         flat = self.channels.reshape(-1, channels)
         row = np.arange(count)[:, np.newaxis] * bins
-        here, there = flat[row + left % bins], flat[row + (left + 1) % bins]
-        return np.asarray(here + (there - here) * share)
+        before, after = flat[row + left % bins], flat[row + (left + 1) % bins]
+        return np.asarray(before + (after - before) * share)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit(Rows):
-    """How well M states of the camera fit the query."""
+    """M states of the camera, and how well they fit the query."""
 
     state: Float64Array
-    """(M, P) float64, P 7 or 8. See `EAST` to `DISTORTION`; the displacement is from where the
-    curve was seen."""
+    """(M, P) float64, P 7 or 8. See `EAST` to `DISTORTION`; displacements are from the eye of the
+    curve."""
     angle: IntArray
     height: IntArray
-    """``angle``, ``height``: (M,) intp. The deviations chosen, indices into `Noise`."""
+    """``angle``, ``height``: (M,) intp. Chosen deviations of the errors, as indices into
+    `ANGLES_DEG` and `HEIGHT_SHARES`."""
     cost: Float64Array
-    """(M,) float64. Negative logarithm of the likelihood, the priors and what the uncertainty of
-    the attitude takes from it included; infinite where there is no fit."""
+    """(M,) float64. Negative log of the likelihood and the priors, integrated over the attitude;
+    infinite for a state that does not fit."""
     odds: Float64Array
-    """(M, R) float64. Odds that a column of the query shows terrain."""
+    """(M, R) float64. Probability that a column of the query shows terrain."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Linear:
-    """Residuals of M states and their derivatives; 0 in columns where the terrain is unknown."""
+class Linearization:
+    """Residuals of M states and their derivatives."""
 
     residual_rad: Float64Array
-    """(M, R) float64. Query over terrain; NaN where unknown."""
+    """(M, R) float64. Query minus terrain; NaN where the terrain is unknown."""
     jacobian: Float64Array
-    """(M, R, P) float64."""
+    """(M, R, P) float64. 0 where the terrain is unknown."""
     azimuth_rad: Float64Array
     distance_m: Float64Array
-    """``azimuth_rad``, ``distance_m``: (M, R) float64. Of the terrain's skyline under each
-    column."""
+    """``azimuth_rad``, ``distance_m``: (M, R) float64. Of the terrain's skyline in each column."""
     rise_rad: Float64Array | None
-    """(M, R) float64 or None. How far above it things may rise."""
-    place_m: NDArray[np.complex128]
-    """(M,) complex128. Where the states' eyes stand; see `Curves`."""
+    """(M, R) float64. How far things may rise above it; None without a surface model."""
+    place_m: Complex128Array
+    """(M,) complex128. Places of the states' eyes; see `Curves`."""
     eye_m: Float64Array
-    """(M,) float64. Their elevations, the ground taken to be level about where the curve was
-    seen."""
+    """(M,) float64. Elevations of the states' eyes, above level ground around the curve's eye."""
     elevation_tan: Float64Array
-    """(M, R) float64. Tangent of the terrain's skyline there; NaN where unknown."""
+    """(M, R) float64. Elevation tangent of the terrain's skyline; NaN where unknown."""
 
 
 class Solver:
-    """Aligns one query to curves.
+    """Fits the pose of one query to curves.
 
-    ``height_sd_m`` is the deviation of the terrain model's heights to be expected. Without
-    ``edge``, where the terrain's data end, nothing is taken to lie beyond.
+    Parameters
+    ----------
+    query : QueryRays
+        Averaged within the mode's steps of azimuth.
+    mode : SolverMode
+    eye : EyeHeightPrior
+    height_sd_m : float
+        Expected standard deviation of the terrain model's heights.
+    noted : PlacePrior, optional
+        Prior from the photo's EXIF.
+    edge : DataEdge, optional
+        Edge of the terrain's data; without it no terrain is taken to lie past the data.
     """
 
     def __init__(
         self,
         query: QueryRays,
-        config: SolverConfig,
-        eye: EyeHeight,
+        mode: SolverMode,
+        eye: EyeHeightPrior,
         height_sd_m: float,
-        claim: Claim | None = None,
+        noted: PlacePrior | None = None,
         edge: DataEdge | None = None,
     ) -> None:
-        self.query = query
-        self._claim, self._edge = claim, edge
-        self.config = config
-        self.noise = replace(config.noise, height_sd_m=height_sd_m)
-        self._eye = eye
+        self.query, self.mode, self._eye = thinned(query, mode.bins), mode, eye
+        self._noted, self._edge = noted, edge
+        self._heights_m = HEIGHT_SHARES * height_sd_m
         low, high = query.log_scale_bounds
         self.size = size = DISTORTION + (query.distortion_sd > 0.0)
         """Unknowns P of a state."""
         self._low, self._high = np.full(size, -np.inf), np.full(size, np.inf)
         self._low[[EYE_HEIGHT, LOG_SCALE]] = eye.least_m, low
         self._high[[EYE_HEIGHT, LOG_SCALE]] = eye.most_m, high
-        # Within its range a field of view is as likely as any other, but for its own deviation.
+        # The uniform distribution over the range of fields of view has this deviation.
         range_sd = max((high - low) / np.sqrt(12.0), 1e-6)
-        pitch_sd, roll_sd = np.radians((config.pitch_sd_deg, config.roll_sd_deg))
         self._prior = np.zeros(size)
-        self._prior[[PITCH, ROLL]] = pitch_sd**-2, roll_sd**-2
+        self._prior[[PITCH, ROLL]] = _PITCH_SD_RAD**-2, _ROLL_SD_RAD**-2
         self._prior[LOG_SCALE] = query.log_scale_sd**-2.0
-        place_sd, eye_sd = config.position_sd_m, max(eye.sd_m, _NO_STEP_M)
         free = np.full(size, np.inf)
-        free[:PITCH] = place_sd, place_sd, eye_sd, np.pi
+        free[:PITCH] = _POSITION_SD_M, _POSITION_SD_M, max(eye.sd_m, _NO_STEP_M), np.pi
         free[LOG_SCALE] = range_sd
         if query.distortion_sd > 0.0:
             self._prior[DISTORTION] = query.distortion_sd**-2.0
             self._low[DISTORTION], self._high[DISTORTION] = -_MOST_DISTORTION, _MOST_DISTORTION
         self._information = self._prior + free**-2.0
-        off = np.log(self.noise.height_shares) / _LOG_HEIGHT_SD
-        self._noise_cost = config.terrain_weight * 0.5 * off**2
+        off = np.log(HEIGHT_SHARES) / _LOG_HEIGHT_SD
+        self._height_cost = _TERRAIN_WEIGHT * 0.5 * off**2
 
     def start(self, hypotheses: Hypotheses) -> Fit:
-        """Return hypotheses as states, the noise as wide as it may be; not yet judged."""
+        """Return hypotheses as states without a cost, with the largest errors."""
         count = len(hypotheses)
         state = np.zeros((count, self.size))
         state[:, EYE_HEIGHT] = self._eye.usual_m
@@ -237,54 +256,61 @@ class Solver:
         scale = self.query.log_scale(hypotheses.fov_deg)
         state[:, LOG_SCALE] = np.clip(scale, self._low[LOG_SCALE], self._high[LOG_SCALE])
         state[:, DISTORTION:] = hypotheses.distortion[:, np.newaxis]
-        angle, height = (np.full(count, index) for index in self.noise.widest)
+        angle, height = (np.full(count, index) for index in _WIDEST)
         odds = np.ones((count, len(self.query.u)))
         return Fit(state, angle, height, np.full(count, np.inf), odds)
 
     def at_height(self, fit: Fit, height_m: Float64Array) -> Fit:
-        """Return fits whose eyes stand so high (M,) above the ground, within what is tried."""
+        """Return fits with eyes at heights (M,) above the ground, clipped to those tried."""
         state = fit.state.copy()
         low, high = self._low[EYE_HEIGHT], self._high[EYE_HEIGHT]
         state[:, EYE_HEIGHT] = np.clip(height_m, low, high)
         return replace(fit, state=state)
 
-    def posed(self, hypotheses: Hypotheses, fit: Fit) -> Hypotheses:
-        """Return hypotheses with the attitude, the field of view and the cost of a fit."""
-        return replace(
-            hypotheses,
-            heading_deg=np.degrees(fit.state[:, HEADING]) % 360.0,
-            pitch_deg=np.degrees(fit.state[:, PITCH]),
-            roll_deg=np.degrees(fit.state[:, ROLL]),
-            fov_deg=self.fov_deg(fit.state),
-            distortion=fit.state[:, DISTORTION:].sum(axis=1),
-            score=fit.cost,
+    def hypotheses(
+        self, fit: Fit, place_m: Complex128Array, eye_elevation_m: Float64Array
+    ) -> Hypotheses:
+        """Return fits as poses of eyes (M,); the score is the cost."""
+        return Hypotheses(
+            place_m.real,
+            place_m.imag,
+            eye_elevation_m,
+            np.degrees(fit.state[:, HEADING]) % 360.0,
+            np.degrees(fit.state[:, PITCH]),
+            np.degrees(fit.state[:, ROLL]),
+            self.fov_deg(fit.state),
+            fit.state[:, DISTORTION:].sum(axis=1),
+            fit.cost,
         )
 
     def fov_deg(self, state: Float64Array) -> Float64Array:
         """Return the field of view of states (M, P), degrees."""
         return self.query.fov_at(state[:, LOG_SCALE])
 
-    def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
-        """Take the configured steps from one rendering, and choose the noise on the way.
+    def height_sd_m(self, fit: Fit) -> Float64Array:
+        """Return the chosen standard deviation (M,) of the terrain model's heights."""
+        return np.asarray(self._heights_m[fit.height])
 
-        ``step_m`` (M,) is the deviation that damps the eye's displacement; 0 keeps the eye where it
-        is.
+    def improve(self, curves: Curves, fit: Fit, step_m: Float64Array) -> Fit:
+        """Return fits after the mode's steps from one rendering, with newly chosen deviations.
+
+        ``step_m`` (M,) is the deviation that damps the eye's displacement; with 0 the eye stays.
         """
         errors = None
-        for iteration in range(self.config.iterations + 1):
+        for step in range(self.mode.steps + 1):
             linear = self.linearize(curves, fit.state)
             errors = self._errors(linear, curves) if errors is None else errors
-            choose = iteration < self.config.choices
-            fit, judged = self._chosen(fit, linear, errors, _NEIGHBOURS if choose else ())
-            if iteration < self.config.iterations:
-                fit = self._stepped(fit, linear, judged, step_m)
+            tried = _NEIGHBOURS if step < self.mode.choices else ()
+            fit, found = self._with_deviations(fit, linear, errors, tried)
+            if step < self.mode.steps:
+                fit = self._stepped(fit, linear, found, step_m)
         return fit
 
     def settle(self, curves: Curves, fit: Fit) -> Fit:
-        """Solve the attitude from afar, where the eye stands.
+        """Return fits whose attitude is solved from a distant start, the eye held.
 
-        A wide noise takes trees for terrain and stays wide; so a second start holds on to where
-        most columns agree, and the better of both counts.
+        Large errors take trees for terrain and stay large. A second start therefore begins at the
+        pitch on which most columns agree, and the better of both counts.
         """
         none = np.zeros(len(fit.cost))
         wide = self.improve(curves, fit, none)
@@ -292,71 +318,70 @@ class Solver:
         return wide.replaced(agreed.cost < wide.cost, agreed)
 
     def _agreed(self, curves: Curves, fit: Fit) -> Fit:
-        """Return the fit with the pitch at which most columns agree within a narrow noise."""
-        noise = self.noise
+        """Return the fit with the pitch on which most columns agree within small errors."""
         linear = self.linearize(curves, fit.state)
         off = linear.residual_rad[..., np.newaxis] - _AGREEMENT_RAD
         density = np.exp(-0.5 * (off / _AGREEMENT_RAD_SD) ** 2) / _AGREEMENT_RAD_SD
-        other = np.where(off >= 0.0, noise.above_share, noise.below_share)
-        odds = np.log(density + other / np.radians(noise.range_deg))
+        other = np.where(off >= 0.0, ABOVE_SHARE, BELOW_SHARE)
+        odds = np.log(density + other / RANGE_RAD)
         agreement = np.tensordot(np.nan_to_num(odds), self.query.weight, axes=(1, 0))
         state = fit.state.copy()
         state[:, PITCH] -= _AGREEMENT_RAD[np.argmax(agreement, axis=1)]
-        angle = np.searchsorted(np.radians(noise.angle_deg), _AGREEMENT_RAD_SD)
-        height = len(noise.height_m) // 2
+        angle = int(np.searchsorted(np.radians(ANGLES_DEG), _AGREEMENT_RAD_SD))
         return replace(
             fit,
             state=state,
-            angle=np.full_like(fit.angle, min(int(angle), noise.widest[0])),
-            height=np.full_like(fit.height, height),
+            angle=np.full_like(fit.angle, min(angle, _WIDEST[0])),
+            height=np.full_like(fit.height, len(HEIGHT_SHARES) // 2),
             odds=np.ones_like(fit.odds),
         )
 
-    def judged(self, curves: Curves, fit: Fit) -> tuple[Linear, Judged]:
-        """Return residuals and their noise at a fit."""
+    def evaluate(self, curves: Curves, fit: Fit) -> tuple[Linearization, Likelihood]:
+        """Return the residuals and their likelihood at a fit."""
         linear = self.linearize(curves, fit.state)
         errors = self._errors(linear, curves)
-        return linear, self._judge(fit, linear, errors, (fit.angle, fit.height))
+        return linear, self._likelihood(fit, linear, errors, (fit.angle, fit.height))
 
-    def covariance(self, linear: Linear, judged: Judged) -> Float64Array:
+    def covariance(self, linear: Linearization, found: Likelihood) -> Float64Array:
         """Return the covariance (M, P, P) of states, priors included."""
-        normal = judged.product(linear.jacobian, linear.jacobian) + np.diag(self._information)
-        self._draw(linear, normal, np.zeros(normal.shape[:2]))
+        normal = found.product(linear.jacobian, linear.jacobian) + np.diag(self._information)
+        self._pull_to_noted(linear, normal, np.zeros(normal.shape[:2]))
         return np.asarray(np.linalg.inv(normal))
 
-    def linearize(self, curves: Curves, state: Float64Array) -> Linear:
+    def linearize(self, curves: Curves, state: Float64Array) -> Linearization:
         """Return residuals and their derivatives at states (M, P)."""
         turned, ray_y, turned_change, ray_change = level_with_changes(
             self.query, *state[:, PITCH:].T
         )
         azimuth = turned + state[:, HEADING, np.newaxis]
-        there = curves.at(azimuth)
-        slope, change = there[..., 1:2], there[..., 2:5]
+        skyline = curves.at(azimuth)
+        slope, change = skyline[..., 1:2], skyline[..., 2:5]
         move = state[:, _MOVES].copy()
         move[:, EYE_HEIGHT] -= curves.eye_height_m
-        y = there[..., 0] + (change @ move[..., np.newaxis])[..., 0]
-        # Differences of tangents become angles; how that factor changes is left out.
+        y = skyline[..., 0] + (change @ move[..., np.newaxis])[..., 0]
+        # Differences of tangents become angles; the derivative of this factor is left out.
         to_angle = 1.0 / (1.0 + ray_y**2)
         attitude = ray_change - slope * turned_change
         jacobian = np.concatenate([-change, -slope, attitude], axis=-1) * to_angle[..., np.newaxis]
         residual = (ray_y - y) * to_angle
         # Next to an unknown column the curve may be known but not its slope.
         known = np.isfinite(residual) & np.isfinite(jacobian).all(axis=-1)
-        return Linear(
+        return Linearization(
             np.where(known, residual, np.nan),
             np.where(known[..., np.newaxis], jacobian, 0.0),
             azimuth,
-            there[..., 5],
-            there[..., 6] * to_angle if there.shape[-1] > 6 else None,
+            skyline[..., 5],
+            skyline[..., 6] * to_angle if skyline.shape[-1] > 6 else None,
             curves.place_m + state[:, EAST] + 1j * state[:, NORTH],
             curves.ground_m + state[:, EYE_HEIGHT],
             y,
         )
 
-    def beyond_rad(self, linear: Linear) -> Float64Array:
-        """Return how far above the skyline, (M, R), terrain past the data's edge may rise.
+    def beyond_rad(self, linear: Linearization) -> Float64Array:
+        """Return how far terrain past the data's edge may rise above the skyline, (M, R).
 
-        It is below 0 where none reaches it, and 0 where the skyline or the edge is unknown.
+        Below 0 where no such terrain reaches the skyline; 0 where the skyline or the edge is
+        unknown.
         """
         if self._edge is None:
             return np.zeros_like(linear.residual_rad)
@@ -364,102 +389,111 @@ class Solver:
         most = self._edge.elevation_tan(place_m.real, place_m.imag, eye_m, linear.azimuth_rad)
         return np.asarray(np.nan_to_num(np.arctan(most) - np.arctan(linear.elevation_tan)))
 
-    def _errors(self, linear: Linear, curves: Curves) -> HeightErrors:
+    def _errors(self, linear: Linearization, curves: Curves) -> HeightErrors:
         step_rad = 2.0 * np.pi / curves.channels.shape[1]
-        blur_rad = self.config.blur_steps * step_rad * np.abs(linear.jacobian[..., HEADING])
+        blur_rad = _BLUR_STEPS * step_rad * np.abs(linear.jacobian[..., HEADING])
         return HeightErrors.of(
             linear.azimuth_rad,
             linear.distance_m,
             blur_rad,
-            self.noise,
+            self.mode.nodes,
             linear.rise_rad,
             self.beyond_rad(linear),
         )
 
-    def _judge(
-        self, fit: Fit, linear: Linear, errors: HeightErrors, noise: tuple[IntArray, IntArray]
-    ) -> Judged:
-        """Judge states under a noise, the attitude's part of the cost included."""
-        judged = judge(
+    def _likelihood(
+        self,
+        fit: Fit,
+        linear: Linearization,
+        errors: HeightErrors,
+        deviations: tuple[IntArray, IntArray],
+    ) -> Likelihood:
+        """Return the likelihood of states, its cost with the priors, for chosen deviations."""
+        angle, height = deviations
+        found = likelihood(
             linear.residual_rad,
             self.query.weight,
             errors,
-            self.noise,
-            noise,
+            ANGLES_DEG[angle],
+            self._heights_m[height],
             fit.odds,
             np.exp(fit.state[:, LOG_SCALE]),
         ).scaled()
-        # Laplace's approximation to the integral over the attitude: without it a noise that is
-        # too small wins, as much of the error hides in pitch, roll and the field of view.
+        # Laplace's approximation to the integral over the attitude. Without it errors that are too
+        # small win, as much of the error hides in pitch, roll and the field of view.
         attitude = slice(HEADING, None)
-        normal = judged.product(linear.jacobian[..., attitude], linear.jacobian[..., attitude])
+        normal = found.product(linear.jacobian[..., attitude], linear.jacobian[..., attitude])
         _, log_det = np.linalg.slogdet(normal + np.diag(self._information[attitude]))
         prior = 0.5 * fit.state**2 @ self._prior
-        prior += self.config.terrain_weight * self._eye.cost(fit.state[:, EYE_HEIGHT])
-        if self._claim is not None:
-            prior += self._claim.cost(linear.place_m, linear.eye_m, fit.state[:, HEADING])
-        cost = judged.cost + 0.5 * log_det + prior + self._noise_cost[noise[1]]
-        return replace(judged, cost=cost)
+        prior += _TERRAIN_WEIGHT * self._eye.cost(fit.state[:, EYE_HEIGHT])
+        if self._noted is not None:
+            prior += self._noted.cost(linear.place_m, linear.eye_m, fit.state[:, HEADING])
+        return replace(found, cost=found.cost + 0.5 * log_det + prior + self._height_cost[height])
 
-    def _chosen(
-        self, fit: Fit, linear: Linear, errors: HeightErrors, steps: Sequence[tuple[int, int]]
-    ) -> tuple[Fit, Judged]:
-        """Move the noise by the best of steps, or none."""
-        noise = fit.angle, fit.height
-        best = self._judge(fit, linear, errors, noise)
+    def _with_deviations(
+        self,
+        fit: Fit,
+        linear: Linearization,
+        errors: HeightErrors,
+        steps: Sequence[tuple[int, int]],
+    ) -> tuple[Fit, Likelihood]:
+        """Return the fit with the deviations that the best of some steps, or none, leads to."""
+        angle, height = fit.angle, fit.height
+        best = self._likelihood(fit, linear, errors, (angle, height))
         fit = replace(fit, odds=best.odds)
         for step in steps:
             other = (
-                np.clip(fit.angle + step[0], 0, self.noise.widest[0]),
-                np.clip(fit.height + step[1], 0, self.noise.widest[1]),
+                np.clip(fit.angle + step[0], 0, _WIDEST[0]),
+                np.clip(fit.height + step[1], 0, _WIDEST[1]),
             )
-            judged = self._judge(fit, linear, errors, other)
-            better = judged.cost < best.cost
-            best = best.replaced(better, judged)
-            noise = np.where(better, other[0], noise[0]), np.where(better, other[1], noise[1])
-        known = np.isfinite(linear.residual_rad).sum(axis=1) >= self.config.min_columns
+            found = self._likelihood(fit, linear, errors, other)
+            better = found.cost < best.cost
+            best = best.replaced(better, found)
+            angle, height = np.where(better, other[0], angle), np.where(better, other[1], height)
+        known = np.isfinite(linear.residual_rad).sum(axis=1) >= _LEAST_COLUMNS
         cost = np.where(known, best.cost, np.inf)
-        return Fit(fit.state, *noise, cost, best.odds), best
+        return Fit(fit.state, angle, height, cost, best.odds), best
 
-    def _stepped(self, fit: Fit, linear: Linear, judged: Judged, step_m: Float64Array) -> Fit:
-        """Take one step, within the bounds of the field of view and of the eye's height."""
+    def _stepped(
+        self, fit: Fit, linear: Linearization, found: Likelihood, step_m: Float64Array
+    ) -> Fit:
+        """Return the fit after one step within the bounds of the state."""
         miss = np.nan_to_num(linear.residual_rad)[..., np.newaxis]
-        # What draws a state back: to where the curve was seen, and to what is usual.
+        # The prior pulls the eye to that of the curve, and the other unknowns to usual values.
         height_m, step_m = fit.state[:, EYE_HEIGHT], np.maximum(step_m, _NO_STEP_M)
         prior = np.tile(self._prior, (len(step_m), 1))
         prior[:, [EAST, NORTH]] = step_m[:, np.newaxis] ** -2
-        prior[:, EYE_HEIGHT] = self.config.terrain_weight * self._eye.precision(height_m)
+        prior[:, EYE_HEIGHT] = _TERRAIN_WEIGHT * self._eye.precision(height_m)
         off = fit.state.copy()
         off[:, EYE_HEIGHT] -= self._eye.usual_m
-        # What makes a step shorter, wherever it leads.
+        # Damping shortens a step, whichever way it leads.
         damping = np.zeros_like(prior)
         damping[:, EYE_HEIGHT] = (_UPWARD * step_m) ** -2
         damping[:, HEADING:] = _DAMPING_RAD**-2
-        normal = judged.product(linear.jacobian, linear.jacobian)
+        normal = found.product(linear.jacobian, linear.jacobian)
         normal += (prior + damping)[:, np.newaxis] * np.eye(self.size)
-        gradient = judged.product(linear.jacobian, miss)[..., 0] + prior * off
-        gradient[:, LOG_SCALE] -= judged.magnification_pull(miss[..., 0])
-        self._draw(linear, normal, gradient)
+        gradient = found.product(linear.jacobian, miss)[..., 0] + prior * off
+        gradient[:, LOG_SCALE] -= found.magnification_pull(miss[..., 0])
+        self._pull_to_noted(linear, normal, gradient)
         state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
         bounded = np.clip(state, self._low, self._high)
         outside = bounded != state
         if outside.any():
-            # Where one meets a bound, the others are solved with it held there.
-            held = np.where(outside, _HELD, 0.0)
-            normal += held[:, np.newaxis] * np.eye(self.size)
+            # An unknown that meets a bound is held there, and the others are solved again.
+            hold = np.where(outside, _HELD, 0.0)
+            normal += hold[:, np.newaxis] * np.eye(self.size)
             gradient += np.where(outside, _HELD * (fit.state - bounded), 0.0)
             state = fit.state - np.linalg.solve(normal, gradient[..., np.newaxis])[..., 0]
             state = np.clip(state, self._low, self._high)
         return replace(fit, state=state)
 
-    def _draw(self, linear: Linear, normal: Float64Array, gradient: Float64Array) -> None:
-        """Add to normal equations what draws eyes (M,) to the claim."""
-        if self._claim is None:
+    def _pull_to_noted(
+        self, linear: Linearization, normal: Float64Array, gradient: Float64Array
+    ) -> None:
+        """Add the pull of eyes (M,) to the place noted in EXIF to normal equations, in place."""
+        if self._noted is None:
             return
-        precision = self._claim.precision(linear.place_m)
-        gradient[:, :EYE_HEIGHT] += precision[:, np.newaxis] * self._claim.offset_m(linear.place_m)
-        for axis in (EAST, NORTH):
-            normal[:, axis, axis] += precision
-        precision, off_m = self._claim.lift(linear.eye_m)
-        gradient[:, EYE_HEIGHT] += precision * off_m
-        normal[:, EYE_HEIGHT, EYE_HEIGHT] += precision
+        precision, offset_m = self._noted.pull(linear.place_m, linear.eye_m)
+        gradient[:, _MOVES] += precision * offset_m
+        for axis in (EAST, NORTH, EYE_HEIGHT):
+            normal[:, axis, axis] += precision[:, axis]

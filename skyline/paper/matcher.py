@@ -12,15 +12,19 @@ which of them it is. Without a shortlist every one is tried, which takes seconds
 
 from dataclasses import replace
 from functools import reduce
+from typing import Self
 
 import numpy as np
 
 from skyline.arrays import BoolArray, Float64Array, IntArray
 from skyline.errors import InputError
-from skyline.match.profiles import TANGENT_PER_PX, Profiles
+from skyline.match.matchers import Ranker
+from skyline.match.prior import NOTHING_KNOWN, Prior
+from skyline.match.profiles import TANGENT_PER_PX, Fits, Profiles
 from skyline.match.query_rays import Attitudes, QueryCurves, QueryRays
-from skyline.match.ranker import ProfileRanker
-from skyline.match.ranking import Fits
+from skyline.match.ranking import Ranking
+from skyline.match.scene import OpenedStore
+from skyline.match.screening import Alike
 from skyline.paper.alignment import align_curves
 from skyline.paper.chamfer import mean_squared_px2, nearest_patches
 from skyline.paper.patches import MIN_OVERLAP, QueryCurve, StoredCurves, patch_offsets
@@ -39,7 +43,7 @@ _VOTE_TURNS = 1.0 / 64.0
 _REACH_TURNS = 1.0 / 32.0
 
 
-class PaperMatcher(ProfileRanker):
+class PaperMatcher(Ranker):
     """The paper's matcher over whole 360 degree profiles; `Ranker` says what it answers."""
 
     def __init__(
@@ -63,10 +67,25 @@ class PaperMatcher(ProfileRanker):
             raise InputError(
                 f"poses on the shortlist are {shortlist_poses}; expected at least 1, or None"
             )
-        super().__init__(profiles)
+        self.profiles = profiles
         self._attitudes = attitudes or Attitudes()
         self._poses = shortlist_poses
         self._shortlist = None if shortlist_poses is None else Shortlist(profiles)
+
+    @classmethod
+    def open(cls, store: OpenedStore) -> Self:
+        """See `Ranker.open`."""
+        return cls(store.profiles())
+
+    def rank(
+        self,
+        query: QueryRays,
+        top: int,
+        prior: Prior = NOTHING_KNOWN,
+        screened: Alike | None = None,
+    ) -> Ranking:
+        """See `Ranker.rank`."""
+        return self.profiles.ranked(self.fit(query), query.fov_deg, top)
 
     def fit(self, query: QueryRays) -> Fits:
         """Return the best pose at every location; score in px, infinite where nothing fits.

@@ -1,7 +1,6 @@
 from .html import Page, Picture, Section, Table, Text
 from .landscape import Landscape
-from .match_report import write_match_report
-from .matched import Matched, Surroundings
+from .match_report import report_matches, write_match_report
 from .panorama_picture import (
     PanoramaView,
     count_names,
@@ -13,10 +12,10 @@ from .peaks import Peaks, read_peaks
 from .pictures import save_depth_images, save_depth_pictures
 from .place_map import save_place_map
 from .plan_maps import save_coverage_map
+from .surroundings import Surroundings
 
 __all__ = [
     "Landscape",
-    "Matched",
     "Page",
     "PanoramaView",
     "Peaks",
@@ -30,6 +29,7 @@ __all__ = [
     "encode_panorama",
     "picture_azimuths_deg",
     "read_peaks",
+    "report_matches",
     "save_coverage_map",
     "save_depth_images",
     "save_depth_pictures",

@@ -24,11 +24,11 @@ from skyline.arrays import Float64Array, UInt8Array
 from skyline.errors import InputError, printable
 from skyline.files import write_with_folders
 from skyline.geodesy import Frame
-from skyline.match.ranking import Candidate
-from skyline.match.records import describe_candidate, name_of
+from skyline.match.answer import MatchResult
+from skyline.match.candidate import Candidate
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
-from skyline.report.matched import Matched
+from skyline.photo.read import read_picture
 from skyline.report.shapes import Ellipse, lonlat_rings, view_wedge_m
 
 VIEW_REACH_M = 2000.0
@@ -42,10 +42,11 @@ _PHOTO_AT_M = 300.0
 """How far before the camera the photo stands."""
 
 Json = dict[str, object]
+Photos = Sequence[UInt8Array | None]
 
 
-def write_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
-    """Write the candidates of matches, whose frame is given, as a FeatureCollection.
+def write_geojson(path: Path, results: Sequence[MatchResult], frame: Frame) -> None:
+    """Write the candidates of results, whose frame is given, as a FeatureCollection.
 
     Per candidate a Point whose properties are those of the public JSON with ``query``, ``rank``
     (null where no search found the pose), ``origin`` (see `Candidate.origin`) and ``shape`` =
@@ -57,7 +58,7 @@ def write_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     """
     features = [
         feature
-        for one in matches
+        for one in results
         for candidate in one.candidates
         for feature in _features(printable(one.name), candidate, frame)
     ]
@@ -68,7 +69,7 @@ def write_geojson(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
 def _features(query: str, candidate: Candidate, frame: Frame) -> list[Json]:
     record: Json = {
         name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in describe_candidate(candidate).items()
+        for name, value in candidate.to_dict().items()
     }
     of_pose: Json = {"rank": candidate.rank, "origin": candidate.origin}
     place = [round(candidate.lon, _DECIMALS), round(candidate.lat, _DECIMALS)]
@@ -105,8 +106,8 @@ def _rings(outline_m: Float64Array, frame: Frame) -> list[list[list[float]]]:
     return [np.round(ring, _DECIMALS).tolist() for ring in lonlat_rings(outline_m, frame)]
 
 
-def write_cameras(path: Path, matches: Sequence[Matched]) -> None:
-    """Write the candidates of matches as cameras.
+def write_cameras(path: Path, results: Sequence[MatchResult]) -> None:
+    """Write the candidates of results as cameras.
 
     A point X (easting, northing, elevation) is seen at the pixel ``matrix @ rotation @ (X -
     position)``, divided by its third component: columns to the right and rows down, the middle of
@@ -117,12 +118,12 @@ def write_cameras(path: Path, matches: Sequence[Matched]) -> None:
     """
     photos = [
         {
-            "photo": printable(matched.name),
-            "width_px": matched.query.width_px,
-            "height_px": matched.query.height_px,
-            "cameras": [_camera(matched.query, one) for one in matched.candidates],
+            "photo": printable(result.name),
+            "width_px": result.query.width_px,
+            "height_px": result.query.height_px,
+            "cameras": [_camera(result.query, one) for one in result.candidates],
         }
-        for matched in matches
+        for result in results
     ]
     write_with_folders(path, json.dumps({"photos": photos}, indent=1).encode())
 
@@ -167,12 +168,14 @@ def _matrix(query: QuerySkyline, fov_deg: float) -> list[list[float]] | None:
     return [[focal_px, 0.0, middle[0]], [0.0, focal_px, middle[1]], [0.0, 0.0, 1.0]]
 
 
-def write_kml(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
-    """Write matches as KML, or with their photos in it as KMZ where that is the file's suffix.
+def write_kml(
+    path: Path, results: Sequence[MatchResult], frame: Frame, photos: Photos | None = None
+) -> None:
+    """Write results as KML, or with their photos in it as KMZ where that is the file's suffix.
 
     Each candidate is a place and a view of 2 km. The first of each photo has a PhotoOverlay. Its
-    picture is the photo in the KMZ, or the photo's file, to which the path from the KML's folder
-    leads; the file of an upload should be put beside the KML.
+    picture is the photo in the KMZ. In a KML it is the path from the KML's folder to the photo's
+    file; if ``photos`` are given, it is the file's name, and the file should be put beside the KML.
 
     Raises `InputError` where the file cannot be written.
     """
@@ -181,14 +184,18 @@ def write_kml(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     root = Xml.Element("kml", xmlns=_KML)
     folder = _child(root, "Document")
     _child(folder, "name", "Where these were taken")
-    for number, matched in enumerate(matches, start=1):
+    for number, result in enumerate(results, start=1):
         href = None
-        if packed and matched.photo is not None:
-            href = f"files/{number:02d}.jpg"
-            pictures[href] = matched.photo
-        elif not packed and Path(matched.name).suffix.lower() != ".csv":
-            href = _href(matched, path.parent)
-        _add_match(folder, matched, frame, href)
+        if packed:
+            picture = None if photos is None else photos[number - 1]
+            if photos is None and result.name:
+                picture = read_picture(result.name)
+            if picture is not None:
+                href = f"files/{number:02d}.jpg"
+                pictures[href] = picture
+        elif result.name and Path(result.name).suffix.lower() != ".csv":
+            href = _href(Path(result.name), path.parent if photos is None else None)
+        _add_match(folder, result, frame, href)
     content = Xml.tostring(root, encoding="utf-8", xml_declaration=True)
     if packed:
         held = io.BytesIO()
@@ -201,30 +208,29 @@ def write_kml(path: Path, matches: Sequence[Matched], frame: Frame) -> None:
     write_with_folders(path, content)
 
 
-def _href(matched: Matched, folder: Path) -> str:
-    """Return the address of a photo's file, relative to a folder (RFC 3986, 4.2)."""
-    photo = Path(matched.name)
-    if matched.is_upload:
+def _href(photo: Path, folder: Path | None) -> str:
+    """Return the address of a photo's file, relative to a folder or its own (RFC 3986, 4.2)."""
+    if folder is None:
         return quote(os.fsencode(photo.name))
-    # A link among the folders would lead `..` elsewhere.
+    # A link among the folders would lead `..` to another folder.
     file = photo.parent.resolve() / photo.name
     return quote(os.fsencode(os.path.relpath(file, folder.resolve())))
 
 
-def _add_match(folder: Xml.Element, matched: Matched, frame: Frame, href: str | None) -> None:
-    name = Path(matched.name).name
-    for candidate in matched.candidates:
+def _add_match(folder: Xml.Element, result: MatchResult, frame: Frame, href: str | None) -> None:
+    name = Path(result.name).name
+    for candidate in result.candidates:
         mark = _child(folder, "Placemark")
-        _child(mark, "name", f"{name}: {name_of(candidate)}")
+        _child(mark, "name", f"{name}: {candidate.name}")
         _child(mark, "description", _described(candidate))
         shapes = _child(mark, "MultiGeometry")
         _add_point(shapes, candidate)
         for outline in _rings(view_wedge_m(candidate, VIEW_REACH_M), frame):
             ring = _child(_child(_child(shapes, "Polygon"), "outerBoundaryIs"), "LinearRing")
             _child(ring, "coordinates", " ".join(f"{lon},{lat}" for lon, lat in outline))
-    is_flat = matched.query.projection is Projection.PERSPECTIVE
-    if href is not None and matched.candidates and is_flat:
-        _add_photo(folder, name, matched.query, matched.candidates[0], href)
+    is_flat = result.query.projection is Projection.PERSPECTIVE
+    if href is not None and result.candidates and is_flat:
+        _add_photo(folder, name, result.query, result.candidates[0], href)
 
 
 def _add_photo(
@@ -277,19 +283,19 @@ def _described(candidate: Candidate) -> str:
     )
 
 
-def write_gpx(path: Path, matches: Sequence[Matched]) -> None:
-    """Write the candidates of matches as waypoints.
+def write_gpx(path: Path, results: Sequence[MatchResult]) -> None:
+    """Write the candidates of results as waypoints.
 
     Raises `InputError` where the file cannot be written.
     """
     root = Xml.Element("gpx", xmlns=_GPX, version="1.1", creator="skyline")
-    for matched in matches:
-        name = Path(matched.name).name
-        for candidate in matched.candidates:
+    for result in results:
+        name = Path(result.name).name
+        for candidate in result.candidates:
             place = {"lat": f"{candidate.lat:.7f}", "lon": f"{candidate.lon:.7f}"}
             point = _child(root, "wpt", **place)
             _child(point, "ele", f"{candidate.eye_elevation_m:.1f}")
-            _child(point, "name", f"{name}: {name_of(candidate)}")
+            _child(point, "name", f"{name}: {candidate.name}")
             _child(point, "desc", _described(candidate))
     write_with_folders(path, Xml.tostring(root, encoding="utf-8", xml_declaration=True))
 
@@ -301,42 +307,51 @@ def _child(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> 
     return element
 
 
-Writer = Callable[[Path, Sequence[Matched], Frame], None]
-
+Writer = Callable[[Path, Sequence[MatchResult], Frame, Photos | None], None]
 
 EXPORTS: Mapping[str, Writer] = MappingProxyType(
     {
-        ".geojson": write_geojson,
+        ".geojson": lambda path, results, frame, _: write_geojson(path, results, frame),
         ".kml": write_kml,
         ".kmz": write_kml,
-        ".gpx": lambda path, matches, _: write_gpx(path, matches),
-        ".json": lambda path, matches, _: write_cameras(path, matches),
+        ".gpx": lambda path, results, *_: write_gpx(path, results),
+        ".json": lambda path, results, *_: write_cameras(path, results),
     }
 )
-"""What writes a file of each suffix."""
+"""The function that writes a file of each suffix."""
 
 
 def check_export(path: str | Path) -> Writer:
-    """Return what writes such a file; raises `InputError` where its suffix is not known."""
+    """Return the function that writes such a file; raises `InputError` for an unknown suffix."""
     suffix = Path(path).suffix.lower()
     if suffix not in EXPORTS:
         raise InputError(f"{path}: the suffix is {suffix!r}; expected one of {', '.join(EXPORTS)}")
     return EXPORTS[suffix]
 
 
-def export_matches(path: str | Path, matches: Sequence[Matched], frame: Frame) -> None:
-    """Write the candidates of matches by the suffix: GeoJSON, KML, KMZ, GPX, or cameras in JSON.
+def export_matches(
+    path: str | Path,
+    results: Sequence[MatchResult],
+    frame: Frame,
+    photos: Photos | None = None,
+) -> None:
+    """Write the candidates of results by the suffix: GeoJSON, KML, KMZ, GPX, or cameras in JSON.
 
     Parameters
     ----------
     path : str or Path
         Folders that it needs are made.
+    results : sequence of MatchResult
+        Each is named after its photo's file.
     frame : Frame
         Of the candidates: `Matcher.frame`.
+    photos : sequence of (H, W, 3) uint8 or None, optional
+        RGB of each result's photo, for photos that are no files of these names; KMZ holds them. By
+        default the photos are read from the files that the results are named after.
 
     Raises
     ------
     InputError
-        The suffix is not known, or the file cannot be written.
+        The suffix is not known, a photo cannot be read, or the file cannot be written.
     """
-    check_export(path)(Path(path), matches, frame)
+    check_export(path)(Path(path), results, frame, photos)

@@ -17,7 +17,7 @@ from PIL.TiffImagePlugin import IFDRational, ImageFileDirectory_v2
 
 from skyline.errors import InputError
 from skyline.files import write_with_folders
-from skyline.match.ranking import Candidate
+from skyline.match.candidate import Candidate
 from skyline.photo.read import opened_image, read_photo
 
 _EXIF, _XMP = b"Exif\x00\x00", b"http://ns.adobe.com/xap/1.0/\x00"

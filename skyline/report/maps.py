@@ -8,12 +8,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.patheffects import withStroke
 
-from skyline.match.ranking import Candidate
+from skyline.match.candidate import Candidate
 from skyline.report.labels import unnamed_in_words
-from skyline.report.matched import Surroundings
 from skyline.report.peaks import Sighting
 from skyline.report.relief import Area, draw_bearings, draw_relief
 from skyline.report.shapes import Ellipse, view_wedge_m
+from skyline.report.surroundings import Surroundings
 from skyline.terrain.viewpoints import Viewpoints
 
 BEST_COLOUR, OTHER_COLOUR = "#d1103d", "#1f5fbf"

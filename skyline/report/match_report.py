@@ -1,72 +1,124 @@
-"""What a person sees of matches: a folder with one page, its pictures, and GeoJSON."""
+"""Reports of matches: a folder with one page, its pictures, and GeoJSON."""
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from skyline.arrays import UInt8Array
 from skyline.camera import HEADINGS
 from skyline.files import write_with_folders
-from skyline.match.ranking import Candidate
-from skyline.match.records import (
-    apart_in_words,
-    beyond_in_words,
-    claim_in_words,
-    confidence_within,
-    pose_name,
-)
-from skyline.match.results import COLUMNS, columns_of
+from skyline.match.answer import MatchResult
+from skyline.match.candidate import COLUMNS, Candidate
+from skyline.match.matcher import Matcher
+from skyline.match.scene import RenderedScene, terrain_at_hand
+from skyline.photo.read import read_picture
+from skyline.render.horizon import RenderConfig
 from skyline.report.exports import write_geojson
 from skyline.report.html import Page, Part, Picture, Section, Table, Text
 from skyline.report.labels import unnamed_in_words
 from skyline.report.maps import detail_area, draw_match_map, overview_area
-from skyline.report.matched import Matched, Surroundings
 from skyline.report.overlay import Overlay
-from skyline.report.peaks import HIDDEN_DEG, Sighting, most_prominent_first, visible_peaks
+from skyline.report.peaks import HIDDEN_DEG, Peaks, Sighting, most_prominent_first, visible_peaks
 from skyline.report.pictures import encode_figure
 from skyline.report.posed_picture import Panorama, median_gap_deg
 from skyline.report.shapes import Ellipse
+from skyline.report.surroundings import Surroundings
+from skyline.store.format import package_version
+from skyline.store.stored_dem import curvature_of
 
+_PICTURE_WIDTH = 2048
+"""Columns of a view drawn over a photo: about one a pixel at 1600 px and 60 degrees."""
 _MAP_DPI = 150.0
 _DETAIL_SHARE = 0.4
 """A second map is drawn where it shows less than this share of the first one's side."""
 
 
-def write_match_report(
-    folder: Path, matches: Sequence[Matched], surroundings: Surroundings, made_by: str = ""
+def report_matches(
+    folder: str | Path,
+    matcher: Matcher,
+    results: Iterable[MatchResult],
+    peaks: Peaks | None = None,
+    photos: Iterable[UInt8Array | None] | None = None,
+    done: str = "",
 ) -> Path:
-    """Write ``index.html``, its pictures, and ``matches.geojson`` into a folder; return the page.
-
-    The page holds its pictures itself, so that it can be sent as one file. A photo's own
-    position, should it be in its EXIF, does not get into any of them.
-
-    Raises `InputError` where a file cannot be written.
+    """Write a page of results, its pictures and GeoJSON into a folder; return the page.
 
     Parameters
     ----------
-    folder : Path
+    folder : str or Path
         Made if need be; files of the same names are replaced.
-    made_by : str
-        The program and its version.
+    matcher : Matcher
+        The one that made the results. Relief and the candidates' skylines are drawn from its
+        terrain, or else from the DEM that its store names; without either they are left out.
+    results : iterable of MatchResult
+        Each is shown with its photo, its candidates and a map. The pose drawn over the photo is
+        that of the first candidate.
+    peaks : Peaks, optional
+        To name in pictures and maps.
+    photos : iterable of (H, W, 3) uint8 or None, optional
+        RGB of each result's photo, of the query's size; None for a trace or a mask. By default
+        read from the files that the results are named after.
+    done : str
+        Sentences about how the results were found.
+
+    Raises
+    ------
+    InputError
+        A photo cannot be read, or a file cannot be written.
     """
+    folder, around = Path(folder), Surroundings(matcher.frame, matcher.viewpoints)
+    made_by = f"skyline {package_version()}"
+    terrain = matcher.terrain or terrain_at_hand(matcher.header, "no relief")
+    if terrain is None:
+        return write_match_report(folder, results, around, photos, done, made_by)
+    curvature = curvature_of(matcher.header)
+    config = RenderConfig(width=_PICTURE_WIDTH, curvature=curvature)
+    scene = RenderedScene(terrain, config, matcher.render_thread)
+    try:
+        around = Surroundings(
+            around.frame, around.viewpoints, terrain, scene.render, peaks, curvature
+        )
+        return write_match_report(folder, results, around, photos, done, made_by)
+    finally:
+        scene.release()
+
+
+def write_match_report(
+    folder: Path,
+    results: Iterable[MatchResult],
+    surroundings: Surroundings,
+    photos: Iterable[UInt8Array | None] | None = None,
+    done: str = "",
+    made_by: str = "",
+) -> Path:
+    """Write ``index.html``, its pictures, and ``matches.geojson`` into a folder; return the page.
+
+    As `report_matches`. The page holds its pictures itself, so that it can be sent as one file. A
+    photo's own position, should it be in its EXIF, does not get into any of them. ``made_by`` is
+    the program and its version.
+    """
+    results = list(results)
+    if photos is None:
+        photos = (read_picture(one.name) if one.name else None for one in results)
     sections = [
-        _section(folder, number, matched, surroundings)
-        for number, matched in enumerate(matches, start=1)
+        _section(folder, number, one, photo, surroundings, done)
+        for number, (one, photo) in enumerate(zip(results, photos, strict=True), start=1)
     ]
-    lead = _answered(matches) + _about(surroundings)
+    lead = _answered(results) + _about(surroundings)
     today = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d %H:%M UTC")
     page = Page("Where these were taken", lead, sections, f"{made_by} {today}".strip())
-    write_geojson(folder / "matches.geojson", matches, surroundings.frame)
+    write_geojson(folder / "matches.geojson", results, surroundings.frame)
     path = folder / "index.html"
     page.write(path)
     return path
 
 
-def _answered(matches: Sequence[Matched]) -> str:
-    """Return how many searches were answered; empty where all poses are a person's."""
-    searched = [one for one in matches if not one.candidates or one.candidates[0].rank]
-    answered = sum(one.is_answered and bool(one.candidates) for one in searched)
+def _answered(results: Sequence[MatchResult]) -> str:
+    """Return how many searches were answered; empty where a person chose all poses."""
+    searched = [one for one in results if one.best is None or one.best.rank]
+    answered = sum(one.answer is not None for one in searched)
     return f"{answered} of {len(searched)} queries answered. " if searched else ""
 
 
@@ -85,28 +137,33 @@ def _about(surroundings: Surroundings) -> str:
     )
 
 
-def _section(folder: Path, number: int, matched: Matched, surroundings: Surroundings) -> Section:
-    best = matched.candidates[0] if matched.candidates else None
+def _section(
+    folder: Path,
+    number: int,
+    result: MatchResult,
+    photo: UInt8Array | None,
+    surroundings: Surroundings,
+    done: str,
+) -> Section:
+    best = result.best
     panorama, sightings = (None, []) if best is None else _view_of(best, surroundings)
-    overlay = Overlay(matched.query, matched.photo, best, panorama, sightings)
+    overlay = Overlay(result.query, photo, best, panorama, sightings)
     parts: list[Part] = [
-        Text(_result(matched), _kind(matched), None if best is None else _map_link(best)),
+        Text(result.summary, _kind(result), None if best is None else _map_link(best)),
         Picture(
             _keep(folder / f"{number:02d}-overlay.jpg", overlay.jpeg()),
             _overlay_caption(overlay),
         ),
-        *_maps(folder, number, matched.candidates, surroundings, sightings),
+        *_maps(folder, number, result.candidates, surroundings, sightings),
     ]
-    if matched.candidates:
-        parts.append(_candidate_table(matched.candidates))
-    claim = claim_in_words(matched.query.noted, best, matched.is_answered, with_place=False)
-    beyond = beyond_in_words(None if best is None else best.beyond_share)
-    parts += [Text(said) for said in (claim, beyond) if said]
-    done = " ".join(matched.done)
-    parts.append(
-        Text(f"What was done: {done} It took {matched.seconds:.2f} s.".replace(":  ", ": "))
-    )
-    return Section(matched.name, parts)
+    if result.candidates:
+        parts.append(_candidate_table(result.candidates))
+    parts += [
+        Text(text) for text in (result.exif_in_words(with_place=False), result.beyond) if text
+    ]
+    how = ["What was done:", done, f"It took {result.seconds:.2f} s."]
+    parts.append(Text(" ".join(filter(None, how))))
+    return Section(result.name, parts)
 
 
 def _keep(path: Path, picture: bytes) -> bytes:
@@ -145,8 +202,8 @@ def _maps(
         near = detail_area(candidates[0], surroundings)
         if near.width_m < _DETAIL_SHARE * whole.width_m:
             ellipse = ", its ellipse 95 % of where it may be" if candidates[0].covariance_m2 else ""
-            name = pose_name(candidates[0])
-            areas.append(("detail", near, f"{name[0].upper()}{name[1:]} from nearby{ellipse}"))
+            title = candidates[0].title
+            areas.append(("detail", near, f"{title[0].upper()}{title[1:]} from nearby{ellipse}"))
     pictures = []
     for name, area, caption in areas:
         figure = draw_match_map(candidates, surroundings, area, sightings)
@@ -155,34 +212,11 @@ def _maps(
     return pictures
 
 
-def _result(matched: Matched) -> str:
-    if not matched.candidates:
-        return "No place fits."
-    shown = matched.candidates[0]
-    confidence = confidence_within(shown, matched.within_m)
-    sure = "" if confidence is None else f", confidence {100.0 * confidence:.0f}\N{NO-BREAK SPACE}%"
-    if matched.is_answered and matched.within_m is not None:
-        sure += f", right within {matched.within_m:g} m"
-    place = (
-        f"latitude {shown.lat:.5f}°, longitude {shown.lon:.5f}°, looking "
-        f"{shown.heading_deg:.1f}° from true north{sure}"
-    )
-    if shown.rank is None:
-        failed = ", and the fit has failed" if shown.refined and not matched.is_answered else ""
-        apart = apart_in_words(shown)
-        return f"{shown.origin.capitalize()}{failed}: {place}{apart and f'; {apart}'}."
-    if shown.rank > 1:
-        return f"Candidate {shown.rank}, chosen by a person: {place}."
-    if not matched.is_answered:
-        return f"Not answered: the best candidate is not sure enough ({place})."
-    return f"Taken at {place}{'' if shown.refined else ' (not refined by rendering)'}."
-
-
-def _kind(matched: Matched) -> str:
+def _kind(result: MatchResult) -> str:
     """Return what kind of result is shown; see `Text`."""
-    if matched.candidates and matched.candidates[0].rank != 1:
+    if result.best is not None and result.best.rank != 1:
         return "pose"
-    return "answer" if matched.candidates and matched.is_answered else "refusal"
+    return "answer" if result.answer is not None else "refusal"
 
 
 def _map_link(candidate: Candidate) -> tuple[str, str]:
@@ -200,7 +234,7 @@ def _overlay_caption(overlay: Overlay) -> str:
         return f"{caption}; no skyline was rendered to compare it with{unnamed}."
     gap_deg = median_gap_deg(pose, overlay.query, overlay.panorama)
     return (
-        f"{caption}, and the skyline rendered at {pose_name(pose.candidate)}; they are "
+        f"{caption}, and the skyline rendered at {pose.candidate.title}; they are "
         f"{gap_deg:.2f}° apart in the median column, up or down{unnamed}."
     )
 
@@ -210,6 +244,6 @@ def _candidate_table(candidates: Sequence[Candidate]) -> Table:
     for candidate in candidates:
         ellipse = Ellipse.of(candidate)
         axes_m = ellipse and f"{ellipse.semi_major_m:.0f} × {ellipse.semi_minor_m:.0f}"
-        rows.append([candidate.rank, *columns_of(candidate), candidate.refined, axes_m])
+        rows.append([candidate.rank, *candidate.cells(), candidate.refined, axes_m])
     columns = ("#", *COLUMNS, "refined", "95 % ellipse, m")
     return Table(columns, rows, "Candidates; headings from true north, a lower score is better")

@@ -13,8 +13,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
 from skyline.arrays import Float64Array, UInt8Array
-from skyline.match.ranking import Candidate
-from skyline.match.records import pose_name
+from skyline.match.candidate import Candidate
 from skyline.photo.query import QuerySkyline
 from skyline.report.labels import Placed, extent_px, place_labels
 from skyline.report.peaks import Sighting
@@ -162,7 +161,7 @@ def _draw_rendered(axis: Axes, overlay: Overlay, scale: float) -> None:
     column, row = pose.pixels(panorama.azimuth_deg, panorama.elevation_tan)
     near = np.abs(column - pose.width_px / 2.0) <= _AROUND * pose.width_px
     for sure, style, label in (
-        (True, "-", f"skyline rendered at {pose_name(pose.candidate)}"),
+        (True, "-", f"skyline rendered at {pose.candidate.title}"),
         (False, ":", "the same, where the elevation data end"),
     ):
         drawn = near & (panorama.is_sure == sure)

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skyline.arrays import BoolArray, Float64Array
+from skyline.match.candidate import Candidate
 from skyline.match.query_rays import level, project
-from skyline.match.ranking import Candidate
 from skyline.photo.projection import Projection, distorted
 from skyline.photo.query import QuerySkyline
 from skyline.report.peaks import Sighting

@@ -6,7 +6,7 @@ import numpy as np
 
 from skyline.arrays import Float64Array
 from skyline.geodesy import Frame
-from skyline.match.ranking import Candidate
+from skyline.match.candidate import Candidate
 
 _CHI_SQUARE_95 = 5.991464547107979
 """95 % quantile of chi square with two degrees of freedom: -2 ln 0.05."""

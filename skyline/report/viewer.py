@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from skyline.arrays import Float64Array
 from skyline.camera import HEADINGS
 from skyline.errors import InputError, OffMapError
-from skyline.match.hypotheses import Hypotheses
+from skyline.match.candidate import Candidate
 from skyline.match.matcher import Matcher
-from skyline.match.ranking import Candidate, Ranking
-from skyline.match.rendered_scene import RenderedScene
+from skyline.match.ranking import Hypotheses, Ranking
+from skyline.match.scene import RenderedScene
 from skyline.photo.query import QuerySkyline
 from skyline.render.horizon import RenderConfig
-from skyline.report.matched import Surroundings
 from skyline.report.peaks import Peaks, most_prominent_first, visible_peaks
 from skyline.report.posed_picture import Panorama, PosedPicture
+from skyline.report.surroundings import Surroundings
 from skyline.store.stored_dem import curvature_of
 from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, at_elevation, stand_at
 

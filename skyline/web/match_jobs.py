@@ -42,7 +42,9 @@ class Match:
         """Match; the photo has the result, or this the error, when it is done."""
         try:
             self._check()
-            result = engine.matcher.match(self._query, narrowing=self._narrowing, told=self._told)
+            result = engine.matcher.match(
+                self._query, narrowing=self._narrowing, report_progress=self._report
+            )
         except _CancelledError:
             self.error = "cancelled"
         except SkylineError as error:
@@ -62,7 +64,7 @@ class Match:
         """Return how far the match has come."""
         return {"photo": self.photo.id, "step": self.step, "share": self.share, "done": self.done}
 
-    def _told(self, step: str, share: float) -> None:
+    def _report(self, step: str, share: float) -> None:
         self._check()
         begins, ends = _STEPS.get(step, (0.0, 1.0))
         # A step may be taken twice, and a bar that runs back looks broken.
@@ -82,7 +84,7 @@ def _outcome(result: MatchResult, engine: Engine) -> dict[str, Any]:
         "within": result.within_m,
         "chance": result.confidence,
         "refusal": result.refusal,
-        "claim": result.claim,
+        "claim": result.exif_in_words(),
         "beyond": result.beyond,
         "seconds": result.seconds,
     }

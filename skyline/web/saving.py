@@ -9,7 +9,6 @@ from types import MappingProxyType
 from skyline import (
     Candidate,
     InputError,
-    Matched,
     MatchResult,
     export_matches,
     report_matches,
@@ -59,32 +58,31 @@ def saved(
             write_trace(photo.known(), path)
         elif kind == "photo":
             write_located(photo.path, path, candidates[0])
-        elif kind == "report":
-            peaks = None if engine.viewer is None else engine.viewer.peaks
-            matches = [_matched(opened, photo, candidates)]
-            report_matches(beside, matcher, matches, matcher.terrain, peaks).rename(path)
         else:
-            export_matches(path, [_matched(opened, photo, candidates)], matcher.frame)
+            result, photos = _result(photo, candidates), [opened.open(photo)[0].rgb]
+            if kind == "report":
+                peaks = None if engine.viewer is None else engine.viewer.peaks
+                done = f"{candidates[0].origin.capitalize()} on the page."
+                report_matches(beside, matcher, [result], peaks, photos, done).rename(path)
+            else:
+                export_matches(path, [result], matcher.frame, photos)
         return path.read_bytes()
     finally:
         path.unlink(missing_ok=True)
         shutil.rmtree(beside, ignore_errors=True)
 
 
-def _matched(opened: Opened, photo: PagePhoto, candidates: Sequence[Candidate]) -> Matched:
-    read, _ = opened.open(photo)
-    # A verdict is of one pose; others of the same search do not share it.
+def _result(photo: PagePhoto, candidates: Sequence[Candidate]) -> MatchResult:
+    """Return the result of which the first candidate is shown, then the others."""
     judged = (one for one in (photo.found, photo.fitted) if one and candidates[0] in one.candidates)
-    of = next(judged, MatchResult(photo.known(), tuple(candidates), 0.0, "set by hand"))
-    is_answer = candidates[0] == of.answer
-    return Matched(
-        photo.name,
+    found = next(judged, MatchResult(photo.known(), (), 0.0))
+    # Only the answer itself is an answer; other candidates of its search are not.
+    is_answer = candidates[0] == found.answer
+    return MatchResult(
         photo.known(),
-        candidates,
-        of.seconds,
-        is_answer,
-        read.rgb,
-        [f"{candidates[0].origin.capitalize()} on the page."],
-        of.within_m if is_answer else None,
-        is_upload=True,
+        tuple(candidates),
+        found.seconds,
+        None if is_answer else found.refusal or "chosen by a person",
+        found.within_m if is_answer else None,
+        photo.name,
     )

@@ -1,13 +1,12 @@
 """The command line of benchmarks run in this process."""
 
 import math
-from dataclasses import replace
 from functools import partial
 
 import pytest
 
+from skyline.match import full
 from skyline_bench import cli
-from skyline_bench.search import trials
 
 
 @pytest.fixture
@@ -19,7 +18,6 @@ def run_bench(run_main):
 @pytest.fixture(scope="module")
 def refined_once():
     """Refine no query thoroughly: how answers are counted does not depend on how good they are."""
-    once = replace(trials.MATCHING, full=replace(trials.MATCHING.full, sure_margin=-math.inf))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trials, "MATCHING", once)
+        patch.setattr(full, "_SURE_MARGIN", -math.inf)
         yield

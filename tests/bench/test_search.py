@@ -304,7 +304,7 @@ def test_a_photo_is_named_that_does_not_agree():
         ((one, one, other), (True, False, True), False),
         ((one, one, other), (True, True, False), True),
     ):
-        joint = JointResult(tuple(found(BEST) for _ in query), agrees, 1.0)
+        joint = JointResult(tuple(found(*[BEST] * agreeing) for agreeing in agrees), 1.0)
         assert trial_of(query, joint).named is named
 
 

@@ -12,6 +12,7 @@ from scenes import field_of, fractal
 from skyline.cli.console import run_app
 from skyline.errors import InputError
 from skyline.match import confidence
+from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
 from skyline.photo.extract import extract_skyline
 from skyline.photo.read import extract_photo
 from skyline.render.depth import DepthRenderer
@@ -30,7 +31,7 @@ from skyline_training.landscapes import GROUND, SKY
 from skyline_training.photos import draw_photo, draw_training_photo, draw_view
 from skyline_training.plain_photos import CONDITIONS, draw_recipe
 
-NEAR_M = confidence.RIGHT_WITHIN_M
+NEAR_M = RIGHT_WITHIN_M
 
 
 @pytest.fixture
@@ -218,7 +219,7 @@ def test_one_kind_of_examples_teaches_nothing(error_m: float) -> None:
 
 def test_models_are_written_as_they_are_read(tmp_path, monkeypatch) -> None:
     model = learn(examples(300, seed=4), NEAR_M)
-    names = [confidence.model_name("refined", within_m) for within_m in confidence.DISTANCES_M]
+    names = [confidence.model_name("refined", within_m) for within_m in DISTANCES_M]
     write_models(tmp_path / "confidence.json", dict.fromkeys(names, model), {"seed": 4})
     monkeypatch.setattr(confidence.resources, "files", lambda _: tmp_path)
     assert confidence.models() == dict.fromkeys(names, model)

@@ -382,7 +382,6 @@ def test_bad_options_are_one_line(run, dem, store, renderings, photo, tmp_path):
         (["match", store, photo, "--fov-deg", "0"], "0"),
         (["match", store, photo, "--fov-deg", "200"], "200"),
         (["match", store, photo, "--fov-deg", "60", "--matcher", "magic"], "'magic'"),
-        (["match", store, photo, "--fov-deg", "60", "--top", "0"], "top is 0"),
         (["match", tmp_path / "none.h5", photo, "--fov-deg", "60"], "none.h5"),
         (["match", store, tmp_path / "none.jpg", "--fov-deg", "60"], "none.jpg"),
         (["info"], "nothing to describe"),

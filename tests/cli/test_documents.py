@@ -15,7 +15,6 @@ import subprocess
 import sys
 import tomllib
 from contextlib import chdir, redirect_stderr, redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,8 +43,7 @@ import skyline
 from skyline import cli, read_dem, stand_at
 from skyline.build.plans import DEFAULT_LOSS
 from skyline.fetch.dem_tiles import SOURCES
-from skyline.match.full import FullMatcher
-from skyline.match.match_config import FullConfig
+from skyline.match import full
 from skyline.render.depth import DepthRenderer
 from skyline.store import open_store
 from skyline_bench import cli as bench
@@ -172,14 +170,8 @@ def shown(part):
 @pytest.fixture(scope="module", autouse=True)
 def refined_quickly():
     """Refine no query thoroughly: pages are to run, and what matching finds is tested elsewhere."""
-    init = FullMatcher.__init__
-
-    def quick(matcher, retriever, scene=None, config=None):
-        config = config or FullConfig()
-        init(matcher, retriever, scene, replace(config, refine=config.quick))
-
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(FullMatcher, "__init__", quick)
+        patch.setattr(full, "WHOLE", full.QUICK)
         yield
 
 

@@ -1,4 +1,4 @@
-"""How every command ends after Ctrl-C, and where nobody reads its output any more."""
+"""How every command ends after Ctrl-C, and when its output has no reader any more."""
 
 import os
 import subprocess
@@ -21,7 +21,7 @@ COMMANDS = {
     "horizon": (("{dem}", "--at", "{at}"), "views.read_dem"),
     "sun": (("{dem}", "--at", "{at}", "--date", "2026-06-21"), "views.read_dem"),
     "panorama": (("{dem}", "--at", "{at}", "-o", "{out}.png"), "views.read_blocks"),
-    "match": (("{store}", "{trace}", "--no-refine"), "photo.Matcher"),
+    "match": (("{store}", "{trace}", "--matcher", "unrefined"), "match.Matcher"),
     "extract": (("{photo}", "-o", "{out}.csv"), "photo.extract_photo"),
     "build": (("{dem}", "--spacing", 900, "-o", "{out}.h5"), "build.read_dem"),
     "render": (("{dem}", "--grid", 1500, "--width", 64, "-o", "{out}.h5"), "render.read_dem"),
@@ -116,8 +116,8 @@ def test_a_match_that_is_stopped_keeps_what_it_has_written(
 ):
     second = tmp_path / "second.csv"
     second.write_bytes(trace.read_bytes())
-    match = partial(run, "match", store, trace, second, "--no-refine", "--results")
-    matched = cli.loaded("match") and sys.modules["skyline.cli.photo"].Query.match
+    match = partial(run, "match", store, trace, second, "--matcher", "unrefined", "--results")
+    matched = cli.loaded("match") and sys.modules["skyline.cli.match"].Query.match
 
     def stopping(query, *arguments):
         if query.path == str(second):
@@ -125,7 +125,7 @@ def test_a_match_that_is_stopped_keeps_what_it_has_written(
         return matched(query, *arguments)
 
     with monkeypatch.context() as patch:
-        patch.setattr("skyline.cli.photo.Query.match", stopping)
+        patch.setattr("skyline.cli.match.Query.match", stopping)
         done = match(tmp_path / "r.csv")
     assert done.code == 130
     said = f"error: stopped; {tmp_path / 'r.csv'} has the answers so far, and the same command"
@@ -167,14 +167,14 @@ def test_files_are_written_all_the_same(run, store, trace, tmp_path, monkeypatch
     second = tmp_path / "second.csv"
     second.write_bytes(trace.read_bytes())
     matched = []
-    match = sys.modules["skyline.cli.photo"].Query.match
+    match = sys.modules["skyline.cli.match"].Query.match
     monkeypatch.setattr(
-        "skyline.cli.photo.Query.match", lambda *asked: matched.append(1) or match(*asked)
+        "skyline.cli.match.Query.match", lambda *asked: matched.append(1) or match(*asked)
     )
-    arguments = "match", store, trace, second, "--no-refine"
+    arguments = "match", store, trace, second, "--matcher", "unrefined"
     unread()
     assert run(*arguments).code == 0
-    assert len(matched) == 1, "nobody reads the second answer"
+    assert len(matched) == 1, "the second answer has no reader"
     files = [tmp_path / name for name in ("r.csv", "x.geojson", "page")]
     unread()
     options = "--results", files[0], "--export", files[1], "--report", files[2]
@@ -190,7 +190,7 @@ def test_failures_stay_failures(run, store, trace, tmp_path, unread):
     (tmp_path / "damaged.h5").write_bytes(damaged)
     for arguments in (
         ("store", "check", tmp_path / "damaged.h5", "--json"),
-        ("match", store, tmp_path / "none.csv", trace, "--no-refine"),
+        ("match", store, tmp_path / "none.csv", trace, "--matcher", "unrefined"),
     ):
         unread()
         assert run(*arguments).code == 2
@@ -200,7 +200,7 @@ def test_failures_stay_failures(run, store, trace, tmp_path, unread):
 
 
 def test_in_a_shell(dem, tmp_path):
-    """Nothing is said as Python ends, and no file gets the number of a stream that is closed."""
+    """Python prints nothing at its end, and no file gets the number of a closed stream."""
     skyline = f"{sys.executable} -m skyline"
 
     def end_of(line):

@@ -1,4 +1,4 @@
-"""``SKYLINE_LOG=json``: what a service reads on standard error."""
+"""``SKYLINE_LOG=json``: standard error as JSON lines for a service."""
 
 import json
 import os
@@ -7,8 +7,8 @@ import sys
 from datetime import UTC, datetime, timedelta
 
 
-def told(*arguments, log="json"):
-    """Run a command; return its exit code, what it printed, and the lines of standard error."""
+def run_logged(*arguments, log="json"):
+    """Run a command; return its exit code, its output, and the lines of standard error."""
     done = subprocess.run(
         [sys.executable, "-c", "from skyline.cli import main; main()", *map(str, arguments)],
         env=os.environ | {"SKYLINE_LOG": log},
@@ -23,8 +23,8 @@ def test_every_line_is_json(store, photo, tmp_path):
     empty = tmp_path / "empty.jpg"
     empty.write_bytes(b"")
     results = tmp_path / "results.csv"
-    common = ("--fov-deg", "60", "--no-refine", "--json", "--results", results)
-    code, out, lines = told("match", store, photo, empty, *common)
+    common = ("--fov-deg", "60", "--matcher", "unrefined", "--json", "--results", results)
+    code, out, lines = run_logged("match", store, photo, empty, *common)
     assert code == 2
     assert [set(json.loads(line)) >= {"query"} for line in out.splitlines()] == [True, True]
     records = [json.loads(line) for line in lines]
@@ -38,18 +38,18 @@ def test_every_line_is_json(store, photo, tmp_path):
     progress = [one for one in records if "done" in one]
     assert {one["doing"] for one in progress} == {"matching"}
     assert progress[-1]["done"] == progress[-1]["total"] == 2
-    _, _, lines = told("match", store, photo, *common)
+    _, _, lines = run_logged("match", store, photo, *common)
     assert "1 of 1 are there already" in json.loads(lines[0])["message"]
 
 
-def test_a_build_tells_how_far_it_is(dem, tmp_path):
-    code, _, lines = told("build", dem, "-o", tmp_path / "new.h5", "--spacing", "400")
+def test_a_build_logs_its_progress(dem, tmp_path):
+    code, _, lines = run_logged("build", dem, "-o", tmp_path / "new.h5", "--spacing", "400")
     assert code == 0
     last = [json.loads(line) for line in lines][-1]
     assert (last["doing"], last["done"]) == ("rendering", last["total"])
 
 
 def test_an_unknown_kind_of_log_is_one_line(dem):
-    code, out, lines = told("info", dem, log="xml")
+    code, out, lines = run_logged("info", dem, log="xml")
     assert (code, out) == (2, "")
     assert lines == ["error: SKYLINE_LOG is 'xml'; expected json, or nothing"]

@@ -16,13 +16,13 @@ from skyline import Matcher, Narrowing
 from skyline.cli import console
 
 
-def test_extract_then_match_the_trace(run, store, photo, tmp_path):
+def test_extract_then_match_the_trace(run, store, dem, photo, tmp_path):
     trace, overlay = tmp_path / "trace.csv", tmp_path / "overlay.png"
     done = run("extract", photo, "-o", trace, "--overlay", overlay)
     assert done.code == 0, done.err
     assert trace.read_text().startswith("# width=960 height=640\n")
     assert cv2.imread(str(overlay)).shape == (640, 960, 3)
-    found = run("match", store, trace, "--fov-deg", "60", "--min-confidence", "0", "--json")
+    found = run("match", store, trace, "--fov-deg", "60", "--json")
     assert found.code == 0, found.err
     record = json.loads(found.out)
     assert set(record) == {
@@ -43,7 +43,8 @@ def test_extract_then_match_the_trace(run, store, photo, tmp_path):
     assert record["answer"] == record["candidates"][0]
     assert record["answer"]["refined"] is True
     assert 0.0 < record["answer"]["radius_m"] < 100.0
-    found = run("match", store, trace, "--fov-deg", "60", "--min-confidence", "1", "--json")
+    elsewhere = "{},{},0.4".format(*lonlat_of(dem, 601_000.0, 5_179_000.0))
+    found = run("match", store, trace, "--fov-deg", "60", "--near", elsewhere, "--json")
     record = json.loads(found.out)
     assert record["answer"] is None
     assert "confidence" in record["refusal"]
@@ -80,15 +81,15 @@ def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp
     shutil.copy(photo, tmp_path / "one.jpg")
     rows = ["one.jpg,60,2,,,", f"one.jpg,60,,{lon},{lat},0.4", "absent.jpg,60,,,,"]
     photos = csv_of(tmp_path / "list.csv", rows, "path,fov_deg,eye_height_m,lon,lat,radius_km")
-    found = run("match", store, photos, "--no-refine", "--min-confidence", "0", "--json")
+    found = run("match", store, photos, "--matcher", "unrefined", "--json")
     assert found.code == 2
-    told = [json.loads(line) for line in found.out.splitlines()]
-    assert [one["query"] for one in told] == [str(tmp_path / name) for name in (
+    records = [json.loads(line) for line in found.out.splitlines()]
+    assert [one["query"] for one in records] == [str(tmp_path / name) for name in (
         "one.jpg", "one.jpg", "absent.jpg"
     )]  # fmt: skip
-    assert max(off_m(place, 602_000.0, 5_178_100.0) for place in told[1]["candidates"]) < 401.0
-    assert max(off_m(place, 602_000.0, 5_178_100.0) for place in told[0]["candidates"]) > 401.0
-    assert "does not exist" in told[2]["error"]
+    assert max(off_m(place, 602_000.0, 5_178_100.0) for place in records[1]["candidates"]) < 401.0
+    assert max(off_m(place, 602_000.0, 5_178_100.0) for place in records[0]["candidates"]) > 401.0
+    assert "does not exist" in records[2]["error"]
     assert found.err.count("\n") == 1
 
 
@@ -100,10 +101,11 @@ def test_a_list_of_photos_says_what_is_known_of_each(run, store, dem, photo, tmp
         ("path,lon,lat", "one.jpg,10,46", "has some of lon, lat, radius_km; expected all"),
         ("path,fov_deg", ",60", "line 2 has no path"),
         ("path,eye_height_m", "one.jpg,-3", "line 2: the eye is -3 m above the ground"),
+        ("path,lowest_m,highest_m", "one.jpg,900,100", "line 2: elevations are 900 to 100 m"),
         ("path,fov_deg", "one.jpg,400", "horizontal field of view is 400 degrees"),
     ],
 )
-def test_a_list_that_is_none_is_one_line(run, store, photo, tmp_path, header, row, said):
+def test_a_bad_list_is_refused_in_one_line(run, store, photo, tmp_path, header, row, said):
     shutil.copy(photo, tmp_path / "one.jpg")
     photos = csv_of(tmp_path / "list.csv", [row], header)
     assert_refused(run("match", store, photos), said)
@@ -121,12 +123,11 @@ def test_a_wrong_query_is_refused_before_the_store_is_opened(run, photo, tmp_pat
         assert_refused(run("match", photo, query, *options), said)
 
 
-def test_what_takes_long_is_said(run, store, photo, monkeypatch):
-    monkeypatch.setattr(console, "_PATIENCE_S", 0.0)
-    done = run("match", store, photo, "--fov-deg", "60", "--no-refine", "--top", "9999")
+def test_a_note_names_what_takes_long(run, store, photo, monkeypatch):
+    monkeypatch.setattr(console, "_SLOW_S", 0.0)
+    done = run("match", store, photo, "--fov-deg", "60", "--matcher", "unrefined")
     assert f"opening {store} and its elevation model takes a while" in done.err
     assert f"matching {photo} takes a while" in done.err
-    assert "of 9999 candidates" in done.out
 
 
 def test_a_surface_is_heeded_in_refinement(run, store, photo, tmp_path):
@@ -137,7 +138,7 @@ def test_a_surface_is_heeded_in_refinement(run, store, photo, tmp_path):
     found, plain = (json.loads(one.out)["candidates"][0] for one in (done, run(*common)))
     assert math.hypot(*(found[axis] - plain[axis] for axis in ("easting_m", "northing_m"))) < 20.0
     assert found["score"] != plain["score"]
-    for options in (("--no-refine",), ("--matcher", "paper")):
+    for options in (("--matcher", "unrefined"), ("--matcher", "paper")):
         assert_refused(run(*common, "--surface", canopy, *options), "a surface acts in refinement")
     assert_refused(run(*common, "--surface", "none.tif"), "no file")
 
@@ -148,7 +149,8 @@ def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path):
     for name in ("a.jpg", "b.JPG"):
         shutil.copy(photo, folder / name)
     (folder / "notes.txt").write_text("no photo")
-    command = ("match", store, folder, "--fov-deg", "60", "--no-refine", "--results", results)
+    command = ["match", store, folder, "--fov-deg", "60", "--matcher", "unrefined"]
+    command += ["--results", results]
     assert run(*command).code == 0
     whole = results.read_text()
     assert [line.split(",")[0] for line in whole.splitlines()] == [
@@ -168,7 +170,7 @@ def test_a_folder_that_was_stopped_goes_on(run, store, photo, tmp_path):
     assert_refused(run(*command, "--near", "10,46,9"), "another store or other options")
     (tmp_path / "empty").mkdir()
     assert_refused(run("match", store, tmp_path / "empty"), "has no pictures")
-    wild = run("match", store, folder / "?.jpg", "--fov-deg", "60", "--no-refine")
+    wild = run("match", store, folder / "?.jpg", "--fov-deg", "60", "--matcher", "unrefined")
     assert wild.out.count("(unrefined)") == 5
 
 
@@ -182,7 +184,7 @@ def test_a_dem_that_is_not_the_stores_is_one_line(run, store, photo, tmp_path):
 def test_a_query_that_fails_does_not_stop_the_others(run, store, photo, tmp_path, workers):
     text, geojson = tmp_path / "text.jpg", tmp_path / "found.geojson"
     text.write_text("no photo")
-    command = ["match", store, photo, text, photo, "--fov-deg", "60", "--no-refine"]
+    command = ["match", store, photo, text, photo, "--fov-deg", "60", "--matcher", "unrefined"]
     done = run(*command, "--json", "--export", geojson, *workers)
     assert done.code == 2
     found = [json.loads(line) for line in done.out.splitlines()]

@@ -1,10 +1,10 @@
-"""`skyline match` told what is known of where a photo was taken."""
+"""`skyline match`: narrowing a search by what is known of where a photo was taken."""
 
 import json
 import math
 
 import pytest
-from commands import assert_refused, lonlat_of, off_m
+from commands import assert_refused, csv_of, lonlat_of, off_m
 
 from skyline import read_dem
 from skyline.terrain.heightfield import ground_of
@@ -16,8 +16,8 @@ CELL_M = 40.0 * math.sqrt(2.0)
 def retrieved(run, store, photo, *options):
     """Return what was found for a photo taken at (601800, 5178000), looking 141 degrees."""
     found = run(
-        *("match", store, photo, "--fov-deg", "60", "--no-refine", "--min-confidence", "0"),
-        *("--json", *options),
+        *("match", store, photo, "--fov-deg", "60", "--matcher", "unrefined", "--json"),
+        *options,
     )
     assert found.code == 0, found.err
     record = json.loads(found.out)
@@ -35,10 +35,12 @@ def test_match_near_a_place(run, store, dem, photo):
     assert max(off_m(place, 601_000.0, 5_179_000.0) for place in found) < 401.0
 
 
-def test_match_within_bounds(run, store, dem, photo):
+@pytest.mark.parametrize("matcher", ["unrefined", "full"])
+def test_match_within_bounds(run, store, dem, photo, matcher):
     west, south = lonlat_of(dem, 600_800.0, 5_177_500.0)
     east, north = lonlat_of(dem, 601_500.0, 5_178_500.0)
-    for place in retrieved(run, store, photo, "--bounds", f"{west},{south},{east},{north}"):
+    options = ("--near", f"{west},{south},{east},{north}", "--matcher", matcher)
+    for place in retrieved(run, store, photo, *options):
         # Meridians are not parallel to the map's north.
         assert 600_800.0 - 20.0 < place["easting_m"] < 601_500.0 + 20.0
         assert 5_177_500.0 - 20.0 < place["northing_m"] < 5_178_500.0 + 20.0
@@ -52,44 +54,35 @@ def test_match_along_a_heading(run, store, photo, heading):
     assert (off_m(found[0]) < CELL_M) == (heading == 141.0)
 
 
-def test_match_between_elevations(run, store, dem, photo):
+def test_match_between_elevations(run, store, dem, photo, tmp_path):
+    def between(low_m, high_m):
+        rows, header = [f"{photo},{low_m},{high_m}"], "path,lowest_m,highest_m"
+        return retrieved(run, store, csv_of(tmp_path / "list.csv", rows, header))
+
     ground_m = ground_of(read_dem([dem]))
     true_m = float(ground_m(601_800.0, 5_178_000.0))
-    found = retrieved(run, store, photo, "--elevation", f"{true_m - 20},{true_m + 20}")
-    assert off_m(found[0]) < CELL_M
+    assert off_m(between(true_m - 20.0, true_m + 20.0)[0]) < CELL_M
     # A retrieved eye stands where the slope of its place says that the ground is.
-    for place in retrieved(run, store, photo, "--elevation", f"{true_m + 40},{true_m + 400}"):
+    for place in between(true_m + 40.0, true_m + 400.0):
         assert ground_m(place["easting_m"], place["northing_m"]) > true_m + 30.0
-
-
-def test_refined_places_stay_within_bounds(run, store, dem, photo):
-    west, south = lonlat_of(dem, 600_800.0, 5_177_500.0)
-    east, north = lonlat_of(dem, 601_500.0, 5_178_500.0)
-    found = run(
-        *("match", store, photo, "--fov-deg", "60", "--json"),
-        *("--bounds", f"{west},{south},{east},{north}"),
-    )
-    for place in json.loads(found.out)["candidates"]:
-        assert 600_800.0 - 20.0 < place["easting_m"] < 601_500.0 + 20.0
 
 
 def test_a_search_narrowed_to_nothing_is_one_line(run, store, photo, tmp_path):
     command = ["match", store, photo, "--fov-deg", "60"]
     for options in (
-        ("--bounds", "9.0,46.0,9.1,46.1"),
+        ("--near", "9.0,46.0,9.1,46.1"),
         ("--near", "9.0,46.0,5"),
-        ("--elevation", "8000,9000"),
     ):
         done = run(*command, *options)
         assert_refused(done, "lies within what the search is narrowed to")
-    done = run(*command, "--elevation", "8000,9000", "--report", tmp_path / "report")
+    done = run(*command, *options, "--report", tmp_path / "report")
     assert done.code == 2
     assert not (tmp_path / "report").exists()
 
 
 @pytest.mark.parametrize(
     "options",
-    [("--near", "46.7478,10.3327,5"), ("--bounds", "46.74,10.32,46.75,10.34")],
+    [("--near", "46.7478,10.3327,5"), ("--near", "46.74,10.32,46.75,10.34")],
 )
 def test_a_search_with_swapped_coordinates_says_so(run, store, photo, options):
     done = run("match", store, photo, "--fov-deg", "60", *options)
@@ -100,17 +93,15 @@ def test_a_search_with_swapped_coordinates_says_so(run, store, photo, options):
     ("options", "said"),
     [
         (("--near", "36.6,-118.3,5"), "seem to be swapped: give -118.3,36.6"),
-        (("--bounds", "36,-119,37,-118"), "seem to be swapped: give -119,36,-118,37"),
+        (("--near", "36,-119,37,-118"), "seem to be swapped: give -119,36,-118,37"),
         (("--near", "10.3,46.7"), "--near is `10.3,46.7`; expected 3 numbers LON,LAT,KM"),
         (("--near", "10.3,46.7,0"), "a radius above 0 km"),
         (("--near", "10.3,95,3"), "longitude and latitude"),
-        (("--bounds", "1,2,3"), "bounds are `1,2,3`"),
+        (("--near", "1,2,3,4,5"), "expected 3 numbers LON,LAT,KM, or 4 numbers W,S,E,N"),
         (("--heading", "140"), "--heading is `140`; expected 2 numbers DEG,SLACK"),
         (("--heading", "north,5"), "--heading is `north,5`"),
         (("--heading", "140,0"), "expected a slack above 0"),
-        (("--elevation", "900,100"), "expected two that increase"),
-        (("--elevation", "nan,100"), "expected two that increase"),
     ],
 )
-def test_a_narrowing_that_is_none_is_one_line(run, store, photo, options, said):
+def test_a_bad_narrowing_is_refused_in_one_line(run, store, photo, options, said):
     assert_refused(run("match", store, photo, "--fov-deg", "60", *options), said)

@@ -1,4 +1,4 @@
-"""What photos note of lens, place and direction, and what `skyline match` makes of it."""
+"""`skyline match`: lens, place and direction that photos note in their EXIF."""
 
 import json
 import math
@@ -23,7 +23,7 @@ def lensed(photo, path, focal_mm, size=None, tag=Base.FocalLengthIn35mmFilm, **m
     return path
 
 
-def test_what_a_photo_notes_of_its_lens_is_weighed(run, store, photo, tmp_path):
+def test_the_lens_in_the_exif_is_weighed(run, store, photo, tmp_path):
     """The photo spans 60 degrees: 36 mm of film at 31 mm."""
     plain = lensed(photo, tmp_path / "plain.jpg", 31, (3000, 2000))
     cropped = lensed(photo, tmp_path / "cropped.jpg", 24, (4000, 3000))
@@ -33,23 +33,23 @@ def test_what_a_photo_notes_of_its_lens_is_weighed(run, store, photo, tmp_path):
     plane = lensed(photo, tmp_path / "plane.jpg", 31, (3000, 2000), Base.FocalLength, **fine)
     found = run("match", store, plain, cropped, lie, plane, "--json")
     assert found.code == 0, found.err
-    told = [json.loads(line) for line in found.out.splitlines()]
-    assert all(off_m(one["answer"]) < 60.0 for one in told)
-    assert all(abs(one["answer"]["fov_deg"] - 60.0) < 1.5 for one in told)
-    lenses = [one["lens"] for one in told]
+    records = [json.loads(line) for line in found.out.splitlines()]
+    assert all(off_m(one["answer"]) < 60.0 for one in records)
+    assert all(abs(one["answer"]["fov_deg"] - 60.0) < 1.5 for one in records)
+    lenses = [one["lens"] for one in records]
     assert lenses[0]["fov_deg"] == pytest.approx(60.3, abs=0.1)
     assert lenses[1]["most_deg"] > 60.0 > lenses[1]["fov_deg"]
     assert "cropped" in lenses[1]["said"]
     assert lenses[2]["fov_deg"] is None
     assert lenses[3]["fov_deg"] == pytest.approx(42.3, abs=0.1)
-    said = run("match", store, plain, cropped, lie, "--no-refine").out
+    said = run("match", store, plain, cropped, lie, "--matcher", "unrefined").out
     assert "field of view: 60.3 degrees, give or take 5; EXIF's 35 mm equivalent alone" in said
     assert "field of view: 53.7 degrees, give or take 12; EXIF's 35 mm equivalent alone," in said
     assert "field of view: not known; EXIF's 35 mm equivalent alone left aside: 0.21" in said
 
 
 def claiming(photo, path, lonlat, heading_deg=None, reference="T"):
-    """Write a copy of a photo that says it was taken elsewhere; return its path."""
+    """Write a copy of a photo with a position, and perhaps a direction, in its EXIF; return it."""
     exif = Image.Exif()
     gps = exif.get_ifd(IFD.GPSInfo)
     for angle, name, side in zip(lonlat, ("Longitude", "Latitude"), ("EW", "NS"), strict=True):
@@ -64,13 +64,13 @@ def claiming(photo, path, lonlat, heading_deg=None, reference="T"):
 
 
 def test_a_photo_s_own_claim_is_shown(run, store, dem, photo, tmp_path):
-    told = claiming(photo, tmp_path / "told.jpg", lonlat_of(dem, 601_800.0, 5_178_240.0), 112.0)
-    found = run("match", store, told, "--fov-deg", "60", "--json")
+    claim = claiming(photo, tmp_path / "claim.jpg", lonlat_of(dem, 601_800.0, 5_178_240.0), 112.0)
+    found = run("match", store, claim, "--fov-deg", "60", "--json")
     exif = json.loads(found.out)["exif"]
     assert exif["distance_m"] == pytest.approx(240.0, abs=40.0)
     assert exif["heading_off_deg"] == pytest.approx(29.0, abs=2.0)
     assert exif["heading_is_magnetic"] is False
-    said = run("match", store, told, "--fov-deg", "60", "--report", tmp_path / "report").out
+    said = run("match", store, claim, "--fov-deg", "60", "--report", tmp_path / "report").out
     assert "m from the answer. Its compass says 112 degrees, the answer 141." in said
     page = (tmp_path / "report" / "index.html").read_text()
     assert "m from the answer. Its compass says 112 degrees" in page
@@ -78,14 +78,14 @@ def test_a_photo_s_own_claim_is_shown(run, store, dem, photo, tmp_path):
     assert "exif" not in json.loads(run("match", store, photo, "--fov-deg", "60", "--json").out)
 
 
-def test_a_claim_without_a_side_is_left_aside_and_the_reason_said(run, store, photo, tmp_path):
+def test_a_position_without_n_or_e_is_left_aside_with_the_reason(run, store, photo, tmp_path):
     """The photo's latitude and longitude would be half a world away without N and E."""
-    told = claiming(photo, tmp_path / "told.jpg", (-10.3, -46.7), 112.0, reference="")
-    with Image.open(told) as image:
+    claim = claiming(photo, tmp_path / "claim.jpg", (-10.3, -46.7), 112.0, reference="")
+    with Image.open(claim) as image:
         exif = image.getexif()
         del exif.get_ifd(IFD.GPSInfo)[GPS.GPSLatitudeRef]
-        image.save(told, quality=95, exif=exif)
-    found = run("match", store, told, "--fov-deg", "60", "--use-gps")
+        image.save(claim, quality=95, exif=exif)
+    found = run("match", store, claim, "--fov-deg", "60", "--use-gps")
     assert found.code == 0, found.err
     assert "position is left aside: the latitude does not say whether it is N or S." in found.out
     assert "from a north that it does not name" in found.out
@@ -103,13 +103,13 @@ def test_a_wrong_claim_does_not_hide_the_right_place(run, store, dem, photo, tmp
     ]
     found = run("match", store, *claims, "--fov-deg", "60", "--use-gps", "--json", *workers)
     assert found.code == 0, found.err
-    told = [json.loads(line) for line in found.out.splitlines()]
-    assert all(off_m(one["answer"]) < 30.0 for one in told)
-    assert off_m(told[0]["answer"]) < 10.0
-    assert told[1]["exif"]["distance_m"] == pytest.approx(math.hypot(800.0, 1000.0), abs=40.0)
-    assert told[2]["exif"]["distance_m"] > 1e7
+    records = [json.loads(line) for line in found.out.splitlines()]
+    assert all(off_m(one["answer"]) < 30.0 for one in records)
+    assert off_m(records[0]["answer"]) < 10.0
+    assert records[1]["exif"]["distance_m"] == pytest.approx(math.hypot(800.0, 1000.0), abs=40.0)
+    assert records[2]["exif"]["distance_m"] > 1e7
 
 
 def test_the_gps_acts_in_refinement(run, store, photo):
-    done = run("match", store, photo, "--use-gps", "--no-refine")
+    done = run("match", store, photo, "--use-gps", "--matcher", "unrefined")
     assert_refused(done, "--use-gps acts in refinement")

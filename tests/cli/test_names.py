@@ -64,7 +64,7 @@ def test_a_dem_that_gdal_cannot_open_is_refused_before_photos_are_matched(
 def test_photos_of_any_name_are_matched_and_written(run, store, photos):
     kinds = ("kml", "kmz", "gpx", "geojson", "json")
     written = [part for kind in kinds for part in ("--export", f"out.{kind}")]
-    common = ("match", store, *photos, "--fov-deg", "60", "--no-refine")
+    common = ("match", store, *photos, "--fov-deg", "60", "--matcher", "unrefined")
     done = run(*common, *written, "--report", "report", "--results", "out.csv", "--json")
     assert done.code == 0, done.err
     shown = list(NAMES.values())
@@ -87,7 +87,7 @@ def test_photos_of_any_name_are_matched_and_written(run, store, photos):
 
 
 def test_words_and_tables_hold_any_name(run, store, photos):
-    common = ("match", store, *photos, "--fov-deg", "60", "--no-refine")
+    common = ("match", store, *photos, "--fov-deg", "60", "--matcher", "unrefined")
     done = run(*common, "--results", f"{NOT_UTF8}.gpkg")
     assert done.code == 0, done.err
     begins = [line for line in done.out.splitlines() if not line.startswith(" ")]
@@ -99,7 +99,7 @@ def test_words_and_tables_hold_any_name(run, store, photos):
 
 def test_a_list_names_files_by_their_bytes(run, store, photos, tmp_path):
     (tmp_path / "list.csv").write_bytes(b"path,fov_deg\nb\xe4r.jpg,60\nno\xe4.jpg,60\n")
-    done = run("match", store, "list.csv", "--no-refine")
+    done = run("match", store, "list.csv", "--matcher", "unrefined")
     assert done.code == 2
     assert done.out.startswith(r"b\xe4r.jpg (")
     assert r"no\xe4.jpg does not exist" in done.err
@@ -114,13 +114,16 @@ def test_stores_and_pictures_of_any_name(run, dem, store, photo, tmp_path, monke
         (("store", "check", odd), r"b\xe4r.h5: 1,804 places, whole"),
         (("store", "merge", odd, store, "-o", f"m{odd}"), r"mb\xe4r.h5: 1,804 places"),
         (("store", "export", odd, "-o", f"{NOT_UTF8}.gpkg"), r"b\xe4r.gpkg: 1,804 places"),
-        (("match", odd, photo, "--fov-deg", "60", "--no-refine"), "photo.jpg ("),
+        (("match", odd, photo, "--fov-deg", "60", "--matcher", "unrefined"), "photo.jpg ("),
         (("build", dem, "-o", f"n{odd}", "--spacing", "900"), r"nb\xe4r.h5: "),
         (
             ("extract", photo, "-o", f"{NOT_UTF8}.csv", "--overlay", f"o{NOT_UTF8}"),
             r"b\xe4r.csv",
         ),
-        (("match", odd, f"{NOT_UTF8}.csv", "--fov-deg", "60", "--no-refine"), r"b\xe4r.csv ("),
+        (
+            ("match", odd, f"{NOT_UTF8}.csv", "--fov-deg", "60", "--matcher", "unrefined"),
+            r"b\xe4r.csv (",
+        ),
         (
             ("render", dem, "-o", f"r{odd}", "--grid", "2000", "--depth-images", NOT_UTF8),
             r"rb\xe4r.h5: ",
@@ -147,7 +150,7 @@ def test_a_terminal_of_few_letters_takes_what_is_printed(store, photo, tmp_path,
     shutil.copy(photo, tmp_path / os.fsdecode(name))
     common = (sys.executable, "-m", "skyline", "match")
     done = subprocess.run(
-        [*common, store, name, b"no\xe4.jpg", "--fov-deg", "60", "--no-refine"],
+        [*common, store, name, b"no\xe4.jpg", "--fov-deg", "60", "--matcher", "unrefined"],
         env=os.environ | settings,
         capture_output=True,
         check=False,

@@ -1,4 +1,4 @@
-"""``--workers`` and ``--scheduler``: the same stores and answers as in one process."""
+"""``--workers``: the same stores and answers as in one process."""
 
 import json
 
@@ -23,8 +23,7 @@ def test_workers_make_the_same_store(run, dem, tmp_path, command, options):
     ("options", "expected"),
     [
         (("--workers", "0"), "workers is 0; expected 1 or more"),
-        (("--workers", "2", "--scheduler", "tcp://127.0.0.1:1"), "one of --workers and"),
-        (("--scheduler", "nonsense://x"), "no dask scheduler answers"),
+        (("--workers", "nonsense://x"), "no dask scheduler answers"),
     ],
 )
 def test_options_that_do_not_fit(run, dem, options, expected, tmp_path):
@@ -48,14 +47,14 @@ def traces(tmp_path):
     ("kind", "options"),
     [
         ("renderings", ("--matcher", "correlation")),
-        ("store", ("--no-refine", "--heading", "100,120")),
+        ("store", ("--matcher", "unrefined", "--heading", "100,120")),
     ],
 )
 def test_queries_are_matched_by_workers_as_here(run, traces, dask_cluster, request, kind, options):
     store = request.getfixturevalue(kind)
     options = "--fov-deg", "60", "--json", *options
     here = run("match", store, *traces[:3], *options)
-    spread = run("match", store, *traces, *options, "--scheduler", dask_cluster.scheduler_address)
+    spread = run("match", store, *traces, *options, "--workers", dask_cluster.scheduler_address)
     answers = [[json.loads(line) for line in done.out.splitlines()] for done in (here, spread)]
     failed = answers[1].pop()
     for answer in [*answers[0], *answers[1]]:

@@ -122,7 +122,7 @@ def test_parts_here_find_what_the_whole_finds(store, traces, small_parts):
     assert [one.candidates for one in found] == [one.candidates for one in wanted]
 
 
-def test_a_query_that_cannot_be_read_is_said_in_its_place(store, traces, tmp_path, small_parts):
+def test_an_unreadable_query_has_an_error_in_its_place(store, traces, tmp_path, small_parts):
     text = tmp_path / "text.jpg"
     text.write_text("no photo")
     config = replace(BOLD, refine=False)
@@ -133,7 +133,7 @@ def test_a_query_that_cannot_be_read_is_said_in_its_place(store, traces, tmp_pat
     assert [found[0].candidates, found[2].candidates] == [one.candidates for one in wanted]
 
 
-def test_a_search_narrowed_to_nothing_is_said_for_each_query(store, traces, small_parts):
+def test_a_search_narrowed_to_nothing_is_an_error_for_each_query(store, traces, small_parts):
     nowhere = Narrowing(elevation_m=(8000.0, 9000.0))
     config = replace(BOLD, refine=False)
     found = list(match_many(run_here, asked(store, config), queries_of(traces, nowhere)))

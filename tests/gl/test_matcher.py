@@ -19,11 +19,11 @@ from skyline import (
     read_dem,
 )
 from skyline.errors import InputError, StoreError, StoreMismatchError
+from skyline.match import full
 from skyline.match.batch import _opened
 from skyline.match.full import FullMatcher
-from skyline.match.match_config import FullConfig, RefineConfig
-from skyline.match.rendered_scene import RenderedScene
 from skyline.match.retrieval import Retriever
+from skyline.match.scene import RenderedScene
 from skyline.photo.projection import Projection
 from skyline.photo.query import QuerySkyline
 from skyline.store import open_store
@@ -35,7 +35,7 @@ MIDDLE = (WEST_M + 3600.0, NORTH_M - 4800.0, WEST_M + 4800.0, NORTH_M - 3600.0)
 SHARP = QueryConfig(max_tilt_deg=3.0, noise_deg=(0.03, 0.03), smooth_share=0.0)
 BOLD = MatchConfig(min_confidence=0.0)
 PLACES_M = 40.0
-LESS_THOROUGH = RefineConfig(particles=48, rounds=5, keep_least=16, restarts=2, finalists=8)
+LESS_THOROUGH = replace(full.WHOLE, particles=48, rounds=5, keep_least=16, restarts=2, finalists=8)
 
 
 def write_hills(path, seed):
@@ -117,16 +117,18 @@ def test_a_field_of_view_at_the_end_of_what_is_searched_is_no_answer(
     assert answered or "--fov-deg" in found.refusal
 
 
-def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
+def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries, monkeypatch):
     rays = [query.rays() for query in queries[:2]]
     with open_store(store) as opened:
-        scene = RenderedScene.of_store(terrain, opened.header, BOLD)
-        retriever = Retriever(opened.places(), ground_of(terrain))
-        retrieved = [retriever.shortlist(one, FullConfig().shortlist) for one in rays]
+        scene = RenderedScene(
+            terrain, RenderConfig(width=360, curvature=curvature_of(opened.header))
+        )
+        matcher = FullMatcher(Retriever(opened.places(), ground_of(terrain)), scene)
+    retrieved = [matcher.retrieve(one) for one in rays]
+    monkeypatch.setattr(full, "WHOLE", LESS_THOROUGH)
 
     def refined(sure_margin):
-        config = FullConfig(sure_margin=sure_margin, refine=LESS_THOROUGH)
-        matcher = FullMatcher(retriever, scene, config)
+        monkeypatch.setattr(full, "_SURE_MARGIN", sure_margin)
         return [matcher.refine(*one) for one in zip(retrieved, rays, strict=True)]
 
     always = refined(0.0)
@@ -135,17 +137,18 @@ def test_a_place_beyond_doubt_is_refined_no_further(store, terrain, queries):
     found = always, refined(sure_margin), refined(np.inf)
     scene.release()
     for quick, chosen, thorough in zip(*found, strict=True):
-        assert quick.renderings < thorough.renderings
         sure = quick.margin[0] > sure_margin
-        assert chosen.renderings == (quick if sure else thorough).renderings
+        expected, other = (quick, thorough) if sure else (thorough, quick)
+        np.testing.assert_array_equal(chosen.hypotheses.score, expected.hypotheses.score)
+        assert not np.array_equal(chosen.hypotheses.score, other.hypotheses.score)
         if sure:
-            # Both end where the fit cannot tell places apart: within three deviations.
+            # Both end where the fit cannot separate places: within three deviations.
             one, other = (
                 (h.easting_m[0], h.northing_m[0]) for h in (quick.hypotheses, thorough.hypotheses)
             )
             apart_m = np.hypot(*np.subtract(one, other))
             assert apart_m < 3.0 * np.sqrt(np.trace(thorough.covariance_m2[0]))
-    assert {bool(quick.margin[0] > sure_margin) for quick in found[0]} == {True, False}
+    assert {bool(quick.margin[0] > sure_margin) for quick in always} == {True, False}
 
 
 def test_places_find_where_a_photo_was_taken_and_which_way_it_looks(store, terrain, queries):
@@ -227,12 +230,12 @@ def test_a_dem_that_has_gone_leaves_answers_unrefined(tmp_path, caplog, queries,
     assert Matcher(path, moved).terrain is not None
 
 
-def test_the_dem_of_elsewhere_is_refused(tmp_path, store):
+def test_a_dem_of_another_area_is_refused(tmp_path, store):
     with pytest.raises(StoreMismatchError, match="digest"):
         Matcher(store, write_hills(tmp_path / "other.tif", seed=12))
 
 
-def test_too_little_skyline_is_refused_and_said(store, terrain, queries):
+def test_too_little_skyline_is_refused(store, terrain, queries):
     skyline = queries[0].skyline
     row_px = np.where(np.arange(skyline.width_px) < 150, skyline.row_px, np.nan)
     row_px[:150] = np.nan_to_num(row_px[:150], nan=300.0)
@@ -253,7 +256,7 @@ def test_below_the_least_confidence_there_are_only_candidates(store, terrain, qu
     assert "confidence" in result.refusal
 
 
-def test_how_many_candidates_are_asked_for_changes_none_of_them(store, terrain, queries):
+def test_the_number_of_candidates_changes_none_of_them(store, terrain, queries):
     with Matcher(store, terrain, config=BOLD) as matcher:
         for query in queries[:3]:
             few, usual, many = (matcher.match(query.skyline, top=top) for top in (1, 5, 30))
@@ -262,6 +265,8 @@ def test_how_many_candidates_are_asked_for_changes_none_of_them(store, terrain, 
             assert [one.rank for one in usual.candidates] == [1, 2, 3, 4, 5][
                 : len(usual.candidates)
             ]
+        with pytest.raises(InputError, match="top is 0"):
+            matcher.match(queries[0].skyline, top=0)
 
 
 def test_an_unknown_field_of_view_is_searched(store, renderings, terrain, queries):
@@ -300,7 +305,7 @@ def test_a_panorama_that_sees_behind_is_found(store, terrain, fov_deg, said_deg)
 
 
 @pytest.mark.parametrize("wrong", [{"refraction_k": "x"}, {"radius_m": [1]}, {"radius_m": -1.0}])
-def test_a_curvature_that_is_none_is_said(store, wrong):
+def test_an_impossible_curvature_is_refused(store, wrong):
     with open_store(store) as opened:
         header = opened.header
     with pytest.raises(StoreError, match="curvature"):
@@ -314,7 +319,7 @@ def test_a_process_keeps_one_matcher_open(store, terrain, queries, monkeypatch):
         released.append(matcher)
 
     monkeypatch.setattr(Matcher, "release", release)
-    # What an earlier test left open is not this one's.
+    # A matcher that an earlier test left open must not be counted.
     monkeypatch.setattr(sys.modules[_opened.__module__], "_here", {})
     first = _opened(1, str(store), None, "full")
     assert _opened(1, str(store), None, "full") is first
@@ -372,7 +377,7 @@ def test_photos_of_one_place_have_one_answer_and_a_stranger_is_named(store, terr
     assert "fewer than two photos" in little.refusal
 
 
-def test_what_is_known_of_one_photo_holds_for_the_place(store, terrain):
+def test_a_narrowing_of_one_photo_holds_for_the_place(store, terrain):
     ((first, second),) = make_queries_together(terrain, MIDDLE, 1, 2, 5, SHARP)
     lon, lat = terrain.frame.to_lonlat(first.truth.easting_m + 500.0, first.truth.northing_m)
     near = Narrowing(near=(float(lon), float(lat), 0.3))

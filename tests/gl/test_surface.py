@@ -1,5 +1,7 @@
 """What may stand on the ground: a surface model as an upper bound for the skyline."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from query_scenes import photographed, poses, rays_of
@@ -8,14 +10,13 @@ from scenes import at_m, field_from, field_of, fractal
 from skyline import horizon, stand_at, stand_on
 from skyline.errors import InputError
 from skyline.geodesy import Frame
-from skyline.match.match_config import RefineConfig
-from skyline.match.pose import refine
-from skyline.match.rendered_scene import RenderedScene
+from skyline.match.refine import WHOLE, Refinement
+from skyline.match.scene import RenderedScene
 from skyline.render.horizon import HorizonRenderer, RenderConfig
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.surface import UNKNOWN_M, read_surface
 
-SHORT = RefineConfig(shortlist=12, rounds=6, restarts=1, finalists=4, final_rounds=3)
+SHORT = replace(WHOLE, shortlist=12, rounds=6, restarts=1, finalists=4, final_rounds=3)
 TREES_M = 20.0
 
 
@@ -141,7 +142,7 @@ def test_with_a_surface_places_in_a_forest_are_found_nearer(bare, canopy, forest
             heading_deg=camera["heading_deg"] + 1.5 * (-1.0) ** np.arange(6),
         )
         for name, scene in scenes.items():
-            best = refine(start, query, scene, SHORT).hypotheses
+            best = Refinement(query, scene, SHORT).run(start).hypotheses
             off_m[name].append(np.hypot(*(place - [best.easting_m[0], best.northing_m[0]])))
     without_m, with_m = np.array(off_m["without"]), np.array(off_m["with"])
     for scene in scenes.values():

@@ -200,16 +200,16 @@ def test_where_a_fit_fails_is_what_a_match_needs_of_confidence(store, query):
         assert bold.fit(query, away).refusal is None
 
 
-def test_a_match_tells_how_far_it_is_and_ends_when_told(matcher, query):
-    told = []
+def test_a_match_reports_its_progress_and_ends_when_the_callback_raises(matcher, query):
+    reports = []
     plain = matcher.match(query)
-    watched = matcher.match(query, told=lambda step, share: told.append((step, share)))
+    watched = matcher.match(query, report_progress=lambda *report: reports.append(report))
     assert watched.candidates == plain.candidates
-    assert [step for k, (step, _) in enumerate(told) if k == 0 or told[k - 1][0] != step] == [
-        "screening", "fitting", "refining",
-    ]  # fmt: skip
-    assert all(0.0 <= share <= 1.0 for _, share in told)
-    refining = [share for step, share in told if step == "refining"]
+    steps = [step for step, _ in reports]
+    assert list(dict.fromkeys(steps)) == ["screening", "fitting", "refining"]
+    assert steps == sorted(steps, key=["screening", "fitting", "refining"].index)
+    assert all(0.0 <= share <= 1.0 for _, share in reports)
+    refining = [share for step, share in reports if step == "refining"]
     assert refining == sorted(refining)
     assert refining[0] == 0.0 < refining[len(refining) // 2] < 1.0
 
@@ -220,7 +220,7 @@ def test_a_match_tells_how_far_it_is_and_ends_when_told(matcher, query):
                 raise KeyboardInterrupt(step)
 
         with pytest.raises(KeyboardInterrupt, match=wanted):
-            matcher.match(query, told=stop)
+            matcher.match(query, report_progress=stop)
     assert matcher.match(query).candidates == plain.candidates
 
 

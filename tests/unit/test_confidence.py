@@ -1,4 +1,4 @@
-"""What a confidence is learned from, and what it then says."""
+"""The figures that a confidence is learned from, and the probabilities that it gives."""
 
 import numpy as np
 import pytest
@@ -6,15 +6,15 @@ from query_scenes import equally_trusted
 
 from skyline.errors import InputError
 from skyline.match import confidence
-from skyline.match.hypotheses import Hypotheses
-from skyline.match.pose import Poses
+from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
+from skyline.match.ranking import Hypotheses, RefinedPoses
 
 AZIMUTH_RAD = np.linspace(-0.5, 0.5, 200)
 QUERY = equally_trusted(AZIMUTH_RAD, 0.1 * np.sin(9.0 * AZIMUTH_RAD), 60.0)
 
 
 NEAR_REFINED, NEAR_RETRIEVED = (
-    confidence.model_name(stage, confidence.RIGHT_WITHIN_M) for stage in ("refined", "retrieved")
+    confidence.model_name(stage, RIGHT_WITHIN_M) for stage in ("refined", "retrieved")
 )
 
 
@@ -33,7 +33,7 @@ def test_the_packaged_models_know_the_figures_they_are_given() -> None:
     assert set(models) == {
         confidence.model_name(stage, within_m)
         for stage in ("refined", "retrieved")
-        for within_m in confidence.DISTANCES_M
+        for within_m in DISTANCES_M
     }
     sure = models[NEAR_RETRIEVED].probability(figures)
     assert sure.shape == (3,)
@@ -42,31 +42,31 @@ def test_the_packaged_models_know_the_figures_they_are_given() -> None:
         models[NEAR_REFINED].probability({"margin": zero})
 
 
-def test_a_margin_is_over_the_best_place_elsewhere() -> None:
+def test_a_margin_is_over_the_best_rival() -> None:
     # The second stands beside the first, so the third is the rival of both.
     some = retrieved([0.0, 50.0, 900.0], [1.0, 2.0, 5.0])
     assert confidence.retrieved_figures(some, QUERY)["margin"].tolist() == [4.0, 3.0, -4.0]
 
 
-def test_a_place_that_nothing_is_held_against_has_no_margin() -> None:
+def test_a_place_without_rivals_has_no_margin() -> None:
     found = retrieved([0.0, 50.0, 100.0], [1.0, 2.0, 5.0])
     figures = confidence.retrieved_figures(found, QUERY)
     assert figures["margin"].tolist() == [0.0, 0.0, 0.0]
     assert (confidence.models()[NEAR_RETRIEVED].probability(figures) < 0.9).all()
     one = np.ones(1)
-    poses = Poses(
-        found[:1], np.eye(2)[np.newaxis], one, one, one, one, one, one + np.inf, one + np.inf, 7
+    poses = RefinedPoses(
+        found[:1], np.eye(2)[np.newaxis], one, one, one, one, one, one + np.inf, one + np.inf
     )
     assert confidence.refined_figures(poses, found, QUERY)["margin"].tolist() == [0.0]
 
 
-@pytest.mark.parametrize("within_m", confidence.DISTANCES_M)
+@pytest.mark.parametrize("within_m", DISTANCES_M)
 def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m) -> None:
     model = confidence.models()[confidence.model_name("refined", within_m)]
     residual_deg, one = np.array([0.02, 0.1, 0.5, 1.44]), np.ones(4)
-    poses = Poses(
+    poses = RefinedPoses(
         retrieved([0.0] * 4, [0.0] * 4), np.tile(100.0 * np.eye(2), (4, 1, 1)), residual_deg,
-        one, 180.0 * one, 5.0 * one, 0.0 * one, 0.0 * one, 0.0 * one, 7,
+        one, 180.0 * one, 5.0 * one, 0.0 * one, 0.0 * one, 0.0 * one,
     )  # fmt: skip
     sure = model.probability(confidence.lone_figures(poses, QUERY, model))
     assert (np.diff(sure) < 0.0).all()
@@ -74,20 +74,20 @@ def test_a_pose_that_no_search_found_is_judged_by_how_well_it_fits(within_m) -> 
     assert (sure[2:] < 0.8).all()
 
 
-def test_every_refined_pose_hears_of_the_best_that_was_retrieved() -> None:
+def test_refined_poses_have_the_figures_of_the_best_retrieved_pose() -> None:
     found = retrieved([0.0, 500.0, 900.0], [2.0, 1.0, 5.0])
     one = np.ones(2)
-    poses = Poses(
+    poses = RefinedPoses(
         found[np.arange(2)], np.tile(np.eye(2), (2, 1, 1)), one, one, one, one, one,
-        np.array([90.0, -90.0]), np.array([100.0, np.inf]), 7,
+        np.array([90.0, -90.0]), np.array([100.0, np.inf]),
     )  # fmt: skip
     figures = confidence.refined_figures(poses, found, QUERY)
     assert figures["retrieved_score"].tolist() == [1.0, 1.0]
     np.testing.assert_allclose(figures["retrieved_log_margin"], 0.0)  # 2 - 1
-    # Margins count up to 60; whoever is not the best has none.
+    # Margins count up to 60; those of all but the best pose are negative.
     assert figures["margin"].tolist() == [60.0, -60.0]
     assert figures["log_margin"][0] == pytest.approx(np.log(60.0))
     assert figures["log_margin"][1] < figures["log_margin"][0] - 10.0
-    # No place beyond 1 km was retrieved: nothing farther tells more than what is nearer.
+    # Where no place beyond 1 km was retrieved, the margin over nearer ones counts.
     assert figures["far_margin"].tolist() == figures["margin"].tolist()
     assert set(confidence.models()[NEAR_REFINED].names) == set(figures)

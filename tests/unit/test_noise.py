@@ -1,44 +1,42 @@
-"""Likelihood of residuals: against closed forms, and against matrices written out."""
+"""Likelihood of residuals, against closed forms and against matrices written out."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from skyline.errors import InputError
-from skyline.match.noise import HeightErrors, Noise, judge
+from skyline.match.noise import REACH_M, HeightErrors, likelihood
 
 
 def _setting(nodes=6, columns=40):
     generator = np.random.default_rng(0)
     azimuth = np.linspace(-0.5, 0.5, columns)[np.newaxis]
     distance = 1000.0 + 3000.0 * generator.random((1, columns))
-    noise = Noise(angle_deg=(0.1,), height_shares=(1.0,), height_sd_m=5.0, nodes=nodes)
-    return noise, HeightErrors.of(azimuth, distance, 0.0 * distance, noise), azimuth, distance
+    return HeightErrors.of(azimuth, distance, 0.0 * distance, nodes), azimuth, distance
 
 
-FIRST = (np.zeros(1, dtype=np.intp), np.zeros(1, dtype=np.intp))
+ANGLE_DEG, HEIGHT_M = np.array([0.1]), np.array([5.0])
 
 
 def test_without_height_errors_the_cost_is_the_mixture_s():
-    noise, errors, _, _ = _setting()
+    errors, _, _ = _setting()
     none = replace(errors, factor=0.0 * errors.factor, rough=0.0 * errors.rough)
     residual = np.random.default_rng(1).normal(0.0, 0.004, (1, 40))
-    judged = judge(residual, np.ones(40), none, noise, FIRST, np.ones((1, 40)))
+    found = likelihood(residual, np.ones(40), none, ANGLE_DEG, HEIGHT_M, np.ones((1, 40)))
     sigma = np.radians(0.1)
     terrain = 0.83 * np.exp(-0.5 * (residual / sigma) ** 2) / np.sqrt(2.0 * np.pi) / sigma
     other = np.where(residual >= 0.0, 0.15, 0.02) / np.radians(15.0)
-    np.testing.assert_allclose(judged.cost[0], -np.log(terrain + other).sum(), rtol=1e-9)
-    np.testing.assert_allclose(judged.odds, terrain / (terrain + other), atol=1e-9)
+    np.testing.assert_allclose(found.cost[0], -np.log(terrain + other).sum(), rtol=1e-9)
+    np.testing.assert_allclose(found.odds, terrain / (terrain + other), atol=1e-9)
 
 
-def test_what_may_rise_so_far_lies_anywhere_up_to_there_and_seldom_beyond():
-    noise, errors, _, _ = _setting()
+def test_a_column_under_a_known_rise_has_a_uniform_density_up_to_it():
+    errors, _, _ = _setting()
     sigma, stray = np.radians(0.1), 0.02 / np.radians(15.0)
     rise = np.radians(np.tile([0.0, 0.1, 1.0, 40.0, np.nan], 8))[np.newaxis]
     none = replace(errors, factor=0.0 * errors.factor, rough=0.0 * errors.rough, rise_rad=rise)
     residual = np.random.default_rng(1).normal(0.005, 0.01, (1, 40))
-    judged = judge(residual, np.ones(40), none, noise, FIRST, np.ones((1, 40)))
+    found = likelihood(residual, np.ones(40), none, ANGLE_DEG, HEIGHT_M, np.ones((1, 40)))
     # The density of an even one up to the rise, blurred, by summing up.
     limit = np.clip(rise, 0.1 * sigma, np.radians(15.0))[..., np.newaxis]
     at = limit * (np.arange(20_000) + 0.5) / 20_000
@@ -49,43 +47,42 @@ def test_what_may_rise_so_far_lies_anywhere_up_to_there_and_seldom_beyond():
     limited, plain = np.isfinite(rise), np.where(residual >= 0.0, 0.15, 0.02) / np.radians(15.0)
     other = np.where(limited, covered * even / scale + stray, plain)
     terrain = np.where(limited, terrain, 0.83 * np.exp(-0.5 * (residual / sigma) ** 2)) / scale
-    np.testing.assert_allclose(judged.cost[0], -np.log(terrain + other).sum(), rtol=1e-5)
-    np.testing.assert_allclose(judged.odds, terrain / (terrain + other), atol=1e-5)
+    np.testing.assert_allclose(found.cost[0], -np.log(terrain + other).sum(), rtol=1e-5)
+    np.testing.assert_allclose(found.odds, terrain / (terrain + other), atol=1e-5)
 
 
 def test_products_are_those_of_the_whole_covariance():
-    noise, errors, _, _ = _setting()
+    errors, _, _ = _setting()
     residual = np.random.default_rng(2).normal(0.0, 0.001, (1, 40))
-    judged = judge(residual, np.ones(40), errors, noise, FIRST, np.ones((1, 40)))
-    covariance = judged.factor[0] @ judged.factor[0].T + np.diag(1.0 / judged.weight[0])
+    found = likelihood(residual, np.ones(40), errors, ANGLE_DEG, HEIGHT_M, np.ones((1, 40)))
+    covariance = found.factor[0] @ found.factor[0].T + np.diag(1.0 / found.weight[0])
     left, right = np.random.default_rng(3).normal(size=(2, 1, 40, 3))
     expected = left[0].T @ np.linalg.solve(covariance, right[0])
-    np.testing.assert_allclose(judged.product(left, right)[0], expected, rtol=1e-6)
-    assert judged.effective_columns[0] < judged.odds.sum() - 2.0
+    np.testing.assert_allclose(found.product(left, right)[0], expected, rtol=1e-6)
+    assert found.effective_columns[0] < found.odds.sum() - 2.0
 
 
 def test_height_errors_have_the_stated_covariance_at_their_nodes():
-    noise, errors, azimuth, distance = _setting(nodes=40)
+    errors, azimuth, distance = _setting(nodes=40)
     point = (distance * np.exp(1j * azimuth))[0]
 
     def correlation(d):
-        x = d * 2.1461932 / noise.reach_m
+        x = d * 2.1461932 / REACH_M
         return (1.0 + x) * np.exp(-x)
 
     eye = correlation(np.abs(point))
     expected = correlation(np.abs(point[:, None] - point)) + 1.0 - eye[:, None] - eye
     expected /= distance[0][:, None] * distance[0]
     np.testing.assert_allclose(errors.factor[0] @ errors.factor[0].T, expected, atol=1e-11)
-    assert correlation(noise.reach_m) == pytest.approx(np.exp(-1.0))
+    assert correlation(REACH_M) == pytest.approx(np.exp(-1.0))
 
 
 def test_near_terrain_stands_on_the_eye_s_own_error():
-    noise = Noise()
     azimuth = np.linspace(-0.5, 0.5, 40)[np.newaxis]
     slope = []
     for distance_m in (1.0, 30.0, 3000.0):
         level = np.full((1, 40), distance_m)
-        errors = HeightErrors.of(azimuth, level, 0.0 * level, noise)
+        errors = HeightErrors.of(azimuth, level, 0.0 * level, 32)
         slope.append(np.sqrt((errors.factor**2).sum(axis=-1)).max())
     assert slope[0] == pytest.approx(slope[1], rel=0.2)
     assert slope[0] < 0.01
@@ -94,51 +91,50 @@ def test_near_terrain_stands_on_the_eye_s_own_error():
 
 @pytest.mark.parametrize("nodes", [0, 6])
 def test_an_unknown_column_costs_as_much_as_a_tree(nodes):
-    noise, errors, _, _ = _setting(nodes)
+    errors, _, _ = _setting(nodes)
     residual = np.zeros((1, 40))
     costs = []
     for odd in (np.nan, np.radians(9.0)):
         residual[0, 7] = odd
         odds = np.ones((1, 40))
         for _ in range(6):
-            judged = judge(residual, np.ones(40), errors, noise, FIRST, odds)
-            odds = judged.odds
-        costs.append(judged.cost[0])
-        assert judged.odds[0, 7] < 1e-9
+            found = likelihood(residual, np.ones(40), errors, ANGLE_DEG, HEIGHT_M, odds)
+            odds = found.odds
+        costs.append(found.cost[0])
+        assert found.odds[0, 7] < 1e-9
     assert costs[0] == pytest.approx(costs[1], abs=1e-6)
 
 
-def test_what_stands_over_the_skyline_is_likelier_than_what_is_missing():
-    noise, errors, _, _ = _setting()
+def test_a_column_above_the_skyline_is_likelier_than_one_below():
+    errors, _, _ = _setting()
     cost = []
     for sign in (1.0, -1.0):
         residual = np.zeros((1, 40))
         residual[0, 10:14] = sign * np.radians(5.0)
         odds = np.where(residual == 0.0, 1.0, 0.0)
-        cost.append(judge(residual, np.ones(40), errors, noise, FIRST, odds).cost[0])
+        cost.append(likelihood(residual, np.ones(40), errors, ANGLE_DEG, HEIGHT_M, odds).cost[0])
     assert cost[1] - cost[0] == pytest.approx(4.0 * np.log(0.15 / 0.02), rel=1e-3)
 
 
-def _converged(residual, noise, errors, magnified=1.0):
-    odds = np.ones((1, 40))
+def _converged(residual, errors, magnified=1.0, scale=1.0):
+    odds, trust = np.ones((1, 40)), np.ones(40)
+    deviations = scale * ANGLE_DEG, scale * HEIGHT_M
     for _ in range(12):
-        judged = judge(residual, np.ones(40), errors, noise, FIRST, odds, magnified)
-        odds = judged.odds
-    return judged
+        found = likelihood(residual, trust, errors, *deviations, odds, magnified)
+        odds = found.odds
+    return found
 
 
 @pytest.mark.parametrize("sd_rad", [0.0001, 0.0009, 0.0022])
 def test_the_scale_of_all_errors_is_the_likeliest(sd_rad):
-    noise, errors, azimuth, distance = _setting()
-    errors = HeightErrors.of(azimuth, distance, np.full_like(distance, 5e-4), noise)
+    errors, azimuth, distance = _setting()
+    errors = HeightErrors.of(azimuth, distance, np.full_like(distance, 5e-4), 6)
     residual = np.random.default_rng(4).normal(0.0, sd_rad, (1, 40))
     costs = []
     for scale in np.geomspace(0.1, 1.3, 121):
         scaled = replace(errors, blur_rad=scale * errors.blur_rad)
-        angle_deg, height_m = scale * noise.angle_deg[0], scale * noise.height_sd_m
-        smaller = replace(noise, angle_deg=(angle_deg,), height_sd_m=height_m)
-        costs.append(_converged(residual, smaller, scaled).cost[0])
-    found = _converged(residual, noise, errors)
+        costs.append(_converged(residual, scaled, scale=scale).cost[0])
+    found = _converged(residual, errors)
     assert found.odds.min() > 0.95
     # The odds are of the errors before they are scaled; the cost is a bound for any odds.
     assert -1e-3 < found.scaled().cost[0] - min(costs) < 0.2
@@ -155,12 +151,12 @@ def _with_beyond(errors, beyond_deg):
 
 @pytest.mark.parametrize(("off_deg", "is_cheaper"), [(1.0, True), (3.0, False), (-1.0, False)])
 def test_terrain_past_the_edge_explains_what_stands_up_to_its_bound(off_deg, is_cheaper):
-    noise, _, azimuth, distance = _setting()
-    errors = HeightErrors.of(azimuth, np.full_like(distance, 5e4), 0.0 * distance, noise)
+    _, azimuth, distance = _setting()
+    errors = HeightErrors.of(azimuth, np.full_like(distance, 5e4), 0.0 * distance, 6)
     residual = np.random.default_rng(6).normal(0.0, 0.0005, (1, 40))
     residual[0, 10:20] = np.radians(off_deg)
     with_beyond = _with_beyond(errors, np.where(np.arange(40) // 10 == 1, 2.0, 0.0))
-    without, there = (_converged(residual, noise, some) for some in (errors, with_beyond))
+    without, there = (_converged(residual, some) for some in (errors, with_beyond))
     assert there.odds[0, 10:20].max() < 0.01
     np.testing.assert_allclose(there.odds[0, 20:], without.odds[0, 20:], atol=0.02)
     # Ten columns at a density of 0.3 in 2 degrees, where 0.15 in 15 was expected otherwise.
@@ -172,43 +168,33 @@ def test_terrain_past_the_edge_explains_what_stands_up_to_its_bound(off_deg, is_
 
 
 def test_where_nothing_beyond_can_rise_nothing_changes():
-    noise, errors, _, _ = _setting()
+    errors, _, _ = _setting()
     residual = np.random.default_rng(7).normal(0.0, 0.002, (1, 40))
-    costs = [
-        _converged(residual, noise, some).cost[0] for some in (errors, _with_beyond(errors, -1.0))
-    ]
+    costs = [_converged(residual, some).cost[0] for some in (errors, _with_beyond(errors, -1.0))]
     assert costs[0] == costs[1]
 
 
 @pytest.mark.parametrize("magnified", [0.5, 1.0, 1.7])
-def test_the_cost_falls_with_magnification_as_is_said(magnified):
-    noise, errors, _, _ = _setting()
+def test_the_magnification_pull_is_the_slope_of_the_cost(magnified):
+    errors, _, _ = _setting()
     residual = np.random.default_rng(5).normal(0.0, 0.003, (1, 40))
     residual[0, 5] = np.nan
     residual[0, 20] = np.radians(4.0)
     step = 1e-4
     costs = [
-        _converged(residual, noise, errors, magnified * np.exp(change)).cost[0]
-        for change in (-step, step)
+        _converged(residual, errors, magnified * np.exp(change)).cost[0] for change in (-step, step)
     ]
-    pull = _converged(residual, noise, errors, magnified).magnification_pull(
-        np.nan_to_num(residual)
-    )
+    pull = _converged(residual, errors, magnified).magnification_pull(np.nan_to_num(residual))
     assert pull[0] == pytest.approx((costs[0] - costs[1]) / (2.0 * step), rel=1e-4)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"angle_deg": ()},
-        {"height_shares": (2.0, 1.0)},
-        {"height_sd_m": 0.0},
-        {"above_share": 0.0},
-        {"above_share": 0.99},
-        {"reach_m": 0.0},
-        {"nodes": -1},
-    ],
-)
-def test_impossible_noise_is_refused(wrong):
-    with pytest.raises(InputError, match="expected"):
-        Noise(**wrong)
+def test_an_error_of_the_eye_s_height_shows_in_full_far_away_and_not_at_all_near_by():
+    """Near by the terrain errs as the ground under the eye does."""
+    distance = np.geomspace(1.0, 1e6, 60)[np.newaxis]
+    errors = HeightErrors.of(0.0 * distance, distance, 0.0 * distance, 0)
+    # Of a metre's error, what is left of the angle it would have without that.
+    left = errors.factor[0, :, 0] * distance[0]
+    assert (np.diff(left) > 0.0).all()
+    assert 0.0 < left[0] < 1e-4
+    assert left[-1] == pytest.approx(1.0, abs=1e-6)
+    assert (errors.rough[0] * distance[0] <= 1.0).all()

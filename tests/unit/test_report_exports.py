@@ -24,7 +24,7 @@ from scenes import FRAME, candidate_at
 
 from skyline import (
     InputError,
-    Matched,
+    MatchResult,
     Projection,
     QuerySkyline,
     export_matches,
@@ -43,7 +43,7 @@ PHOTO = np.full((30, 40, 3), 99, np.uint8)
 
 def matches():
     query = QuerySkyline(np.full(40, 10.0), np.ones(40), 40, 30)
-    return [Matched(NAME, query, (BEST, OTHER), 1.0, True, PHOTO)]
+    return [MatchResult(query, (BEST, OTHER), 1.0, name=NAME)]
 
 
 def test_kml_has_places_views_and_the_photo_in_the_landscape(tmp_path):
@@ -101,15 +101,15 @@ def test_kml_leads_out_of_a_linked_folder(tmp_path, monkeypatch):
 
 
 def test_kml_names_an_upload_as_the_file_beside_it(tmp_path):
-    upload = replace(matches()[0], name="Horn 1.jpg", is_upload=True)
-    export_matches(tmp_path / "answer.kml", [upload], FRAME)
+    upload = replace(matches()[0], name="Horn 1.jpg")
+    export_matches(tmp_path / "answer.kml", [upload], FRAME, [PHOTO])
     kml = Xml.parse(tmp_path / "answer.kml")
     assert kml.findtext(".//{*}PhotoOverlay/{*}Icon/{*}href") == "Horn%201.jpg"
 
 
 @pytest.mark.parametrize("suffix", [".kml", ".kmz"])
 def test_a_trace_has_no_picture_in_the_landscape(tmp_path, suffix):
-    trace = replace(matches()[0], name="trace.csv", photo=None)
+    trace = replace(matches()[0], name="trace.csv")
     path = tmp_path / f"answer{suffix}"
     export_matches(path, [trace], FRAME)
     content = path.read_bytes()
@@ -122,9 +122,11 @@ def test_a_trace_has_no_picture_in_the_landscape(tmp_path, suffix):
     assert len(kml.findall(".//{*}Placemark")) == 2
 
 
-def test_kmz_holds_the_photo(tmp_path):
-    path = tmp_path / "answer.kmz"
-    export_matches(path, matches(), FRAME)
+@pytest.mark.parametrize("photos", [[PHOTO], None], ids=["given", "read"])
+def test_kmz_holds_the_photo(tmp_path, photos):
+    path, name = tmp_path / "answer.kmz", str(tmp_path / "photo.png")
+    Image.fromarray(PHOTO).save(name)
+    export_matches(path, [replace(matches()[0], name=name)], FRAME, photos)
     with zipfile.ZipFile(path) as archive:
         assert archive.testzip() is None
         assert archive.namelist() == ["doc.kml", "files/01.jpg"]

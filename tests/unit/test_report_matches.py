@@ -1,4 +1,4 @@
-"""What a person sees of a match: looked at as pixels, as text and in a browser."""
+"""Reports of matches, looked at as pixels, as text and in a browser."""
 
 import json
 import shutil
@@ -13,8 +13,9 @@ from scenes import candidate_at, field_of, fractal
 
 from skyline.build.grid import uniform_grid
 from skyline.geodesy import Frame
+from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
-from skyline.report import Matched, Peaks, Surroundings, write_match_report
+from skyline.report import Peaks, Surroundings, write_match_report
 from skyline.report.overlay import Overlay
 from skyline.report.peaks import Sighting
 from skyline.report.posed_picture import Panorama, PosedPicture, median_gap_deg
@@ -120,7 +121,7 @@ def test_what_has_no_room_for_a_name_is_counted(tmp_path):
     heights[tuple(np.rint(FIELD.to_grid(easting_m=east, northing_m=north)).astype(int))] = 1000.0
     around = replace(AROUND, terrain=replace(FIELD, heights_m=heights), peaks=crowd)
     best = replace(BEST, eye_elevation_m=900.0, pitch_deg=0.0)
-    found = Matched("photo.jpg", QUERY, [best], 0.5)
+    found = MatchResult(QUERY, (best,), 0.5, name="photo.jpg")
     assert "4 peaks have no room for a name" in report(tmp_path, [found], around)
 
 
@@ -146,8 +147,9 @@ def test_odd_pictures_are_drawn_too(size):
     assert like(drawn, (255, 45, 111)).any()
 
 
-def report(folder, matches, surroundings=AROUND):
-    page = write_match_report(folder, matches, surroundings, "skyline test")
+def report(folder, results, surroundings=AROUND, photos=None, done=""):
+    photos = photos or [None] * len(results)
+    page = write_match_report(folder, results, surroundings, photos, done, "skyline test")
     assert page == folder / "index.html"
     return page.read_text()
 
@@ -160,10 +162,9 @@ def test_a_report_says_where_and_shows_it(tmp_path):
         height_m=np.array([np.nan]),
     )
     photo = np.full((HEIGHT_PX, WIDTH_PX, 3), 120, np.uint8)
-    found = Matched(
-        "a/<script>.jpg", QUERY, [BEST, OTHER], 1.5, True, photo, ["Matched & refined."]
-    )
-    html = report(tmp_path, [found], replace(AROUND, peaks=peaks))
+    found = MatchResult(QUERY, (BEST, OTHER), 1.5, name="a/<script>.jpg")
+    around = replace(AROUND, peaks=peaks)
+    html = report(tmp_path, [found], around, [photo], "Matched & refined.")
     lon, lat = FIELD.frame.to_lonlat(1800.0, 1800.0)
     assert f"{float(lat):.5f}" in html
     assert f"{float(lon):.5f}" in html
@@ -185,7 +186,7 @@ def test_a_report_says_where_and_shows_it(tmp_path):
 
 def test_a_report_without_terrain_says_so(tmp_path):
     bare = Surroundings(FIELD.frame, AROUND.viewpoints)
-    html = report(tmp_path, [Matched("trace.csv", QUERY, [BEST], 0.1)], bare)
+    html = report(tmp_path, [MatchResult(QUERY, (BEST,), 0.1, name="trace.csv")], bare)
     assert "no elevation model" in html
     assert "no skyline was rendered" in html
 
@@ -205,14 +206,14 @@ def test_a_report_tells_abstention_from_failure(tmp_path):
     html = report(
         tmp_path,
         [
-            Matched("unsure.jpg", QUERY, [replace(OTHER, rank=1)], 0.1, is_answered=False),
-            Matched("nothing.jpg", QUERY, [], 0.1, is_answered=False),
-            Matched("off.jpg", QUERY, [off], 0.1),
+            MatchResult(QUERY, (replace(OTHER, rank=1),), 0.1, "not sure", name="unsure.jpg"),
+            MatchResult(QUERY, (), 0.1, "too little skyline", name="nothing.jpg"),
+            MatchResult(QUERY, (off,), 0.1, name="off.jpg"),
         ],
     )
     assert "1 of 3 queries answered" in html
-    assert "Not answered: the best candidate is not sure enough" in html
-    assert "No place fits." in html
+    assert "Not answered: not sure (latitude" in html
+    assert "Not answered: too little skyline." in html
 
 
 @pytest.mark.parametrize(
@@ -236,8 +237,8 @@ def test_a_report_tells_abstention_from_failure(tmp_path):
 def test_a_report_says_where_its_pose_comes_from(tmp_path, changes, is_answered, said):
     shown = replace(BEST, **changes)
     within_m = 200.0 if is_answered and shown.rank else None
-    matched = Matched("a.jpg", QUERY, [shown], 1.0, is_answered, within_m=within_m)
-    html = report(tmp_path, [matched])
+    refusal = None if is_answered else "not sure"
+    html = report(tmp_path, [MatchResult(QUERY, (shown,), 1.0, refusal, within_m, "a.jpg")])
     assert said in html
     assert ("right within" in html) == (within_m is not None)
     assert ("queries answered" in html) == (shown.rank is not None)
@@ -246,7 +247,7 @@ def test_a_report_says_where_its_pose_comes_from(tmp_path, changes, is_answered,
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium to look at the page with")
 def test_a_browser_shows_the_page(tmp_path):
-    report(tmp_path / "report", [Matched("photo.jpg", QUERY, [BEST, OTHER], 1.5)])
+    report(tmp_path / "report", [MatchResult(QUERY, (BEST, OTHER), 1.5, name="photo.jpg")])
     shot = tmp_path / "shot.png"
     subprocess.run(
         [

@@ -11,8 +11,8 @@ from shapely import MultiPolygon, Polygon
 
 from skyline.errors import InputError
 from skyline.geodesy import Frame
+from skyline.match.answer import MatchResult
 from skyline.photo.query import QuerySkyline
-from skyline.report import Matched
 from skyline.report.exports import VIEW_REACH_M, export_matches, write_geojson
 from skyline.report.shapes import Ellipse, lonlat_rings, view_wedge_m
 
@@ -77,7 +77,9 @@ def test_a_wedge_spans_the_field_of_view_about_the_heading():
 def test_geojson_holds_points_views_and_ellipses_in_degrees(tmp_path):
     path = tmp_path / "new" / "matches.geojson"
     found = {"<b>.jpg": [BEST, OTHER], "none.csv": []}
-    write_geojson(path, [Matched(name, None, some, 0.0) for name, some in found.items()], UTM)
+    write_geojson(
+        path, [MatchResult(None, some, 0.0, name=name) for name, some in found.items()], UTM
+    )
     collection = json.loads(path.read_text())
     assert collection["type"] == "FeatureCollection"
     about = [
@@ -133,7 +135,8 @@ def test_a_view_is_cut_at_the_antimeridian(east_m, fov_deg):
 def test_geojson_and_kml_cut_what_crosses_the_antimeridian(tmp_path):
     covariance_m2 = ((400.0, 100.0), (100.0, 900.0))
     held = candidate_at(-5.0, 0.0, 90.0, covariance_m2=covariance_m2, frame=FIJI)
-    matches = [Matched("q.jpg", QuerySkyline(np.full(9, 4.0), np.ones(9), 9, 6), [held], 0.0)]
+    query = QuerySkyline(np.full(9, 4.0), np.ones(9), 9, 6)
+    matches = [MatchResult(query, (held,), 0.0, name="q.jpg")]
     export_matches(tmp_path / "a.geojson", matches, FIJI)
     point, *shapes = json.loads((tmp_path / "a.geojson").read_text())["features"]
     assert point["geometry"]["coordinates"][0] == pytest.approx(179.99995, abs=1e-5)
@@ -150,7 +153,7 @@ def test_geojson_and_kml_cut_what_crosses_the_antimeridian(tmp_path):
 
 def test_geojson_has_no_word_for_infinity(tmp_path):
     lost, path = candidate_at(0.0, 0.0, score=np.inf), tmp_path / "matches.geojson"
-    write_geojson(path, [Matched("q", None, [lost], 0.0)], FRAME)
+    write_geojson(path, [MatchResult(None, (lost,), 0.0, name="q")], FRAME)
     assert json.loads(path.read_text())["features"][0]["properties"]["score"] is None
 
 

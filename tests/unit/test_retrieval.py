@@ -1,8 +1,5 @@
 """Retrieval: poses found back among places."""
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,9 +7,10 @@ from hypothesis import strategies as st
 from place_scenes import AZIMUTH_DEG, curve, photo, places_of, rays
 from query_scenes import equally_trusted, swept
 
-from skyline.errors import InputError
+from skyline.match import retrieval
+from skyline.match.prior import NOTHING_KNOWN
 from skyline.match.query_rays import QueryRays
-from skyline.match.retrieval import RetrievalConfig, Retriever, _middles
+from skyline.match.retrieval import Retriever, _middles
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +110,7 @@ def test_a_place_between_entries_is_found(heading_deg):
     y, distance_m = wall(0.0, 0.0)(AZIMUTH_DEG)
     # Its tolerance makes a move of 20 m one standard deviation.
     entry = places_of(y[np.newaxis], distance_m, tolerance_m=20.0 * np.sqrt(3.0))
-    # A view this wide holds walls at several distances, which tell a move from a turn.
+    # A view this wide holds walls at several distances, which separate a move from a turn.
     u, v = photo(lambda azimuth: wall(12.0, -9.0)(azimuth)[0], heading_deg, fov_deg=100.0)
     found = Retriever(entry).shortlist(equally_trusted(u, v, 100.0), 1)
     # The eye is 15 m from the place. What is left of that is the first order's error, and that
@@ -139,9 +137,9 @@ def test_missing_headings_do_not_stop_the_others():
     assert turned(found.heading_deg[0], 100.0) < 0.3
 
 
-def test_hypotheses_differ_in_place_or_in_heading(places):
-    config = RetrievalConfig(separation_m=250.0, turn_deg=20.0)
-    found = Retriever(places, config=config).shortlist(rays(20, 10.0), 10)
+def test_hypotheses_differ_in_place_or_in_heading(places, monkeypatch):
+    monkeypatch.setattr(retrieval, "_SEPARATION_M", 250.0)
+    found = Retriever(places).shortlist(rays(20, 10.0), 10)
     assert len(found) > 2
     apart = np.abs(found.easting_m[:, np.newaxis] - found.easting_m)
     turn = np.abs(turned_each(found.heading_deg))
@@ -173,39 +171,6 @@ def test_profiles_of_nothing_are_answered():
     assert np.isfinite(found.score).all()
 
 
-def test_senseless_requests_are_refused(places):
-    with pytest.raises(InputError, match="count is 0"):
-        Retriever(places).shortlist(rays(0, 0.0), 0)
-    with pytest.raises(InputError, match="above 0"):
-        RetrievalConfig(fitted=0)
-
-
-@pytest.mark.parametrize(
-    ("places", "screened"),
-    [(1, 16_384), (327_680, 16_384), (1_000_000, 50_000), (100_000_000, 262_144)],
-)
-def test_a_part_of_all_places_is_fitted(places, screened):
-    assert RetrievalConfig().screened(places) == screened
-
-
-@pytest.mark.parametrize(
-    ("given_deg", "sd_deg", "range_deg", "screened", "started"),
-    [
-        (60.0, math.inf, None, 1, 1),
-        (60.0, 1.5, (54.0, 66.0), 1, 4),
-        (55.0, 14.0, (25.0, 100.0), 9, 26),
-        (55.0, math.inf, (25.0, 100.0), 10, 26),
-    ],
-)
-def test_fields_of_view_are_as_many_as_the_lens_is_unknown(
-    places, given_deg, sd_deg, range_deg, screened, started
-):
-    query = replace(rays(0, 0.0), fov_deg=given_deg, fov_range_deg=range_deg, fov_sd_deg=sd_deg)
-    retriever = Retriever(places)
-    assert len(retriever._screen(query, None).mean) == screened
-    assert len(retriever._aim(query, None).mean) == started
-
-
 @given(st.floats(-2.0, 2.0), st.floats(0.0, 3.0), st.floats(0.01, 1.0))
 def test_middles_leave_no_gap(low, width, step):
     middles = _middles(low, low + width, step)
@@ -219,7 +184,7 @@ def test_queries_of_one_place_find_it_together_where_few_do_alone(places):
     retriever = Retriever(places)
     alone_m = [retriever.shortlist(query, 1).easting_m[0] for query in queries]
     assert np.count_nonzero(np.abs(np.array(alone_m) - 700.0) < 50.0) < 2
-    found = retriever.shortlist_together([(query, None) for query in queries], 5)
+    found = retriever.shortlist_together([(query, NOTHING_KNOWN) for query in queries], 5)
     assert found[0].easting_m[0] == pytest.approx(700.0, abs=50.0)
     for one in found[1:]:
         np.testing.assert_array_equal(one.easting_m, found[0].easting_m)
@@ -228,8 +193,8 @@ def test_queries_of_one_place_find_it_together_where_few_do_alone(places):
 
 @pytest.mark.parametrize("stranger", [3, 20, 39])
 def test_a_query_of_another_place_vetoes_nothing(places, stranger):
-    asked = [(rays(7, 30.0), None), (rays(7, 200.0), None), (rays(stranger, 90.0), None)]
-    found = Retriever(places).shortlist_together(asked, 2)
+    queries = [rays(7, 30.0), rays(7, 200.0), rays(stranger, 90.0)]
+    found = Retriever(places).shortlist_together([(one, NOTHING_KNOWN) for one in queries], 2)
     assert found[0].easting_m[0] == pytest.approx(700.0, abs=50.0)
     assert turned(found[0].heading_deg[0], 30.0) < 0.5
     assert turned(found[1].heading_deg[0], 200.0) < 0.5

@@ -11,7 +11,7 @@ from query_scenes import equally_trusted
 
 from skyline.geodesy import Frame
 from skyline.match import screening
-from skyline.match.narrowing import Narrowing
+from skyline.match.prior import NOTHING_KNOWN, Narrowing, Prior
 from skyline.match.screening import (
     Alike,
     Screen,
@@ -25,6 +25,7 @@ from skyline.match.screening import (
 from skyline.store.places import PHASE_BINS, PHASES, RISE_TO_TURN, Places
 
 FOVS_DEG = np.array([57.0, 60.0, 63.0])
+every = NOTHING_KNOWN.contains
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,7 @@ def test_a_score_is_the_plain_sum_of_the_kernel(seed, heading):
     assert (np.abs(fast - plain) <= bound).all()
 
 
-def test_phases_grow_with_a_roll_as_they_are_said_to():
+def test_the_derivative_of_phases_by_roll_agrees_with_a_difference():
     # About the horizon: a skyline high above it is moved aside as well.
     waves = []
     for roll_deg in (-0.5, 0.5):
@@ -104,10 +105,9 @@ def test_the_best_turn_looks_along_the_heading(places, heading):
 
 def test_the_best_score_is_that_of_the_best_turn(places):
     screen = Screen.of(wide(3, 100.0), FOVS_DEG, places)
-    every = (screen._every_turn(places.phase) - screen.mean[:, np.newaxis]) * screen.scale[
-        :, np.newaxis
-    ]
-    np.testing.assert_array_equal(screen.scores(places.phase), every.max(axis=(1, 2)))
+    every_turn = screen._every_turn(places.phase) - screen.mean[:, np.newaxis]
+    every_turn *= screen.scale[:, np.newaxis]
+    np.testing.assert_array_equal(screen.scores(places.phase), every_turn.max(axis=(1, 2)))
 
 
 @pytest.mark.parametrize("at_once", [1, 7, 63, 64])
@@ -118,11 +118,11 @@ def test_places_scored_in_parts_score_the_same(places, monkeypatch, at_once):
     np.testing.assert_allclose(screen.scores(places.phase), whole, rtol=1e-5)
 
 
-def test_an_unlikely_field_of_view_loses_what_it_is_unlikely(places):
-    query, unlikely = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
+def test_an_unlikely_field_of_view_loses_its_penalty(places):
+    query, penalty = wide(3, 100.0), np.array([2.0, 0.0, 1.5])
     alone = [Screen.of(query, FOVS_DEG[k : k + 1], places).scores(places.phase) for k in range(3)]
-    expected = (np.array(alone) - unlikely[:, np.newaxis]).max(axis=0)
-    scores = Screen.of(query, FOVS_DEG, places, unlikely=unlikely).scores(places.phase)
+    expected = (np.array(alone) - penalty[:, np.newaxis]).max(axis=0)
+    scores = Screen.of(query, FOVS_DEG, places, penalty=penalty).scores(places.phase)
     # float32 of scores that reach a hundred.
     np.testing.assert_allclose(scores, expected, atol=1e-4)
 
@@ -133,15 +133,17 @@ def test_blocks_change_nothing(places, size, count):
     screen = Screen.of(wide(11, 200.0), FOVS_DEG, places)
     score = screen.scores(places.phase)
     order = np.lexsort((np.arange(64), -score))[:count]
-    found = screen_places(screen.scores, Blocks(places, size), count)
+    found = screen_places(screen.scores, Blocks(places, size), count, every)
     np.testing.assert_array_equal(found.row, order)
     np.testing.assert_allclose(found.score, score[order], rtol=1e-5)
 
 
 def test_parts_joined_are_the_whole_to_the_bit(places):
     screen, source = Screen.of(wide(11, 200.0), FOVS_DEG, places), Blocks(places, 8)
-    whole = screen_places(screen.scores, source, 10)
-    parts = [screen_places(screen.scores, source, 10, part=slice(k, k + 3)) for k in range(0, 8, 3)]
+    whole = screen_places(screen.scores, source, 10, every)
+    parts = [
+        screen_places(screen.scores, source, 10, every, slice(k, k + 3)) for k in range(0, 8, 3)
+    ]
     joined = Alike.joined(parts).best(10)
     assert joined.row.tobytes() == whole.row.tobytes()
     assert joined.score.tobytes() == whole.score.tobytes()
@@ -161,23 +163,10 @@ def test_shut_turns_are_not_looked_at(places):
     screen = Screen.of(wide(11, 200.0), FOVS_DEG, places, turns)
     heading_deg, _ = screen.best_turns(places.phase)
     assert (np.abs((heading_deg - 20.0 + 180.0) % 360.0 - 180.0) <= 17.0).all()
-    every = (screen._every_turn(places.phase) - screen.mean[:, np.newaxis]) * screen.scale[
-        :, np.newaxis
-    ]
-    opened = every[:, :, turns].max(axis=(1, 2))
+    every_turn = screen._every_turn(places.phase) - screen.mean[:, np.newaxis]
+    every_turn *= screen.scale[:, np.newaxis]
+    opened = every_turn[:, :, turns].max(axis=(1, 2))
     np.testing.assert_array_equal(screen.scores(places.phase), opened)
-
-
-def test_all_turns_shut_is_no_score(places):
-    screen = Screen.of(wide(1, 0.0), FOVS_DEG, places, np.zeros(PHASE_BINS, dtype=bool))
-    assert np.isneginf(screen.scores(places.phase)).all()
-
-
-def test_no_places_have_no_scores(places):
-    screen = Screen.of(wide(1, 0.0), FOVS_DEG, places)
-    assert screen.scores(places.phase[:0]).shape == (0,)
-    heading_deg, fov = screen.best_turns(places.phase[:0])
-    assert heading_deg.shape == fov.shape == (0,)
 
 
 def test_turns_cover_the_circle():
@@ -196,11 +185,11 @@ FRAME = Frame.local(lon=10.0, lat=46.0)
 
 
 def narrowed(**known):
-    return Narrowing(**known).within(FRAME)
+    return Prior.of(Narrowing(**known), FRAME).contains
 
 
-def test_nothing_known_narrows_nothing():
-    assert narrowed() is None
+def test_nothing_known_narrows_nothing(places):
+    assert narrowed()(places).all()
 
 
 def test_a_circle_a_box_and_elevations_hold_places(places):

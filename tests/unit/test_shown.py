@@ -74,11 +74,12 @@ def test_a_result_says_its_answer_and_holds_no_array():
     answered = result()
     answer = answered.answer
     assert repr(answered) == (
-        f"MatchResult(latitude {answer.lat:.5f}, longitude {answer.lon:.5f}, heading "
-        f"{answer.heading_deg:.1f}, right within 200 m, confidence 0.93; candidates: 1)"
+        f"MatchResult(Taken at latitude {answer.lat:.5f}°, longitude {answer.lon:.5f}°, looking "
+        f"{answer.heading_deg:.1f}° from true north, confidence 93\N{NO-BREAK SPACE}%, right "
+        "within 200 m (not refined by rendering). Candidates: 1)"
     )
-    joint = JointResult((answered, result("too far", False)), (True, False), 2.0)
-    assert repr(joint).endswith("confidence 0.93; 1 of 2 photos agree)")
+    joint = JointResult((answered, result("too far", False)), 2.0)
+    assert repr(joint).endswith("(not refined by rendering). 1 of 2 photos agree)")
 
 
 def test_a_query_says_its_size_and_what_is_trusted():
@@ -89,9 +90,9 @@ def test_a_query_says_its_size_and_what_is_trusted():
     assert repr(replace(query, fov_deg=None)) == f"{said}unknown)"
 
 
-def test_a_refusal_is_said_and_markup_in_it_is_text():
+def test_a_refusal_is_shown_with_markup_as_text():
     refused = result("confidence <0.8>", candidates=False)
-    assert repr(refused) == "MatchResult(no answer: confidence <0.8>; candidates: 0)"
+    assert repr(refused) == "MatchResult(Not answered: confidence <0.8>. Candidates: 0)"
     assert "<0.8>" not in refused._repr_html_()
 
 

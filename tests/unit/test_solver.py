@@ -6,37 +6,37 @@ import numpy as np
 import pytest
 from query_scenes import BINS, hills, panorama_of, poses, rays_of, seen, swept
 
-from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.match.claim import EyeHeight
-from skyline.match.noise import Noise
-from skyline.match.profiles import Panoramas
+from skyline.match.prior import EyeHeightPrior
 from skyline.match.query_rays import QueryRays, level, level_with_changes, thinned
-from skyline.match.solver import Curves, Solver, SolverConfig
+from skyline.match.solver import FINE, Curves, Solver, SolverMode
 from skyline.photo.projection import distorted
 from skyline.terrain.edge import DataEdge
 
 TRUTH = {"heading_deg": 350.0, "pitch_deg": 2.0, "roll_deg": -1.5}
 SWEPT = 200.0, 4.0, 230.0
 """A panorama's heading, how far its middle row is above the horizon, and its width, degrees."""
-EYE = EyeHeight(2.0, 5.0)
+EYE = EyeHeightPrior(2.0, 5.0)
 HEIGHT_SD_M = 5.0
 
 
-def curves_of(panoramas):
+LONG = SolverMode(steps=8, choices=4, nodes=0)
+
+
+def curves_of(y, distance_m):
     """Return curves of eyes on level ground, at the usual height."""
-    count = len(panoramas)
+    count = len(y)
     place_m, ground_m = np.zeros(count, dtype=complex), np.zeros(count)
     eye_height_m = np.full(count, EYE.usual_m)
-    return Curves.of(panoramas, place_m, ground_m, np.zeros((count, 2)), eye_height_m)
+    return Curves.of(y, distance_m, place_m, ground_m, np.zeros((count, 2)), eye_height_m)
 
 
 def settled(hypotheses, panoramas, query, edge=None):
     """Solve heading, pitch, roll and field of view of hypotheses where they stand."""
-    config = SolverConfig(iterations=8, noise=Noise(nodes=0))
-    solver = Solver(thinned(query, panoramas.bins), config, EYE, HEIGHT_SD_M, edge=edge)
-    curves = curves_of(panoramas)
-    return solver.posed(hypotheses, solver.settle(curves, solver.start(hypotheses)))
+    solver = Solver(query, LONG, EYE, HEIGHT_SD_M, edge=edge)
+    curves = curves_of(*panoramas)
+    fit = solver.settle(curves, solver.start(hypotheses))
+    return solver.hypotheses(fit, curves.place_m, curves.ground_m)
 
 
 def _query(**change):
@@ -60,8 +60,8 @@ LENS = rays_of(*seen(hills, **TRUTH), 60.0)
 
 @pytest.mark.parametrize("query", [LENS, replace(LENS, distortion_sd=0.05), swept(hills, *SWEPT)])
 def test_derivatives_agree_with_differences(query):
-    solver = Solver(query, SolverConfig(), EYE, HEIGHT_SD_M)
-    curves = curves_of(panorama_of(hills))
+    solver = Solver(query, FINE, EYE, HEIGHT_SD_M)
+    curves = curves_of(*panorama_of(hills))
     state = np.array([[0.0, 0.0, 3.0, np.radians(351.0), 0.03, -0.02, 0.04, 0.05]])
     state = state[:, : solver.size]
     steps = np.diag([1.0, 1.0, 1.0, 2e-3, 1e-4, 1e-4, 1e-4, 1e-3])[: solver.size, : solver.size]
@@ -188,13 +188,12 @@ def test_a_field_of_view_is_drawn_to_the_one_given_as_far_as_that_is_sure(sd_deg
 
 
 def test_an_eye_s_height_is_drawn_to_the_usual_one_as_its_probability_falls():
-    eye = EyeHeight(2.0, 5.0)
     height_m = np.array([2.0, 3.0, 10.0, 80.0])
     step_m = 1e-4
-    fall = (eye.cost(height_m + step_m) - eye.cost(height_m - step_m)) / (2.0 * step_m)
-    np.testing.assert_allclose(eye.precision(height_m) * (height_m - 2.0), fall, atol=1e-6)
-    assert eye.cost(height_m)[0] == 0.0
-    assert (np.diff(eye.cost(height_m)) > 0.0).all()
+    fall = (EYE.cost(height_m + step_m) - EYE.cost(height_m - step_m)) / (2.0 * step_m)
+    np.testing.assert_allclose(EYE.precision(height_m) * (height_m - 2.0), fall, atol=1e-6)
+    assert EYE.cost(height_m)[0] == 0.0
+    assert (np.diff(EYE.cost(height_m)) > 0.0).all()
 
 
 def test_a_known_field_of_view_stays():
@@ -225,7 +224,7 @@ def test_trees_in_front_do_not_pull():
 
 def test_unknown_columns_are_left_out_but_not_free():
     whole, half = panorama_of(hills), panorama_of(hills)
-    half.y[:, : BINS // 24] = np.nan
+    half[0][:, : BINS // 24] = np.nan
     known = settled(poses(heading_deg=349.0), whole, _query())
     found = settled(poses(heading_deg=349.0), half, _query())
     assert found.heading_deg[0] == pytest.approx(350.0, abs=0.05)
@@ -233,7 +232,7 @@ def test_unknown_columns_are_left_out_but_not_free():
 
 
 def test_a_skyline_that_is_nowhere_known_has_no_fit():
-    nothing = Panoramas(np.full((1, BINS), np.nan), np.full((1, BINS), np.nan))
+    nothing = np.full((2, 1, BINS), np.nan)
     found = settled(poses(heading_deg=10.0), nothing, _query())
     assert found.score[0] == np.inf
     assert found.heading_deg[0] == pytest.approx(10.0)
@@ -277,16 +276,3 @@ def test_averages_of_rays_lie_on_the_skyline():
     assert len(few.u) <= 60.0 / 360.0 * BINS + 2
     assert (np.diff(few.u) > 0.0).all()
     np.testing.assert_allclose(few.v, np.interp(few.u, query.u, query.v), atol=2e-4)
-
-
-def test_panoramas_of_different_shapes_are_refused():
-    with pytest.raises(InputError, match="expected two"):
-        Panoramas(np.zeros((1, 16)), np.zeros((1, 8)))
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"iterations": 0}, {"min_columns": 0}, {"pitch_sd_deg": 0.0}, {"position_sd_m": -1.0}]
-)
-def test_impossible_solvers_are_refused(wrong):
-    with pytest.raises(InputError, match="expected"):
-        SolverConfig(**wrong)

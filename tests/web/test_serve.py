@@ -86,10 +86,10 @@ KNOWN = {
     "fov": 58.37, "near": NEAR, "heading": {"deg": 141.37, "slack": 25}, "eyeHeight": 2,
     "elevation": {"low": -50, "high": 900},
 }  # fmt: skip
-GIVEN = (
-    "--fov-deg", "58.37", "--near", "10.3301234,46.7491234,1.7", "--heading", "141.37,25",
-    "--eye-height", "2", "--elevation=-50,900",
-)  # fmt: skip
+LIST = (
+    "path,fov_deg,lon,lat,radius_km,heading_deg,heading_slack_deg,eye_height_m,lowest_m,highest_m\n"
+    "photo.png,58.37,10.3301234,46.7491234,1.7,141.37,25,2,-50,900\n"
+)
 FILM = {Base.FocalLengthIn35mmFilm: 32}
 FRAME = {Base.ExifImageWidth: 960, Base.ExifImageHeight: 640}
 PLANE = {Base.FocalLength: 4.0, Base.FocalPlaneXResolution: 6500.0}
@@ -119,15 +119,16 @@ def masked(photo, path):
 
 @dataclass(frozen=True)
 class Question:
-    """One question in the words of the page, of the command and of Python."""
+    """One question as the page, the command, perhaps with a list, and Python put it."""
 
     page: dict
     command: tuple = ()
+    photos: str = ""
     fov_deg: float | None = None
     narrowing: Narrowing | None = None
 
 
-ALL_KNOWN = Question(KNOWN, GIVEN, 58.37, NARROWED)
+ALL_KNOWN = Question(KNOWN, (), LIST, 58.37, NARROWED)
 NUMBERS = {
     "lon": "lon", "lat": "lat", "heading": "heading_deg", "pitch": "pitch_deg", "fov": "fov_deg",
     "roll": "roll_deg", "elevation": "eye_elevation_m", "confidence": "confidence",
@@ -142,7 +143,7 @@ NUMBERS = {
         (lambda *to: noting(*to, FILM | FRAME | PLANE), Question({})),
         (lambda *to: noting(*to, FILM | FRAME, (800, 640)), Question({})),
         (lambda *to: noting(*to, FILM), ALL_KNOWN),
-        (masked, Question({"fov": 60.25}, ("--fov-deg", "60.25"), 60.25)),
+        (masked, Question({"fov": 60.25}, ("--fov-deg", "60.25"), fov_deg=60.25)),
     ],
     ids=["nothing", "lens", "two-lenses", "cropped", "all", "mask"],
 )
@@ -150,7 +151,11 @@ def test_one_question_has_one_answer_wherever_it_is_asked(
     run, served, store, photo, tmp_path, made, question
 ):
     path = made(photo, tmp_path / "photo.png")
-    command = json.loads(run("match", store, path, *question.command, "--json").out)
+    photos = path
+    if question.photos:
+        photos = tmp_path / "photos.csv"
+        photos.write_text(question.photos)
+    command = json.loads(run("match", store, photos, *question.command, "--json").out)
     with Matcher(store) as matcher:
         python = matcher.match(path, question.fov_deg, narrowing=question.narrowing)
     session = served.begin()

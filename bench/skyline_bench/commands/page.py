@@ -29,7 +29,7 @@ from skyline.arrays import Progress
 from skyline.cli.console import progress_bar
 from skyline.errors import BuildError, InputError
 from skyline.render.depth import DepthRenderer
-from skyline.report.reports import matched, report_matches
+from skyline.report.match_report import report_matches
 from skyline_bench.commands import options
 from skyline_bench.measuring.geotiff import write_sample_dem
 from skyline_bench.measuring.record import Row
@@ -342,7 +342,7 @@ def _save_match(path: Path, width: int) -> dict[str, object]:
             )
         with Matcher(store, terrain) as matcher:
             result = matcher.match(photo, fov_deg=_PICTURE_CAMERA.fov_deg)
-            report_matches(report, matcher, [matched(photo, result)], terrain)
+            report_matches(report, matcher, [result])
         pictures = [Image.open(path) for path in (report / "01-overlay.jpg", report / "01-map.png")]
         _side_by_side(pictures).save(path, quality=85, optimize=True)
     best = result.candidates[0]

@@ -29,7 +29,6 @@ from skyline.arrays import Float64Array
 from skyline.build.grid import map_bounds
 from skyline.cli.console import progress_bar
 from skyline.geodesy import Bounds
-from skyline.match.records import describe_claim
 from skyline.photo.read import read_picture
 from skyline.report.html import Page, Part, Picture, Section, Table
 from skyline.report.overlay import Overlay
@@ -253,7 +252,7 @@ def _located(one: Photograph, matcher: Matcher, viewer: Viewer, use_gps: bool) -
     best = next(iter(result.candidates), None)
     errors = [_off_m(one, place, matcher) for place in result.candidates]
     right = [rank for rank, off in enumerate(errors, start=1) if off <= RIGHT_M]
-    claim = describe_claim(query.noted, best)
+    exif = result.exif
     measured.figures |= {
         "seconds": measured.figures["seconds"] + result.seconds,
         "answered": result.answer is not None,
@@ -265,7 +264,7 @@ def _located(one: Photograph, matcher: Matcher, viewer: Viewer, use_gps: bool) -
         "fov_found_deg": None if best is None else best.fov_deg,
         "confidence": None if best is None else best.confidence,
         "confidence_1km": None if best is None else best.confidence_1km,
-        "gps_off_m": None if claim is None else claim["distance_m"],
+        "gps_off_m": None if exif is None else exif["distance_m"],
         "refusal": result.refusal,
         "lost": None,
     }

@@ -88,7 +88,7 @@ def good_files(folder: Path) -> dict[str, tuple[bytes, Callable[[Path], list[obj
         ),
         "trace.csv": (
             trace.encode(),
-            lambda path: ["match", store, path, "--fov-deg", 60, "--no-refine"],
+            lambda path: ["match", store, path, "--fov-deg", 60, "--matcher", "unrefined"],
         ),
         "jpg": (jpeg, lambda path: ["extract", path, "-o", folder / "jpg-out.csv"]),
         "png": (png, lambda path: ["extract", path, "-o", folder / "png-out.csv"]),

@@ -23,9 +23,8 @@ from skyline.arrays import Float64Array, Progress
 from skyline.errors import InputError
 from skyline.geodesy import Rectangle
 from skyline.match.full import FullMatcher
-from skyline.match.hypotheses import Hypotheses
-from skyline.match.match_config import MatchConfig
-from skyline.match.matchers import FULL, matcher_class
+from skyline.match.matchers import FULL, MatchConfig, matcher_class
+from skyline.match.ranking import Hypotheses
 from skyline.render.shaders import SHADER_FOLDERS
 from skyline.store import open_store
 from skyline.store.format import RENDERINGS

@@ -8,20 +8,17 @@ import pytest
 from query_scenes import photographed, poses, rays_of
 from scenes import at_m, field_of, fractal
 
-from skyline.errors import InputError
-from skyline.match.hypotheses import Hypotheses
-from skyline.match.match_config import RefineConfig
-from skyline.match.pose import Refinement, refine
-from skyline.match.profiles import Panoramas
+from skyline.match.profiles import joined_views
+from skyline.match.ranking import Hypotheses
+from skyline.match.refine import WHOLE, JointRefinement, Refinement, spread
 from skyline.match.solver import Curves
-from skyline.match.together import JointRefinement
 from skyline.render.horizon import HorizonRenderer
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints, stand_on
 
 TRUTH = {"heading_deg": 160.0, "pitch_deg": 1.5, "roll_deg": -1.0}
 PLACE = np.array([4000.0, -6000.0])
-SHORT = RefineConfig(shortlist=12, rounds=5, restarts=1, finalists=4, final_rounds=3)
+SHORT = replace(WHOLE, shortlist=12, rounds=5, restarts=1, finalists=4, final_rounds=3)
 
 
 @dataclass(frozen=True)
@@ -87,7 +84,7 @@ def _off_m(found: Hypotheses):
 
 def test_the_pose_is_recovered_where_nothing_is_noisy(scene, rays):
     query = rays_of(*rays, 60.0, 61.5, (57.0, 63.0))
-    found = refine(_around(), query, scene, SHORT)
+    found = Refinement(query, scene, SHORT).run(_around())
     best = found.hypotheses
     assert _off_m(best)[0] < 3.0
     assert best.heading_deg[0] == pytest.approx(160.0, abs=0.05)
@@ -97,7 +94,7 @@ def test_the_pose_is_recovered_where_nothing_is_noisy(scene, rays):
     ground_m = scene.ground_m(best.easting_m, best.northing_m)
     assert best.eye_elevation_m[0] - ground_m[0] == pytest.approx(2.0, abs=1.0)
     assert (np.diff(best.score) >= 0.0).all()
-    assert found.inlier_share[0] > 0.97
+    assert found.terrain_share[0] > 0.97
     assert found.residual_deg[0] < 0.05
 
 
@@ -111,8 +108,9 @@ def test_the_eye_s_height_above_the_ground_is_found_or_held(scene, above_m, know
     seen = photographed(
         np.radians(views.azimuth_deg()).ravel(), tangent.ravel(), fov_deg=60.0, **TRUTH
     )
-    config = replace(SHORT, eye_height_m=2.0, eye_height_known=known)
-    best = refine(_around(), rays_of(*seen, 60.0), scene, config).hypotheses
+    known_m = 2.0 if known else None
+    refinement = Refinement(rays_of(*seen, 60.0), scene, SHORT, known_m)
+    best = refinement.run(_around()).hypotheses
     height_m = best.eye_elevation_m - scene.ground_m(best.easting_m, best.northing_m)
     assert _off_m(best)[0] < 5.0
     assert height_m[0] == pytest.approx(above_m, abs=1e-9 if known else 2.5)
@@ -125,10 +123,10 @@ def test_a_photo_s_noise_and_trees_leave_it_near(scene, rays):
     hidden = (np.abs(u - 0.3) < 0.12) | (np.abs(u + 0.35) < 0.08)
     assert 0.3 < hidden.mean() < 0.4
     v = np.where(hidden, v + np.radians(3.0), v)
-    found = refine(_around(), rays_of(u, v, 60.0), scene, SHORT)
+    found = Refinement(rays_of(u, v, 60.0), scene, SHORT).run(_around())
     off = PLACE - [found.hypotheses.easting_m[0], found.hypotheses.northing_m[0]]
     assert np.hypot(*off) < 20.0
-    assert found.inlier_share[0] == pytest.approx(1.0 - hidden.mean(), abs=0.05)
+    assert found.terrain_share[0] == pytest.approx(1.0 - hidden.mean(), abs=0.05)
     assert off @ np.linalg.solve(found.covariance_m2[0], off) < 16.0
     assert 20.0 < found.effective_columns[0] < len(v)
     assert np.linalg.eigvalsh(found.covariance_m2).min() > 0.0
@@ -141,7 +139,7 @@ def test_neither_order_nor_far_places_matter(scene, rays):
     )
     some = Hypotheses.concatenate([_around(), far])
     order = np.random.default_rng(0).permutation(len(some))
-    one, other = (refine(h, query, scene, SHORT) for h in (some, some[order]))
+    one, other = (Refinement(query, scene, SHORT).run(h) for h in (some, some[order]))
     np.testing.assert_allclose(
         one.hypotheses.easting_m[0], other.hypotheses.easting_m[0], atol=1e-3
     )
@@ -152,14 +150,12 @@ def test_neither_order_nor_far_places_matter(scene, rays):
 def test_the_shortlist_is_the_best_by_score(scene, rays):
     some = _around(2, off_m=20.0)
     far = replace(some, easting_m=some.easting_m - 3000.0, score=some.score - 10.0)
-    config = replace(SHORT, shortlist=2)
-    found = refine(
-        Hypotheses.concatenate([some, far]), rays_of(*rays, 60.0), scene, config
-    ).hypotheses
+    refinement = Refinement(rays_of(*rays, 60.0), scene, replace(SHORT, shortlist=2))
+    found = refinement.run(Hypotheses.concatenate([some, far])).hypotheses
     assert (_off_m(found) > 1000.0).all()
 
 
-def test_the_derivatives_foretell_the_next_rendering(scene):
+def test_the_derivatives_predict_the_next_rendering(scene):
     step_m = np.array([1.5, -1.0])
     place = np.stack([PLACE, PLACE + step_m])
     ground = scene.ground_m(place[:, 0], place[:, 1])
@@ -167,26 +163,26 @@ def test_the_derivatives_foretell_the_next_rendering(scene):
     views = scene.renderer.render(
         Viewpoints(easting_m=place[:, 0], northing_m=place[:, 1], eye_elevation_m=ground + 2.0)
     )
-    seen = Panoramas.from_views(views, np.repeat([0, 1], 4), 2, 1440)
+    y, distance_m = joined_views(views, np.repeat([0, 1], 4), 2, 1440)
     channels = Curves.of(
-        seen[:1], np.zeros(1, complex), ground[:1], slope[np.newaxis], np.full(1, 2.0)
+        y[:1], distance_m[:1], np.zeros(1, complex), ground[:1], slope[np.newaxis], np.full(1, 2.0)
     ).channels[0]
     forecast = channels[:, 2:4] @ step_m
-    change = seen.y[1] - seen.y[0]
+    change = y[1] - y[0]
     known = np.isfinite(forecast) & np.isfinite(change)
     assert known.mean() > 0.5
-    # What surfaces or is hidden on the way is not in a derivative, so the middle is compared.
+    # Occlusion is not in a derivative, so medians are compared.
     off = np.abs(forecast - change)[known]
     assert np.median(off) < 0.1 * np.median(np.abs(change[known]))
     assert np.percentile(off, 80) < 0.4 * np.median(np.abs(change[known]))
 
 
-def test_who_starts_off_the_map_or_on_a_hole_has_no_pose(scene, rays):
+def test_a_start_off_the_map_or_on_a_hole_has_no_pose(scene, rays):
     outside = poses(2, easting_m=[-500.0, np.nan], northing_m=-6000.0, heading_deg=160.0)
     query = rays_of(*rays, 60.0)
-    assert len(refine(outside, query, scene, SHORT)) == 0
+    assert len(Refinement(query, scene, SHORT).run(outside)) == 0
     both = Hypotheses.concatenate([outside, _around(2, 20.0)])
-    assert _off_m(refine(both, query, scene, SHORT).hypotheses)[0] < 5.0
+    assert _off_m(Refinement(query, scene, SHORT).run(both).hypotheses)[0] < 5.0
 
 
 def test_a_place_with_nothing_round_it_is_refined_where_it_is(scene, rays):
@@ -196,22 +192,22 @@ def test_a_place_with_nothing_round_it_is_refined_where_it_is(scene, rays):
 
     island = _Island(scene.field, scene.renderer, known_m=ground_m)
     query = rays_of(*rays, 60.0, 61.5, (57.0, 63.0))
-    found = refine(_around(2, 10.0), query, island, SHORT)
+    found = Refinement(query, island, SHORT).run(_around(2, 10.0))
     assert _off_m(found.hypotheses)[0] < 3.0
-    nobody = poses(2, easting_m=-500.0, northing_m=-6000.0, heading_deg=160.0)
-    assert len(refine(nobody, query, island, replace(SHORT, rounds=1))) == 0
+    outside = poses(2, easting_m=-500.0, northing_m=-6000.0, heading_deg=160.0)
+    assert len(Refinement(query, island, replace(SHORT, rounds=1)).run(outside)) == 0
 
 
 def test_no_hypotheses_have_no_poses(scene, rays):
-    found = refine(poses(0), rays_of(*rays, 60.0), scene, SHORT)
+    found = Refinement(rays_of(*rays, 60.0), scene, SHORT).run(poses(0))
     assert len(found) == 0
     assert found.covariance_m2.shape == (0, 2, 2)
 
 
-def test_nobody_leaves_the_map(scene, rays):
+def test_no_pose_leaves_the_map(scene, rays):
     west, south, _, north = scene.field.bounds_m
     edge = poses(8, easting_m=west + 3.0, northing_m=np.linspace(south, north, 8), heading_deg=80.0)
-    found = refine(edge, rays_of(*rays, 60.0), scene, SHORT).hypotheses
+    found = Refinement(rays_of(*rays, 60.0), scene, SHORT).run(edge).hypotheses
     assert np.isfinite(scene.ground_m(found.easting_m, found.northing_m)).all()
     assert np.isfinite(found.eye_elevation_m).all()
 
@@ -221,20 +217,11 @@ def test_a_featureless_skyline_tells_no_place(scene):
     u = np.linspace(-0.5, 0.5, 300)
     with HorizonRenderer(flat, 320) as renderer:
         some = poses(3, easting_m=1500.0 + np.arange(3) * 60.0, northing_m=-1500.0)
-        found = refine(some, rays_of(u, 0.0 * u, 60.0), _Scene(flat, renderer), SHORT)
-    # As flat from everywhere: what there is to say is that nothing is known.
+        found = Refinement(rays_of(u, 0.0 * u, 60.0), _Scene(flat, renderer), SHORT).run(some)
+    # The skyline is the same from everywhere.
     deviation_m = np.sqrt(np.linalg.eigvalsh(found.covariance_m2).max(axis=1))
     assert len(deviation_m) > 0
     assert (deviation_m > 100.0).all()
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [{"shortlist": 0}, {"rounds": 0}, {"keep_share": 0.0}, {"first_step_m": 0.0}, {"restarts": -1}],
-)
-def test_impossible_configurations_are_refused(wrong):
-    with pytest.raises(InputError, match="expected"):
-        RefineConfig(**wrong)
 
 
 def _seen_from(scene, place_m, heading_deg):
@@ -248,21 +235,24 @@ def _seen_from(scene, place_m, heading_deg):
 
 
 def test_queries_of_one_eye_move_together_and_a_stranger_is_named(scene):
-    elsewhere = PLACE + np.array([900.0, 700.0])
-    asked = [(PLACE, 160.0), (PLACE, 290.0), (elsewhere, 40.0)]
-    queries = [_seen_from(scene, *one) for one in asked]
+    other = PLACE + np.array([900.0, 700.0])
+    views = [(PLACE, 160.0), (PLACE, 290.0), (other, 40.0)]
+    queries = [_seen_from(scene, *one) for one in views]
     found = [
         replace(_around(), heading_deg=heading_deg + 2.0 * (-1.0) ** np.arange(6))
-        for _, heading_deg in asked
+        for _, heading_deg in views
     ]
-    own = poses(easting_m=elsewhere[0], northing_m=elsewhere[1], heading_deg=40.0, score=-1e6)
-    alone = [refine(some, query, scene, SHORT) for some, query in zip(found, queries, strict=True)]
-    alone[2] = refine(own, queries[2], scene, SHORT)
-    together = JointRefinement([Refinement(one, scene, SHORT, None) for one in queries], SHORT)
+    own = poses(easting_m=other[0], northing_m=other[1], heading_deg=40.0, score=-1e6)
+    alone = [
+        Refinement(query, scene, SHORT).run(some)
+        for some, query in zip(found, queries, strict=True)
+    ]
+    alone[2] = Refinement(queries[2], scene, SHORT).run(own)
+    together = JointRefinement([Refinement(one, scene, SHORT) for one in queries], SHORT)
     joint, agrees = together.run(found, [one.hypotheses[:1] for one in alone])
     assert agrees[:, 0].tolist() == [True, True, False]
     assert (np.diff(joint[0].hypotheses.score) >= 0.0).all()
-    for one, (_, heading_deg) in zip(joint[:2], asked, strict=False):
+    for one, (_, heading_deg) in zip(joint[:2], views, strict=False):
         assert _off_m(one.hypotheses)[0] < 2.0
         assert one.hypotheses.heading_deg[0] == pytest.approx(heading_deg, abs=0.05)
         assert np.linalg.eigvalsh(one.covariance_m2[0]).min() > 0.0
@@ -272,11 +262,10 @@ def test_queries_of_one_eye_move_together_and_a_stranger_is_named(scene):
     assert 0.0 < joint[0].margin[0] < np.inf
 
 
-def test_near_poses_that_fit_as_well_widen_each_other(scene, rays):
-    refinement = Refinement(rays_of(*rays, 60.0), scene, SHORT, None)
+def test_near_poses_that_fit_as_well_widen_each_other():
     # 40 m apart as good, and 1 km off as well: that is another answer.
     some = poses(3, easting_m=PLACE[0] + np.array([0.0, 40.0, 1000.0]), score=0.0)
-    spread_m2 = refinement.spread(some, np.tile(4.0 * np.eye(2), (3, 1, 1)))
+    spread_m2 = spread(some, np.tile(4.0 * np.eye(2), (3, 1, 1)))
     near, alone = np.diag([4.0 + 0.5 * 40.0**2, 4.0]), 4.0 * np.eye(2)
     np.testing.assert_allclose(spread_m2, [near, near, alone], atol=1e-9)
 
@@ -284,8 +273,8 @@ def test_near_poses_that_fit_as_well_widen_each_other(scene, rays):
 def test_the_same_photo_twice_is_no_surer_than_once(scene, rays):
     query = rays_of(*rays, 60.0, 61.5, (57.0, 63.0))
     found = _around()
-    alone = refine(found, query, scene, SHORT)
-    each = Refinement(query, scene, SHORT, None)
+    alone = Refinement(query, scene, SHORT).run(found)
+    each = Refinement(query, scene, SHORT)
     joint, _ = JointRefinement([each, each], SHORT).run([found] * 2, [alone.hypotheses[:1]] * 2)
     once, twice = (np.trace(one.covariance_m2[0]) for one in (alone, joint[0]))
     assert twice > 0.8 * once

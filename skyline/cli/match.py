@@ -1,0 +1,326 @@
+"""``skyline match``: photos in, places out."""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import typer
+from typer import Argument, Option
+
+from skyline import report as reports
+from skyline.build.cluster import runner_of
+from skyline.cli.console import (
+    AsJson,
+    StoreDem,
+    StoreFile,
+    Surfaces,
+    Workers,
+    note_if_slow,
+    on_interrupt,
+    panel,
+    parse_numbers,
+    print_error,
+    print_line,
+    print_note,
+    progress_lines,
+)
+from skyline.cli.photo import FieldOfView, PhotoProjection, check_outputs
+from skyline.errors import InputError, SkylineError, named, printable
+from skyline.match.answer import JointResult, MatchResult
+from skyline.match.batch import match_many
+from skyline.match.matcher import Matcher
+from skyline.match.matchers import FULL, MATCHERS, MatchConfig
+from skyline.match.prior import Narrowing
+from skyline.match.queries import Query, listed
+from skyline.match.results_file import RESULTS, ResultsFile
+from skyline.photo.query import QuerySkyline
+from skyline.report.exports import EXPORTS, check_export, export_matches
+from skyline.report.peaks import read_peaks
+from skyline.terrain.tiles import absolute_name
+
+_UNREFINED = "unrefined"
+"""The full matcher without its last step."""
+_CHOICES = (FULL, _UNREFINED, *(name for name in MATCHERS if name != FULL))
+
+# Groups of options in the help, after those that most people need.
+_known, _search, _files = panel("The photos"), panel("The search"), panel("More files to write")
+
+T = TypeVar("T")
+
+
+def match(
+    store: StoreFile,
+    query: Annotated[
+        list[Path],
+        Argument(
+            metavar="QUERY...",
+            help="Photos, folders of them, sky masks (white = sky), CSV traces or lists.",
+        ),
+    ],
+    fov_deg: FieldOfView = None,
+    near: Annotated[
+        str | None,
+        Option(
+            metavar="LON,LAT,KM|W,S,E,N",
+            help="Search only within so many km of a point, or in a box, in degrees.",
+        ),
+    ] = None,
+    dem: StoreDem = None,
+    report: Annotated[
+        Path | None, Option(metavar="DIR", help="Write a page with pictures and maps.")
+    ] = None,
+    as_json: AsJson = False,
+    heading: Annotated[
+        str | None,
+        _known(metavar="DEG,SLACK", help="Camera heading from true north, within SLACK degrees."),
+    ] = None,
+    projection: PhotoProjection = None,
+    same_place: Annotated[
+        bool,
+        _known("--same-place", help="All photos were taken at one place: find it from all."),
+    ] = False,
+    use_gps: Annotated[
+        bool,
+        _known("--use-gps", help="Prefer places near each photo's own GPS position."),
+    ] = False,
+    matcher: Annotated[
+        str,
+        _search(
+            metavar="NAME",
+            help=f"One of {', '.join(_CHOICES)}; {_UNREFINED} is faster and less exact.",
+        ),
+    ] = FULL,
+    surface: Surfaces = None,
+    export: Annotated[
+        list[Path] | None,
+        _files(
+            metavar="FILE",
+            help=f"Write the candidates, by the suffix: {', '.join(EXPORTS)}; may be repeated.",
+        ),
+    ] = None,
+    peaks: Annotated[
+        Path | None,
+        _files(
+            metavar="FILE",
+            help="Peaks to name in the report: GeoJSON, or CSV with name,lon,lat[,height_m].",
+        ),
+    ] = None,
+    results: Annotated[
+        Path | None,
+        _files(
+            metavar="FILE",
+            help=f"Write a row for each photo when it is done ({', '.join(RESULTS)}). Photos that "
+            "are in the file are not matched again.",
+        ),
+    ] = None,
+    workers: Workers = None,
+) -> None:
+    """Find where photos were taken and in which direction the camera looked."""
+    exports = export or []
+    named("matcher", matcher, dict.fromkeys(_CHOICES))
+    for is_wrong, error in (
+        (peaks and not report, f"--peaks {peaks} names peaks in a report; give --report DIR too"),
+        (
+            use_gps and matcher == _UNREFINED,
+            f"--use-gps acts in refinement; leave --matcher {_UNREFINED} out",
+        ),
+        (
+            same_place and matcher != FULL,
+            "--same-place compares renderings of the terrain; leave --matcher out",
+        ),
+        (
+            same_place and results,
+            "--same-place has one answer, not a row a photo; leave --results out",
+        ),
+        (same_place and workers, "--same-place matches in this process; leave --workers out"),
+    ):
+        if is_wrong:
+            raise InputError(error)
+    config = MatchConfig(refine=matcher != _UNREFINED)
+    common = Query("", fov_deg, None, projection, _narrowing(near, heading, use_gps))
+    queries = list(listed(query, common))
+    check_outputs([*exports, results], [store, *query, *(Path(one.path) for one in queries)])
+    for path in exports:
+        check_export(path)
+    surfaces = tuple(absolute_name(one) for one in surface or ())
+    file = None
+    if results is not None:
+        file = ResultsFile(results, _search_of(store, matcher, common, surfaces))
+        queries = _left(queries, file)
+    output = _Output(as_json, file, goes_on=bool(exports or report or results))
+    # Before the store is opened, which may take a minute.
+    checked, refused = _attempted(queries, Query.check)
+    usable = [one for one, _ in checked]
+    skylines, unread = _attempted(usable if same_place else (), Query.read)
+    if same_place and len(skylines) < 2:
+        raise InputError(
+            f"--same-place needs two photos or more that can be read, and has {len(skylines)}; "
+            "name more, or leave --same-place out"
+        )
+    if not usable:
+        _match_each(output, queries, refused, iter(()))
+        raise typer.Exit(output.exit_code)
+    # Workers may have another working directory.
+    tiles = tuple(absolute_name(one) for one in dem or ())
+    name = FULL if matcher == _UNREFINED else matcher
+    asked = (str(store), tiles or None, name, config, None, surfaces or None)
+    opened = time.perf_counter()
+    with note_if_slow(f"opening {store} and its elevation model"):
+        matching = Matcher(*asked)
+    output.loading_s = time.perf_counter() - opened
+    gazetteer = None if peaks is None else read_peaks(peaks, matching.frame)
+    done = f"{matching.rows} {matching.holds} of the store were searched."
+    if same_place:
+        done += f" {len(skylines)} photos of one place were matched together."
+        found = _match_together(output, matching, skylines)
+        output.exit_code = InputError.exit_code if refused or unread else 0
+    else:
+        with runner_of(workers) as runner:
+            each = _matched_here(matching, usable)
+            if runner is not None:
+                each = match_many(runner, asked, usable)
+            found = _match_each(output, queries, refused, each)
+    for path in exports if found else ():
+        export_matches(path, found, matching.frame)
+    if report is not None and found:
+        reports.report_matches(report, matching, found, gazetteer, done=done)
+    if output.exit_code:
+        raise typer.Exit(output.exit_code)
+
+
+def _left(queries: Sequence[Query], file: ResultsFile) -> list[Query]:
+    """Return the queries that a file of results lacks; print how many it has."""
+    on_interrupt(
+        f"{file.path} has the answers so far, and the same command continues with the others"
+    )
+    left = [one for one in queries if printable(one.path) not in file.queries]
+    if len(left) < len(queries):
+        done = len(queries) - len(left)
+        print_note(f"{file.path}: {done} of {len(queries)} are there already")
+    return left
+
+
+class _Output:
+    """Prints results, and adds them to the file of results if there is one.
+
+    ``goes_on``: other files are written too, so matching goes on when standard output has no
+    reader any more. ``exit_code`` is that of the last error.
+    """
+
+    def __init__(self, as_json: bool, file: ResultsFile | None, goes_on: bool) -> None:
+        self._as_json, self._file, self._goes_on = as_json, file, goes_on
+        self.loading_s, self.exit_code = 0.0, 0
+
+    def result(self, result: MatchResult | JointResult) -> None:
+        if self._file is not None and isinstance(result, MatchResult):
+            self._file.add(result.to_row())
+        self._print(result.to_dict() | {"loading_seconds": self.loading_s}, result.to_text())
+
+    def error(self, query: str, error: SkylineError, is_tried: bool) -> None:
+        """Print and write that a query failed; one that was not tried is tried again next time."""
+        self.exit_code = error.exit_code
+        name = printable(query)
+        if is_tried:
+            print_error(str(error))
+            if self._file is not None:
+                self._file.add({"query": name, "answered": 0, "said": str(error)})
+        self._print({"query": name, "error": str(error)}, "")
+
+    def _print(self, record: dict[str, Any], text: str) -> None:
+        try:
+            for line in [json.dumps(record)] if self._as_json else text.splitlines():
+                print_line(line)
+        except BrokenPipeError:
+            if not self._goes_on:
+                raise typer.Exit(self.exit_code) from None
+
+
+def _attempted(
+    queries: Sequence[Query], attempt: Callable[[Query], T]
+) -> tuple[list[tuple[Query, T]], dict[Query, SkylineError]]:
+    """Return the queries for which an attempt succeeds, with its results, and others' errors.
+
+    The errors are printed at once.
+    """
+    usable: list[tuple[Query, T]] = []
+    refused: dict[Query, SkylineError] = {}
+    for one in queries:
+        try:
+            usable.append((one, attempt(one)))
+        except SkylineError as error:
+            refused[one] = error
+            print_error(str(error))
+    return usable, refused
+
+
+def _matched_here(
+    matching: Matcher, queries: Sequence[Query]
+) -> Iterator[MatchResult | SkylineError]:
+    """Match queries in this process; yields each result or error."""
+    for one in queries:
+        try:
+            yield one.match(matching)
+        except SkylineError as error:
+            yield error
+
+
+def _match_each(
+    output: _Output,
+    queries: Sequence[Query],
+    refused: dict[Query, SkylineError],
+    results: Iterator[MatchResult | SkylineError],
+) -> list[MatchResult]:
+    """Print the results of all queries in order, as they come; return those without an error."""
+    found: list[MatchResult] = []
+    report_progress = progress_lines("matching")
+    for done, one in enumerate(queries):
+        report_progress(done, len(queries))
+        with nullcontext() if found else note_if_slow(f"matching {one.path}"):
+            result = refused.get(one) or next(results)
+        if isinstance(result, SkylineError):
+            output.error(one.path, result, is_tried=one not in refused)
+        else:
+            found.append(result)
+            output.result(result)
+    report_progress(len(queries), len(queries))
+    return found
+
+
+def _match_together(
+    output: _Output, matching: Matcher, photos: Sequence[tuple[Query, QuerySkyline]]
+) -> list[MatchResult]:
+    """Match photos of one place and print the result; return it photo by photo."""
+    with note_if_slow(f"matching {len(photos)} photos together"):
+        narrowings = [query.narrowing for query, _ in photos]
+        joint = matching.match_together([one for _, one in photos], narrowings=narrowings)
+    results = [
+        replace(result, name=query.path)
+        for (query, _), result in zip(photos, joint.results, strict=True)
+    ]
+    output.result(replace(joint, results=tuple(results)))
+    return results
+
+
+def _search_of(store: Path, matcher: str, common: Query, surfaces: Iterable[str]) -> str:
+    """Return a digest of the store and the options, which differs between searches."""
+    written = store.stat().st_mtime_ns if store.exists() else 0
+    settings = repr((store.name, written, matcher, MatchConfig(), common, *surfaces))
+    return hashlib.sha256(settings.encode()).hexdigest()[:12]
+
+
+def _narrowing(near: str | None, heading: str | None, use_gps: bool) -> Narrowing:
+    circle = box = sector = None
+    if near is not None:
+        is_box = near.count(",") == 3
+        count, form = (4, "W,S,E,N") if is_box else (3, "LON,LAT,KM, or 4 numbers W,S,E,N")
+        numbers = parse_numbers(near, count, f"--near is `{near}`; expected {count} numbers {form}")
+        circle, box = (None, numbers) if is_box else (numbers, None)
+    if heading is not None:
+        error = f"--heading is `{heading}`; expected 2 numbers DEG,SLACK"
+        sector = parse_numbers(heading, 2, error)
+    return Narrowing(circle, box, sector, use_gps=use_gps)  # type: ignore[arg-type]

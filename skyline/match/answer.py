@@ -1,0 +1,511 @@
+"""The answer to a query: candidate places, whether the best one is the answer, and if not, why.
+
+All that Skyline says or writes about an answer is here: its sentences, its JSON, its row of
+``match --results``, its GeoDataFrame, and at the end the rules by which an answer is refused.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+from pyproj import Geod
+
+from skyline.errors import library, printable
+from skyline.match.candidate import COLUMNS, DISTANCES_M, ROUGHLY_WITHIN_M, Candidate
+from skyline.match.matchers import MIN_VISIBLE_DEG, MatchConfig
+from skyline.match.query_rays import QueryRays
+from skyline.photo.exif import NOTHING_NOTED
+from skyline.photo.query import QuerySkyline
+
+_OF_CAMERA = ("heading_deg", "pitch_deg", "roll_deg", "fov_deg", "distortion", "beyond_share")
+"""Keys of a candidate that differ between photos of one place."""
+_COVARIANCE = ("easting_variance_m2", "northing_variance_m2", "easting_northing_covariance_m2")
+
+_BEYOND_SHARE = 0.1
+"""From this share of a skyline on, terrain beyond the elevation model is mentioned."""
+_FAR_M, _FAR_ACCURACIES, _FAR_DEG = 500.0, 5.0, 45.0
+"""A photo's own position that is farther off than both of the first two, and a compass that is
+farther off than the third, disagree with the answer: phones are seldom as wrong."""
+_NORTH = {True: ", from magnetic north", False: "", None: ", from a north that it does not name"}
+_WGS84 = Geod(ellps="WGS84")
+
+DISAGREES = "the photo does not fit where the others were taken"
+_AT_BOUND_SHARE = 1e-3
+"""A field of view within this share of the range searched is at the range's end: fits that are
+held to a bound miss it by rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class MatchResult:
+    """The candidates found for one query, and whether the best of them is the answer.
+
+    Attributes
+    ----------
+    query : QuerySkyline
+        The skyline that was matched.
+    candidates : tuple of Candidate
+        Best first.
+    seconds : float
+        From the query to the candidates.
+    refusal : str or None
+        Why there is no answer, where there is none.
+    within_m : float or None
+        Distance within which the answer is sure to be right: 200 m, or 1 km where only that is
+        sure. None without an answer, and for matchers without a confidence.
+    name : str
+        The query's file, as it was given to the matcher; empty for a `QuerySkyline`.
+    """
+
+    query: QuerySkyline
+    candidates: tuple[Candidate, ...]
+    seconds: float
+    refusal: str | None = None
+    within_m: float | None = None
+    name: str = ""
+
+    @property
+    def best(self) -> Candidate | None:
+        """The best candidate, whether it is the answer or not; None without candidates."""
+        return self.candidates[0] if self.candidates else None
+
+    @property
+    def answer(self) -> Candidate | None:
+        """The best candidate, if it is sure enough to be the answer."""
+        return None if self.refusal else self.best
+
+    @property
+    def confidence(self) -> float | None:
+        """The estimated chance that the answer is right within `within_m`; None without any."""
+        return None if self.answer is None else _confidence_within(self.answer, self.within_m)
+
+    @property
+    def summary(self) -> str:
+        """One sentence: where the photo was taken, or why there is no answer."""
+        refusal, best = self.refusal or "no place fits", self.best
+        if best is None:
+            return f"Not answered: {refusal}."
+        place = (
+            f"latitude {best.lat:.5f}°, longitude {best.lon:.5f}°, looking "
+            f"{best.heading_deg:.1f}° from true north"
+        )
+        confidence = _confidence_within(best, self.within_m)
+        if confidence is not None:
+            place += f", confidence {100.0 * confidence:.0f}\N{NO-BREAK SPACE}%"
+        if self.answer is not None and self.within_m is not None:
+            place += f", right within {self.within_m:g} m"
+        if best.rank is None:
+            failed = ", and the fit has failed" if best.refined and self.refusal else ""
+            residual = best.residual_in_words
+            return f"{best.origin.capitalize()}{failed}: {place}{residual and f'; {residual}'}."
+        if best.rank > 1:
+            return f"Candidate {best.rank}, chosen by a person: {place}."
+        if self.refusal:
+            return f"Not answered: {refusal} ({place})."
+        return f"Taken at {place}{'' if best.refined else ' (not refined by rendering)'}."
+
+    @property
+    def beyond(self) -> str | None:
+        """A warning that the skyline may be of terrain beyond the elevation model.
+
+        None where that share of the skyline is not known, or small.
+        """
+        share = None if self.best is None else self.best.beyond_share
+        if share is None or share < _BEYOND_SHARE:
+            return None
+        return (
+            f"{100.0 * share:.0f} % of the skyline may be of terrain beyond the elevation model's "
+            "edge; a model that reaches farther may give another answer"
+        )
+
+    @property
+    def exif(self) -> dict[str, Any] | None:
+        """Place and direction that the photo's EXIF notes, and how far the best candidate is off.
+
+        The keys are those of ``exif`` in ``skyline match --json``. ``heading_off_deg`` is how far
+        the best candidate's heading is clockwise of the photo's; ``heading_is_magnetic`` is None
+        where the photo does not say which north it counts from; ``left_aside`` says which GPS tags
+        cannot be used, and why. None where the photo notes nothing.
+        """
+        noted, best = self.query.noted, self.best
+        if noted == NOTHING_NOTED:
+            return None
+        lon, lat = noted.lonlat_deg or (None, None)
+        distance_m = off_deg = None
+        if best is not None and noted.lonlat_deg is not None:
+            distance_m = float(_WGS84.inv(*noted.lonlat_deg, best.lon, best.lat)[2])
+        if best is not None and noted.heading_deg is not None:
+            off_deg = (best.heading_deg - noted.heading_deg + 180.0) % 360.0 - 180.0
+        return {
+            "lon": lon,
+            "lat": lat,
+            "elevation_m": noted.elevation_m,
+            "accuracy_m": noted.accuracy_m,
+            "heading_deg": noted.heading_deg,
+            "heading_is_magnetic": noted.is_magnetic,
+            "distance_m": distance_m,
+            "heading_off_deg": off_deg,
+            "left_aside": noted.left_aside,
+        }
+
+    def exif_in_words(self, with_place: bool = True) -> str:
+        """Return `exif` in sentences; empty where the photo notes nothing.
+
+        Without ``with_place``, the photo's own longitude and latitude are left out.
+        """
+        exif, best = self.exif, self.best
+        if exif is None:
+            return ""
+        sentences: list[str] = []
+        it = "the answer" if self.answer is not None or best is None else best.name
+        if exif["lat"] is not None:
+            where = f"lat {exif['lat']:.5f} lon {exif['lon']:.5f}" if with_place else "a place"
+            off = "" if best is None else f", {_distance(exif['distance_m'])} from {it}"
+            accuracy = (
+                "" if exif["accuracy_m"] is None else f" (good to {exif['accuracy_m']:.0f} m)"
+            )
+            sentences.append(f"The photo says {where}{off}{accuracy}.")
+        if exif["heading_deg"] is not None:
+            north = _NORTH[exif["heading_is_magnetic"]]
+            own = "" if best is None else f", {it} {best.heading_deg:.0f}"
+            sentences.append(f"Its compass says {exif['heading_deg']:.0f} degrees{north}{own}.")
+        far_m = max(_FAR_M, _FAR_ACCURACIES * (exif["accuracy_m"] or 0.0))
+        wrong = ["position"] if (exif["distance_m"] or 0.0) > far_m else []
+        if abs(exif["heading_off_deg"] or 0.0) > _FAR_DEG:
+            wrong.append("compass")
+        if wrong:
+            both = " and ".join(wrong)
+            sentences.append(f"The photo's {both} and {it} disagree: one of them is wrong.")
+        return " ".join(filter(None, [*sentences, exif["left_aside"]]))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as ``skyline match --json`` prints it.
+
+        ``refusal`` is there without an answer, ``exif`` where the photo notes a place or a
+        direction, ``lens`` where it notes a lens and no field of view was given.
+        """
+        candidates = [one.to_dict() for one in self.candidates]
+        lens, exif = self.query.lens, self.exif
+        return {
+            "query": printable(self.name),
+            "answer": candidates[0] if self.answer is not None else None,
+            "answer_within_m": self.within_m,
+            "candidates": candidates,
+            "seconds": self.seconds,
+            **({} if self.refusal is None else {"refusal": self.refusal}),
+            **({} if lens is None or not lens.said else {"lens": asdict(lens)}),
+            **({} if exif is None else {"exif": exif}),
+        }
+
+    def to_row(self) -> dict[str, Any]:
+        """Return the row of ``skyline match --results``: the best candidate, and if it answers."""
+        best, exif = self.best, self.exif
+        row = {} if best is None else best.to_dict()
+        return row | {
+            "query": printable(self.name),
+            "answered": int(self.answer is not None),
+            "within_m": self.within_m,
+            "exif_distance_m": None if exif is None else exif["distance_m"],
+            "seconds": self.seconds,
+            "said": self.refusal and printable(self.refusal),
+        }
+
+    def to_text(self, top: int = 5) -> str:
+        """Return the lines that ``skyline match`` prints; ``top`` candidates were asked for."""
+        lens = self.query.lens
+        lines = [f"{printable(self.name)} ({self.seconds:.2f} s)"]
+        if self.answer is not None:
+            near = "" if self.within_m is None else f", right within {self.within_m:g} m"
+            lines.append(f"the answer is candidate 1{near}; all candidates, best first:")
+        if self.refusal:
+            lines.append(f"no answer: {self.refusal}")
+        for number, one in enumerate(self.candidates, start=1):
+            quality = f"score {one.score:.3f}" if one.confidence is None else _confidences(one)
+            unrefined = "" if one.refined else "  (unrefined)"
+            lines.append(f"{number}. {_place(one)}  {_view(one)}  {quality}{unrefined}")
+        if 0 < len(self.candidates) < top:
+            count = f"{len(self.candidates)} of {top} candidates"
+            lines.append(f"{count}: no other place was worth refining to the end")
+        if self.beyond:
+            lines.append(self.beyond)
+        if lens is not None and lens.said:
+            fov = "not known" if lens.fov_deg is None else f"{lens.fov_deg:.1f} degrees"
+            slack = "" if lens.sd_deg is None else f", give or take {lens.sd_deg:.0f}"
+            lines.append(f"field of view: {fov}{slack}; {lens.said}")
+        return "\n  ".join(filter(None, [*lines, self.exif_in_words()]))
+
+    def to_geodataframe(self) -> Any:
+        """Return the candidates as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
+        return to_geodataframe([self])
+
+    def __repr__(self) -> str:
+        return f"MatchResult({self.summary} Candidates: {len(self.candidates)})"
+
+    def _repr_html_(self) -> str:
+        header = "".join(f"<th>{escape(name)}</th>" for name in ("#", *COLUMNS))
+        rows = "".join(
+            f"<tr><td>{one.rank}</td>{''.join(f'<td>{text}</td>' for text in one.cells())}</tr>"
+            for one in self.candidates
+        )
+        table = f"<table><tr>{header}</tr>{rows}</table>" if rows else ""
+        return f"<div><p>{escape(self.summary)}</p>{_skyline_svg(self.query)}{table}</div>"
+
+
+@dataclass(frozen=True, slots=True)
+class JointResult:
+    """The places found for several queries that were taken at one place.
+
+    Attributes
+    ----------
+    results : tuple of MatchResult
+        One for each query. The candidates of those that agree are the same places with the same
+        confidences; each has its own camera there. A query that does not agree has no candidates,
+        and its refusal says why.
+    seconds : float
+        From the queries to the places.
+    refusal : str or None
+        Why there is no answer, where there is none.
+    """
+
+    results: tuple[MatchResult, ...]
+    seconds: float
+    refusal: str | None = None
+
+    @property
+    def agrees(self) -> tuple[bool, ...]:
+        """Whether each query was taken at the best place rather than anywhere else."""
+        return tuple(bool(one.candidates) for one in self.results)
+
+    @property
+    def first(self) -> MatchResult | None:
+        """The result of the first query that agrees; None if no query does."""
+        return next((one for one in self.results if one.candidates), None)
+
+    @property
+    def places(self) -> tuple[Candidate, ...]:
+        """The places, best first, with the camera of the first query that agrees."""
+        return () if self.first is None else self.first.candidates
+
+    @property
+    def answer(self) -> Candidate | None:
+        """The best place, if it is sure enough to be the answer; the camera as of `places`."""
+        return self.places[0] if self.places and not self.refusal else None
+
+    @property
+    def within_m(self) -> float | None:
+        """Distance within which the answer is sure to be right; None without an answer."""
+        return None if self.first is None else self.first.within_m
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as ``skyline match --same-place --json`` prints it.
+
+        A place is a candidate without its camera; each photo that agrees has its own at the best.
+        """
+        places = [
+            {name: value for name, value in one.to_dict().items() if name not in _OF_CAMERA}
+            for one in self.places
+        ]
+        photos = []
+        for one in self.results:
+            about: dict[str, Any] = {"refusal": one.refusal}
+            if one.best is not None:
+                about = {name: getattr(one.best, name) for name in _OF_CAMERA}
+            agrees = one.best is not None
+            photos.append({"query": printable(one.name), "agrees": agrees, **about})
+        return {
+            "answer": places[0] if self.answer is not None else None,
+            "answer_within_m": self.within_m,
+            "candidates": places,
+            **({} if self.refusal is None else {"refusal": self.refusal}),
+            "photos": photos,
+            "seconds": self.seconds,
+        }
+
+    def to_text(self) -> str:
+        """Return the lines that ``skyline match --same-place`` prints."""
+        lines = [f"{len(self.results)} photos of one place ({self.seconds:.2f} s)"]
+        if self.answer is not None:
+            near = f"place 1, right within {self.within_m:g} m"
+            lines.append(f"the answer is {near}; all places, best first:")
+        if self.refusal:
+            lines.append(f"no answer: {self.refusal}")
+        for number, one in enumerate(self.places, start=1):
+            radius = f"within {one.radius_m:.0f} m (68 %)"
+            lines.append(f"{number}. {_place(one)}  {radius}  {_confidences(one)}")
+        for result in self.results:
+            refused = f"does not agree: {result.refusal}"
+            view = refused if result.best is None else _view(result.best)
+            lines.append(f"{printable(result.name)}: {view}")
+        return "\n  ".join(lines)
+
+    def to_geodataframe(self) -> Any:
+        """Return the cameras as points of a GeoDataFrame; see `skyline.to_geodataframe`."""
+        return to_geodataframe(self.results)
+
+    def __repr__(self) -> str:
+        first = self.first
+        summary = f"Not answered: {self.refusal}." if first is None else first.summary
+        return f"JointResult({summary} {sum(self.agrees)} of {len(self.results)} photos agree)"
+
+
+def to_geodataframe(results: Iterable[MatchResult]) -> Any:
+    """Return the candidates of results as points, one row each.
+
+    Returns
+    -------
+    geopandas.GeoDataFrame
+        Points in EPSG:4326, with ``query`` (the result's number, from 0), ``rank`` (1 is the
+        best), ``is_answer`` (whether it is the answer) and the fields of `Candidate`; of the
+        covariance three columns, which files can hold. Unknown values are missing.
+
+    Raises
+    ------
+    InputError
+        GeoPandas is not installed.
+    """
+    geopandas = library("geopandas", "geo", "a GeoDataFrame")
+    names = [n for n in Candidate.__dataclass_fields__ if n not in {"covariance_m2", "rank"}]
+    columns: dict[str, list[Any]] = {
+        name: [] for name in ("query", "rank", "is_answer", *names, *_COVARIANCE)
+    }
+    for number, result in enumerate(results):
+        for one in result.candidates:
+            (east, both), (_, north) = one.covariance_m2 or ((None, None), (None, None))
+            row = asdict(one) | dict(zip(_COVARIANCE, (east, north, both), strict=True))
+            row |= {"query": number, "is_answer": one is result.answer}
+            for name, values in columns.items():
+                values.append(math.nan if row[name] is None else row[name])
+    places = geopandas.points_from_xy(columns["lon"], columns["lat"])
+    return geopandas.GeoDataFrame(columns, geometry=places, crs="EPSG:4326")
+
+
+def _confidence_within(one: Candidate, within_m: float | None) -> float | None:
+    return one.confidence_1km if within_m == ROUGHLY_WITHIN_M else one.confidence
+
+
+def _place(one: Candidate) -> str:
+    return (
+        f"lat {one.lat:.5f} lon {one.lon:.5f}  easting {one.easting_m:.0f} northing "
+        f"{one.northing_m:.0f}"
+    )
+
+
+def _view(one: Candidate) -> str:
+    return (
+        f"heading {one.heading_deg:.1f} from true north  pitch {one.pitch_deg:.1f}  fov "
+        f"{one.fov_deg:.1f}"
+    )
+
+
+def _confidences(one: Candidate) -> str:
+    return f"confidence {one.confidence:.2f} (1 km: {one.confidence_1km:.2f})"
+
+
+def _distance(metres: float) -> str:
+    return f"{metres:.0f} m" if metres < 10_000.0 else f"{metres / 1000.0:,.0f} km"
+
+
+def _skyline_svg(query: QuerySkyline) -> str:
+    runs = np.flatnonzero(np.diff(query.trusted, prepend=False, append=False)).reshape(-1, 2)
+    lines = "".join(
+        "M" + " ".join(f"{col},{query.row_px[col]:.1f}" for col in range(start, stop))
+        for start, stop in runs.tolist()
+    )
+    size = f"{query.width_px} {query.height_px}"
+    return (
+        f'<svg viewBox="0 0 {size}" width="360" style="border: 1px solid; margin: 0.5em 0">'
+        f'<path d="{lines}" fill="none" stroke="crimson" vector-effect="non-scaling-stroke"/></svg>'
+    )
+
+
+def too_little(query: QuerySkyline, config: MatchConfig) -> str | None:
+    """Return the refusal of a query that shows too little skyline; None if it shows enough."""
+    widest_deg = config.fov_range_deg[1] if query.fov_deg is None else query.fov_deg
+    if query.lens is not None and query.lens.most_deg is not None:
+        widest_deg = query.lens.most_deg
+    visible_deg, least_deg = query.visible_deg(widest_deg), MIN_VISIBLE_DEG
+    if visible_deg >= least_deg:
+        return None
+    return (
+        f"{visible_deg:.1f} degrees of skyline are visible, {least_deg:g} are needed; correct "
+        "the skyline by a trace or a mask, or check the field of view"
+    )
+
+
+def refusal_of(
+    candidates: Sequence[Candidate], config: MatchConfig, query: QuerySkyline, rays: QueryRays
+) -> str | None:
+    """Return why the best candidate of a search is not the answer; None if it is the answer."""
+    refusal = unsure(candidates, config)
+    if refusal is None:
+        return _at_bound(candidates[0], rays)
+    return refusal + (_of_other_lens(candidates[0], query, rays) if candidates else "")
+
+
+def unsure(candidates: Sequence[Candidate], config: MatchConfig) -> str | None:
+    """Return the refusal of a best candidate that is not sure enough; None if it is."""
+    if not candidates:
+        return "no place fits"
+    best, least = candidates[0], config.min_confidence
+    if best.confidence is None or sure_within_m(best, config) is not None:
+        return None
+    return (
+        f"the best place has confidence {best.confidence:.2f}, within 1 km "
+        f"{best.confidence_1km:.2f}; {least:.2f} is needed"
+    )
+
+
+def misfit(fitted: Candidate, config: MatchConfig) -> str | None:
+    """Return why a fit has failed: a search would refuse its pose even without rivals.
+
+    None if the fit has not failed. The confidence of ``fitted`` is the one that a search would
+    give it if nothing else fitted.
+    """
+    if sure_within_m(fitted, config) is not None:
+        return None
+    return (
+        f"{fitted.residual_in_words}; even if nothing else fitted, the confidence would be "
+        f"{fitted.confidence:.2f}, within 1 km {fitted.confidence_1km:.2f}, and "
+        f"{config.min_confidence:.2f} is needed"
+    )
+
+
+def sure_within_m(candidate: Candidate, config: MatchConfig) -> float | None:
+    """Return the distance within which a candidate is sure enough to be right, 200 or 1000 m.
+
+    None if it is sure within neither. The nearer distance may leave half the doubt that the
+    farther one may: a wrong answer is worse than a vague one.
+    """
+    doubt = 1.0 - config.min_confidence
+    sure = (candidate.confidence, 1.0 - 0.5 * doubt), (candidate.confidence_1km, 1.0 - doubt)
+    for within_m, (confidence, least) in zip(DISTANCES_M, sure, strict=True):
+        if confidence is not None and confidence >= least:
+            return within_m
+    return None
+
+
+def _of_other_lens(best: Candidate, query: QuerySkyline, rays: QueryRays) -> str:
+    """Return a hint that the best candidate needs another field of view than the query's.
+
+    Empty if the two are within two standard deviations.
+    """
+    if query.fov_deg is None or abs(best.fov_deg - query.fov_deg) < 2.0 * rays.fov_sd_deg:
+        return ""
+    return (
+        f"; it has a field of view of {best.fov_deg:.1f} degrees, and {query.fov_deg:.1f} was "
+        "given: check that"
+    )
+
+
+def _at_bound(best: Candidate, rays: QueryRays) -> str | None:
+    """Return the refusal of a field of view that is the least or greatest searched; else None."""
+    low_deg, high_deg = rays.fov_bounds_deg
+    near_deg = _AT_BOUND_SHARE * (high_deg - low_deg)
+    if low_deg == high_deg or low_deg + near_deg < best.fov_deg < high_deg - near_deg:
+        return None
+    return (
+        f"the best place needs a field of view of {best.fov_deg:.1f} degrees, and {low_deg:.1f} to "
+        f"{high_deg:.1f} were searched; give another one (--fov-deg)"
+    )

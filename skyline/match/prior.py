@@ -1,0 +1,350 @@
+r"""Prior knowledge of a pose: the user's narrowing, the photo's EXIF, and the height of eyes.
+
+A compass is little more than a hint. A position from EXIF has a long-tailed error: it is usually
+near the truth, with an error like a two-dimensional Cauchy distribution, and now and then it is
+that of another photo, or the phone's last fix before it was carried away. The density of the true
+place at distance d from a noted position is therefore
+
+.. math::
+
+    p(d) = \frac{1 - w}{2 \pi s^2} \left(1 + \frac{d^2}{s^2}\right)^{-3/2} + \frac{w}{A}
+
+and a distant place is never less likely than in a search of area A without a noted position.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skyline.arrays import BoolArray, Complex128Array, Float64Array
+from skyline.errors import InputError, swapped_in_words
+from skyline.geodesy import Frame, Rectangle, are_bounds
+from skyline.match.ranking import Hypotheses
+from skyline.match.screening import turns_within
+from skyline.photo.exif import NotedPlace
+from skyline.store.places import Places
+
+_WRONG_SHARE = 0.05
+"""w. Of 20 photos with a position that were looked at, one lay 6 km off."""
+_ANYWHERE_M2 = 1e9
+"""A: within 18 km, as in a search without a noted position."""
+_COMPASS_WRONG_SHARE = 0.2
+"""Compasses are disturbed by cars, railings and cases."""
+_REACH_SD = 3.0
+_REACH_M = 1000.0
+_LEAST_SD_M = 1e-6
+_GREATEST_SD = 20.0
+_GPS_SD_M, _LEAST_GPS_SD_M = 30.0, 15.0
+"""Scale of a position without a noted accuracy; least scale of one with it, as the terrain model
+is off too."""
+_LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES = 15.0, 3.0
+"""Heights are two to three times as uncertain as places, and their datum may differ from the
+model's."""
+_COMPASS_SD_DEG, _MAGNETIC_SD_DEG = 20.0, 30.0
+"""The declination is not modelled, and reaches 20 degrees where people live. A compass that does
+not name its north may refer to the magnetic one."""
+_CONVERGENCE_DEG = 5.0
+"""More than meridians converge within a frame. Screening opens turns that much more widely."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacePrior:
+    """Prior density of a camera's position and heading, from a photo's EXIF.
+
+    Raises `InputError` for a place that is not finite, or a scale that is not above 0.
+    """
+
+    easting_m: float
+    northing_m: float
+    sd_m: float
+    """Scale s of the position's error."""
+    heading_deg: float | None = None
+    """Grid azimuth of the optical axis."""
+    heading_sd_deg: float = _COMPASS_SD_DEG
+    """Standard deviation of the heading, where the compass is not disturbed."""
+    elevation_m: float | None = None
+    """Elevation of the eye; its error has a Cauchy distribution."""
+    elevation_sd_m: float = 30.0
+    """Scale of that distribution."""
+    weight: float = 1.0
+    """Factor on the log probabilities, for scores of which a unit is worth less than one of log
+    odds."""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite([self.easting_m, self.northing_m]).all() and self.sd_m > 0.0):
+            raise InputError(
+                f"the noted place is {self.easting_m:g}, {self.northing_m:g} within {self.sd_m:g} "
+                "m; expected a place and a scale above 0"
+            )
+
+    @classmethod
+    def of_noted(cls, noted: NotedPlace, frame: Frame) -> "PlacePrior | None":
+        """Return the prior from a photo's EXIF in a frame; None if EXIF notes no position."""
+        if noted.lonlat_deg is None:
+            return None
+        east, north = (float(value) for value in frame.from_lonlat(*noted.lonlat_deg))
+        if not (np.isfinite(east) and np.isfinite(north)):
+            return None  # Too far from the frame to have a place in it.
+        heading_deg = noted.heading_deg
+        if heading_deg is not None:
+            heading_deg -= float(frame.convergence_deg(easting_m=east, northing_m=north))
+        sd_m = max(_LEAST_GPS_SD_M, noted.accuracy_m or _GPS_SD_M)
+        compass_sd_deg = _COMPASS_SD_DEG if noted.is_magnetic is False else _MAGNETIC_SD_DEG
+        elevation_m, elevation_sd_m = None, _LEAST_ALTITUDE_SD_M
+        if noted.accuracy_m is not None:
+            # A device that notes its accuracy has satellites in view, and corrects for the geoid.
+            elevation_m = noted.elevation_m
+            elevation_sd_m = max(_LEAST_ALTITUDE_SD_M, _ALTITUDE_ACCURACIES * noted.accuracy_m)
+        return cls(east, north, sd_m, heading_deg, compass_sd_deg, elevation_m, elevation_sd_m)
+
+    @property
+    def reach_m(self) -> float:
+        """Radius around the noted place within which a search always looks."""
+        return _REACH_M + _REACH_SD * self.sd_m
+
+    def cost(
+        self, place_m: Complex128Array, eye_m: Float64Array, heading_rad: Float64Array
+    ) -> Float64Array:
+        """Return the weighted negative log density (M,) of poses, relative to a uniform density.
+
+        ``place_m`` holds eastings, and northings as the imaginary part; headings are grid
+        azimuths of the optical axis.
+        """
+        cost = -np.log(_WRONG_SHARE + self._peak * self._tail(place_m) ** -1.5)
+        if self.heading_deg is not None:
+            turn = np.degrees(heading_rad) - self.heading_deg
+            off = ((turn + 180.0) % 360.0 - 180.0) / self.heading_sd_deg
+            right = 360.0 / (np.sqrt(2.0 * np.pi) * self.heading_sd_deg)
+            right *= 1.0 - _COMPASS_WRONG_SHARE
+            cost = cost - np.log(_COMPASS_WRONG_SHARE + right * np.exp(-0.5 * off**2))
+        if self.elevation_m is not None:
+            cost = cost + np.log1p(((eye_m - self.elevation_m) / self.elevation_sd_m) ** 2)
+        return np.asarray(self.weight * cost)
+
+    def pull(
+        self, place_m: Complex128Array, eye_m: Float64Array
+    ) -> tuple[Float64Array, Float64Array]:
+        """Return the normal distribution that pulls eyes as strongly as this density does.
+
+        Returns
+        -------
+        precision, offset_m : (M, 3) float64
+            Precisions along easting, northing and elevation, and the offsets of the eyes from the
+            noted place; precision times offset is the gradient of `cost`.
+        """
+        tail = self._tail(place_m)
+        pull = 3.0 * self._peak * tail**-2.5 / self.sd_m**2
+        across = self.weight * pull / (_WRONG_SHARE + self._peak * tail**-1.5)
+        offset_m = np.column_stack([self._offset_m(place_m), np.zeros_like(eye_m)])
+        precision = np.stack([across, across, np.zeros_like(across)], axis=1)
+        if self.elevation_m is not None:
+            offset_m[:, 2] = eye_m - self.elevation_m
+            precision[:, 2] = 2.0 * self.weight / (self.elevation_sd_m**2 + offset_m[:, 2] ** 2)
+        return precision, offset_m
+
+    def _offset_m(self, place_m: Complex128Array) -> Float64Array:
+        """Return the offsets (M, 2) of places to the east and north of the noted one."""
+        off = place_m - complex(self.easting_m, self.northing_m)
+        return np.stack([off.real, off.imag], axis=-1)
+
+    @property
+    def _peak(self) -> float:
+        return (1.0 - _WRONG_SHARE) * _ANYWHERE_M2 / (2.0 * np.pi * self.sd_m**2)
+
+    def _tail(self, place_m: Complex128Array) -> Float64Array:
+        return np.asarray(1.0 + (self._offset_m(place_m) ** 2).sum(axis=-1) / self.sd_m**2)
+
+
+@dataclass(frozen=True, slots=True)
+class EyeHeightPrior:
+    r"""Prior of the height of an eye above the terrain model's ground.
+
+    Most eyes are about as high as a person. Where the model cuts off a summit or a cliff, eyes are
+    far above its ground, so the height has a Cauchy distribution about the usual one:
+    :math:`-\log p(h) = \log(1 + ((h - usual) / sd)^2)`.
+    """
+
+    usual_m: float
+    sd_m: float
+    """Scale of the distribution; 0 for a known height."""
+
+    @property
+    def least_m(self) -> float:
+        """The smallest height that is tried."""
+        return self.usual_m if self.sd_m == 0.0 else 0.0
+
+    @property
+    def most_m(self) -> float:
+        """The greatest height that is tried."""
+        return self.usual_m + _GREATEST_SD * self.sd_m
+
+    def cost(self, height_m: Float64Array) -> Float64Array:
+        """Return the negative log density of heights (M,), but for a constant."""
+        return np.asarray(np.log1p(self._deviations(height_m) ** 2))
+
+    def precision(self, height_m: Float64Array) -> Float64Array:
+        """Return the precision (M,) of the normal distribution that pulls heights as strongly."""
+        sd_m = max(self.sd_m, _LEAST_SD_M)
+        return np.asarray(2.0 / (sd_m**2 * (1.0 + self._deviations(height_m) ** 2)))
+
+    def _deviations(self, height_m: Float64Array) -> Float64Array:
+        return (height_m - self.usual_m) / max(self.sd_m, _LEAST_SD_M)
+
+
+@dataclass(frozen=True, slots=True)
+class Narrowing:
+    """Knowledge about a photo's pose that narrows the search; None for what is unknown.
+
+    Attributes
+    ----------
+    near : (float, float, float), optional
+        Longitude and latitude, degrees (WGS 84), and a radius, km.
+    bounds_deg : (float, float, float, float), optional
+        West, south, east, north, degrees.
+    heading_deg : (float, float), optional
+        Heading of the optical axis from true north, and its greatest error, degrees.
+    elevation_m : (float, float), optional
+        The lowest and the highest elevation of the camera, metres above the DEM's datum.
+    eye_height_m : float, optional
+        Height of the camera above the ground; by default it is found with the pose.
+    use_gps : bool
+        Whether the place and the direction in the photo's own EXIF pull the search. They never
+        bound it: a distant place wins where its skyline fits well enough.
+
+    Raises
+    ------
+    InputError
+        A value is out of its range.
+    """
+
+    near: tuple[float, float, float] | None = None
+    bounds_deg: tuple[float, float, float, float] | None = None
+    heading_deg: tuple[float, float] | None = None
+    elevation_m: tuple[float, float] | None = None
+    eye_height_m: float | None = None
+    use_gps: bool = False
+
+    def __post_init__(self) -> None:
+        if self.near is not None:
+            lon, lat, radius_km = self.near
+            if not (abs(lon) <= 180.0 and abs(lat) <= 90.0 and 0.0 < radius_km < np.inf):
+                is_swapped = abs(lon) <= 90.0 < abs(lat) <= 180.0
+                raise InputError(
+                    f"near is {lon:g},{lat:g},{radius_km:g}; expected longitude and latitude in "
+                    "degrees and a radius above 0 km"
+                    + (f"; {swapped_in_words(lon, lat)}" if is_swapped else "")
+                )
+        if self.heading_deg is not None:
+            heading, slack = self.heading_deg
+            if not (np.isfinite(heading) and 0.0 < slack <= 180.0):
+                raise InputError(
+                    f"heading is {heading:g} within {slack:g} degrees; expected a slack above 0, "
+                    "at most 180"
+                )
+        if self.elevation_m is not None:
+            low, high = self.elevation_m
+            if not (np.isfinite(self.elevation_m).all() and low < high):
+                raise InputError(
+                    f"elevations are {low:g} to {high:g} m; expected two that increase"
+                )
+        if self.eye_height_m is not None and not 0.0 <= self.eye_height_m < np.inf:
+            raise InputError(
+                f"the eye is {self.eye_height_m:g} m above the ground; expected 0 or more"
+            )
+
+
+_WIDE = Narrowing()
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Prior knowledge of one query's pose, in the metres of a frame."""
+
+    narrowing: Narrowing = _WIDE
+    frame: Frame | None = None
+    """None only for a prior without a narrowing."""
+    circles_m: tuple[tuple[float, float, float], ...] = ()
+    """Easting, northing and radius of circles that all contain the searched places."""
+    rectangle_m: Rectangle | None = None
+    """Rectangle that contains the narrowing's bounds."""
+    open_turns: BoolArray | None = None
+    """(180,) bool. The turns that screening looks at; see `turns_within`. None for all."""
+    noted: PlacePrior | None = None
+    """Prior from the photo's EXIF."""
+
+    @classmethod
+    def of(cls, narrowing: Narrowing, frame: Frame, noted: PlacePrior | None = None) -> "Prior":
+        """Return a narrowing in a frame, with the prior from EXIF.
+
+        Raises as `Frame.rectangle_m`.
+        """
+        turns, rectangle = None, None
+        circles: tuple[tuple[float, float, float], ...] = ()
+        if narrowing.near is not None:
+            east, north = frame.from_lonlat(narrowing.near[0], narrowing.near[1])
+            circles = ((float(east), float(north), 1000.0 * narrowing.near[2]),)
+        if narrowing.heading_deg is not None:
+            heading, slack = narrowing.heading_deg
+            turns = turns_within(heading, slack + _CONVERGENCE_DEG)
+        if narrowing.bounds_deg is not None:
+            rectangle = frame.rectangle_m(narrowing.bounds_deg)
+        return cls(narrowing, frame, circles, rectangle, turns, noted)
+
+    def contains(self, positions: Places | Hypotheses) -> BoolArray:
+        """Return which positions (N,) lie within the circles, the bounds and the elevations."""
+        inside = np.ones(len(positions), dtype=bool)
+        easting_m, northing_m = positions.easting_m, positions.northing_m
+        if self.narrowing.elevation_m is not None:
+            low, high = self.narrowing.elevation_m
+            inside &= (positions.eye_elevation_m >= low) & (positions.eye_elevation_m <= high)
+        for east, north, radius_m in self.circles_m:
+            inside &= (easting_m - east) ** 2 + (northing_m - north) ** 2 <= radius_m**2
+        if self.rectangle_m is not None:
+            west, south, east, north = self.rectangle_m
+            inside &= (easting_m >= west) & (easting_m <= east)
+            inside &= (northing_m >= south) & (northing_m <= north)
+        return inside
+
+    def allows(self, poses: Hypotheses) -> BoolArray:
+        """Return which poses (M,) the narrowing allows, their headings included."""
+        allowed = self.contains(poses)
+        if self.narrowing.heading_deg is not None and self.frame is not None and len(poses):
+            heading, slack = self.narrowing.heading_deg
+            turn = self.frame.convergence_deg(
+                easting_m=poses.easting_m, northing_m=poses.northing_m
+            )
+            off = (poses.heading_deg + turn - heading + 180.0) % 360.0 - 180.0
+            allowed &= np.abs(off) <= slack
+        return allowed
+
+    def near_noted(self) -> "Prior | None":
+        """Return this prior, narrowed to the surroundings of the noted place; None without one."""
+        if self.noted is None:
+            return None
+        circle = self.noted.easting_m, self.noted.northing_m, self.noted.reach_m
+        return replace(self, circles_m=(*self.circles_m, circle))
+
+    def swap_hint(self, places: Places) -> str:
+        """Return a hint that longitudes and latitudes are swapped; empty where they are not.
+
+        The hint is given where the swapped narrowing would meet the rectangle around the places.
+        """
+        west, east = places.easting_m.min(), places.easting_m.max()
+        south, north = places.northing_m.min(), places.northing_m.max()
+        near, bounds, frame = self.narrowing.near, self.narrowing.bounds_deg, self.frame
+        if frame is not None and near is not None and max(abs(near[0]), abs(near[1])) <= 90.0:
+            easting, northing = frame.from_lonlat(near[1], near[0])
+            if west <= easting <= east and south <= northing <= north:
+                return f"; {swapped_in_words(*near[:2])}"
+        if (
+            frame is not None
+            and bounds is not None
+            and are_bounds(bounds[1], bounds[0], bounds[3], bounds[2])
+        ):
+            box = frame.rectangle_m((bounds[1], bounds[0], bounds[3], bounds[2]))
+            if box[0] <= east and west <= box[2] and box[1] <= north and south <= box[3]:
+                return f"; {swapped_in_words(*bounds)}"
+        return ""
+
+
+NOTHING_KNOWN = Prior()

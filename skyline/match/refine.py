@@ -1,0 +1,491 @@
+r"""Refinement: hypotheses move, by repeated rendering, to where the rendering fits the query.
+
+Each round renders all remaining hypotheses in one call. A rendering holds the distance of every
+skyline point, so it also tells how the skyline changes as the eye moves (`skyline.match.solver`),
+and position, heading, pitch, roll and field of view are solved together. A step is kept where the
+rendering from the new place fits better; otherwise a shorter one is tried from the old place. The
+worst hypotheses are dropped from round to round. Occlusion makes local optima, so the best few then
+start again from places around them.
+
+These rounds take the terrain model's errors for independent from column to column, which is quick
+and converges from far away. The last rounds model them as correlated (`skyline.match.noise`), which
+gives near and far terrain the right weights, and gives costs and covariances their meaning. Where
+the list of hypotheses is long, one coarse rendering of each first selects those worth following.
+
+Several queries of one eye are refined together (`JointRefinement`): each has its own attitude and
+field of view, and they share the eye. A round renders the view of each query from each place, lets
+each query solve its own step, and moves the eye by the mean of these steps, weighted by their
+precisions. That is the Gauss-Newton step of all unknowns together. The cost of a place is
+
+.. math::
+
+    -T \sum_q \log(e^{-(c_q - b_q) / T} + e^{-L})
+
+with c_q the cost of query q there, b_q the least cost of q anywhere, and T the factor between costs
+and log odds. The second term is the possibility that q was taken somewhere else: a query that does
+not belong to the others costs at most T L wherever they are put.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from skyline.arrays import BoolArray, Complex128Array, Float64Array, IntArray, Rows
+from skyline.match.candidate import DISTANCES_M, RIGHT_WITHIN_M
+from skyline.match.prior import EyeHeightPrior, PlacePrior
+from skyline.match.profiles import joined_views
+from skyline.match.query_rays import QueryRays
+from skyline.match.ranking import Hypotheses, RefinedPoses
+from skyline.match.retrieval import ground_slope
+from skyline.match.scene import RenderedScene
+from skyline.match.screening import report_progress
+from skyline.match.solver import EYE_HEIGHT, FINE, HEADING, ROUGH, SCOUT, Curves, Fit, Solver
+from skyline.terrain.viewpoints import DEFAULT_EYE_HEIGHT_M, Viewpoints
+
+TEMPERATURE = 8.0
+"""T: differences of costs, divided by this, are log odds. Neighbouring columns share errors that
+are not modelled."""
+
+_SEPARATION_M, _SAME_VIEW_DEG = 12.0, 30.0
+"""Poses nearer to each other, that look within this angle of each other, are one."""
+_RIVALS = 3
+"""Best poses of other answers, and best distant poses, that are kept to the end beside the best
+pose: their fits show how sure an answer is."""
+_RESTART_ROUNDS, _RESTART_M = 3, 30.0
+"""Renderings of each place on the rings from which the search restarts, and the rings' radius."""
+_FIRST_STEP_M, _LONGEST_STEP_M = 40.0, 120.0
+"""Deviations that damp steps."""
+_LONGER, _SHORTER = 1.5, 0.4
+"""Factors on the next step after a step was kept, and after one was not."""
+_SETTLING = 3
+"""Fits without a step after which the chosen errors no longer change."""
+_SECTOR_MARGIN_DEG = 3.0
+"""A view is rendered if the query comes this near to it."""
+_GREATEST_LOG_ODDS = 50.0
+
+_STRANGER = 10.0
+"""L: one photo in twenty was taken somewhere else, at one of a thousand places."""
+_JOINT_SHARE, _JOINT_LEAST = 0.5, 8
+"""Share of places kept from one joint round to the next, and their least number: several queries
+separate right places from wrong ones at once."""
+_HEADING_STEP_DEG = 6.0
+"""Step of the headings that are tried for a query of unknown heading."""
+_EYE = slice(EYE_HEIGHT + 1)
+"""Columns of a state that all queries of one eye share."""
+_LEAST_SHARE = 1e-6
+"""Least weight of a query, so that the mean of the steps exists where no query fits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How many hypotheses a refinement follows, and for how long."""
+
+    shortlist: int
+    """Hypotheses taken, the best by their scores."""
+    particles: int
+    """Hypotheses that are moved, the best by one coarse rendering each."""
+    rounds: int
+    """Renderings of a hypothesis that is kept, before the last rounds."""
+    keep_share: float
+    keep_least: int
+    """``keep_share``, ``keep_least``: share of the hypotheses kept from one round to the next, and
+    their least number."""
+    restarts: int
+    """Best places around which the search restarts."""
+    finalists: int
+    """Places that go through the last rounds."""
+    final_rounds: int
+    """Most renderings of each in the last rounds."""
+
+
+QUICK = Effort(
+    shortlist=64, particles=16, rounds=4, keep_share=0.6, keep_least=6,
+    restarts=1, finalists=6, final_rounds=3,
+)  # fmt: skip
+"""Enough for the many skylines that fit one place far better than any other."""
+WHOLE = Effort(
+    shortlist=400, particles=128, rounds=8, keep_share=0.9, keep_least=48,
+    restarts=6, finalists=12, final_rounds=5,
+)  # fmt: skip
+"""For all others."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Particles(Rows):
+    """M moving hypotheses: their skylines, how these fit the query, and the next step."""
+
+    curves: Curves
+    fit: Fit
+    step_m: Float64Array
+    """(M,) float64. Deviation that damps the next step."""
+
+    def best(self, count: int) -> "Particles":
+        """Return the best ``count`` of those that fit at all, best first."""
+        order = np.argsort(self.fit.cost, kind="stable")[:count]
+        return self[order[np.isfinite(self.fit.cost[order])]]
+
+
+class Refinement:
+    """The refinement of one query.
+
+    Parameters
+    ----------
+    query : QueryRays
+    scene : RenderedScene
+    effort : Effort
+    eye_height_m : float, optional
+        Known height of the eye above the ground; by default it is solved for.
+    noted : PlacePrior, optional
+        Prior from the photo's EXIF.
+    """
+
+    def __init__(
+        self,
+        query: QueryRays,
+        scene: RenderedScene,
+        effort: Effort,
+        eye_height_m: float | None = None,
+        noted: PlacePrior | None = None,
+    ) -> None:
+        self._scene, self._effort = scene, effort
+        if noted is not None:
+            noted = replace(noted, weight=TEMPERATURE)
+        eye = EyeHeightPrior(DEFAULT_EYE_HEIGHT_M, scene.height_sd_m)
+        if eye_height_m is not None:
+            eye = EyeHeightPrior(eye_height_m, 0.0)
+        self.scout, self.rough, self.fine = (
+            Solver(query, mode, eye, scene.height_sd_m, noted, scene.edge)
+            for mode in (SCOUT, ROUGH, FINE)
+        )
+        self._rendered = 0
+        self._expected = effort.rounds + _RESTART_ROUNDS + effort.final_rounds
+        self._expected += effort.shortlist > effort.particles
+
+    def run(self, hypotheses: Hypotheses) -> RefinedPoses:
+        """Return distinct poses that fit, best first; none where none fits.
+
+        Eyes stand above the ground and never leave the map: a step off the map, or onto a hole, is
+        not taken, and a hypothesis that starts there gives no pose. A column without data is
+        unknown, and counts no more than one that shows a tree.
+
+        The scores, headings and fields of view of the hypotheses are used, but not their eyes'
+        elevations.
+        """
+        effort = self._effort
+        best = np.argsort(hypotheses.score, kind="stable")[: effort.shortlist]
+        hypotheses = hypotheses[best]
+        if len(hypotheses) > effort.particles:
+            seen = self.started(self.scout, hypotheses).best(effort.particles)
+            hypotheses = self.hypotheses(seen, self.scout)
+        particles = self.started(self.rough, hypotheses)
+        for _ in range(effort.rounds - 1):
+            kept = max(effort.keep_least, int(np.ceil(effort.keep_share * len(particles))))
+            particles = self._moved(self.rough, self._left(particles, kept))
+        particles = Particles.concatenate([particles, self._restarted(particles)])
+        particles = self.reweighted(self._finalists(particles))
+        for _ in range(effort.final_rounds):
+            particles = self._moved(self.fine, particles)
+        return self.poses(self._finalists(particles))
+
+    def started(self, solver: Solver, hypotheses: Hypotheses) -> Particles:
+        """Return particles at hypotheses, their attitudes solved from there."""
+        place_m = hypotheses.easting_m + 1j * hypotheses.northing_m
+        return self.arrived(solver, place_m, solver.start(hypotheses))
+
+    def reweighted(self, particles: Particles) -> Particles:
+        """Return particles fitted with correlated errors, until the chosen errors have settled."""
+        fit = particles.fit
+        for _ in range(_SETTLING):
+            fit = self.fine.improve(particles.curves, fit, np.zeros(len(particles)))
+        return replace(particles, fit=fit, step_m=np.full(len(particles), _FIRST_STEP_M))
+
+    def _moved(self, solver: Solver, particles: Particles) -> Particles:
+        """Return particles after one step, where the rendering from the new place fits better."""
+        solved = solver.improve(particles.curves, particles.fit, particles.step_m)
+        new = self.stepped(solver, particles, solved.state, solved)
+        return self.kept(particles, new, new.fit.cost < particles.fit.cost)
+
+    def stepped(
+        self, solver: Solver, particles: Particles, step: Float64Array, fit: Fit
+    ) -> Particles:
+        """Return particles moved by steps (M, 2 or more), east and north, of bounded length."""
+        length_m = np.maximum(np.hypot(step[:, 0], step[:, 1]), 1e-9)
+        east_m, north_m = step[:, :2].T * np.minimum(1.0, 2.0 * particles.step_m / length_m)
+        return self.arrived(solver, particles.curves.place_m + (east_m + 1j * north_m), fit)
+
+    def kept(self, old: Particles, new: Particles, better: BoolArray) -> Particles:
+        """Return new particles where they are better, with a longer next step, and old ones."""
+        step_m = old.step_m * np.where(better, _LONGER, _SHORTER)
+        return replace(old.replaced(better, new), step_m=np.minimum(step_m, _LONGEST_STEP_M))
+
+    def around(self, particles: Particles) -> Particles:
+        """Return particles that start from a ring around each place."""
+        ring = _RESTART_M * np.exp(0.25j * np.pi * np.arange(8))
+        near = particles[np.repeat(np.arange(len(particles)), len(ring))]
+        place_m = near.curves.place_m + np.tile(ring, len(particles))
+        return self.arrived(self.rough, place_m, near.fit)
+
+    def _restarted(self, particles: Particles) -> Particles:
+        """Return the particles that started around the best distinct places."""
+        standing = self.hypotheses(particles, self.rough)
+        best = standing.suppress_non_maxima(self._effort.restarts, _SEPARATION_M, _SAME_VIEW_DEG)
+        around = self.around(particles[best])
+        for _ in range(_RESTART_ROUNDS - 1):
+            around = self._moved(self.rough, around.best(len(around)))
+        return around
+
+    def arrived(self, solver: Solver, place_m: Complex128Array, fit: Fit) -> Particles:
+        """Return particles at places, their attitudes solved there; without a fit off the map."""
+        state = fit.state.copy()
+        state[:, :EYE_HEIGHT] = 0.0
+        fit = replace(fit, state=state)
+        curves = self._seen(solver, place_m, state)
+        is_new = bool(np.isinf(fit.cost).all())
+        still = np.zeros(len(state))
+        fit = solver.settle(curves, fit) if is_new else solver.improve(curves, fit, still)
+        return Particles(curves, fit, np.full(len(state), _FIRST_STEP_M))
+
+    def _seen(self, solver: Solver, place_m: Complex128Array, state: Float64Array) -> Curves:
+        """Render the directions of the query from M eyes, at the heights of their states."""
+        report_progress("refining", min(1.0, self._rendered / self._expected))
+        self._rendered += 1
+        easting_m, northing_m = place_m.real, place_m.imag
+        ground_m, height_m = self._scene.ground_m(easting_m, northing_m), state[:, EYE_HEIGHT]
+        turn = np.degrees(state[:, HEADING])[:, np.newaxis] - 90.0 * np.arange(4)
+        off = np.abs((turn + 180.0) % 360.0 - 180.0)
+        half_deg = 0.5 * solver.fov_deg(state)[:, np.newaxis]
+        wanted = off < 45.0 + half_deg + _SECTOR_MARGIN_DEG
+        row, heading = np.nonzero(wanted & np.isfinite(ground_m)[:, np.newaxis])
+        eyes = Viewpoints(
+            easting_m=easting_m[row],
+            northing_m=northing_m[row],
+            eye_elevation_m=ground_m[row] + height_m[row],
+        )
+        along, bins = heading.astype(np.uint8), solver.mode.bins
+        y, distance_m = joined_views(self._scene.render(eyes, along), row, len(place_m), bins)
+        surface = self._scene.render_surface(eyes, along)
+        surface_y = None if surface is None else joined_views(surface, row, len(place_m), bins)[0]
+        slope = ground_slope(self._scene.ground_m, easting_m, northing_m)
+        # An eye off the map fits nowhere, whatever its ground is.
+        ground_m = np.nan_to_num(ground_m)
+        return Curves.of(y, distance_m, place_m, ground_m, slope, height_m, surface_y)
+
+    def _left(self, particles: Particles, count: int) -> Particles:
+        """Return the best particles, and the rivals of the very best, best first."""
+        ordered = particles.best(len(particles))
+        chosen = np.arange(min(count, len(ordered)))
+        place = ordered.curves.place_m
+        for least_m in DISTANCES_M:
+            rivals = np.flatnonzero(np.abs(place - place[:1]) > least_m)
+            chosen = np.union1d(chosen, rivals[:_RIVALS])
+        return ordered[chosen]
+
+    def _finalists(self, particles: Particles) -> Particles:
+        """Return the best distinct particles, and rivals of the very best, best first."""
+        standing = self.hypotheses(particles, self.rough)
+        return particles[best_and_rivals(standing, self._effort.finalists, _SAME_VIEW_DEG)]
+
+    def hypotheses(self, particles: Particles, solver: Solver) -> Hypotheses:
+        """Return the poses of particles; the scores are their costs."""
+        place_m = particles.curves.place_m
+        ground_m = self._scene.ground_m(place_m.real, place_m.imag)
+        eye_m = ground_m + particles.fit.state[:, EYE_HEIGHT]
+        return solver.hypotheses(particles.fit, place_m, eye_m)
+
+    def poses(self, particles: Particles) -> RefinedPoses:
+        """Return particles after the last rounds as poses with their figures."""
+        solver = self.fine
+        linear, found = solver.evaluate(particles.curves, particles.fit)
+        covariance = solver.covariance(linear, found)
+        trust = solver.query.weight
+        squares = (trust * found.odds * np.nan_to_num(linear.residual_rad) ** 2).sum(axis=1)
+        shown = np.maximum((trust * found.odds).sum(axis=1), 1e-9)
+        hypotheses = self.hypotheses(particles, solver)
+        return RefinedPoses(
+            hypotheses,
+            spread(hypotheses, covariance[:, :EYE_HEIGHT, :EYE_HEIGHT]),
+            np.degrees(np.sqrt(squares / shown)),
+            shown / trust.sum(),
+            found.effective_columns,
+            solver.height_sd_m(particles.fit),
+            np.asarray((solver.beyond_rad(linear) > 0.0) @ trust / trust.sum()),
+            *(hypotheses.rival_margin(least_m) for least_m in DISTANCES_M),
+        )
+
+
+def spread(hypotheses: Hypotheses, covariance_m2: Float64Array) -> Float64Array:
+    """Return covariances (M, 2, 2) about each pose of all poses that are the same answer.
+
+    ``covariance_m2`` (M, 2, 2) is that of each pose by itself.
+    """
+    place = np.stack([hypotheses.easting_m, hypotheses.northing_m], axis=1)
+    apart = place[:, np.newaxis] - place
+    near = (apart**2).sum(axis=-1) <= RIGHT_WITHIN_M**2
+    better = hypotheses.score[:, np.newaxis] - hypotheses.score
+    odds = near * np.exp(np.minimum(better / TEMPERATURE, _GREATEST_LOG_ODDS))
+    share = odds / odds.sum(axis=1, keepdims=True)
+    squares = covariance_m2 + apart[..., np.newaxis] * apart[..., np.newaxis, :]
+    return np.asarray((share[..., np.newaxis, np.newaxis] * squares).sum(axis=1))
+
+
+def best_and_rivals(standing: Hypotheses, count: int, turn_deg: float = 360.0) -> IntArray:
+    """Return the indices of the best distinct poses and of the best one's rivals, best first."""
+    chosen = standing.suppress_non_maxima(count, _SEPARATION_M, turn_deg)
+    apart_m = standing.distances_m()[chosen[:1]]
+    for least_m in DISTANCES_M:
+        others = np.flatnonzero((apart_m > least_m).any(axis=0))
+        if len(others):
+            rivals = standing[others].suppress_non_maxima(_RIVALS, _SEPARATION_M, turn_deg)
+            chosen = np.union1d(chosen, others[rivals])
+    return chosen[np.argsort(standing.score[chosen], kind="stable")]
+
+
+class JointRefinement:
+    """The joint refinement of several queries of one eye, each with its own `Refinement`."""
+
+    def __init__(self, refinements: Sequence[Refinement], effort: Effort) -> None:
+        self._solos, self._effort = refinements, effort
+        self._solvers = [solo.rough for solo in refinements]
+        self._least = np.full(len(refinements), np.inf)
+
+    def run(
+        self, found: Sequence[Hypotheses], alone: Sequence[Hypotheses]
+    ) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
+        """Return the places where the N queries fit together, best first.
+
+        Parameters
+        ----------
+        found : N Hypotheses
+            Poses of each query, at the same places in the same order, best first.
+        alone : N Hypotheses
+            The best pose that each query was refined to by itself, if any.
+
+        Returns
+        -------
+        poses : N RefinedPoses
+            M poses of each query, at the same places; scores are the costs of the places. Margins
+            and covariances are joint ones, for one query in the mean: queries of one place share
+            the terrain model's errors, so their information is not summed.
+        agrees : (N, M) bool
+            Whether each query was more likely taken at the place than somewhere else.
+        """
+        effort = self._effort
+        particles = [
+            solo.started(solo.rough, places[: effort.particles])
+            for solo, places in zip(self._solos, found, strict=True)
+        ]
+        for _ in range(effort.rounds - 1):
+            kept = max(_JOINT_LEAST, int(_JOINT_SHARE * len(particles[0])))
+            particles = self._moved(self._kept(particles, kept))
+        particles = self._joined(particles, self._restarted(particles))
+        particles = self._kept(particles, effort.finalists)
+        own_m = [poses.easting_m + 1j * poses.northing_m for poses in alone]
+        best_m = np.concatenate([particles[0].curves.place_m[:1], *own_m])
+        particles = self._joined(particles, self._at_best_headings(best_m))
+        self._solvers = [solo.fine for solo in self._solos]
+        self._least = np.array([poses.score.min(initial=np.inf) for poses in alone])
+        particles = [solo.reweighted(own) for solo, own in zip(self._solos, particles, strict=True)]
+        for _ in range(effort.final_rounds):
+            particles = self._moved(particles)
+        return self._poses(self._kept(particles, effort.finalists))
+
+    def _moved(self, particles: Sequence[Particles]) -> list[Particles]:
+        """Return particles after one common step, where the renderings from there fit better."""
+        solved = [
+            replace(own, fit=solver.improve(own.curves, own.fit, own.step_m))
+            for solver, own in zip(self._solvers, particles, strict=True)
+        ]
+        precision = self._precision(solved, self._share(self._off(particles)))
+        steps = np.stack([own.fit.state[:, _EYE] for own in solved])[..., np.newaxis]
+        step = np.linalg.solve(precision.sum(axis=0), (precision @ steps).sum(axis=0))[..., 0]
+        new = [
+            solo.stepped(solver, own, step, solver.at_height(own.fit, step[:, EYE_HEIGHT]))
+            for solo, solver, own in zip(self._solos, self._solvers, solved, strict=True)
+        ]
+        before, after = np.split(self._cost(self._off(self._joined(particles, new))), 2)
+        return [
+            solo.kept(old, own, after < before)
+            for solo, old, own in zip(self._solos, particles, new, strict=True)
+        ]
+
+    def _restarted(self, particles: Sequence[Particles]) -> list[Particles]:
+        """Return the particles that started around each of the best places."""
+        best = self._kept(particles, self._effort.restarts)
+        around = [solo.around(own) for solo, own in zip(self._solos, best, strict=True)]
+        for _ in range(_RESTART_ROUNDS - 1):
+            around = self._moved(around)
+        return around
+
+    def _at_best_headings(self, place_m: Complex128Array) -> list[Particles]:
+        """Return the best particle of each query at each place, of all headings."""
+        turn_deg = np.arange(0.0, 360.0, _HEADING_STEP_DEG)
+        at_m = place_m[np.repeat(np.arange(len(place_m)), len(turn_deg))]
+        none, heading_deg = np.zeros(len(at_m)), np.tile(turn_deg, len(place_m))
+        best_of_each = []
+        for solo in self._solos:
+            fov_deg = none + solo.scout.query.fov_deg
+            every = Hypotheses(
+                at_m.real, at_m.imag, none, heading_deg, none, none, fov_deg, none, none
+            )
+            seen = solo.started(solo.scout, every)
+            cost = seen.fit.cost.reshape(len(place_m), len(turn_deg))
+            best = seen[np.arange(len(place_m)) * len(turn_deg) + cost.argmin(axis=1)]
+            best_of_each.append(solo.started(solo.rough, solo.hypotheses(best, solo.scout)))
+        return best_of_each
+
+    def _joined(self, *parts: Sequence[Particles]) -> list[Particles]:
+        return [Particles.concatenate(list(own)) for own in zip(*parts, strict=True)]
+
+    def _kept(self, particles: Sequence[Particles], count: int) -> list[Particles]:
+        """Return the best distinct places, and rivals of the very best, best first."""
+        standing = self._solos[0].hypotheses(particles[0], self._solvers[0])
+        standing = replace(standing, score=self._cost(self._off(particles)))
+        chosen = best_and_rivals(standing, count)
+        return [own[chosen] for own in particles]
+
+    def _off(self, particles: Sequence[Particles]) -> Float64Array:
+        """Return the costs of queries (N, M) above the least cost of each anywhere."""
+        cost = np.stack([own.fit.cost for own in particles])
+        least = np.minimum(self._least, cost.min(axis=1, initial=np.inf))
+        return cost - np.where(np.isfinite(least), least, 0.0)[:, np.newaxis]
+
+    def _cost(self, off: Float64Array) -> Float64Array:
+        """Return the costs of places (M,); infinite where no query fits."""
+        cost = -TEMPERATURE * np.logaddexp(-off / TEMPERATURE, -_STRANGER).sum(axis=0)
+        return np.where(np.isinf(off).all(axis=0), np.inf, cost)
+
+    def _share(self, off: Float64Array) -> Float64Array:
+        """Return the probability (N, M) that each query was taken at each place."""
+        odds = _STRANGER - off / TEMPERATURE
+        return 1.0 / (1.0 + np.exp(-np.clip(odds, -_GREATEST_LOG_ODDS, _GREATEST_LOG_ODDS)))
+
+    def _precision(self, particles: Sequence[Particles], share: Float64Array) -> Float64Array:
+        """Return the precisions (N, M, 3, 3) of the eye by each query, times its ``share``."""
+        covariance = np.stack(
+            [
+                solver.covariance(*solver.evaluate(own.curves, own.fit))[:, _EYE, _EYE]
+                for solver, own in zip(self._solvers, particles, strict=True)
+            ]
+        )
+        share = np.maximum(share, _LEAST_SHARE)[..., np.newaxis, np.newaxis]
+        return np.asarray(np.linalg.inv(covariance) * share)
+
+    def _poses(self, particles: Sequence[Particles]) -> tuple[tuple[RefinedPoses, ...], BoolArray]:
+        off = self._off(particles)
+        cost, share = self._cost(off), self._share(off)
+        agrees = share >= 0.5
+        mean = self._precision(particles, share).sum(axis=0) / share.sum(axis=0)[:, None, None]
+        covariance_m2 = np.linalg.inv(mean)[:, :EYE_HEIGHT, :EYE_HEIGHT]
+        covariance_m2 = 0.5 * (covariance_m2 + covariance_m2.swapaxes(1, 2))
+        poses = [solo.poses(own) for solo, own in zip(self._solos, particles, strict=True)]
+        standing = replace(poses[0].hypotheses, score=cost)
+        # Margins and covariances are those of one query in the mean, and so are these odds.
+        covariance_m2 = spread(replace(standing, score=cost / len(poses)), covariance_m2)
+        margin, far_margin = (
+            standing.rival_margin(least_m) / np.maximum(agrees.sum(axis=0), 1)
+            for least_m in DISTANCES_M
+        )
+        joint = {"covariance_m2": covariance_m2, "margin": margin, "far_margin": far_margin}
+        each = (replace(own, hypotheses=replace(own.hypotheses, score=cost)) for own in poses)
+        return tuple(replace(own, **joint) for own in each), agrees

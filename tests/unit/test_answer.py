@@ -1,0 +1,141 @@
+"""Answers in words, JSON and rows; why a match has no answer, and how near one is sure to be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes import candidate_at
+
+from skyline.match.answer import MatchResult, refusal_of, sure_within_m
+from skyline.match.matchers import MatchConfig
+from skyline.match.query_rays import QueryRays
+from skyline.photo.exif import NOTHING_NOTED, NotedPlace
+from skyline.photo.lens import Lens
+from skyline.photo.query import QuerySkyline
+
+GIVEN_DEG, SD_DEG = 60.0, 1.5
+
+
+@pytest.fixture
+def rays():
+    u = np.linspace(-0.5, 0.5, 100)
+    return QueryRays(u, 0.0 * u, np.ones_like(u), GIVEN_DEG).about(SD_DEG)
+
+
+def query(fov_deg=GIVEN_DEG, noted=NOTHING_NOTED, lens=None):
+    return QuerySkyline(np.full(40, 12.0), np.ones(40), 40, 30, fov_deg, noted=noted, lens=lens)
+
+
+def refusal(rays, found_deg, given_deg=GIVEN_DEG, confidence=None):
+    """Return the refusal of a candidate with a field of view."""
+    found = candidate_at(
+        0.0, 0.0, fov_deg=found_deg, confidence=confidence, confidence_1km=confidence
+    )
+    return refusal_of([found], MatchConfig(), query(given_deg), rays)
+
+
+@pytest.mark.parametrize("found_deg", [56.9, 63.1])
+def test_a_field_of_view_that_hardly_fits_is_named(rays, found_deg):
+    why = refusal(rays, found_deg, confidence=0.1)
+    assert why.startswith(
+        "the best place has confidence 0.10, within 1 km 0.10; 0.80 is needed; it"
+    )
+    assert f"field of view of {found_deg:.1f} degrees, and {GIVEN_DEG:.1f} was given" in why
+
+
+def test_a_field_of_view_that_fits_or_was_not_given_is_not_named(rays):
+    assert refusal(rays, 62.9, confidence=0.1).endswith("is needed")
+    assert refusal(rays, 65.0, None, confidence=0.1).endswith("is needed")
+    assert refusal_of([], MatchConfig(), query(), rays) == "no place fits"
+
+
+@pytest.mark.parametrize(("found_deg", "refused"), [(54.0, True), (66.0, True), (65.9, False)])
+def test_a_field_of_view_at_the_end_of_the_range_searched_is_no_answer(rays, found_deg, refused):
+    assert rays.fov_bounds_deg == (54.0, 66.0)
+    why = refusal(rays, found_deg)
+    assert (why is not None) == refused
+    assert not refused or "--fov-deg" in why
+
+
+@pytest.mark.parametrize(
+    ("near", "roughly", "within_m"),
+    [(0.9, 0.95, 200.0), (0.89, 0.95, 1000.0), (0.5, 0.8, 1000.0), (0.5, 0.79, None)],
+)
+def test_the_nearer_claim_leaves_half_of_the_doubt(near, roughly, within_m):
+    candidate = candidate_at(0.0, 0.0, confidence=near, confidence_1km=roughly)
+    assert sure_within_m(candidate, MatchConfig(min_confidence=0.8)) == within_m
+
+
+BEST = replace(candidate_at(0.0, 0.0), lon=9.8, lat=46.7, heading_deg=131.0)
+
+
+def noting(noted, is_answer=True, candidates=(BEST,)):
+    """Return a result for a photo whose EXIF notes a place."""
+    return MatchResult(query(noted=noted), candidates, 0.0, None if is_answer else "not sure")
+
+
+def test_the_photo_s_own_place_is_compared_with_the_answer():
+    noted = NotedPlace((9.8, 46.7 + 240.0 / 111_170.0), 1800.0, 112.0, True, 5.0)
+    result = noting(noted)
+    assert result.exif["distance_m"] == pytest.approx(240.0, abs=0.5)
+    assert result.exif["heading_off_deg"] == pytest.approx(19.0)
+    assert result.to_dict()["exif"] == result.exif
+    assert result.to_row()["exif_distance_m"] == result.exif["distance_m"]
+    words = result.exif_in_words()
+    assert "lon 9.80000, 240 m from the answer (good to 5 m). Its" in words
+    assert "compass says 112 degrees, from magnetic north, the answer 131." in words
+    assert "disagree" not in words
+    assert "46.7" not in result.exif_in_words(with_place=False)
+
+
+def test_a_tag_that_is_left_aside_is_named_with_the_reason():
+    reason = "The photo's GPS position is left aside: the latitude does not say N or S."
+    result = noting(NotedPlace(heading_deg=112.0, is_magnetic=None, left_aside=reason))
+    words = result.exif_in_words(with_place=False)
+    assert words.startswith("Its compass says 112 degrees, from a north that it does not name, the")
+    assert words.endswith(reason)
+    assert (result.exif["distance_m"], result.exif["heading_is_magnetic"]) == (None, None)
+    assert noting(NotedPlace(left_aside=reason), False, ()).exif_in_words() == reason
+
+
+def test_a_place_far_from_the_photo_s_own_disagrees():
+    words = noting(NotedPlace((-70.0, 46.7), None, 359.0), False).exif_in_words()
+    assert "position and compass and candidate 1 disagree" in words
+    assert "5,821 km from candidate 1" in words
+
+
+def test_without_a_place_in_the_exif_there_is_none_in_the_answer():
+    assert noting(NOTHING_NOTED).exif is None
+    assert noting(NOTHING_NOTED).exif_in_words() == ""
+    alone = noting(NotedPlace((9.8, 46.7)), False, ())
+    assert alone.exif["distance_m"] is None
+    assert alone.exif_in_words() == "The photo says lat 46.70000 lon 9.80000."
+
+
+@pytest.mark.parametrize(
+    ("share", "begins"), [(None, None), (0.09, None), (0.214, "21 % of the skyline may be of")]
+)
+def test_terrain_beyond_the_model_is_mentioned_from_a_tenth_on(share, begins):
+    result = MatchResult(query(), (replace(BEST, beyond_share=share),), 0.0)
+    assert (result.beyond or "").startswith(begins or "")
+    assert (result.beyond is None) == (begins is None)
+
+
+def test_the_printed_lines_of_an_answer():
+    lens = Lens(60.3, 5.0, said="EXIF's 35 mm equivalent alone")
+    sure = replace(BEST, confidence=0.93, confidence_1km=0.97, refined=True)
+    result = MatchResult(query(lens=lens), (sure,), 1.5, None, 200.0, "a\nb.jpg")
+    assert result.to_text().splitlines() == [
+        r"a\nb.jpg (1.50 s)",
+        "  the answer is candidate 1, right within 200 m; all candidates, best first:",
+        "  1. lat 46.70000 lon 9.80000  easting 0 northing 0  heading 131.0 from true north  "
+        "pitch 0.0  fov 60.0  confidence 0.93 (1 km: 0.97)",
+        "  1 of 5 candidates: no other place was worth refining to the end",
+        "  field of view: 60.3 degrees, give or take 5; EXIF's 35 mm equivalent alone",
+    ]
+    refused = MatchResult(query(), (), 1.5, "no place fits", name="c.jpg")
+    assert refused.to_text() == "c.jpg (1.50 s)\n  no answer: no place fits"
+    assert refused.to_dict() == {
+        "query": "c.jpg", "answer": None, "answer_within_m": None, "candidates": [],
+        "seconds": 1.5, "refusal": "no place fits",
+    }  # fmt: skip

@@ -1,0 +1,94 @@
+"""The place that a photo notes as a prior: its density and its pull."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from query_scenes import hills, panorama_of, poses, rays_of, seen
+from scipy.integrate import quad
+
+from skyline.geodesy import Frame
+from skyline.match.prior import EyeHeightPrior, PlacePrior
+from skyline.match.solver import FINE, Curves, Solver
+from skyline.photo.exif import NotedPlace
+
+NOTED = PlacePrior(1000.0, 2000.0, 25.0)
+of_noted = PlacePrior.of_noted
+THERE = np.array([1000.0 + 2000.0j])
+NORTH = SEA = np.zeros(1)
+
+
+def density(distance_m, prior=NOTED):
+    """Return the density per square metre, relative to a uniform one over 1e9 square metres."""
+    return float(np.exp(-prior.cost(THERE + distance_m, SEA, NORTH)[0])) / 1e9
+
+
+def test_its_probabilities_sum_to_one():
+    ring = quad(lambda r: 2.0 * np.pi * r * (density(r) - 0.05 / 1e9), 0.0, np.inf, limit=200)[0]
+    assert ring == pytest.approx(0.95, abs=1e-6)
+
+
+def test_a_place_far_off_is_not_impossible():
+    assert NOTED.cost(THERE + 1e7, SEA, NORTH)[0] == pytest.approx(-np.log(0.05), abs=1e-6)
+    assert density(6400.0) > density(1e6)
+
+
+def test_its_compass_is_a_weak_hint():
+    looking = replace(NOTED, heading_deg=350.0)
+    said = looking.cost(np.repeat(THERE, 3), np.zeros(3), np.radians([350.0, 10.0, 170.0]))
+    assert said[0] < said[1] < said[2]
+    assert said[2] - said[0] < 4.0
+    turns = np.radians(np.linspace(0.0, 360.0, 3601)[:-1])
+    more = np.exp(
+        NOTED.cost(THERE, SEA, NORTH) - looking.cost(np.repeat(THERE, 3600), np.zeros(3600), turns)
+    )
+    assert more.mean() == pytest.approx(1.0, abs=1e-3)
+
+
+def test_its_pull_is_the_slope_of_the_cost():
+    heavy = replace(NOTED, elevation_m=50.0, elevation_sd_m=15.0, weight=8.0)
+    for off_m, eye_m in ((1.0, 2.0), (30.0, 45.0), (300.0, 90.0)):
+        place, eye = THERE + off_m, SEA + eye_m
+        precision, offset_m = heavy.pull(place, eye)
+        pull = (precision * offset_m)[0]
+        east = [heavy.cost(place + step, eye, NORTH)[0] for step in (-0.01, 0.01)]
+        up = [heavy.cost(place, eye + step, NORTH)[0] for step in (-0.01, 0.01)]
+        assert pull[0] == pytest.approx(np.diff(east)[0] / 0.02, rel=1e-4)
+        assert pull[1] == 0.0
+        assert pull[2] == pytest.approx(np.diff(up)[0] / 0.02, rel=1e-4)
+    assert NOTED.pull(THERE, SEA)[0][0, 2] == 0.0
+
+
+@pytest.mark.parametrize("prior", [NOTED, None])
+def test_a_step_is_pulled_to_the_noted_place(prior):
+    query = rays_of(*seen(hills, 350.0), 60.0)
+    solver = Solver(query, FINE, EyeHeightPrior(2.0, 5.0), 5.0, prior)
+    curves = Curves.of(
+        *panorama_of(hills, distance_m=1e6), THERE + 60.0, SEA, np.zeros((1, 2)), np.full(1, 2.0)
+    )
+    fit = solver.settle(curves, solver.start(poses(heading_deg=350.0)))
+    east = solver.improve(curves, fit, np.full(1, 1e4)).state[0, 0]
+    # Terrain so far away tells nothing about the place.
+    assert (east < -50.0) == (prior is not None)
+
+
+def test_the_prior_is_as_precise_as_the_photo_notes():
+    frame = Frame.local(lon=9.8, lat=46.7)
+    plain = of_noted(NotedPlace((9.8, 46.7), heading_deg=10.0), frame)
+    assert (plain.easting_m, plain.northing_m) == pytest.approx((0.0, 0.0), abs=1e-6)
+    assert (plain.sd_m, plain.heading_deg, plain.heading_sd_deg) == (30.0, 10.0, 20.0)
+    said = of_noted(NotedPlace((9.8, 46.7), None, 10.0, True, 80.0), frame)
+    assert (said.sd_m, said.heading_sd_deg) == (80.0, 30.0)
+    assert of_noted(NotedPlace((9.8, 46.7), None, 10.0, None), frame).heading_sd_deg == 30.0
+    # An altitude counts only beside a noted accuracy.
+    assert of_noted(NotedPlace((9.8, 46.7), 900.0), frame).elevation_m is None
+    sure = of_noted(NotedPlace((9.8, 46.7), 900.0, accuracy_m=20.0), frame)
+    assert (sure.elevation_m, sure.elevation_sd_m) == (900.0, 60.0)
+    # The terrain model's own error bounds the scale from below.
+    assert of_noted(NotedPlace((9.8, 46.7), accuracy_m=1.0), frame).sd_m == 15.0
+    assert of_noted(NotedPlace(heading_deg=10.0), frame) is None
+    beside = frame.to_lonlat(40_000.0, 0.0)
+    east = of_noted(NotedPlace((float(beside[0]), float(beside[1])), heading_deg=0.0), frame)
+    turn_deg = float(frame.convergence_deg(easting_m=40_000.0, northing_m=0.0))
+    assert abs(turn_deg) > 0.1
+    assert east.heading_deg == pytest.approx(-turn_deg)
