@@ -9,7 +9,9 @@ from skyline.arrays import Int64Array
 from skyline.camera import DEFAULT_WIDTH, HEADINGS, MAX_WIDTH, pixel_size
 from skyline.errors import InputError
 from skyline.geodesy import Curvature
-from skyline.render.horizon import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
+from skyline.render.eyes import in_four_views
+from skyline.render.horizon import check_tolerance
+from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer
 from skyline.skylines import Horizons, check_bins, quadrant_azimuths_rad
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -87,9 +89,8 @@ class PanoramaRenderer(ColumnRenderer):
         first_bin = np.floor(first / step_rad)
         # Within half a step a column stays in its view of 90 degrees.
         turn = np.repeat(first - (first_bin + 0.5) * step_rad, len(HEADINGS))
-        heading = np.tile(np.array(HEADINGS, dtype=np.uint8), count)
-        eyes = viewpoints[np.repeat(np.arange(count), len(HEADINGS))]
-        shape = (count * len(HEADINGS), self.width)
+        eyes, heading = in_four_views(viewpoints)
+        shape = (len(eyes), self.width)
         tan, distance = np.empty(shape, np.float32), np.empty(shape, np.float32)
         flags = np.empty(shape, np.uint8)
         for part, rows in self._batches(eyes, heading, turn):

@@ -5,10 +5,10 @@ import pytest
 from scenes import field_of, fractal
 
 from skyline.errors import ContextError, InputError
-from skyline.render import horizon, windows
+from skyline.render import march, windows
 from skyline.render.depth import QUANTIZATION_PX, DepthRenderer
 from skyline.render.horizon import HorizonRenderer
-from skyline.render.march import RayMarcher
+from skyline.render.march import ColumnRenderer
 from skyline.skylines import FLAG_HOLE, FLAG_TRUNCATED, Views
 from skyline.terrain.viewpoints import stand_on
 from skyline_bench.truth import oracle
@@ -47,7 +47,7 @@ def test_windows_of_a_large_field_give_the_same_skylines(rough, monkeypatch):
     whole = render(field, eyes)
     monkeypatch.setattr(windows, "MAX_FIELD_CELLS", 30)
     monkeypatch.setattr(windows, "MAX_WINDOW_CELLS", 23)
-    monkeypatch.setattr(horizon, "_RESIDENT_SAMPLES", 2000)
+    monkeypatch.setattr(march, "_RESIDENT_SAMPLES", 2000)
     assert_same(render(field, eyes), whole)
 
 
@@ -68,7 +68,7 @@ def test_many_columns_a_lane_or_few(rough, monkeypatch):
     field, eyes = rough
     alone = [render(field, eyes[index : index + 1], 640) for index in range(3)]
     together = render(field, eyes, 640)
-    monkeypatch.setattr(RayMarcher, "_columns_a_lane", lambda self, eyes: 7)
+    monkeypatch.setattr(ColumnRenderer, "_columns_a_lane", lambda self, eyes: 7)
     odd = render(field, eyes, 640)
     assert_same(odd, together)
     for index, views in enumerate(alone):
@@ -118,18 +118,18 @@ def test_no_viewpoints_give_no_views(rough):
 
 def test_out_of_memory_halves_the_batch(rough, monkeypatch, caplog):
     field, eyes = rough
-    begin = RayMarcher.begin
+    reserve = ColumnRenderer._reserve
 
     def full(self, rows):
         if rows > 8:
-            raise horizon.moderngl.Error("cannot create buffer")
-        begin(self, rows)
+            raise march.moderngl.Error("cannot create buffer")
+        reserve(self, rows)
 
     whole = render(field, eyes)
-    monkeypatch.setattr(RayMarcher, "begin", full)
+    monkeypatch.setattr(ColumnRenderer, "_reserve", full)
     assert_same(render(field, eyes), whole)
     assert "out of GPU memory" in caplog.text
-    monkeypatch.setattr(RayMarcher, "begin", lambda self, rows: full(self, 9))
+    monkeypatch.setattr(ColumnRenderer, "_reserve", lambda self, rows: full(self, 9))
     with pytest.raises(ContextError, match="cannot hold one view"):
         render(field, eyes)
 
