@@ -10,28 +10,13 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from functools import partial
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 from uuid import uuid4
 
 from skyline.errors import BuildError, InputError, SkylineError, library
 
 T = TypeVar("T")
 R = TypeVar("R")
-
-
-class Runner(Protocol):
-    """Does the same work on many items, in any order and anywhere.
-
-    Work and items must be picklable. The runner yields the index of each item as it is done, with
-    the result of the work or the exception that it raised in the end.
-    """
-
-    def __call__(
-        self, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
-    ) -> Iterator[tuple[int, R | Exception]]:
-        """Run ``work`` on every item; ``names`` are the items' names, each of them once."""
-        ...
 
 
 RETRIES = 2
@@ -53,6 +38,37 @@ _log = logging.getLogger(__name__)
 _job_thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="skyline-jobs")
 
 
+class Runner:
+    """Does the same work on many items, on the workers of a dask client.
+
+    Work and items must be picklable.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def __call__(
+        self, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
+    ) -> Iterator[tuple[int, R | Exception]]:
+        """Run ``work`` on every item; ``names`` are the items' names, each of them once.
+
+        Yields the index of each item as it is done, in any order, with the result of the work or
+        the exception that its last attempt raised.
+        """
+        run, submit = uuid4().hex[:8], self._client.submit
+        with warnings.catch_warnings():
+            # A large graph is what many viewpoints are; it is sent once.
+            warnings.filterwarnings("ignore", message="Sending large graph")
+            futures = [
+                submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)
+                for name, item in zip(names, items, strict=True)
+            ]
+        place = {future.key: index for index, future in enumerate(futures)}
+        # The scheduler forgets jobs that nobody waits for any more when the client leaves.
+        for future in _distributed().as_completed(futures):
+            yield place[future.key], _outcome(future)
+
+
 def runner_of(workers: int | None, scheduler: str | None) -> AbstractContextManager[Runner | None]:
     """Return the context of a `Runner` on new processes, or on a cluster; of None without either.
 
@@ -72,7 +88,7 @@ def local_runner(workers: int) -> Iterator[Runner]:
     Raises `InputError` for fewer than one worker, or where dask is not installed.
     """
     with local_cluster(workers) as cluster, _distributed().Client(cluster) as client:
-        yield partial(_run, client)
+        yield Runner(client)
 
 
 @contextmanager
@@ -122,7 +138,7 @@ def remote_runner(address: str) -> Iterator[Runner]:
     with client:
         if not client.scheduler_info()["workers"]:
             _log.warning("the scheduler at %s has no workers yet; waiting for one", address)
-        yield partial(_run, client)
+        yield Runner(client)
 
 
 def _distributed() -> Any:
@@ -130,24 +146,6 @@ def _distributed() -> Any:
     # It logs every step; `_outcome` returns the errors that matter to a user.
     logging.getLogger("distributed").setLevel(logging.ERROR)
     return distributed
-
-
-def _run(
-    client: Any, work: Callable[[T], R], items: Sequence[T], names: Sequence[str]
-) -> Iterator[tuple[int, R | Exception]]:
-    """Do jobs on a cluster; a `Runner` but for the client."""
-    run = uuid4().hex[:8]
-    with warnings.catch_warnings():
-        # A large graph is what many viewpoints are; it is sent once.
-        warnings.filterwarnings("ignore", message="Sending large graph")
-        futures = [
-            client.submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)
-            for name, item in zip(names, items, strict=True)
-        ]
-    place = {future.key: index for index, future in enumerate(futures)}
-    # Jobs that nobody waits for any more are forgotten by the scheduler when the client leaves.
-    for future in _distributed().as_completed(futures):
-        yield place[future.key], _outcome(future)
 
 
 def _do_alone(work: Callable[[T], R], item: T) -> R:

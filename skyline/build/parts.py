@@ -27,8 +27,8 @@ from skyline.store import StoreHeader, open_store, write_store
 from skyline.store.format import refuse_mismatch
 from skyline.store.merge import merged_rows, whole_rows
 from skyline.store.read import part_name, parts_folder
+from skyline.store.stored_dem import read_dem_of
 from skyline.store.write import check_folder, partial_beside
-from skyline.terrain.dem import DemOptions, read_dem
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
@@ -160,7 +160,7 @@ def build_store(
         advance(0)
         try:
             if runner is not None:
-                rendered = sum(_on_workers(runner, terrain, plan, left, advance))
+                rendered = sum(_on_workers(runner, header, plan, left, advance))
             elif renderer is not None:
                 for part, some in left.items():
                     columns = renderer.columns(some)
@@ -225,10 +225,8 @@ class _Job:
     build: str
     """Of no other build."""
     plan: Plan
-    dem_files: tuple[str, ...]
-    """Absolute paths, the same on every machine."""
-    dem_digest: str
-    dem_options: DemOptions
+    header: StoreHeader
+    """It names the DEM's files, by paths that are the same on every machine."""
 
     def write_part(self, item: tuple[Path, Any]) -> int:
         """Render and write a part in a worker; return its number of rows.
@@ -248,14 +246,13 @@ class _Job:
         return len(columns[renderer.header.sorted_by[0]])
 
     def _terrain(self) -> HeightField:
-        terrain = read_dem(self.dem_files, self.dem_options)
-        if terrain.digest != self.dem_digest:
+        try:
+            return read_dem_of(self.header)
+        except StoreMismatchError as error:
             raise StoreMismatchError(
-                f"the DEM here ({', '.join(self.dem_files)}) has digest {terrain.digest[:12]}, the "
-                f"build's has {self.dem_digest[:12]}; workers need the same files and the same "
-                "releases of skyline and its libraries"
-            )
-        return terrain
+                f"{error}; workers need the same files and the same releases of skyline and its "
+                "libraries"
+            ) from error
 
 
 _open_here: dict[str, PartRenderer] = {}
@@ -264,19 +261,18 @@ _open_here: dict[str, PartRenderer] = {}
 
 def _on_workers(
     runner: Runner,
-    terrain: HeightField,
+    header: StoreHeader,
     plan: Plan,
     left: dict[Path, Any],
     finished: Callable[[], None],
 ) -> Sequence[int]:
     """Render and write parts by a runner; return the number of rows of each."""
-    if not terrain.provenance.files:
+    if not header.dem_files:
         raise InputError("a DEM made in memory cannot be sent to workers; write it to a file first")
-    options = DemOptions.from_json(terrain.provenance.options)
     if isinstance(plan, RenderingPlan):
         # Each job brings its own viewpoints.
         plan = RenderingPlan(plan.viewpoints[:0], plan.settings, plan.config)
-    job = _Job(uuid4().hex, plan, terrain.provenance.files, terrain.digest, options)
+    job = _Job(uuid4().hex, plan, header)
     names = [part.stem for part in left]
     return collect(runner(job.write_part, list(left.items()), names), names, finished)
 

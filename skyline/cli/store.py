@@ -12,7 +12,7 @@ from typer import Argument, Option
 from skyline.cli.console import AsJson, say
 from skyline.errors import InputError, printable
 from skyline.report.geopackage import write_geopackage
-from skyline.store import CopyReport, check_store, merge_stores, open_store, repair_store
+from skyline.store import StoreReport, check_store, merge_stores, open_store, repair_store
 
 _DAMAGED = 2
 
@@ -31,7 +31,8 @@ def check(store: StoreFile, as_json: AsJson = False) -> None:
     if as_json:
         # The exit code is true also where nobody reads this.
         with suppress(BrokenPipeError):
-            say(json.dumps({"store": printable(store), "whole": report.whole, **asdict(report)}))
+            facts = {key: value for key, value in asdict(report).items() if key != "duplicates"}
+            say(json.dumps({"store": printable(store), "whole": report.whole, **facts}))
         raise typer.Exit(0 if report.whole else _DAMAGED)
     if not report.whole:
         first = "; ".join(damage.what for damage in report.damage[:3])
@@ -69,7 +70,7 @@ def export(
     say(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")
 
 
-def _print_copied(report: CopyReport, path: Path) -> None:
+def _print_copied(report: StoreReport, path: Path) -> None:
     size = path.stat().st_size
     each = f", {size / report.rows:.0f} bytes each" if report.rows else ""
     again = f", {report.duplicates} duplicates left out" if report.duplicates else ""

@@ -148,12 +148,12 @@ class DepthRenderer:
         seen = covered >= 0.0
         tan = np.where(seen, pixels[..., 0], np.float32(np.nan))
         depth = np.where(seen, pixels[..., 1], np.float32(np.nan))
-        eyes, heading = in_four_views(viewpoints)
+        eyes, headings = in_four_views(viewpoints)
         return Views(
             eyes.easting_m,
             eyes.northing_m,
             eyes.eye_elevation_m,
-            heading,
+            headings,
             tan,
             depth,
             self._flags(viewpoints, covered, tan),

@@ -104,9 +104,13 @@ class ColumnRenderer:
 
     def release(self) -> None:
         """Free this renderer's buffers, textures and programs; the context stays for others."""
-        held = [*self._results, self._aims, *self._programs.values(), *self._resident.values()]
-        for each in held:
-            each.release()
+        for buffer in self._results:
+            buffer.release()
+        self._aims.release()
+        for program in self._programs.values():
+            program.release()
+        for window in self._resident.values():
+            window.release()
         self._results, self._programs, self._resident = (), {}, {}
 
     def __enter__(self) -> Self:
@@ -158,7 +162,7 @@ class ColumnRenderer:
                     self._march(facing, double, place == 0, textures, near, rows)
         tan, depth, flags = (
             eyes.in_order(self._read(index, len(eyes), kind))
-            for index, kind in enumerate((np.float32, np.float32, np.uint32))
+            for index, kind in enumerate(("<f4", "<f4", "<u4"))
         )
         missing, nan = tan == _NOTHING, np.float32(np.nan)
         return Results(
@@ -176,7 +180,7 @@ class ColumnRenderer:
         size = max(4 * rows * self.width, 4)
         self._results = tuple(self._ctx.buffer(reserve=size) for _ in range(3))
 
-    def _read(self, index: int, rows: int, kind: type[np.generic]) -> NDArray[Any]:
+    def _read(self, index: int, rows: int, kind: str) -> NDArray[Any]:
         """Return v (0), depth (1) or flags (2) of the views (rows, W) in sorted order."""
         data = self._results[index].read()[: 4 * rows * self.width]
         return np.frombuffer(data, kind).reshape(rows, self.width)
@@ -188,7 +192,7 @@ class ColumnRenderer:
         highest_m = float(np.fmax.reduce(self.field.heights_m[rows, cols], axis=None))
         if np.isnan(highest_m):
             return False
-        least = self._read(0, len(eyes), np.float32).min(axis=1)
+        least = self._read(0, len(eyes), "<f4").min(axis=1)
         bound = eyes.greatest_tan(window, highest_m, self.curvature.drop_per_m2)
         return bool((bound > least).any())
 

@@ -16,7 +16,6 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -59,38 +58,39 @@ _VIEWS_A_CHUNK = 32
 """80 kB of skylines at W = 640. Half costs 3 % more bytes, four times saves 1 %, and a single row
 is read by unpacking one chunk."""
 
+KEYPOINTS = "features/keypoint_column"
+
 KeypointColumns = NDArray[np.uint16]
 
 Columns = Mapping[str, NDArray[Any]]
 """N rows of several datasets, by the datasets' names, in the types in which they are stored."""
 
-VIEW_SPECS = {
-    "easting_m": ("views/easting", "<f8", "one"),
-    "northing_m": ("views/northing", "<f8", "one"),
-    "eye_elevation_m": ("views/eye_elevation_m", "<f8", "one"),
-    "heading": ("views/heading", "u1", "one"),
-    "elevation_tan": ("views/elevation_tan", "<f4", "width"),
-    "depth_m": ("views/depth_m", "<f4", "width"),
-    "flags": ("views/flags", "u1", "width"),
+_SPECS: dict[str, dict[str, tuple[str, str, tuple[int, ...] | None]]] = {
+    RENDERINGS: {
+        "easting_m": ("views/easting", "<f8", ()),
+        "northing_m": ("views/northing", "<f8", ()),
+        "eye_elevation_m": ("views/eye_elevation_m", "<f8", ()),
+        "heading": ("views/heading", "u1", ()),
+        "elevation_tan": ("views/elevation_tan", "<f4", None),
+        "depth_m": ("views/depth_m", "<f4", None),
+        "flags": ("views/flags", "u1", None),
+        "keypoints": (KEYPOINTS, "<u2", (DEFAULT_MAX_KEYPOINTS,)),
+        "checksum": ("views/checksum", "<u4", ()),
+    },
+    PLACES: {
+        "easting_m": ("places/easting", "<f8", ()),
+        "northing_m": ("places/northing", "<f8", ()),
+        "eye_elevation_m": ("places/eye_elevation_m", "<f4", ()),
+        "tolerance_m": ("places/tolerance_m", "<f4", ()),
+        "first_tan": ("places/first_tan", "<f4", ()),
+        "rise": ("places/rise", "i1", (BINS,)),
+        "distance": ("places/distance", "u1", (DISTANCE_BINS,)),
+        "phase": ("places/phase", "u1", (PHASE_BINS,)),
+        "checksum": ("places/checksum", "<u4", ()),
+    },
 }
-"""Field of `Views` -> dataset, its type, and how many values a row has of it."""
-
-KEYPOINTS = "features/keypoint_column"
-CHECKSUM = "views/checksum"
-
-PLACE_SPECS = {
-    "easting_m": ("places/easting", "<f8", "one"),
-    "northing_m": ("places/northing", "<f8", "one"),
-    "eye_elevation_m": ("places/eye_elevation_m", "<f4", "one"),
-    "tolerance_m": ("places/tolerance_m", "<f4", "one"),
-    "first_tan": ("places/first_tan", "<f4", "one"),
-    "rise": ("places/rise", "i1", "rises"),
-    "distance": ("places/distance", "u1", "distances"),
-    "phase": ("places/phase", "u1", "phases"),
-}
-"""Field of `Places` -> dataset and its layout, as in `VIEW_SPECS`."""
-
-PLACE_CHECKSUM = "places/checksum"
+"""By kind of rows: field of `Views` or `Places` -> dataset, type and shape of a row; None stands
+for the width (W,). Keypoints and checksums are fields of neither."""
 
 PLACE_CODING = {
     "bins": BINS,
@@ -176,36 +176,29 @@ class StoreHeader:
     @property
     def checksum(self) -> str:
         """The dataset of the rows' checksums."""
-        return PLACE_CHECKSUM if self.holds == PLACES else CHECKSUM
+        return _SPECS[self.holds]["checksum"][0]
 
     @property
     def fields(self) -> dict[str, str]:
         """Field of `Views` or `Places` -> dataset, for the kind of rows that the store holds."""
-        specs = PLACE_SPECS if self.holds == PLACES else VIEW_SPECS
-        return {field: name for field, (name, *_) in specs.items()}
+        return {
+            field: name
+            for field, (name, *_) in _SPECS[self.holds].items()
+            if field not in ("keypoints", "checksum")
+        }
 
     @property
     def sorted_by(self) -> list[str]:
         """The datasets by which rows are sorted, and which distinguish one row from another."""
-        return [name for field, name in self.fields.items() if field in (*EYE, "heading")]
+        return [self.fields[field] for field in (*EYE, "heading") if field in self.fields]
 
     @property
     def specs(self) -> dict[str, np.dtype[Any]]:
         """The datasets of this store, by name: the type of a row, (W,) float32 for example."""
-        if self.holds == PLACES:
-            held = [*PLACE_SPECS.values(), (PLACE_CHECKSUM, "<u4", "one")]
-        else:
-            keypoints, checksum = (KEYPOINTS, "<u2", "keypoints"), (CHECKSUM, "<u4", "one")
-            held = [*VIEW_SPECS.values(), keypoints, checksum]
-        row_shapes: dict[str, tuple[int, ...]] = {
-            "one": (),
-            "width": (self.width,),
-            "keypoints": (DEFAULT_MAX_KEYPOINTS,),
-            "rises": (BINS,),
-            "distances": (DISTANCE_BINS,),
-            "phases": (PHASE_BINS,),
+        return {
+            name: np.dtype((kind, (self.width,) if shape is None else shape))
+            for name, kind, shape in _SPECS[self.holds].values()
         }
-        return {name: np.dtype((kind, row_shapes[per_row])) for name, kind, per_row in held}
 
     def chunk_rows(self, rows: int) -> int:
         """Return how many rows a chunk of every dataset has, in a store of so many rows."""
@@ -230,15 +223,6 @@ class StoreHeader:
         """SHA-256 of the schema's version and all attributes."""
         text = json.dumps([SCHEMA_VERSION, self.attributes], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()
-
-
-def check_holds(path: Path, header: StoreHeader, wanted: str) -> None:
-    """Raise `InputError` unless a store holds rows of the kind that is wanted."""
-    if header.holds != wanted:
-        raise InputError(
-            f"store {path} holds {header.holds}, not {wanted}; name a store of {wanted}, which "
-            f"{MADE_BY[wanted]} makes"
-        )
 
 
 def refuse_mismatch(
@@ -323,7 +307,7 @@ def row_checksums(columns: Columns) -> NDArray[np.uint32]:
 
     Columns are (N, ...) stored rows by dataset; a column of checksums among them is skipped.
     """
-    names = [name for name in sorted(columns) if name not in (CHECKSUM, PLACE_CHECKSUM)]
+    names = [name for name in sorted(columns) if not name.endswith("/checksum")]
     count = len(columns[names[0]])
     sums = np.zeros(count, dtype=np.uint32)
     if not count:

@@ -62,14 +62,16 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class StoreReport:
-    """The result of `check_store`."""
+    """The result of `check_store`, `merge_stores` and `repair_store`."""
 
     rows: int
-    """Rows of the store; 0 where it cannot be opened."""
-    damage: tuple[Damage, ...]
-    """Empty for a whole store."""
+    """Rows of the store, or of the new store; 0 where it cannot be opened."""
     holds: str = "rows"
     """``renderings`` or ``places``; ``rows`` where the store cannot be opened."""
+    damage: tuple[Damage, ...] = ()
+    """The damage that was found; `repair_store` leaves these rows out."""
+    duplicates: int = 0
+    """Rows that `merge_stores` left out because the same view or place is there already."""
 
     @property
     def whole(self) -> bool:
@@ -77,23 +79,9 @@ class StoreReport:
         return not self.damage
 
 
-@dataclass(frozen=True, slots=True)
-class CopyReport:
-    """The result of `merge_stores` and `repair_store`."""
-
-    rows: int
-    """In the new store."""
-    holds: str
-    """``renderings`` or ``places``."""
-    duplicates: int = 0
-    """Rows left out because the same view or place is there already."""
-    damage: tuple[Damage, ...] = ()
-    """Rows left out because they are damaged (`repair_store` alone)."""
-
-
 def merge_stores(
     paths: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
-) -> CopyReport:
+) -> StoreReport:
     """Write the rows of stores into one new store, sorted by location.
 
     Parameters
@@ -116,10 +104,10 @@ def merge_stores(
     with merged_rows(paths, out.parent) as (header, columns, order):
         write_store(out, header, columns, order)
         rows = len(columns[header.checksum])
-    return CopyReport(len(order), header.holds, rows - len(order))
+    return StoreReport(len(order), header.holds, duplicates=rows - len(order))
 
 
-def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> CopyReport:
+def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> StoreReport:
     """Write the undamaged rows of a store into a new one, in their order.
 
     Raises `StoreError` where nothing can be saved, or the new store cannot be written or exists.
@@ -130,7 +118,7 @@ def repair_store(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> C
         header = store.header
     with _gathered([(path, len(store))], header, out.parent, damage) as columns:
         write_store(out, header, columns)
-        return CopyReport(len(columns[header.checksum]), header.holds, damage=tuple(damage))
+        return StoreReport(len(columns[header.checksum]), header.holds, tuple(damage))
 
 
 @contextmanager
@@ -267,15 +255,12 @@ def examine(path: Path) -> StoreReport:
     try:
         with open_store(path) as store:
             found = [damage for _, _, damage in whole_rows(store) if damage]
-            return StoreReport(len(store), _joined(found), store.header.holds)
+            return StoreReport(len(store), store.header.holds, _joined(found))
     except SkylineError as error:
         return _unreadable(str(error))
 
 
-Rows = tuple[Columns, NDArray[np.intp], Damage | None]
-
-
-def whole_rows(store: Store) -> Iterator[Rows]:
+def whole_rows(store: Store) -> Iterator[tuple[Columns, NDArray[np.intp], Damage | None]]:
     """Yield stored rows block by block: the columns, which of them are whole, and the damage.
 
     A block where a chunk cannot be read is taken apart; its whole chunks are still yielded.
@@ -294,7 +279,9 @@ def whole_rows(store: Store) -> Iterator[Rows]:
                     yield {}, np.zeros(0, dtype=np.intp), Damage(str(error), first, last - first)
 
 
-def _compared(store: Store, start: int, stop: int) -> Rows:
+def _compared(
+    store: Store, start: int, stop: int
+) -> tuple[Columns, NDArray[np.intp], Damage | None]:
     """Compare rows with their checksums."""
     columns = store.stored(slice(start, stop))
     same = row_checksums(columns) == columns[store.header.checksum]

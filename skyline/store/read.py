@@ -23,13 +23,11 @@ from skyline.store.format import (
     EYE,
     KEYPOINTS,
     MADE_BY,
-    PLACE_CHECKSUM,
     PLACES,
     RENDERINGS,
     Columns,
     KeypointColumns,
     StoreHeader,
-    check_holds,
     checksums_of_bytes,
 )
 from skyline.store.keypoints import NO_KEYPOINT
@@ -66,6 +64,7 @@ class PlaceMap:
         self._at = at
         self._types = header.specs
         self._size = header.chunk_rows(places)
+        self._checksum = header.checksum
         # In the order in which their checksums are taken.
         self._fields = sorted(header.fields.items(), key=lambda item: item[1])
         self._record = np.dtype([(name, self._types[name]) for _, name in self._fields])
@@ -143,7 +142,7 @@ class PlaceMap:
         chunk, row = np.divmod(rows, self._size)
         bytes_of = [
             self._rows[name][self._at[name][chunk] + row * self._types[name].itemsize]
-            for name in (*(self._record.names or ()), PLACE_CHECKSUM)
+            for name in (*(self._record.names or ()), self._checksum)
         ]
         together = np.concatenate(bytes_of[:-1], axis=1)
         wrong = checksums_of_bytes(together) != bytes_of[-1].view("<u4")[:, 0]
@@ -234,11 +233,12 @@ class Store:
         StoreError
             Damaged data.
         """
-        check_holds(self.path, self.header, RENDERINGS)
+        self._expect(RENDERINGS)
         columns = self.stored(index)
         fields: Any = {field: columns[name] for field, name in self.header.fields.items()}
         views = Views(**fields)
-        self._check_headings(views.heading)
+        if (views.heading > HEADINGS[-1]).any():
+            raise self._damaged(f"it has heading {views.heading.max()}, beyond {HEADINGS[-1]}")
         return views
 
     def stored(self, index: RowIndex = slice(None)) -> Columns:
@@ -253,7 +253,7 @@ class Store:
 
     def keypoint_columns(self, index: RowIndex = slice(None)) -> KeypointColumns:
         """Read keypoints, (N, K) uint16, padded with `NO_KEYPOINT`; as `views` otherwise."""
-        check_holds(self.path, self.header, RENDERINGS)
+        self._expect(RENDERINGS)
         columns = self._read(KEYPOINTS, self._indexed(index))
         if ((columns >= self.header.width) & (columns != NO_KEYPOINT)).any():
             raise self._damaged(f"{KEYPOINTS} names columns beyond {self.header.width - 1}")
@@ -277,7 +277,7 @@ class Store:
         StoreError
             Damaged data.
         """
-        check_holds(self.path, self.header, PLACES)
+        self._expect(PLACES)
         if not self._file:
             raise self._closed()
         size = self.header.chunk_rows(len(self))
@@ -340,15 +340,19 @@ class Store:
         rows, frame = self._indexed(index), Frame(self.header.frame_wkt)
         return table_of_places(self.places().take(rows), rows, frame)
 
+    def _expect(self, holds: str) -> None:
+        """Raise `InputError` unless the store has rows of this kind."""
+        if self.header.holds != holds:
+            raise InputError(
+                f"store {self.path} holds {self.header.holds}, not {holds}; name a store of "
+                f"{holds}, which {MADE_BY[holds]} makes"
+            )
+
     def _indexed(self, index: RowIndex) -> NDArray[np.intp]:
         try:
             return np.atleast_1d(np.arange(len(self))[index])
         except IndexError as error:
             raise InputError(f"{error}: store {self.path} has {len(self)} rows") from error
-
-    def _check_headings(self, heading: NDArray[np.uint8]) -> None:
-        if (heading > HEADINGS[-1]).any():
-            raise self._damaged(f"it has heading {heading.max()}, beyond {HEADINGS[-1]}")
 
     def _read(self, name: str, rows: NDArray[np.intp]) -> NDArray[Any]:
         """Return rows of a dataset in the order wanted; raises `StoreError`."""
