@@ -163,10 +163,7 @@ def build_store(
                 rendered = sum(_on_workers(runner, header, plan, left, advance))
             elif renderer is not None:
                 for part, some in left.items():
-                    columns = renderer.columns(some)
-                    folder.mkdir(exist_ok=True)
-                    write_store(part, renderer.header, columns)
-                    rendered += len(columns[header.sorted_by[0]])
+                    rendered += _write_part(renderer, part, some)
                     advance()
             with merged_rows(parts, folder) as (joint, columns, order):
                 rows = len(order)
@@ -218,6 +215,14 @@ def _whole_parts(folder: Path, header: StoreHeader) -> set[Path]:
     return whole
 
 
+def _write_part(renderer: PartRenderer, path: Path, work: Any) -> int:
+    """Render and write a part; return its number of rows."""
+    columns = renderer.columns(work)
+    path.parent.mkdir(exist_ok=True)
+    write_store(path, renderer.header, columns)
+    return len(columns[renderer.header.sorted_by[0]])
+
+
 @dataclass(frozen=True, slots=True)
 class _Job:
     """The facts that all jobs of a build share."""
@@ -239,11 +244,7 @@ class _Job:
             while _open_here:
                 _open_here.popitem()[1].__exit__()
             _open_here[self.build] = self.plan.opened(self._terrain())
-        renderer = _open_here[self.build]
-        columns = renderer.columns(work)
-        path.parent.mkdir(exist_ok=True)
-        write_store(path, renderer.header, columns)
-        return len(columns[renderer.header.sorted_by[0]])
+        return _write_part(_open_here[self.build], path, work)
 
     def _terrain(self) -> HeightField:
         try:

@@ -128,7 +128,7 @@ def _hard_linked(path: Path, file: h5py.File, name: str) -> Any:
             raise StoreError(f"store {path} lacks {name}; {REBUILD}")
         if not isinstance(link, h5py.HardLink):
             raise StoreError(
-                f"store {path}: {name} is a link to elsewhere, which is not followed; {REBUILD}"
+                f"store {path}: {name} is a link to another place, which is not followed; {REBUILD}"
             )
         node = node[part]
     return node

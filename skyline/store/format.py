@@ -21,11 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from skyline.camera import HEADINGS, check_width
-from skyline.errors import InputError, StoreMismatchError
+from skyline.camera import check_width
+from skyline.errors import StoreMismatchError
 from skyline.geodesy import Frame
 from skyline.skylines import Views
-from skyline.store.keypoints import DEFAULT_MAX_KEYPOINTS, NO_KEYPOINT
+from skyline.store.keypoints import DEFAULT_MAX_KEYPOINTS
 from skyline.store.places import (
     ALIKE_DEG,
     BINS,
@@ -143,7 +143,7 @@ class StoreHeader:
     Raises
     ------
     InputError
-        The width is out of range or given for places, or JSON cannot hold the config.
+        The width of renderings is out of range.
     """
 
     frame_wkt: str
@@ -156,21 +156,10 @@ class StoreHeader:
     package_version: str = field(default_factory=package_version, compare=False)
 
     def __post_init__(self) -> None:
-        if self.holds == PLACES:
-            if self.width:
-                raise InputError("a store of places has no width; leave it out")
-        elif self.holds != RENDERINGS:
-            raise InputError(f"a store holds {RENDERINGS} or {PLACES}, not {self.holds!r}")
-        else:
+        if self.holds == RENDERINGS:
             check_width(self.width)
-        try:
-            plain = json.loads(json.dumps(dict(self.config), allow_nan=False))
-        except (TypeError, ValueError) as error:
-            raise InputError(
-                f"the store's config cannot be written as JSON ({error}); "
-                "use numbers, strings, lists and mappings"
-            ) from error
         # As it will be read back, so that a stored and a requested config compare equal.
+        plain = json.loads(json.dumps(dict(self.config), allow_nan=False))
         object.__setattr__(self, "config", plain)
 
     @property
@@ -272,33 +261,11 @@ def columns_of(
     ----------
     keypoint_columns : (N, K) uint16, of renderings alone
         Columns of the skylines' polyline vertices, padded with `NO_KEYPOINT`.
-
-    Raises
-    ------
-    InputError
-        Shapes or values that do not fit the store.
     """
     specs = header.specs
     given = {name: getattr(rows, field) for field, name in header.fields.items()}
-    if header.holds == RENDERINGS:
+    if keypoint_columns is not None:
         given[KEYPOINTS] = keypoint_columns
-    for name, values in given.items():
-        expected = (len(rows), *specs[name].shape)
-        if np.shape(values) != expected:
-            raise InputError(
-                f"{name} to store has shape {np.shape(values)}; the store expects {expected}"
-            )
-        if not specs[name].shape and not np.isfinite(values).all():
-            raise InputError(f"{name} to store has values that are not numbers")
-    if header.holds == RENDERINGS:
-        columns = np.asarray(keypoint_columns)
-        if ((columns < 0) | (columns >= header.width) & (columns != NO_KEYPOINT)).any():
-            raise InputError(
-                f"keypoint columns to store lie outside 0 to {header.width - 1}; "
-                f"pad rows with {NO_KEYPOINT}"
-            )
-        if not np.isin(given[header.fields["heading"]], HEADINGS).all():
-            raise InputError(f"a heading to store is not one of {HEADINGS}")
     return {name: np.asarray(given[name], dtype=specs[name].base) for name in given}
 
 

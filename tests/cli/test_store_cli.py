@@ -1,4 +1,4 @@
-"""``skyline store``: what it prints and what it ends with."""
+"""``skyline store``: its output and exit codes."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Builds: the store is what was rendered, whoever made its parts and however often it broke."""
+"""Builds: the store equals the renderings, on any workers and however often the build broke."""
 
 import os
 import shutil

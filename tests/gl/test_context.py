@@ -288,31 +288,6 @@ def test_drivers_that_fail_stay_off_stderr() -> None:
     assert "libosmesa6" not in result.stdout
 
 
-@pytest.mark.parametrize("backend", context_module.BACKENDS)
-def test_a_driver_below_the_required_version_is_refused_in_one_line(backend: str) -> None:
-    result = run_python(
-        """
-        from skyline.errors import ContextError
-        from skyline.render import context
-        context._VERSION_CODE = 990
-        try:
-            context.acquire_context()
-        except ContextError as error:
-            print(error)
-        """,
-        SKYLINE_GL=backend,
-    )
-    assert len(result.stdout.splitlines()) == 1
-    assert f"tried {backend}, " in result.stdout
-    assert "sudo apt-get install" in result.stdout
-    assert result.stderr == ""
-
-
-def test_variables_of_glcontext_change_nothing() -> None:
-    result = run_python(DESCRIBE, GLCONTEXT_DEVICE_INDEX="0", GLCONTEXT_GLVERSION="330")
-    assert json.loads(result.stdout)["pixel"] == [0, 255, 0, 255]
-
-
 class StandIn:
     """A native context by name; notes which one is current and which are released."""
 
@@ -394,18 +369,3 @@ def test_the_driver_says_where_a_shader_is_wrong(
         shaders.compile_program(ctx, "point.vert", "a.frag", {"SIZE": "4.0"})
     fragment.write_text(fragment.read_text().replace(" + wrong", ""))
     assert shaders.compile_program(ctx, "point.vert", "a.frag", {"SIZE": "4.0"}).glo > 0
-
-
-def test_a_compute_shader_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    context = acquire_context()
-    monkeypatch.setattr(shaders, "SHADER_FOLDERS", (tmp_path, tmp_path))
-    (tmp_path / "count.comp").write_text(
-        "#version 430 core\nlayout(local_size_x = 4) in;\n"
-        "layout(std430, binding = 0) buffer Counts { uint counts[]; };\n"
-        "void main() { counts[gl_GlobalInvocationID.x] = START + gl_GlobalInvocationID.x; }\n"
-    )
-    program = shaders.compile_compute(context.ctx, "count.comp", {"START": "7u"})
-    counts = context.ctx.buffer(reserve=16)
-    counts.bind_to_storage_buffer(0)
-    program.run(1)
-    assert list(memoryview(counts.read()).cast("I")) == [7, 8, 9, 10]

@@ -109,13 +109,6 @@ def test_depth_path_agrees_to_its_quantization(rough):
     assert np.abs(difference).max() < QUANTIZATION_PX + EXACT_PX
 
 
-def test_no_viewpoints_give_no_views(rough):
-    field, eyes = rough
-    none = render(field, eyes[:0])
-    assert len(none) == 0
-    assert none.elevation_tan.shape == (0, 160)
-
-
 def test_out_of_memory_halves_the_batch(rough, monkeypatch, caplog):
     field, eyes = rough
     reserve = ColumnRenderer._reserve
@@ -135,15 +128,15 @@ def test_out_of_memory_halves_the_batch(rough, monkeypatch, caplog):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "expected"),
     [
         ({"tolerance_px": -0.1}, "tolerance is -0.1"),
         ({"tolerance_px": np.nan}, "tolerance is nan"),
         ({"width": 0}, "width is 0"),
     ],
 )
-def test_bad_input_is_refused(rough, options, said):
-    with pytest.raises(InputError, match=said):
+def test_bad_input_is_refused(rough, options, expected):
+    with pytest.raises(InputError, match=expected):
         HorizonRenderer(rough[0], **options)
 
 

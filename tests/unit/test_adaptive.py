@@ -1,4 +1,4 @@
-"""The plan of places: as dense as the skylines are near, the same whoever plans it."""
+"""The plan of places: as dense as the skylines are near, whichever process plans it."""
 
 import numpy as np
 import pytest
@@ -29,45 +29,20 @@ RANDOM = np.random.default_rng(2).random(EAST.shape)
 
 HOLES = {
     "none": NODE_M < 0.0,
-    "one sample": NODE_M == 0.0,
-    "the sample in a corner": (EAST == -960.0) & (NORTH == -960.0),
     "a quarter": (EAST < 2560.0) & (NORTH < 2560.0),
-    "half": EAST < 2560.0,
-    "a disc": NODE_M < 1500.0,
-    "all but a disc": NODE_M > 500.0,
     "all but a disc between the coarsest nodes": np.hypot(EAST - 1920.0, NORTH - 1920.0) > 500.0,
-    "all but the corners": np.hypot(EAST % 5120.0, NORTH % 5120.0) > 500.0,
-    "all but one sample": NODE_M > 0.0,
     "all but one sample between the coarsest nodes": (EAST != 1920.0) | (NORTH != 1920.0),
-    "all but one sample round about": (EAST != 0.0) | (NORTH != 5120.0),
-    "all but one cell": np.maximum(np.abs(EAST - 2600.0), np.abs(NORTH - 2600.0)) > 40.0,
     "all but one triangle": NODE_M + (EAST < 2560.0) + (NORTH < 2560.0) > 80.0,
-    "a ring": np.abs(NODE_M - 1500.0) < 300.0,
-    "all but a ring": np.abs(NODE_M - 1300.0) > 150.0,
-    "a checkerboard": (ROW + COL) % 2 == 0,
     "a checkerboard of nodes": (EAST // 160.0 + NORTH // 160.0) % 2 == 0,
-    "a checkerboard of squares": (ROW // 9 + COL // 9) % 2 == 0,
     "every other row": ROW % 2 == 0,
-    "a row": NORTH == 2560.0,
-    "all but a row": NORTH != 2560.0,
-    "all but a column": EAST != 2560.0,
-    "a diagonal": EAST == NORTH,
     "all but a diagonal": EAST != NORTH,
-    "all but the rim": np.maximum(np.abs(EAST - 2560.0), np.abs(NORTH - 2560.0)) < 2400.0,
     "a third, scattered": RANDOM < 0.3,
-    "all but a tenth, scattered": RANDOM < 0.9,
-    "all but a few": RANDOM < 0.99,
     "all": NODE_M >= 0.0,
 }
 
 CUTS = {
     "one sample": np.s_[44:45, 44:45],
-    "one cell": np.s_[44:46, 43:45],
-    "one sample high": np.s_[44:45],
-    "one sample wide": np.s_[:, 44:45],
-    "one cell high": np.s_[44:46],
     "one cell wide": np.s_[:, 43:45],
-    "smaller than a block": np.s_[20:50, 30:60],
     "smaller than the coarsest spacing, between its nodes": np.s_[46:54, 46:54],
 }
 
@@ -264,7 +239,7 @@ class TestPlan:
         assert (set() if places is None else positions(places)) == wanted
         assert places is None or len(places) == len(wanted)
 
-    def test_nobody_stands_on_holes_or_outside(self, plain):
+    def test_no_place_is_on_a_hole_or_outside(self, plain):
         area = (2000.0, 1500.0, 5000.0, 4000.0)
         heights = plain.heights_m.copy()
         heights[40:50] = np.nan
