@@ -110,7 +110,7 @@ def quadrant_azimuths_rad(bins: int) -> Float64Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Horizons(Rows):
-    """The skylines of N eyes in B bins of azimuth: `bin_azimuths_rad`, unless others were asked."""
+    """The skylines of N eyes in B bins of azimuth, by default those of `bin_azimuths_rad`."""
 
     easting_m: Float64Array
     northing_m: Float64Array

@@ -1,7 +1,7 @@
 """Independent jobs on a dask.distributed cluster (extra ``cluster``): processes or machines.
 
-Jobs are few and long, so all that is asked of the engine is to run each of them somewhere, again
-where a worker died or a job failed, and to return its result or its error.
+Jobs are few and long. The cluster runs each of them on any worker, tries it again where the worker
+died or the job failed, and returns its result or its error.
 """
 
 import logging
@@ -64,7 +64,7 @@ class Runner:
                 for name, item in zip(names, items, strict=True)
             ]
         place = {future.key: index for index, future in enumerate(futures)}
-        # The scheduler forgets jobs that nobody waits for any more when the client leaves.
+        # When the client leaves, the scheduler forgets the jobs that were not waited for.
         for future in _distributed().as_completed(futures):
             yield place[future.key], _outcome(future)
 
@@ -93,7 +93,7 @@ def local_runner(workers: int) -> Iterator[Runner]:
 
 @contextmanager
 def local_cluster(workers: int) -> Iterator[Any]:
-    """Start worker processes for the block; yields dask's `LocalCluster`. Raises as above."""
+    """Start worker processes for the block; yields dask's cluster. Raises as `local_runner`."""
     if workers < 1:
         raise InputError(f"workers is {workers}; expected 1 or more")
     threads = max((os.cpu_count() or 1) // workers, 1)
@@ -143,7 +143,7 @@ def remote_runner(address: str) -> Iterator[Runner]:
 
 def _distributed() -> Any:
     distributed = library("distributed", "cluster", "a run on workers")
-    # It logs every step; `_outcome` returns the errors that matter to a user.
+    # Its log has every step; `_outcome` returns the errors that matter to a user.
     logging.getLogger("distributed").setLevel(logging.ERROR)
     return distributed
 
@@ -160,7 +160,7 @@ def _outcome(future: Any) -> Any:
     if error is None:
         return future.result()
     if type(error).__name__ == "KilledWorker":
-        return BuildError("its worker died, again and again: out of memory, or a fault of OpenGL")
+        return BuildError("its worker died at every attempt: out of memory, or a fault of OpenGL")
     return error if isinstance(error, Exception) else BuildError(repr(error))
 
 
@@ -195,8 +195,7 @@ def collect(
 def in_order(outcomes: Iterator[tuple[int, R | Exception]]) -> Iterator[R | SkylineError]:
     """Yield results in the items' order, each as soon as those before it are there.
 
-    In the place of a job that failed comes its error; `BuildError` for one that is no
-    `SkylineError`.
+    A job that failed yields its error, as a `BuildError` unless it is a `SkylineError`.
     """
     waiting: dict[int, R | Exception] = {}
     due = 0

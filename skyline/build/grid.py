@@ -1,4 +1,4 @@
-"""The uniform grid: what the paper's adaptive planner starts from and is compared with."""
+"""The uniform grid of viewpoints, and the part of a field inside bounds."""
 
 import numpy as np
 

@@ -5,8 +5,7 @@ written under its name at once, so a build that is killed loses at most the part
 same command continues with the parts that are missing. Merging sorts the rows: the number of
 workers, the order of the parts, and how often a build was killed change no byte of the store.
 
-Every part is rendered over the whole DEM: how far terrain can rise into a skyline has no bound but
-the DEM's own. What is cut is the work.
+Every part is rendered over the whole DEM, since terrain can rise into a skyline from any distance.
 """
 
 import time
@@ -225,10 +224,10 @@ def _write_part(renderer: PartRenderer, path: Path, work: Any) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """The facts that all jobs of a build share."""
+    """The settings that all jobs of a build share."""
 
     build: str
-    """Of no other build."""
+    """Identifies the build."""
     plan: Plan
     header: StoreHeader
     """It names the DEM's files, by paths that are the same on every machine."""
@@ -257,7 +256,7 @@ class _Job:
 
 
 _open_here: dict[str, PartRenderer] = {}
-"""The renderer that this worker has open, by the build."""
+"""The renderer that this worker keeps, by the build."""
 
 
 def _on_workers(
@@ -279,7 +278,7 @@ def _on_workers(
 
 
 def _remove(folder: Path) -> None:
-    """Remove parts and what killed builds left, and their folder if nothing else is in it."""
+    """Remove parts and the files of killed builds, and their folder if nothing else is in it."""
     for pattern in ("*-of-*.h5", ".*.partial"):
         for file in folder.glob(pattern):
             file.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""Plans of a store: which rows it is made of, in which parts, and how a part is rendered."""
+"""Plans of a store: its rows, its parts, and the renderer of a part."""
 
 import hashlib
 from collections.abc import Callable
@@ -87,8 +87,8 @@ class PlacePlan:
     def parts(self, terrain: HeightField) -> list[Viewpoints] | list[Blocks]:
         """Return the parts of the store: viewpoints, or blocks of the map.
 
-        Raises `InputError` for bounds or a spacing that suit no grid, and for a loss that is no
-        share.
+        Raises `InputError` for bounds or a spacing that suit no grid, and for a loss outside 0 to
+        1.
         """
         area = map_bounds(terrain, self.bounds_deg)
         if self.spacing_m is not None:
@@ -129,9 +129,9 @@ class RenderingPlan:
     Attributes
     ----------
     viewpoints : Viewpoints
-        At which to render.
+        The eyes of the renderings.
     settings : dict
-        Which viewpoints they are, for the header.
+        Description of the viewpoints, for the header.
     config : RenderConfig
     """
 

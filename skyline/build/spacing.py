@@ -2,15 +2,14 @@
 
 The plan is a tree of nested lattices. Places of the coarsest lattice are rendered first. A place's
 skyline shows whether more places there would pay: whether they save more views than the same
-number would elsewhere. Where they would, the next lattice, twice as dense, is filled in; a place
+number in other squares. Where they would, the next lattice, twice as dense, is filled in; a place
 that has been rendered stays, so nothing is rendered that is not kept. Blocks of the map are planned
 each on its own, and the result depends neither on the process that plans a block nor on the order.
 
 A view that is taken between places differs from theirs by as much as its skyline moves, which is
 the spacing over the skyline's distance. The odds that a whole search, refinement included, then
 fails grow with a power of that ratio. The power and the ratio of even odds were fitted to searches
-for made views, 60 degrees wide; docs/method.md has the terrain, and how well the law holds
-elsewhere.
+for made views, 60 degrees wide; docs/method.md has the terrain, and the fit on other terrain.
 """
 
 from collections.abc import Callable
@@ -98,7 +97,7 @@ def check_loss(loss: float) -> None:
 def price_of(
     loss: float, terrain: HeightField, area: Rectangle, look: Look, eye_height_m: float
 ) -> float:
-    """Return what a place must save, square metres of views, for a plan to lose at most a share.
+    """Return how much a place must save, in square metres, for a plan to lose at most a share.
 
     It is worked out from viewpoints that are spread over the area. Raises `InputError` for a loss
     outside (0, 1), or below that of the finest lattice, and for an area of holes.
@@ -167,7 +166,7 @@ class AdaptivePlanner:
         self._eye_height_m = eye_height_m
 
     def places(self, blocks: Blocks) -> Places | None:
-        """Return the places of blocks, in order; None where nobody can stand."""
+        """Return the places of blocks, in order; None where no eye can stand."""
         parts = [
             self._of_block(col * BLOCK_M, row * BLOCK_M)
             for col, row in zip(blocks.col.tolist(), blocks.row.tolist(), strict=True)
@@ -178,7 +177,7 @@ class AdaptivePlanner:
     def _of_block(self, west_m: float, south_m: float) -> Places | None:
         """Return the places of a block, row by row from the north-west."""
         seen = _Seen(west_m, south_m)
-        # Those round about too: what they see says more of the squares at the block's sides.
+        # Those round the block too, for the squares at its sides.
         self._fill(seen, _lattice_of_roots(-1, _ROOTS + 2))
         nodes, kept = _lattice_of_roots(0, _ROOTS), []
         for level in range(_LEVELS):
@@ -192,7 +191,7 @@ class AdaptivePlanner:
         return self._inside([places for places in kept if places is not None])
 
     def _fill(self, seen: "_Seen", nodes: Int64Array) -> None:
-        """Render what has not been rendered of nodes (N, 2)."""
+        """Render those of nodes (N, 2) that have not been rendered."""
         left = seen.left(nodes)
         easting, northing = seen.position_m(left)
         eyes, stands = stand_where_possible(self._terrain, easting, northing, self._eye_height_m)
@@ -263,7 +262,7 @@ class _Seen:
         self._looked_at[_index(nodes)] = True
 
     def add(self, nodes: Int64Array, horizons: Horizons) -> None:
-        """Note what is seen from nodes (N, 2)."""
+        """Keep the skylines of nodes (N, 2)."""
         at = _index(nodes)
         self._looked_at[at] = self._has_place[at] = True
         self._row[at] = len(self._lost) + np.arange(len(nodes))

@@ -1,4 +1,4 @@
-"""``skyline store check repair merge export``: looking after stores."""
+"""``skyline store check repair merge export``: their upkeep."""
 
 import json
 from contextlib import suppress
@@ -29,7 +29,7 @@ def check(store: StoreFile, as_json: AsJson = False) -> None:
     """Read a whole store and compare it with its checksums; exit code 2 if it is damaged."""
     report = check_store(store)
     if as_json:
-        # The exit code is true also where nobody reads this.
+        # The exit code must hold also where the output is not read.
         with suppress(BrokenPipeError):
             facts = {key: value for key, value in asdict(report).items() if key != "duplicates"}
             say(json.dumps({"store": printable(store), "whole": report.whole, **facts}))

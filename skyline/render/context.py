@@ -43,11 +43,11 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GlContext:
-    """The process's OpenGL context, and how it came to be."""
+    """The process's OpenGL context, and the reason for its choice."""
 
     ctx: moderngl.Context
     native: Any
-    """The context of glcontext, or the `OsMesaContext`, that ``ctx`` was made of."""
+    """The context of glcontext, or the `OsMesaContext`, under ``ctx``."""
     backend: str
     """``egl`` or ``osmesa``."""
     device: str
@@ -68,7 +68,7 @@ class GlContext:
 
     @property
     def reason(self) -> str:
-        """Why this context and no other, in words."""
+        """The reason why this context was chosen, one phrase."""
         if self.forced:
             return f"{ENVIRONMENT_VARIABLE}={self.backend} allows no other backend"
         if not self.software:
@@ -158,7 +158,7 @@ acquire_context, release_context = _shared.acquire, _shared.release
 
 @atexit.register
 def _release_at_exit() -> None:
-    # A thread that outlives the interpreter may be rendering: the system cleans up after it.
+    # A thread that outlives the interpreter may be rendering; the system then frees the context.
     with suppress(ContextError):
         _shared.release()
 

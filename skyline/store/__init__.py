@@ -1,7 +1,7 @@
 """The store: an HDF5 file of renderings (views with skylines and keypoints) or of places.
 
-A store is a finished file made of finished parts: it is written once, takes its name when its bytes
-are on disk, and is never appended to. `skyline.build.parts` writes the parts and merges them.
+A store is written once, takes its name when its bytes are on disk, and is never appended to.
+`skyline.build.parts` writes the parts of a store and merges them.
 """
 
 from skyline.store.format import StoreHeader, columns_of

@@ -1,4 +1,4 @@
-"""Checks that an HDF5 file is a store: damaged, foreign and forged files are told apart."""
+"""Checks that an HDF5 file is a store, and neither damaged, foreign nor forged."""
 
 import json
 from collections.abc import Iterator
@@ -27,7 +27,7 @@ _PACKED = _CHECKSUMMED | {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE}
 
 
 def read_header(path: Path, file: h5py.File) -> StoreHeader:
-    """Return the header of a store; raises `StoreError` where any of it is not as it must be."""
+    """Return the header of a store; raises `StoreError` where it is damaged or foreign."""
     if file.userblock_size or not {"schema", "schema_version"} <= set(file.attrs):
         raise _foreign(path)
     _check_version(path, file)

@@ -1,7 +1,6 @@
 """The format of a store: its header, the layout of its rows, and their checksums.
 
 A row is a rendering (a view with its skyline and keypoints) or a place (`skyline.store.places`).
-The same rows and the same header give the same bytes, see `skyline.store.write`.
 
 HDF5 guards its own structures (object headers, chunk indexes, the superblock) with checksums, and
 each chunk of rows here with another (Fletcher-32), which readers verify as they read. Those find a
@@ -119,7 +118,7 @@ def package_version() -> str:
 
 @dataclass(frozen=True, slots=True)
 class StoreHeader:
-    """What a store was built from, and how.
+    """The DEM and the settings that a store was built from.
 
     Attributes
     ----------
@@ -128,9 +127,9 @@ class StoreHeader:
     dem_digest : str
         `HeightField.digest` of the terrain.
     dem_files : tuple of str
-        Absolute paths where the DEM lay.
+        Absolute paths of the DEM at the time of the build.
     config : mapping
-        Settings of the build; anything that JSON holds, keys are strings.
+        Settings of the build, by name; values that JSON can hold.
     renderer : str
         Name of the renderer and of the OpenGL under it; empty before anything is rendered.
     width : int
@@ -219,8 +218,8 @@ def refuse_mismatch(
 ) -> None:
     """Raise `StoreMismatchError` where rows of two headers do not belong into one store.
 
-    Each header comes with the place where it was found, for a message that begins with
-    ``subject`` and ends with ``advice``.
+    Each header comes with the words for its place in the message, which begins with ``subject``
+    and ends with ``advice``.
     """
     differences = [
         f"{name} is {was!r} {one[1]}, {now!r} {other[1]}"
@@ -232,9 +231,9 @@ def refuse_mismatch(
 
 
 def _compared(one: StoreHeader, other: StoreHeader) -> Iterator[tuple[str, object, object]]:
-    """Yield name and both values of all that must be equal; paths and releases may differ."""
+    """Yield name and both values of fields that must be equal; paths and releases may differ."""
     if one.holds != other.holds:
-        yield "what it holds", one.holds, other.holds
+        yield "kind of rows", one.holds, other.holds
         return
     if one.frame_wkt != other.frame_wkt:
         names = _frame_name(one.frame_wkt), _frame_name(other.frame_wkt)

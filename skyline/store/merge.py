@@ -1,11 +1,11 @@
 """Merging, checking and repairing stores: every row is compared with its checksum.
 
-What a merged store becomes depends on the set of rows and on what they were built from alone: rows
-are sorted by easting, northing, eye elevation and heading, and equal ones are kept once. So neither
-the order of the parts nor how they were cut changes a byte.
+Rows of a merged store are sorted by easting, northing, eye elevation and heading, and equal ones
+are kept once. So its bytes depend on the set of rows alone, and neither on the order of the parts
+nor on how they were cut.
 
-A file from anywhere may hang or crash HDF5 itself, where its structures were forged together with
-their checksums. `check_store` therefore reads in a process of its own, which may die.
+A file whose structures were forged together with their checksums may hang or crash HDF5 itself.
+`check_store` therefore reads in a process of its own, which may die.
 """
 
 import json
@@ -37,7 +37,7 @@ _LIMIT_S_PER_BYTE = 1e-6
 a second and more on one core of 2020."""
 
 _LIMIT_BY_THE_CLOCK = 30.0
-"""Times as long by the clock, for a check that waits instead of working."""
+"""So many times that limit by the clock, for a check that waits for the disk."""
 
 _EXAMINE = """
 import dataclasses, json, pathlib, resource, sys, time
@@ -50,7 +50,7 @@ json.dump(dataclasses.asdict(examine(pathlib.Path(sys.argv[1]))), sys.stdout)
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """Something that is not as it was written."""
+    """A difference between a store and the bytes that were written."""
 
     what: str
     """One line."""
@@ -143,7 +143,7 @@ def merged_rows(
             "merge stores of one DEM and configuration",
         )
     headers = [store.header for store in stores]
-    # Whatever the stores' order.
+    # Independent of the order of the stores.
     header = replace(
         headers[0],
         dem_files=min(header.dem_files for header in headers),
@@ -196,7 +196,7 @@ def _gathered(
                     if found is not None and damage is None:
                         raise StoreError(
                             f"store {store.path} is damaged: {found.what}; `skyline store "
-                            "repair` saves what is whole"
+                            "repair` saves the whole rows"
                         )
                     if found is not None and damage is not None:
                         damage.append(found)

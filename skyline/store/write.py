@@ -1,4 +1,4 @@
-"""Writing a store: a finished file, or none.
+"""Writing a store: the file is finished, or it is not there.
 
 A store is written once, from rows that are all there, under a temporary name. It takes its own
 name when its bytes are on disk, and nothing is ever appended to it. So readers need no locks, and
@@ -117,7 +117,7 @@ def check_folder(path: Path) -> None:
 
 @contextmanager
 def explained(path: Path, problem: str, advice: str = REBUILD) -> Iterator[None]:
-    """Turn an exception of h5py into one line about the store."""
+    """Turn an exception of h5py into a `StoreError` of one line."""
     try:
         yield
     except SkylineError:

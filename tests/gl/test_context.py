@@ -207,21 +207,6 @@ def test_a_fork_after_the_context_is_refused_and_leaves_the_parent_alone() -> No
     assert result.stderr == ""
 
 
-def test_a_fork_before_the_context_makes_its_own() -> None:
-    result = run_python("""
-        import os, sys
-        from skyline.render.context import acquire_context
-        child = os.fork()
-        context = acquire_context()
-        target = context.ctx.simple_framebuffer((1, 1), components=4)
-        target.clear(0.0, 1.0, 0.0, 1.0)
-        if child:
-            os.wait()
-        print(list(target.read(components=4)), flush=True)
-    """)
-    assert (result.stdout, result.stderr) == (2 * "[0, 255, 0, 255]\n", "")
-
-
 def test_an_unknown_backend_names_those_known(monkeypatch: pytest.MonkeyPatch) -> None:
     release_context()
     monkeypatch.setenv("SKYLINE_GL", "metal")

@@ -125,22 +125,6 @@ def test_batches_and_their_parts_give_the_same_bytes():
         np.testing.assert_array_equal(getattr(whole, name), joined)
 
 
-def test_skyline_is_the_first_covered_pixel_from_the_top():
-    field = field_of(fractal(60, 60, seed=4))
-    viewpoints = scattered(field, 1, seed=5)
-    with DepthRenderer(field, 80) as renderer:
-        views = renderer.render(viewpoints)
-        images = renderer.depth_images(viewpoints, 0)
-    covered = np.isfinite(images)
-    row = covered.argmax(axis=1)
-    seen = covered.any(axis=1)
-    np.testing.assert_allclose(
-        views.elevation_tan[seen], (1.0 - row / 40.0)[seen].astype(np.float32), atol=1e-6
-    )
-    depth = np.take_along_axis(images, row[:, np.newaxis, :], axis=1)[:, 0]
-    np.testing.assert_allclose(views.depth_m[seen], depth[seen], rtol=1e-6)
-
-
 def test_large_false_eastings_change_nothing():
     heights = fractal(64, 64, seed=9)
     shift = 2.0**23

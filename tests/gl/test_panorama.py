@@ -177,20 +177,6 @@ def test_only_peaks_that_are_seen_are_named_and_they_stand_on_the_landscape(moun
     assert free > 10
 
 
-def test_a_peak_below_the_picture_has_no_name(mountains):
-    field, _ = mountains
-    east, north = field.to_map(150.0, 150.0)
-    below = Peaks(
-        names=("Below",),
-        easting_m=np.array([east + 400.0]),
-        northing_m=np.array([north]),
-        height_m=np.array([np.nan]),
-    )
-    view = view_from(field, 150.0, 150.0, below)
-    assert len(view.sightings) == 1
-    assert not draw_panorama(view).findobj(lambda one: one.get_gid() == SUMMIT)
-
-
 def test_a_part_of_the_round_has_its_peaks_alone(mountains):
     field, peaks = mountains
     whole = view_from(field, 150.0, 150.0, peaks)

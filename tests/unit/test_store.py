@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import textwrap
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from pathlib import Path
 from zlib import crc32
@@ -25,7 +24,6 @@ from store_rows import (
     edited,
     flip,
     numbered_places,
-    numbered_views,
     write_rows,
 )
 
@@ -35,7 +33,6 @@ from skyline.errors import (
     StoreError,
     StoreMismatchError,
 )
-from skyline.skylines import Views
 from skyline.store import (
     check_store,
     is_store,
@@ -103,13 +100,6 @@ class TestRows:
             for index in (10, -11, np.array([3, 10])):
                 with pytest.raises(InputError, match="has 10 rows"):
                     store.views(index)
-
-    def test_in_turn(self, tmp_path):
-        views, _ = numbered_views(0, 2500)
-        with open_store(write_rows(tmp_path / "s.h5", 0, 2500)) as store:
-            parts = list(store.iter_views())
-        assert [len(part) for part in parts] == [1024, 1024, 452]
-        np.testing.assert_array_equal(Views.concatenate(parts).depth_m, views.depth_m)
 
     @KINDS
     def test_have_the_checksums_of_their_bytes(self, tmp_path, header):
@@ -202,21 +192,6 @@ class TestMap:
             assert first.ctypes.data % 64 == 0
         write_rows(path, 5, 10, PLACES_HEADER)
         np.testing.assert_array_equal(mapped.take(np.arange(2500)).rise, whole.rise)
-
-    def test_by_several_threads(self, tmp_path):
-        with open_store(write_rows(tmp_path / "s.h5", 0, 4000, PLACES_HEADER)) as store:
-            mapped = store.places()
-        whole = numbered_places(0, 4000)
-
-        def work(seed):
-            taken = np.random.default_rng(seed).integers(0, 4000, 3000)
-            return np.array_equal(mapped.take(taken).rise, whole.rise[taken])
-
-        with ThreadPoolExecutor(4) as pool:
-            assert all(pool.map(work, range(8)))
-        for wrong in ([4000], [-1], [[1]]):
-            with pytest.raises(InputError, match="from 0 to 3999"):
-                mapped.take(np.array(wrong))
 
     def test_of_a_file_that_is_cut_short(self, tmp_path):
         path = write_rows(tmp_path / "s.h5", 0, 3000, PLACES_HEADER)
