@@ -216,8 +216,8 @@ def _print_where(
     if summit_within_m is None and stands_m - surface_m > 0.01:
         remark(
             f"{place} is beside a summit of the model: the eye stands as high as it, "
-            f"{stands_m:.0f} m, and not on its slope, {surface_m:.0f} m (as --summit-within 0 would "
-            "have it)"
+            f"{stands_m:.0f} m, and not on its slope, {surface_m:.0f} m (as --summit-within 0 "
+            "would have it)"
         )
 
 
