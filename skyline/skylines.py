@@ -45,9 +45,6 @@ class Views(Rows):
     depth_m: FloatArray
     flags: NDArray[np.uint8]
 
-    def __len__(self) -> int:
-        return len(self.heading)
-
     @property
     def width(self) -> int:
         """Number of columns W."""

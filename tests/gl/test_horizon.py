@@ -51,30 +51,6 @@ def test_windows_of_a_large_field_give_the_same_skylines(rough, monkeypatch):
     assert_same(render(field, eyes), whole)
 
 
-def test_windows_that_cannot_rise_are_not_loaded(monkeypatch):
-    monkeypatch.setattr(windows, "MAX_FIELD_CELLS", 30)
-    monkeypatch.setattr(windows, "MAX_WINDOW_CELLS", 20)
-    heights = np.zeros((81, 81), dtype=np.float32)
-    heights[2:19, [2, 18]] = heights[[2, 18], 2:19] = 500.0
-    field = field_of(heights, 30.0)
-    with HorizonRenderer(field, 64) as renderer:
-        renderer.render(stand_on(field, easting_m=300.0, northing_m=-300.0))
-        assert [(window.row, window.col) for window in renderer._resident] == [(0, 0)]
-        renderer.render(stand_on(field, easting_m=1200.0, northing_m=-1200.0))
-        assert len(renderer._resident) > 10
-
-
-def test_many_columns_a_lane_or_few(rough, monkeypatch):
-    field, eyes = rough
-    alone = [render(field, eyes[index : index + 1], 640) for index in range(3)]
-    together = render(field, eyes, 640)
-    monkeypatch.setattr(ColumnRenderer, "_columns_a_lane", lambda self, eyes: 7)
-    odd = render(field, eyes, 640)
-    assert_same(odd, together)
-    for index, views in enumerate(alone):
-        assert_same(views, together[4 * index : 4 * index + 4])
-
-
 def test_single_headings(rough):
     field, eyes = rough
     headings = np.arange(len(eyes)) * 3 % 4

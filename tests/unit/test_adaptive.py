@@ -22,7 +22,7 @@ SPACINGS_M = 1280.0 / 2.0 ** (np.arange(13) / 2.0)
 
 EAST, NORTH = np.meshgrid(np.arange(-960.0, 6081.0, 80.0), np.arange(6080.0, -961.0, -80.0))
 """Of samples in a block and round about. The lattices down to a spacing of 80 m lie on them."""
-COL, ROW = EAST // 80.0, NORTH // 80.0
+ROW = NORTH // 80.0
 NODE_M = np.hypot(EAST - 2560.0, NORTH - 2560.0)
 """Distance from a node of the coarsest lattice."""
 RANDOM = np.random.default_rng(2).random(EAST.shape)
