@@ -60,7 +60,7 @@ class Views(Rows):
     def azimuth_deg(self) -> Float64Array:
         """Return grid azimuths of the columns, shape (N, W), degrees in [0, 360).
 
-        They are `skyline.Frame.convergence_deg` less than azimuths from true north.
+        `skyline.Frame.convergence_deg` plus these are the azimuths from true north.
         """
         u = columns_u(self.width)
         turn_deg = 90.0 * self.heading[:, np.newaxis].astype(np.float64)

@@ -20,7 +20,7 @@ R = TypeVar("R")
 
 
 RETRIES = 2
-"""How often a job that raised an error is tried again. A job whose worker died is tried again on
+"""Further attempts at a job that raised an error. A job whose worker died is tried again on
 another; after `distributed.scheduler.allowed-failures` deaths (3) it counts as their cause."""
 
 _CONNECT_S = 10
@@ -101,9 +101,9 @@ def local_cluster(workers: int) -> Iterator[Any]:
         n_workers=workers,
         threads_per_worker=1,
         processes=True,
-        # Any free port, this machine alone: the usual one may be another cluster's.
+        # Any free port of this machine alone: another cluster may have the usual one.
         dashboard_address="127.0.0.1:0",
-        # A worker holds one DEM and one part, whatever their number: nothing to guard.
+        # A worker holds one DEM and one part, so no limit is needed.
         memory_limit=0,
         silence_logs=logging.CRITICAL,
         preload=[_IGNORE_CTRL_C, _LOG],
@@ -113,8 +113,7 @@ def local_cluster(workers: int) -> Iterator[Any]:
     try:
         yield cluster
     finally:
-        # On a busy machine dask may give up waiting for workers to end; they end with this process,
-        # and what they did is done.
+        # On a busy machine dask may give up waiting for workers to end; they end with this process.
         with suppress(TimeoutError):
             cluster.close()
 

@@ -184,7 +184,7 @@ def build_store(
 
 
 def finished_store(path: Path, header: StoreHeader) -> BuildResult:
-    """Return the result of a build whose store is there; raises `StoreMismatchError`."""
+    """Return the result of a finished build; `StoreMismatchError` where its settings differ."""
     with open_store(path) as store:
         refuse_mismatch(
             (store.header, "there"),
@@ -230,7 +230,7 @@ class _Job:
     """Identifies the build."""
     plan: Plan
     header: StoreHeader
-    """It names the DEM's files, by paths that are the same on every machine."""
+    """Header of the store; it has the DEM's files, by paths that are the same on every machine."""
 
     def write_part(self, item: tuple[Path, Any]) -> int:
         """Render and write a part in a worker; return its number of rows.

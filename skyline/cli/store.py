@@ -1,4 +1,4 @@
-"""``skyline store check repair merge export``: their upkeep."""
+"""``skyline store``: check, repair, merge and export stores."""
 
 import json
 from contextlib import suppress
@@ -64,7 +64,7 @@ def export(
         Path, Option("--output", "-o", metavar="FILE.gpkg", help="The GeoPackage to write.")
     ],
 ) -> None:
-    """Write where the places are as a GeoPackage, for QGIS, with its style (extra `geo`)."""
+    """Write the locations of the places as a GeoPackage for QGIS, with its style (extra `geo`)."""
     with open_store(store) as opened:
         count = write_geopackage(opened, output)
     say(f"{output}: {count:,} places, {output.stat().st_size / 1e6:.1f} MB")

@@ -30,7 +30,7 @@ may leave the view of 90 degrees.
 """
 
 _ROUNDING = 3.0 * 2.0**-24
-"""Of a crossing's height in float32, relative to the heights about it."""
+"""Relative rounding error of a crossing's height in float32."""
 
 
 class Eyes:
@@ -40,7 +40,7 @@ class Eyes:
     ----------
     heading : (N,) uint8
     turn_rad : (N,) float64
-        By how much all columns of an eye are turned clockwise.
+        Angle by which all columns of an eye are turned clockwise.
     """
 
     def __init__(

@@ -124,7 +124,7 @@ class HorizonRenderer(ColumnRenderer):
 
 
 def check_tolerance(tolerance: float, unit: str) -> float:
-    """Return ``tolerance`` if it is one, else raise `InputError`."""
+    """Return ``tolerance`` if it is finite and not negative, else raise `InputError`."""
     if not (np.isfinite(tolerance) and tolerance >= 0.0):
         raise InputError(
             f"tolerance is {tolerance} {unit}; expected a finite number, 0 (exact) or more"

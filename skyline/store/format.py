@@ -51,11 +51,11 @@ EYE = ("easting_m", "northing_m", "eye_elevation_m")
 """The fields that locate the eye of a row of either kind."""
 
 PLACES_A_CHUNK = 1024
-"""Some 0.7 MB, to be mapped and worked on at a time."""
+"""Places of a chunk, some 0.7 MB, which are mapped and worked on at a time."""
 
 _VIEWS_A_CHUNK = 32
-"""80 kB of skylines at W = 640. Half costs 3 % more bytes, four times saves 1 %, and a single row
-is read by unpacking one chunk."""
+"""Views of a chunk, 80 kB of skylines at W = 640. Half as many cost 3 % more bytes, four times as
+many save 1 %, and a single row is read by unpacking one chunk."""
 
 KEYPOINTS = "features/keypoint_column"
 
@@ -105,7 +105,7 @@ PLACE_CODING = {
 """The constants by which the bytes of places become tangents and distances."""
 
 _AT_ONCE_BYTES = 1 << 22
-"""Checksums need rows laid out anew; this many bytes of rows at a time."""
+"""Bytes of rows that are copied at a time for their checksums."""
 
 
 def package_version() -> str:

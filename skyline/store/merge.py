@@ -29,7 +29,7 @@ from skyline.store.read import Store, open_hdf5, open_store
 from skyline.store.write import check_folder, explained, write_store
 
 _BLOCK_ROWS = 1024
-"""A whole number of chunks."""
+"""Rows that are read at a time, a whole number of chunks."""
 
 _LIMIT_S = 60.0
 _LIMIT_S_PER_BYTE = 1e-6
@@ -53,7 +53,7 @@ class Damage:
     """A difference between a store and the bytes that were written."""
 
     what: str
-    """One line."""
+    """The damage in one line."""
     first_row: int = 0
     rows: int = 0
     """``first_row``, ``rows``: the rows that are unreadable or wrong; no rows where the store as a
@@ -131,7 +131,7 @@ def merged_rows(
     """
     stores = []
     for path in paths:
-        # Closed again: there may be more of them than files can be open.
+        # Closed at once: there may be more stores than files can be open.
         with open_store(path) as store:
             stores.append(store)
     for store in stores[1:]:

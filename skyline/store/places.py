@@ -45,9 +45,9 @@ Complex64Array = NDArray[np.complex64]
 BINS = 360
 """Azimuth bins of a place's skyline: twice as many find no more (docs/accuracy.md)."""
 DISTANCE_BINS = 120
-"""Azimuth bins of its distance."""
+"""Azimuth bins of a place's distance."""
 PHASE_BINS = 180
-"""Azimuth bins of its phases."""
+"""Azimuth bins of a place's phases."""
 
 UNKNOWN_RISE = np.int8(-128)
 """A bin without a skyline; the next rise is taken from the last that has one."""
@@ -58,11 +58,11 @@ _MOST = 127
 _SIGNED = np.arange(256).astype(np.uint8).view(np.int8).astype(np.float64)
 _RISES = np.sign(_SIGNED) * RISE_SIZE * np.expm1(RISE_GROWTH * np.abs(_SIGNED))
 RISES: Float32Array = np.where(_SIGNED == UNKNOWN_RISE, 0.0, _RISES).astype(np.float32)
-"""Of each byte (256,), the bytes read as unsigned; 0 for unknown."""
+"""Rise of each byte (256,), the byte read as unsigned; 0 for unknown."""
 
 NEAREST_M = 1.0
 DISTANCE_STEP = 0.05
-"""Of the natural logarithm of the distance: code 255 is 327 km."""
+"""Step of the natural logarithm of the distance; code 255 is 327 km."""
 _DISTANCES = (NEAREST_M * np.exp(DISTANCE_STEP * (np.arange(256) - 1.0))).astype(np.float32)
 _DISTANCES[0] = np.nan
 
@@ -153,11 +153,11 @@ class Places(Rows):
     Attributes
     ----------
     easting_m, northing_m : (N,) float64
-        Of the eye, in the DEM's frame.
+        The eye, in the DEM's frame.
     eye_elevation_m : (N,) float32
-        Above the DEM's datum.
+        Elevation of the eye above the DEM's datum.
     tolerance_m : (N,) float32
-        How far from the eye, east and north, the place stands for: half the spacing of a grid.
+        Distance from the eye, east and north, for which the place stands: half a grid's spacing.
     first_tan : (N,) float32
         Tangent of the skyline's elevation angle in the first bin.
     rise : (N, 360) int8

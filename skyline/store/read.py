@@ -1,4 +1,4 @@
-"""Reading a store: its header, its rows, and its places where they lie in the file."""
+"""Reading a store: its header, its rows, and a map of its places in the file."""
 
 import io
 import mmap
@@ -74,7 +74,7 @@ class PlaceMap:
             if places
         ]
         self._end = max(ends, default=0)
-        # A map of nothing is refused; an empty store has a superblock.
+        # The system maps no empty file, but even an empty store has a superblock.
         self._map = mmap.mmap(file, 0, access=mmap.ACCESS_READ)
         self._check_length(len(self._map))
         data = np.frombuffer(self._map, dtype=np.uint8)

@@ -7,7 +7,6 @@ from scenes import field_of
 from skyline.build.spacing import (
     BLOCK_M,
     AdaptivePlanner,
-    Blocks,
     blocks_of,
     lost_shares,
     price_of,
@@ -67,8 +66,12 @@ def looking(distance_m):
 
 
 def planned(terrain, distance_m, price, area=AREA):
-    planner = AdaptivePlanner(terrain, looking(distance_m), area, price, 2.0)
-    return planner.places(blocks_of(area))
+    return joined(AdaptivePlanner(terrain, looking(distance_m), area, price), blocks_of(area))
+
+
+def joined(planner, blocks):
+    parts = [places for block in blocks if (places := planner.places(block)) is not None]
+    return Places.concatenate(parts) if parts else None
 
 
 @pytest.fixture(scope="module")
@@ -115,8 +118,8 @@ class TestPrice:
 
     @pytest.mark.parametrize("loss", [0.05, 0.2, 0.35])
     def test_it_suits_the_loss(self, plain, loss):
-        price = price_of(loss, plain, AREA, self.look, 2.0)
-        lost = lost_shares(self.look(spread_over(plain, AREA, 2.0)).distance_m, SPACINGS_M)
+        price = price_of(loss, plain, AREA, self.look)
+        lost = lost_shares(self.look(spread_over(plain, AREA)).distance_m, SPACINGS_M)
 
         def lost_at(price):
             level = np.argmin(lost + price / SPACINGS_M**2, axis=1)
@@ -126,19 +129,19 @@ class TestPrice:
         assert lost_at(0.999 * price) <= loss < lost_at(1.001 * price)
 
     def test_viewpoints_spread_evenly_over_the_area(self, plain):
-        eyes = spread_over(plain, AREA, 2.0)
+        eyes = spread_over(plain, AREA)
         share = np.stack([eyes.easting_m / AREA[2], eyes.northing_m / AREA[3]])
         counted, *_ = np.histogram2d(*share, bins=8)
         assert len(eyes) == 512
         assert (np.abs(counted - 8) <= 3).all()
         with pytest.raises(InputError, match="no viewpoint falls on the surface"):
-            spread_over(plain, (1e6, 1e6, 2e6, 2e6), 2.0)
+            spread_over(plain, (1e6, 1e6, 2e6, 2e6))
 
     def test_viewpoints_are_found_on_a_small_island(self, plain):
         """In an elevation model that is nearly all holes."""
         west, south, east, north = plain.bounds_m
         share = (east - west) * (north - south) / 1e12
-        eyes = spread_over(plain, (-5e5, -5e5, 5e5, 5e5), 2.0)
+        eyes = spread_over(plain, (-5e5, -5e5, 5e5, 5e5))
         assert len(eyes) == pytest.approx(131_072 * share, rel=0.3)
         assert not np.isnan(
             plain.height_at(easting_m=eyes.easting_m, northing_m=eyes.northing_m)
@@ -161,8 +164,8 @@ class TestPlan:
         def distance_m(easting):
             return np.where(easting < BLOCK_M, 300.0, 3e4)
 
-        sample = looking(distance_m)(spread_over(plain, AREA, 2.0))
-        price = price_of(0.15, plain, AREA, looking(distance_m), 2.0)
+        sample = looking(distance_m)(spread_over(plain, AREA))
+        price = price_of(0.15, plain, AREA, looking(distance_m))
         places = planned(plain, distance_m, price)
         west = places.easting_m < BLOCK_M
         wanted = SPACINGS_M[
@@ -180,10 +183,10 @@ class TestPlan:
             return 100.0 + np.abs(easting - 4000.0)
 
         whole = planned(plain, distance_m, 300.0)
-        planner = AdaptivePlanner(plain, looking(distance_m), AREA, 300.0, 2.0)
+        planner = AdaptivePlanner(plain, looking(distance_m), AREA, 300.0)
         blocks = blocks_of(AREA)
         assert len(blocks) == 2
-        parts = [planner.places(blocks[np.array([one])]) for one in (1, 0)]
+        parts = [planner.places(blocks[one]) for one in (1, 0)]
         assert positions(parts[0]) | positions(parts[1]) == positions(whole)
         np.testing.assert_array_equal(
             Places.concatenate(parts[::-1]).tolerance_m, whole.tolerance_m
@@ -196,7 +199,7 @@ class TestPlan:
             seen.append(len(eyes))
             return looking(lambda easting: np.full(len(easting), 400.0))(eyes)
 
-        places = AdaptivePlanner(plain, look, AREA, 100.0, 2.0).places(blocks_of(AREA))
+        places = joined(AdaptivePlanner(plain, look, AREA, 100.0), blocks_of(AREA))
         # But for the coarsest places round about each block.
         assert sum(seen) - len(places) == 2 * (6 * 6 - 4 * 4)
 
@@ -236,5 +239,5 @@ class TestPlan:
         assert places.easting_m.max() <= area[2]
         assert places.northing_m.min() >= area[1]
         assert places.northing_m.max() <= area[3]
-        off = AdaptivePlanner(plain, looking(np.ones_like), (1e6, 1e6, 2e6, 2e6), 1.0, 2.0)
-        assert off.places(Blocks(np.array([200]), np.array([200]))) is None
+        off = AdaptivePlanner(plain, looking(np.ones_like), (1e6, 1e6, 2e6, 2e6), 1.0)
+        assert off.places((200, 200)) is None
