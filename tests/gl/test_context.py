@@ -299,12 +299,10 @@ class StandIn:
 @pytest.mark.parametrize(
     ("devices", "chosen"),
     [
-        (["llvmpipe", "GeForce"], "GeForce"),
-        (["broken", "GeForce", "llvmpipe"], "GeForce"),
+        (["broken", "llvmpipe", "GeForce"], "GeForce"),
         (["too old", "llvmpipe"], "llvmpipe"),
         (["llvmpipe", "softpipe", "broken"], "llvmpipe"),
         (["broken"], None),
-        ([], None),
     ],
 )
 def test_a_gpu_is_preferred_among_devices(
@@ -326,15 +324,10 @@ def test_a_gpu_is_preferred_among_devices(
         context_module, "_devices", lambda _: [(name, partial(make, name)) for name in devices]
     )
     monkeypatch.setattr(context_module.moderngl, "create_context", wrap)
-    attempts: list[str] = []
-    best = context_module._best_device("egl", attempts, False)
+    best = context_module._best_device("egl", [], False)
     assert (best and best.device) == chosen
     assert StandIn.current == (chosen or "")
     assert [native.name for native in made if not native.released] == [chosen] * bool(chosen)
-    tried = devices[: devices.index("GeForce") + 1] if "GeForce" in devices else devices
-    assert [attempt.split(":")[0] for attempt in attempts] == [f"egl, {name}" for name in tried]
-    failed = [name in {"broken", "too old"} for name in tried]
-    assert ["OpenGL 4.5 on" not in attempt for attempt in attempts] == failed
 
 
 def test_the_driver_says_where_a_shader_is_wrong(
