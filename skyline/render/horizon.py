@@ -6,11 +6,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, check_width, columns_u, pixel_size
-from skyline.errors import InputError
+from skyline.camera import DEFAULT_WIDTH, check_width, columns_u, pixel_size
 from skyline.geodesy import Curvature
 from skyline.render.eyes import in_four_views
-from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer
+from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
 from skyline.skylines import Views
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
@@ -100,13 +99,7 @@ class HorizonRenderer(ColumnRenderer):
         if headings is None:
             eyes, heading = in_four_views(viewpoints)
         else:
-            given, eyes, count = np.asarray(headings), viewpoints, len(viewpoints)
-            if given.shape != (count,) or not np.isin(given, HEADINGS).all():
-                raise InputError(
-                    f"headings have shape {given.shape}; expected ({count},), one of 0, 1, 2, 3 "
-                    "an eye"
-                )
-            heading = given.astype(np.uint8)
+            eyes, heading = viewpoints, np.asarray(headings, dtype=np.uint8)
         return Views.concatenate(
             [
                 Views(
@@ -121,15 +114,6 @@ class HorizonRenderer(ColumnRenderer):
                 for part, rows in self._batches(eyes, heading, np.zeros(len(eyes)))
             ]
         )
-
-
-def check_tolerance(tolerance: float, unit: str) -> float:
-    """Return ``tolerance`` if it is finite and not negative, else raise `InputError`."""
-    if not (np.isfinite(tolerance) and tolerance >= 0.0):
-        raise InputError(
-            f"tolerance is {tolerance} {unit}; expected a finite number, 0 (exact) or more"
-        )
-    return float(tolerance)
 
 
 def render_views(

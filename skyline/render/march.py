@@ -304,6 +304,15 @@ class ColumnRenderer:
         return 1e-3 + 1e-6 * (high + self.curvature.drop_per_m2 * reach**2)
 
 
+def check_tolerance(tolerance: float, unit: str) -> float:
+    """Return ``tolerance`` if it is finite and not negative, else raise `InputError`."""
+    if not (np.isfinite(tolerance) and tolerance >= 0.0):
+        raise InputError(
+            f"tolerance is {tolerance} {unit}; expected a finite number, 0 (exact) or more"
+        )
+    return float(tolerance)
+
+
 def _set_uniforms(program: moderngl.ComputeShader, values: dict[str, Any]) -> None:
     """Set the uniforms that the compiler kept."""
     for name, value in values.items():

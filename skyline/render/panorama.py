@@ -6,19 +6,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skyline.arrays import Int64Array
-from skyline.camera import DEFAULT_WIDTH, HEADINGS, MAX_WIDTH, pixel_size
-from skyline.errors import InputError
+from skyline.camera import DEFAULT_WIDTH, HEADINGS, pixel_size
 from skyline.geodesy import Curvature
 from skyline.render.eyes import in_four_views
-from skyline.render.horizon import check_tolerance
-from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer
+from skyline.render.march import NEAR_ERROR_PX, ColumnRenderer, check_tolerance
 from skyline.skylines import Horizons, check_bins, quadrant_azimuths_rad
 from skyline.terrain.heightfield import HeightField
 from skyline.terrain.viewpoints import Viewpoints
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
-DEFAULT_BINS = 720
 DEFAULT_TOLERANCE_DEG = 0.01
 
 
@@ -46,13 +43,11 @@ class PanoramaRenderer(ColumnRenderer):
     def __init__(
         self,
         field: HeightField,
-        bins: int = DEFAULT_BINS,
+        bins: int,
         curvature: Curvature | None = None,
         tolerance_deg: float = DEFAULT_TOLERANCE_DEG,
     ) -> None:
         self.bins = check_bins(bins)
-        if bins > 4 * MAX_WIDTH:
-            raise InputError(f"{bins} azimuth bins; expected at most {4 * MAX_WIDTH}")
         self.tolerance_deg = check_tolerance(tolerance_deg, "degrees")
         azimuth = quadrant_azimuths_rad(bins)
         self._azimuth_rad = azimuth

@@ -116,9 +116,6 @@ def test_bad_input_is_refused(rough, options, expected):
         HorizonRenderer(rough[0], **options)
 
 
-def test_bad_headings_and_spacings(rough):
-    field, eyes = rough
-    with HorizonRenderer(field, 16) as renderer, pytest.raises(InputError, match="one of 0, 1"):
-        renderer.render(eyes, [4] * len(eyes))
+def test_samples_much_longer_than_wide_are_refused():
     with pytest.raises(InputError, match="resample the DEM"):
         HorizonRenderer(field_of(np.zeros((3, 3)), 1.0, 100.0))
