@@ -57,7 +57,7 @@ class Runner:
         """
         run, submit = uuid4().hex[:8], self._client.submit
         with warnings.catch_warnings():
-            # A large graph is what many viewpoints are; it is sent once.
+            # Many viewpoints make a large graph, which is sent once.
             warnings.filterwarnings("ignore", message="Sending large graph")
             futures = [
                 submit(_do_alone, work, item, key=f"{name}-{run}", retries=RETRIES, pure=False)

@@ -174,7 +174,7 @@ class DepthRenderer:
         # Where a border is met, the column crosses data, which end there.
         meets_data = np.isfinite(border)
         # A skyline no higher than the rim behind which the data end may hide more terrain. A
-        # border as high as the skyline may be, given its quantization, may be what it shows.
+        # border as high as the skyline may be, given its quantization, may be the skyline itself.
         lowest = np.nan_to_num(tan, nan=np.inf) - QUANTIZATION_PX * pixel_size(self.width)
         flags = (
             (border >= lowest) * FLAG_TRUNCATED

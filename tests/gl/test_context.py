@@ -118,7 +118,7 @@ def test_a_released_context_is_made_anew() -> None:
     assert draw(after.ctx, 1.0) == (255, 255, 0, 255)
 
 
-def test_description_says_what_was_tried_and_why() -> None:
+def test_the_description_has_all_attempts_and_the_reason() -> None:
     described = describe_context()
     assert json.loads(json.dumps(described)) == described
     assert described["renderer"] == acquire_context().ctx.info["GL_RENDERER"]
@@ -139,7 +139,7 @@ def test_description_says_what_was_tried_and_why() -> None:
         ("Mesa Intel(R) UHD Graphics 620 (KBL GT2)", False),
     ],
 )
-def test_software_renderers_are_told_from_gpus(renderer: str, software: bool) -> None:
+def test_software_renderers_differ_from_gpus_by_name(renderer: str, software: bool) -> None:
     assert is_software(renderer) is software
 
 
@@ -233,7 +233,7 @@ def test_osmesa_comes_after_an_egl_that_fails() -> None:
     assert "EGL gave no context" in described["reason"]
 
 
-def test_nothing_works_names_all_that_was_tried_and_the_packages() -> None:
+def test_without_opengl_the_error_has_all_attempts_and_the_packages() -> None:
     result = run_python("""
         from skyline.errors import ContextError
         from skyline.render import context, osmesa
@@ -330,7 +330,7 @@ def test_a_gpu_is_preferred_among_devices(
     assert [native.name for native in made if not native.released] == [chosen] * bool(chosen)
 
 
-def test_the_driver_says_where_a_shader_is_wrong(
+def test_an_error_of_the_driver_has_the_line_of_the_shader(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shaders, "SHADER_FOLDERS", (tmp_path, tmp_path))

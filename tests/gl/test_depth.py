@@ -53,7 +53,7 @@ def test_skylines_lie_within_half_a_pixel_of_the_oracle(width, holes):
     assert np.sqrt(np.mean(error**2)) < 0.33
     for flag in (FLAG_HOLE, FLAG_NO_DATA):
         np.testing.assert_array_equal(views.flags & flag, truth.flags & flag)
-    # A border within the same pixel cannot be told from the skyline, so it is flagged too.
+    # A border within the same pixel cannot be distinguished from the skyline, so it is flagged too.
     in_image = (views.flags & FLAG_OUT_OF_IMAGE) == 0
     assert not ((truth.flags & ~views.flags) & FLAG_TRUNCATED)[in_image].any()
 

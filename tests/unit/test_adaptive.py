@@ -47,7 +47,7 @@ CUTS = {
 
 
 def looking(distance_m):
-    """Return what renders skylines at a distance that depends on the easting."""
+    """Return a renderer of skylines at a distance that depends on the easting."""
 
     def look(eyes):
         shape = (len(eyes), BINS)
@@ -192,7 +192,7 @@ class TestPlan:
             Places.concatenate(parts[::-1]).tolerance_m, whole.tolerance_m
         )
 
-    def test_what_is_rendered_is_kept(self, plain):
+    def test_every_rendering_is_kept(self, plain):
         seen = []
 
         def look(eyes):
